@@ -37,8 +37,14 @@ def solved(make: Callable[[], pl.Problem]) -> pl.Solution:
     return Indirect().run(make())
 
 
+@lru_cache
+def checks_of(solution: pl.Solution) -> tuple[pl.Check, ...]:
+    """Of a right answer, whose limits many tests ask for."""
+    return tuple(pl.verify(solution, level=2).checks)
+
+
 def limit_of(solution: pl.Solution, name: str) -> float:
-    return next(c.limit for c in pl.verify(solution, level=2).checks if c.name == name)
+    return next(c.limit for c in checks_of(solution) if c.name == name)
 
 
 def failed(solution: pl.Solution) -> set[str]:

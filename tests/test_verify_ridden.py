@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -39,12 +40,17 @@ from problems.ridden import (
 )
 
 
+@lru_cache(maxsize=1)  # a test asks of one solution what failed, and then for a value
+def verified(solution: Solution, level: int) -> pl.Verification:
+    return pl.verify(solution, level=level)
+
+
 def failed(solution: Solution, level: int) -> set[str]:
-    return {check.name for check in pl.verify(solution, level=level).failed}
+    return {check.name for check in verified(solution, level).failed}
 
 
 def value(solution: Solution, name: str) -> float:
-    return next(check.value for check in pl.verify(solution, level=3).checks if check.name == name)
+    return next(check.value for check in verified(solution, 3).checks if check.name == name)
 
 
 def test_a_bound_is_ridden_like_a_condition() -> None:
