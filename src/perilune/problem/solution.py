@@ -100,7 +100,7 @@ class Curve(ShownCurve):
             If these are no times.
         """
         at = np.atleast_1d(demand_numbers(t, _TIMES, most=1))
-        i = np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
+        i = np.minimum(np.maximum(self.time.searchsorted(at, side="right") - 1, 0), len(self.time) - 2)
         h = self.time[i + 1] - self.time[i]
         # A last piece without length, as of an arc shorter than rounding, is its end.
         s = np.divide(at - self.time[i], h, out=np.ones_like(at), where=h != 0)[:, None]

@@ -76,7 +76,7 @@ class Pieces:
 
         `shares` has the shape (count,), or (N, count) where they differ.
         """
-        i = np.clip(np.searchsorted(curve.time, self.left, side="right") - 1, 0, len(curve.time) - 2)
+        i = np.minimum(np.maximum(curve.time.searchsorted(self.left, side="right") - 1, 0), len(curve.time) - 2)
         # The last cubic goes on where a table ends too early; that it does is another check's.
         h = (curve.time[i + 1] - curve.time[i])[:, None]
         s = ((self.left - curve.time[i])[:, None] + self.width[:, None] * shares) / h
