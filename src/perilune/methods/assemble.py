@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -82,8 +82,24 @@ def controls(extremal: PhaseExtremal, arc: Flown, t: Vector, p: Vector) -> Matri
 
 def _law(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> Matrix:
     """The control in one mode at points z (n, nz)."""
-    told = _mapped(_first(extremal.reports[mode]), len(z))(z.T, np.repeat(p[:, None], len(z), axis=1))
-    return told.full().T
+    return _at(_first(extremal.reports[mode]), z, np.tile(p, (len(z), 1)))[0]
+
+
+def _at(function: ca.Function, *arguments: Matrix) -> list[Matrix]:
+    """What a function of columns, all of them dense, gives at many points: (n, m) from (n, k) each.
+
+    In NumPy's own arrays: to make CasADi's of them takes several times as long as to evaluate.
+    """
+    count = len(arguments[0])
+    buffer, evaluate = cast(Any, _mapped(function, count)).buffer()
+    taken = [np.ascontiguousarray(argument, dtype=float).ravel() for argument in arguments]
+    found = [np.empty((count, function.size1_out(i))) for i in range(function.n_out())]
+    for i, array in enumerate(taken):
+        buffer.set_arg(i, memoryview(cast(Any, array)))
+    for i, array in enumerate(found):
+        buffer.set_res(i, memoryview(cast(Any, array.ravel())))
+    evaluate()
+    return found
 
 
 @lru_cache(maxsize=256)
@@ -96,21 +112,20 @@ def _mapped(function: ca.Function, count: int) -> ca.Function:
 def _first(report: ca.Function) -> ca.Function:
     """Its first output alone."""
     z, p = (ca.SX.sym(name, report.size1_in(i)) for i, name in enumerate("zp"))
-    return ca.Function("first", [z, p], [report(z, p)[0]])
+    return ca.Function("first", [z, p], [ca.densify(report(z, p)[0])])
 
 
 @lru_cache(maxsize=64)
 def _together(rate: ca.Function, report: ca.Function) -> ca.Function:
     """Both in one: (z, the z that decides the control, numbers) -> (z', u, u')."""
     z, decides, p = (ca.SX.sym(name, report.size1_in(i)) for i, name in ((0, "z"), (0, "d"), (1, "p")))
-    return ca.Function("together", [z, decides, p], [rate(z, p), *report(decides, p)[:2]])
+    return ca.Function("together", [z, decides, p], [ca.densify(x) for x in (rate(z, p), *report(decides, p)[:2])])
 
 
 def _report(extremal: PhaseExtremal, mode: int, z: Matrix, decides: Matrix, p: Vector) -> tuple[Matrix, Matrix, Matrix]:
     """(z', u, u') in one mode: z' at points z (n, nz), the control at those that decide it."""
-    count, numbers = len(z), np.repeat(p[:, None], len(z), axis=1)
-    told = _mapped(_together(extremal.modes[mode], extremal.reports[mode]), count)(z.T, decides.T, numbers)
-    rate, u, u_rate = (out.full().T for out in told)
+    together = _together(extremal.modes[mode], extremal.reports[mode])
+    rate, u, u_rate = _at(together, z, decides, np.tile(p, (len(z), 1)))
     return rate, u, u_rate
 
 
