@@ -16,12 +16,12 @@ from problems.landings import constant_mass, meditch
 from problems.staging import staged_burns
 
 pytest.importorskip("flint")
-import casadi as ca
 from flint import arb, arb_series, ctx
 
 import prover_checks
 from perilune.problem.verification import Verification
-from perilune.rigorous.certified.equations import Equations, Failed, simplified
+from perilune.rigorous.certified.equations import Equations
+from perilune.rigorous.certified.expressions import Expression, Failed, Program, gradient, symbol
 from perilune.rigorous.check_certificate import confirm, sentence
 from perilune.rigorous.verified import with_theorem
 
@@ -64,6 +64,14 @@ def _sine(told: Told) -> None:
     tape["outputs"][1] = 2
 
 
+def _curved(told: Told) -> None:
+    """v' = u + 1e-9 u^2: where u jumps and dH/du vanishes on one side, H would jump."""
+    tape = told["problem"]["tapes"]["dynamics 0"]
+    u, count = tape["outputs"][1], len(tape["instructions"])
+    tape["instructions"] += [["mul", u, u], ["const", 1e-9], ["mul", count, count + 1], ["add", u, count + 2]]
+    tape["outputs"][1] = count + 3
+
+
 def _one(told: Told) -> None:
     """v' = u v / v, which is nothing at rest."""
     tape = told["problem"]["tapes"]["dynamics 0"]
@@ -97,10 +105,27 @@ FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
         lambda told: told["problem"]["phases"][0]["end"][0].update(upper="7"), "no such condition",
     ),
     "a side that is none": (_no_side, "no such side"),
+    "a side within": (lambda told: told["on_bounds"].update(free={"t_f": "inside"}), "no such side"),
+    "a side of nothing": (lambda told: told["on_bounds"].update(free={"t": "lower"}), "of nothing"),
+    "a word unread": (lambda told: told["problem"]["phases"][0].update(held=["u"]), "goes unread"),
+    "a tape unread": (lambda told: told["problem"]["tapes"].update({"held 0": {}}), "goes unread"),
+    "a control of another kind": (
+        lambda told: told["problem"]["phases"][0]["controls"][0].update(kind="chosen"), "no such kind",
+    ),
+    "a number for a name": (lambda told: told["problem"]["given"].update({"-1": {"number": "1"}}), "a name is none"),
+    "few bits": (lambda told: told.update(bits=1), "no such number of bits"),
+    "more digits than are seen": (lambda told: told.update(objective=f"[2.{40 * '0'}1 +/- 1e-50]"), "does not hold"),
+    "no double": (
+        lambda told: told["problem"]["tapes"]["dynamics 0"]["instructions"].append(["const", "0.50"]), "no double",
+    ),
+    "a part of nothing": (
+        lambda told: told["problem"]["tapes"]["dynamics 0"]["instructions"].append(["neg", -1]), "no such part",
+    ),
     "a name": (lambda told: told["unknowns"][2].update(name="tf"), "named otherwise"),
     "a flight cut off": (_cut, "do not begin"),
     "an arc without an end": (lambda told: told["arcs"][1].update(switched="u"), "does not end where"),
     "no formula": (_sine, "no formula"),
+    "a jump though H is curved": (_curved, "does not switch there"),
     "nothing at rest": (_one, "divided by 0"),
     "a regime that is none": (lambda told: told["arcs"][0]["regimes"].update(u="name"), "no such regime"),
     "one name for two": (lambda told: told["problem"]["given"].update(t_f={"number": "1"}), "two things have one name"),
@@ -209,23 +234,36 @@ def test_derivatives_of_the_checker_are_those_of_its_series(word: str) -> None:
     """Of each operation at 0.3 + t: the second order of its series is half of the slope of the slope."""
     two = [["const", 2.0], ["sub", 1, 0]]
     other = two if word in ("add", "sub", "mul", "div", "atan2") else [["const", 1.75]] if word == "pow" else []
-    equations = object.__new__(Equations)
-    equations.given, equations.numbers, equations.phases = {}, {}, [{"states": [{"name": "a"}]}]
-    tape = {"instructions": [["x", "a"], *other, [word, 0, *[len(other)] * bool(other)]], "outputs": [1 + len(other)]}
-    equations.problem = {"tapes": {"f": tape}}
-    a = ca.SX.sym("a")
-    with simplified(False):
-        (f,) = equations.traced("f", 0, a, {}, {})
-        slope = ca.jacobian(f, a)
-        program = equations.program([a], [f, slope, ca.jacobian(slope, a)])
-        before, ctx.cap = ctx.cap, 3
-        try:
-            series = equations.program([a], [f])([arb_series([arb("0.3"), 1], 3)])[0]
-        finally:
-            ctx.cap = before
+    a, f = symbol(), traced(["x", "a"], *other, [word, 0, *[len(other)] * bool(other)])
+    (slope,) = gradient(f(a), [a])
+    program = Program([[a]], [f(a), slope, *gradient(slope, [a])])
+    before, ctx.cap = ctx.cap, 3
+    try:
+        (series,) = Program([[a]], [f(a)])([arb_series([arb("0.3"), 1], 3)])
+    finally:
+        ctx.cap = before
     value, first, second = program([arb("0.3")])
     truth = [*series.coeffs(), *[arb(0)] * 3][:3]
     assert all(a.overlaps(b) and b.rad() < 1e-10 for a, b in zip((value, first, second / 2), truth, strict=True))
+
+
+def traced(*instructions: list[Any]) -> Callable[[Expression], Expression]:
+    """The last of the operations of a tape, as a function of its state a."""
+    equations = object.__new__(Equations)
+    equations.given, equations.phases = {}, [{"states": [{"name": "a"}]}]
+    equations.problem = {"tapes": {"f": {"instructions": instructions, "outputs": [len(instructions) - 1]}}}
+    return lambda a: equations.traced("f", 0, [a], {}, {})[0]
+
+
+def test_derivatives_of_the_checker_round_nothing() -> None:
+    """Of 2^60 a + a - 2^60 a by sixty doublings, and of a to the power of nothing: 1 and 0; and a / a is none at 0."""
+    doublings = [["add", i, i] for i in range(60)]
+    a, f = symbol(), traced(["x", "a"], *doublings, ["add", 60, 0], ["sub", 61, 60])
+    zero = traced(["x", "a"], ["const", 0.0], ["pow", 0, 1])
+    with ctx.workprec(192):
+        found = Program([[a]], [*gradient(f(a), [a]), zero(a), *gradient(zero(a), [a])])([arb(3)])
+        assert all(value.contains(truth) and value.rad() < 1e-30 for value, truth in zip(found, (1, 1, 0), strict=True))
+    assert not Program([[a]], [traced(["x", "a"], ["div", 0, 0])(a)])([arb(0, 1)])[0].is_finite()
 
 
 def fastest() -> pl.Problem:

@@ -19,7 +19,7 @@ pytest.importorskip("flint")
 from flint import arb, ctx
 
 from perilune.rigorous import flight, root
-from perilune.rigorous.certified.equations import Failed
+from perilune.rigorous.certified.expressions import Failed
 from perilune.rigorous.check_certificate import confirm
 from perilune.rigorous.root import NotProved, prove_root, refine
 from perilune.rigorous.theorem import Proved, attempt

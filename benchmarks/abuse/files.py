@@ -64,7 +64,7 @@ def certificate(rng: np.random.Generator, material: Material, at: Path) -> str:
         return "no python-flint"
     from flint import arb, ctx
 
-    from perilune.rigorous.certified.equations import Failed
+    from perilune.rigorous.certified.expressions import Failed
     from perilune.rigorous.check_certificate import confirm
 
     content = falsified(rng, material.certificate.encode())

@@ -1,1 +1,1 @@
-"""Certificates, proved anew: what one states (`equations`), flown (`steps`), and of the second order (`optimum`)."""
+"""Certificates, proved anew: `expressions` and `equations`, flown in `steps`, and the second variation (`optimum`)."""

@@ -1,43 +1,39 @@
-"""What a certificate states: Pontryagin's conditions of its problem in CasADi's symbols, done with balls.
+"""What a certificate states: Pontryagin's conditions of its problem, in `expressions`.
 
-Nothing of the prover is used. Derivatives are CasADi's, of the problem's tapes, in which every number is a symbol, so
-that none is rounded, and nothing is cancelled. H = lambda . f and L = J + nu . psi + lambda(0) . x(0) give all:
+Nothing of the prover is used. H = lambda . f and L = J + nu . psi + lambda(0) . x(0) give all:
 
     x' = f,  lambda' = -H_x,  u = argmin H;    psi = 0,  lambda(T) = dL/dx(T),  dL/dq = 0 (with H, of a duration q).
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from operator import add, methodcaller, mul, neg, sub, truediv
+import re
+from collections.abc import Sequence
 from typing import Any
 
-import casadi as ca
-from flint import arb, arb_mat, arb_series, fmpq
+from flint import arb, fmpq
 
+from perilune.rigorous.certified.expressions import (
+    DONE,
+    ZERO,
+    Expression,
+    Program,
+    demand,
+    dot,
+    gradient,
+    made,
+    put,
+    symbol,
+)
 
-class Failed(Exception):
-    """What the certificate claims is not so, or cannot be seen."""
-
-
-def demand(held: bool, told: str) -> None:
-    """Go on only if it is so."""
-    if not held:
-        raise Failed(told)
-
-
-@contextmanager
-def simplified(on: bool) -> Iterator[None]:
-    """Whether CasADi cancels what it can: x / x is 1 then, at 0 too."""
-    before = ca.GlobalOptions.getSimplificationOnTheFly()
-    ca.GlobalOptions.setSimplificationOnTheFly(on)
-    try:
-        yield
-    finally:
-        ca.GlobalOptions.setSimplificationOnTheFly(before)
+BY_EXPONENTIALS: dict[str, Any] = {
+    "sinh": lambda up, down: (up - down) / 2, "cosh": lambda up, down: (up + down) / 2,
+    "tanh": lambda up, down: (up - down) / (up + down),
+}  # fmt: skip
+Expressions = Sequence[Expression]
 
 
 def number(text: str) -> Any:
     """A number written as p, p/q or p*2^e."""
+    demand(re.fullmatch(r"-?\d+(/\d+)?(\*2\^-?\d{1,6})?", text, re.ASCII) is not None, f"{text} is no number")
     quotient, _, exponent = text.partition("*2^")
     return arb(fmpq(*map(int, quotient.split("/")))) * arb(2) ** int(exponent or 0)
 
@@ -47,57 +43,15 @@ def given(told: dict[str, Any]) -> Any:
     return number(told["number"]) * arb.pi() ** told.get("power_of_pi", 0)
 
 
-def angle(y: Any, x: Any) -> Any:
-    """atan2 away from its jump."""
-    if isinstance(y, arb_series) or isinstance(x, arb_series):
-        y, x = arb_series(y), arb_series(x)
-        turning = (x * y.derivative() - y * x.derivative()) / (x * x + y * y)
-        return turning.integral() + angle(y[0], x[0])
-    demand(bool(x > 0 or y > 0 or y < 0), "an angle may jump")
-    return arb.atan2(y, x)
-
-
-ONE = ("sqrt", "exp", "log", "sin", "cos", "tan", "atan", "asin", "acos")
-IN_SYMBOLS = {  # what tapes do; powers are `Equations.power`
-    "add": add, "sub": sub, "mul": mul, "div": truediv, "neg": neg, "atan2": ca.atan2,
-    **{word: getattr(ca, word) for word in ONE}, "sinh": lambda a: (ca.exp(a) - ca.exp(-a)) / 2,
-    "cosh": lambda a: (ca.exp(a) + ca.exp(-a)) / 2, "tanh": lambda a: 1 - 2 / (ca.exp(2 * a) + 1),
-}  # fmt: skip
-IN_BALLS = {  # what CasADi's instructions do
-    ca.OP_ADD: add, ca.OP_SUB: sub, ca.OP_MUL: mul, ca.OP_DIV: truediv, ca.OP_NEG: neg, ca.OP_ATAN2: angle,
-    ca.OP_SQ: lambda a: a * a, ca.OP_TWICE: lambda a: a + a, ca.OP_INV: lambda a: 1 / a,
-    **{getattr(ca, f"OP_{word.upper()}"): methodcaller(word) for word in ONE},
-}  # fmt: skip
-
-
-class Program:
-    """Expressions, done with balls or with series of them, and their derivatives by the first groups of inputs."""
-
-    def __init__(self, numbers: dict[int, Any], groups: list[Any], outputs: list[Any], slopes: int = 0) -> None:
-        column, self.numbers = ca.vertcat(*outputs), [ball for _, ball in numbers.values()]
-        inputs = [*groups, ca.vertcat(*(symbol for symbol, _ in numbers.values()))]
-        f = ca.Function("f", inputs, [ca.cse(ca.densify(ca.vec(column.T)))])
-        self.shape, self.instructions = column.shape, [
-            (k := f.instruction_id(i), f.instruction_input(i), f.instruction_output(i),
-             arb(f.instruction_constant(i)) if k == ca.OP_CONST else None) for i in range(f.n_instructions())
-        ]  # fmt: skip
-        self.slopes = [Program(numbers, groups, [ca.jacobian(column, own)]) for own in groups[:slopes]]
-
-    def __call__(self, *groups: Any) -> list[Any]:
-        """The outputs, row by row."""
-        read, w, found = [*groups, self.numbers], dict[int, Any](), [arb(0)] * (self.shape[0] * self.shape[1])
-        for word, come, go, constant in self.instructions:
-            if word == ca.OP_OUTPUT:
-                found[go[1]] = w[come[0]]
-            elif word == ca.OP_INPUT:
-                w[go[0]] = read[come[0]][come[1]]
-            else:
-                w[go[0]] = IN_BALLS[word](*(w[j] for j in come)) if constant is None else constant
-        return found
-
-    def matrix(self, *groups: Any) -> Any:
-        """The outputs as a matrix."""
-        return arb_mat(self.shape[0], self.shape[1], self(*groups))
+def power(a: Expression, b: Expression) -> Expression:
+    """A power; whole ones of numbers as products."""
+    ball = b.parts[0] if b.word == "number" else None
+    if ball is None or not ball.is_integer() or abs(ball) > 64 or ball == 0:
+        return made("exp", b * made("log", a))
+    product = a
+    for _ in range(abs(int(float(ball))) - 1):
+        product = product * a
+    return 1 / product if ball < 0 else product
 
 
 class Equations:
@@ -109,102 +63,89 @@ class Equations:
 
     def __init__(self, told: dict[str, Any]) -> None:
         self.problem, self.arcs, self.on = told["problem"], told["arcs"], told["on_bounds"]
-        self.phases, self.free, self.numbers = self.problem["phases"], self.problem["free"], dict[int, Any]()
-        self.given = {name: self.number(given(own)) for name, own in self.problem["given"].items()}
+        self.phases, self.free = self.problem["phases"], self.problem["free"]
+        self.given = {name: Expression("number", given(own)) for name, own in self.problem["given"].items()}
         follows = [arc["phase"] for arc in self.arcs]
         self.first, self.last = ([f(i for i, own in enumerate(follows) if own == k) for k in range(len(self.phases))]
                                  for f in (min, max))  # fmt: skip
         self.stay = [[f["name"] for f in self.free if self.acts(k, f["name"])] for k in range(len(self.phases))]
+        self.y, unnamed = [symbol() for _ in told["unknowns"]], [*zip(told["unknowns"], range(10**6), strict=False)]
 
-        self.y = y = ca.SX.sym("y", len(told["unknowns"]))
-        named = iter([*zip((u["name"] for u in told["unknowns"]), ca.vertsplit(y), strict=True), ("", None)])
-
-        def unknown(name: str) -> Any:
-            expected, symbol = next(named)
-            demand(expected == name, "the unknowns are named otherwise")
-            return symbol
+        def unknown(name: str) -> Expression:
+            demand(bool(unnamed) and unnamed[0][0]["name"] == name, "the unknowns are named otherwise")
+            return self.y[unnamed.pop(0)[1]]
 
         self.lam = [
-            ca.vertcat(*(unknown(f"{p['name']}.lambda_{n}(0)") for n in [*(s["name"] for s in p["states"]), *stay]))
+            [unknown(f"{p['name']}.lambda_{name}(0)") for name in [*(s["name"] for s in p["states"]), *stay]]
             for p, stay in zip(self.phases, self.stay, strict=True)
         ]
         self.q = {f["name"]: unknown(f["name"]) for f in self.free}
-        self.z = [ca.SX.sym("z", 2 * self.lam[k].numel()) for k in follows]
+        self.z = [[symbol() for _ in range(2 * len(self.lam[k]))] for k in follows]
         self.ends = [[(unknown(name), *own) for name, *own in self.end(k)] for k in range(len(self.phases))]
         self.lengths = {i: unknown(f"{self.phases[k]['name']}, length of arc {i - self.first[k] + 1}")
-                   for i, k in enumerate(follows) if self.arcs[i]["switched"]}  # fmt: skip
-        unknown("")
+                        for i, k in enumerate(follows) if self.arcs[i]["switched"]}  # fmt: skip
+        demand(not unnamed, "the unknowns are named otherwise")
         self.lasting = list[Any]()
         for i, k in enumerate(follows):
             whole = {**self.given, **self.q}[self.phases[k]["duration"]]
-            self.lasting.append(self.lengths.get(i, whole - sum(self.lasting[self.first[k] : i])))
+            self.lasting.append(self.lengths.get(i, whole - sum(self.lasting[self.first[k] : i], ZERO)))
 
-        self.flown, before = [self.steered(i, z) for i, z in enumerate(self.z)], [ca.SX(0, 1), *self.z[:-1]]
-        self.J = self.traced("objective", len(self.phases) - 1, self.z[-1], {}, self.q)[0]
-        self.begins = [
-            ca.vertcat(*self.traced(f"links {k - 1}" if k else "start", max(k - 1, 0), before[i], {}, self.q))
-            for k, i in enumerate(self.first)
-        ]
+        self.flown, before = [self.steered(i, z) for i, z in enumerate(self.z)], [[], *self.z[:-1]]
+        (self.J,) = self.traced("objective", len(self.phases) - 1, self.z[-1], {}, self.q)
+        self.begins = [self.traced(f"links {k - 1}" if k else "start", max(k - 1, 0), before[i], {}, self.q)
+                       for k, i in enumerate(self.first)]  # fmt: skip
         starts, residual, asked = self.conditions(before)
-        self.residual = self.program([y, *self.z], [*residual, self.J], 1 + len(self.z))
-        self.asked = self.program([y, *self.z], [*asked, *self.lasting])
-        self.times = [self.program([y], [own], 1) for own in self.lasting]
-        self.starts = [self.program([y, z], [own], 2) for z, own in zip(before, starts, strict=True)]
+        self.residual = Program([self.y, *self.z], [*residual, self.J], 1 + len(self.z))
+        self.asked = Program([self.y, *self.z], [*asked, *self.lasting])
+        self.times = [Program([self.y], [own], 1) for own in self.lasting]
+        self.starts = [Program([self.y, z], own, 2) for z, own in zip(before, starts, strict=True)]
         self.signed, along = [own["signed"] for own in self.flown], [*zip(self.z, self.flown, strict=True)]
-        self.rates = [self.program([z], [own["rates"]], 1) for z, own in along]
+        self.rates = [Program([z], own["rates"], 1) for z, own in along]
         self.limits, self.signs = (  # with their derivatives by time behind them
-            [self.program([y, z], own[what] + [ca.jtimes(v, z, own["rates"]) for v in own[what]]) for z, own in along]
+            [
+                Program([self.y, z], own[what] + [dot(gradient(v, z), own["rates"]) for v in own[what]])
+                for z, own in along
+            ]
             for what in ("limits", "signs")
         )
-
-    def program(self, groups: list[Any], outputs: list[Any], slopes: int = 0) -> Program:
-        """Expressions as a program."""
-        return Program(self.numbers, groups, outputs, slopes)
-
-    def number(self, ball: Any) -> Any:
-        """A symbol for a number."""
-        symbol = ca.SX.sym("number")
-        self.numbers[symbol.element_hash()] = symbol, ball
-        return symbol
 
     def acts(self, k: int, name: str) -> bool:
         """Whether a free parameter moves a phase."""
         limits = [c.get(side) for c in self.phases[k]["controls"] for side in ("lower", "upper")]
         return ["p", name] in self.problem["tapes"][f"dynamics {k}"]["instructions"] or name in limits
 
-    def limit(self, stated: str, free: dict[str, Any]) -> Any:
+    def limit(self, stated: str, free: dict[str, Any]) -> Expression:
         """A bound: a number, or the name of one."""
         known = {**self.given, **free}
         demand(stated in known or not stated.isidentifier(), f"{stated} is no number that is given")
-        return known[stated] if stated in known else self.number(number(stated))
+        return known[stated] if stated in known else Expression("number", number(stated))
 
-    def room(self, value: Any, told: dict[str, Any], free: dict[str, Any]) -> list[Any]:
+    def room(self, value: Any, told: dict[str, Any], free: dict[str, Any]) -> list[Expression]:
         """How far a value is above its lower and below its upper bound, where it has them."""
         signs = (("lower", 1), ("upper", -1))
         return [(value - self.limit(told[s], free)) * sign for s, sign in signs if told[s] is not None]
 
-    def power(self, a: Any, b: Any) -> Any:
-        """A power; whole ones as products."""
-        _, ball = self.numbers.get(b.element_hash(), (None, None))
-        if ball is None or not ball.is_integer() or abs(ball) > 64:
-            return ca.exp(b * ca.log(a))
-        product = ca.SX(1)
-        for _ in range(abs(int(float(ball)))):
-            product = product * a
-        return 1 / product if ball < 0 else product
-
-    def traced(self, name: str, k: int, x: Any, u: dict[str, Any], free: dict[str, Any]) -> list[Any]:
+    def traced(self, name: str, k: int, x: Expressions, u: dict[str, Any], free: dict[str, Any]) -> list[Expression]:
         """The outputs of a tape, with the states of phase k."""
         values = {("p", n): v for n, v in {**self.given, **free}.items()} | {("u", n): v for n, v in u.items()}
-        values |= {("x", s["name"]): v for s, v in zip(self.phases[k]["states"], ca.vertsplit(x), strict=False)}
-        tape, found = self.problem["tapes"].get(name, {"instructions": (), "outputs": ()}), list[Any]()
+        values |= {("x", s["name"]): v for s, v in zip(self.phases[k]["states"], x, strict=False)}
+        tape, found = self.problem["tapes"].get(name, {"instructions": (), "outputs": ()}), list[Expression]()
         for word, *rest in tape["instructions"]:
-            if word in ("x", "u", "p"):
-                found.append(values[word, rest[0]])
-            elif word == "const":
-                found.append(self.number(arb(float(rest[0]))))
+            if word in ("x", "u", "p", "const"):
+                (own,) = rest
+                if word == "const":  # a double, in the digits that tell it from others
+                    demand(repr(float(own)) == str(own), f"{own} is no double")
+                    values[word, own] = Expression("number", arb(fmpq(*float(own).as_integer_ratio())))
+                found.append(values[word, own])
+                continue
+            demand(all(type(j) is int and 0 <= j < len(found) for j in rest), "an operation has no such part")
+            a, *b = (found[j] for j in rest)
+            if word in BY_EXPONENTIALS and not b:
+                found.append(BY_EXPONENTIALS[word](made("exp", a), made("exp", -a)))
             else:
-                found.append((self.power if word == "pow" else IN_SYMBOLS[word])(*(found[j] for j in rest)))
+                demand(word == "pow" or word in DONE, f"{word} is no operation")
+                demand(len(b) == (word in ("add", "sub", "mul", "div", "pow", "atan2")), f"{word} has other parts")
+                found.append(power(a, *b) if word == "pow" else made(word, a, *b))
         return [found[j] for j in tape["outputs"]]
 
     def end(self, k: int) -> list[tuple[Any, ...]]:
@@ -222,8 +163,8 @@ class Equations:
         """Where arcs begin, what vanishes, and what has to be positive beside it."""
         L, starts, F, asked = self.J, [*before], list[Any](), list[Any]()
         for k, i in enumerate(self.first):
-            begins = ca.vertcat(self.begins[k], *(self.q[name] for name in self.stay[k]))
-            starts[i], L = ca.vertcat(begins, self.lam[k]), L + ca.dot(self.lam[k], begins)
+            begins = [*self.begins[k], *(self.q[name] for name in self.stay[k])]
+            starts[i], L = [*begins, *self.lam[k]], L + dot(self.lam[k], begins)
             for multiplier, value, c, side in self.ends[k]:
                 L, held = L + multiplier * value, side in ("lower", "upper")
                 demand((c["lower"] is c["upper"] is None) == (side is None), f"{c['name']} is no such condition")
@@ -232,73 +173,80 @@ class Equations:
                 # whose bound is given: a free one would have a part in dL/dq
                 F.append(value - self.limit(c[side], {}) if held else multiplier if side else value)
         for i, lam in zip(self.last, self.lam, strict=True):
-            F.append(self.z[i][lam.numel() :] - ca.gradient(L, self.z[i])[: lam.numel()])
+            half = len(lam)
+            F += [own - slope for own, slope in zip(self.z[i][half:], gradient(L, self.z[i][:half]), strict=True)]
         for f in self.free:
             name, q, side = f["name"], self.q[f["name"]], self.on["free"].get(f["name"])
             lasting = [i for i, p in zip(self.last, self.phases, strict=True) if p["duration"] == name]
-            slope = ca.gradient(L, q) + sum(self.flown[i]["H"] for i in lasting)
+            slope = gradient(L, [q])[0] + sum((self.flown[i]["H"] for i in lasting), ZERO)
             asked += [*self.room(q, {**f, side: None}, {}), *([slope if side == "lower" else -slope] if side else [])]
             F.append(q - self.limit(f[side], {}) if side else slope)
         for i, arc in enumerate(self.arcs):
             if name := arc["switched"]:
                 (c,) = (c for c in self.phases[arc["phase"]]["controls"] if c["names"] == [name])
-                inside, bound = arc["regimes"][name] == "interior", self.arcs[i + 1]["regimes"][name]
-                own = self.flown[i]
-                F.append(own["u"][name] - self.limit(c[bound], {}) if inside else own["pulls"][name])
+                own, regime, follows = self.flown[i], arc["regimes"][name], self.arcs[i + 1]["regimes"][name]
+                affine = "interior" in (regime, follows) or name not in own["curved"]
+                demand(affine and regime != follows, f"{name} does not switch there")  # else H would jump
+                inside = regime == "interior"
+                F.append(own["u"][name] - self.limit(c[follows], {}) if inside else own["pulls"][name])
         return starts, F, asked
 
-    def steered(self, i: int, z: Any) -> dict[str, Any]:
+    def steered(self, i: int, z: list[Expression]) -> dict[str, Any]:
         """Of an arc: z', the u that minimises H, dH/du, H, limits, and signs by which that is the only minimum."""
-        k, regimes, half = self.arcs[i]["phase"], self.arcs[i]["regimes"], z.numel() // 2
+        k, regimes, half = self.arcs[i]["phase"], self.arcs[i]["regimes"], len(z) // 2
         phase, n = self.phases[k], len(self.phases[k]["states"])
-        u = {name: ca.SX.sym(name) for c in phase["controls"] for name in c["names"]}
-        moved = dict(zip(self.stay[k], ca.vertsplit(z[n:half]), strict=True))
-        f = ca.vertcat(*self.traced(f"dynamics {k}", k, z, u, moved))
-        H = ca.dot(z[half : half + n], f)
+        u = {name: symbol() for c in phase["controls"] for name in c["names"]}
+        moved = dict(zip(self.stay[k], z[n:half], strict=True))
+        f = self.traced(f"dynamics {k}", k, z, u, moved)
+        demand(len(f) == n, f"{phase['name']} has not as many rates as states")
+        H = dot(z[half : half + n], f)
         scalars = {c["name"]: c for c in phase["controls"] if c["kind"] != "direction"}
         directions, found = [c for c in phase["controls"] if c["kind"] == "direction"], dict[str, Any]()
+        curved, factors = self.curved(H, u, scalars, directions)
 
-        def put(into: Any, values: dict[str, Any]) -> Any:
-            pairs = [(u[name], value) for name, value in values.items()]
-            return ca.substitute(into, *(ca.vertcat(*own) for own in zip(*pairs, strict=True))) if pairs else into
+        def at(values: dict[str, Any], *outputs: Any) -> list[Any]:
+            return put(outputs, {u[name]: value for name, value in values.items()})
 
-        with simplified(True):  # to see what is 0
-            curved, factors = self.curved(H, u, scalars, directions)
         for c in directions:  # a scalar that multiplies it does not turn it
-            g = put(ca.gradient(H, ca.vertcat(*(u[name] for name in c["names"]))), dict.fromkeys(scalars, 1))
-            found |= zip(c["names"], ca.vertsplit(-g / ca.sqrt(ca.dot(g, g))), strict=True)
-        pulls = {name: put(ca.gradient(H, u[name]), found) for name in scalars}
+            g = at(dict.fromkeys(scalars, 1), *gradient(H, [u[name] for name in c["names"]]))
+            found |= {name: -own / made("sqrt", dot(g, g)) for name, own in zip(c["names"], g, strict=True)}
+        pulls = dict(zip(scalars, at(found, *gradient(H, [u[name] for name in scalars])), strict=True))
         held = {name: self.limit(c[regimes[name]], moved) for name, c in scalars.items() if regimes[name] != "interior"}
         for name, pull in pulls.items():
             demand(name in held or name in curved, f"{name} is singular")
-            found[name] = held[name] if name in held else -put(pull, {name: 0}) / curved[name]
-        pulls = {name: put(pull, found) for name, pull in pulls.items()}
-        signs = {f"{name} twice": put(own, found) for name, own in curved.items()}
+            found[name] = held[name] if name in held else -at({name: 0}, pull)[0] / curved[name]
+        pulls = dict(zip(pulls, at(found, *pulls.values()), strict=True))
+        signs = {f"{name} twice": own for name, own in zip(curved, at(found, *curved.values()), strict=True)}
         signs |= {name: pulls[name] * (1 if regimes[name] == "lower" else -1) for name in held}
         limits = self.traced(f"path {k}", k, z, found, self.q)
-        bounded = [*zip(ca.vertsplit(z), phase["states"], strict=False), *((found[n], scalars[n]) for n in scalars)]
+        bounded = [*zip(z, phase["states"], strict=False), *((found[name], scalars[name]) for name in scalars)]
         limits += [room for value, told in bounded for room in self.room(value, told, self.q)]
-        adjoint = -ca.gradient(put(H, held), z)[:half]  # a bound that holds a control moves with what it is
+        adjoint = [-slope for slope in gradient(at(held, H)[0], z[:half])]  # a bound that holds u moves with what it is
         return {
-            "rates": put(ca.vertcat(f, ca.SX.zeros(half - n), adjoint), found), "u": found, "pulls": pulls,
-            "factors": factors, "signed": [*signs], "signs": [*signs.values()], "limits": limits, "H": put(H, found),
+            "rates": at(found, *f, *[ZERO] * (half - n), *adjoint), "u": found, "pulls": pulls, "curved": curved,
+            "factors": factors, "signed": [*signs], "signs": [*signs.values()], "limits": limits, "H": at(found, H)[0],
         }  # fmt: skip
 
-    def curved(self, H: Any, u: dict[str, Any], scalars: dict[str, Any], directions: list[Any]) -> tuple[Any, set[str]]:
+    def curved(
+        self, H: Expression, u: dict[str, Any], scalars: dict[str, Any], directions: list[Any]
+    ) -> tuple[Any, Any]:
         """d2H/du2 of scalars, if the minimum of H is that of each control by itself; and which multiply directions."""
-        controls, names, form = ca.vertcat(*u.values()), [*u], ca.hessian(H, ca.vertcat(*u.values()))[0]
-        demand(not ca.depends_on(form, controls), "H has no formula for its minimum")
-        pairs = [(names[a], names[b]) for a, b in zip(*form.sparsity().get_triplet(), strict=True)]
-        factors = set[str]()
+        slopes = dict(zip(u, gradient(H, [*u.values()]), strict=True))
+        form = {(a, b): own for a in u for b, own in zip(u, gradient(slopes[a], [*u.values()]), strict=True)}
+        form, factors = {pair: own for pair, own in form.items() if own is not ZERO}, set[str]()
+        for own in form.values():
+            moving = [d for d in gradient(own, [*u.values()]) if d is not ZERO]
+            demand(not moving, "H has no formula for its minimum")
         for c in directions:
-            own = {b for a, b in pairs if a in c["names"]}
+            own = {b for a, b in form if a in c["names"]}
+            demand(any(slopes[name] is not ZERO for name in c["names"]), f"{c['names']} moves nothing")
             demand(own <= {*scalars} and len(own) < 2, "H has no formula for its minimum")
             factors |= own
             for s in own:
-                rest = ca.substitute(ca.gradient(H, ca.vertcat(*(u[name] for name in c["names"]))), u[s], 0)
-                demand(rest.is_zero(), "a direction is multiplied and is not")
-                _, least = self.numbers[self.limit(scalars[s]["lower"], {}).element_hash()]
-                demand(bool(least >= 0), "a factor of a direction may be negative")
-        twice = [(a, b) for a, b in pairs if a in scalars and b in scalars]
+                rest = put([slopes[name] for name in c["names"]], {u[s]: ZERO})
+                demand(all(slope is ZERO for slope in rest), "a direction is multiplied and is not")
+                least = self.limit(scalars[s]["lower"], {})
+                demand(bool(least.parts[0] >= 0), "a factor of a direction may be negative")
+        twice = [(a, b) for a, b in form if a in scalars and b in scalars]
         demand(all(a == b for a, b in twice), "H has no formula for its minimum")
-        return {a: form[names.index(a), names.index(a)] for a, _ in twice}, factors
+        return {a: form[a, a] for a, _ in twice}, factors

@@ -14,10 +14,10 @@ of psi_v. M are weights that the certificate states; R does not matter but for h
 from itertools import pairwise
 from typing import Any
 
-import casadi as ca
 from flint import arb, arb_mat
 
-from perilune.rigorous.certified.equations import Equations, Failed, demand
+from perilune.rigorous.certified.equations import Equations
+from perilune.rigorous.certified.expressions import ZERO, Failed, Program, demand, dot, gradient, put, symbol
 from perilune.rigorous.certified.steps import horner, over, step
 
 DEEPEST, PENALTY = 12, 2.0**40  # halvings of a step; R, times M of what a condition weighs
@@ -75,44 +75,39 @@ class SecondVariation:
         demand(all(w > 0 and w.is_finite() for own in self.weights for w in own), "a weight is none")
         demand(len(weights) == len(equations.phases), "there are not as many weights as phases")
         free = [q for name, q in equations.q.items() if name not in equations.on["free"]]
-        self.p = ca.vertcat(*free, *equations.lengths.values())
+        self.p = [*free, *equations.lengths.values()]
         self.rates = [self.program_of(i) for i in range(len(equations.arcs))]
-        before, groups = self.p, [equations.y, *equations.z]
-        self.junctions = list[Any]()
+        v, groups, self.junctions = self.p, [equations.y, *equations.z], list[Any]()
         for k in range(len(equations.phases) + 1):
             psi = [(nu, value) for nu, value, _, side in equations.ends[k - 1] if side != "inside"] if k else []
+            L, follows = equations.J, list[Any]()
             if k < len(equations.phases):
-                begins = equations.begins[k]
-                L, follows = ca.dot(equations.lam[k][: begins.numel()], begins), ca.vertcat(begins, self.p)
-            else:
-                L, follows = equations.J, ca.SX(0, 1)
-            L, values = L + sum(nu * value for nu, value in psi), ca.vertcat(*(value for _, value in psi))
-            form = ca.hessian(L, before)[0]
-            slopes = [
-                ca.jacobian(own, before) if own.numel() else ca.SX(0, before.numel()) for own in (follows, values)
-            ]
-            self.junctions.append([equations.program(groups, [own]) for own in (*slopes, form)])
+                L = dot(equations.lam[k][: len(equations.begins[k])], equations.begins[k])
+                follows = [*equations.begins[k], *self.p]
+            L = L + dot((nu for nu, _ in psi), (value for _, value in psi))
+            self.junctions.append([
+                Program(groups, [d for own in of for d in gradient(own, v)], rows=len(of))
+                for of in (follows, [value for _, value in psi], gradient(L, v))
+            ])  # fmt: skip
             if k < len(equations.phases):
-                z, states = equations.z[equations.last[k]], len(equations.phases[k]["states"])
-                before = ca.vertcat(z[:states], self.p)
+                v = [*equations.z[equations.last[k]][: len(equations.begins[k])], *self.p]
 
-    def program_of(self, i: int) -> Any:
+    def program_of(self, i: int) -> Program:
         """The canonical equations of an arc for (x, p, lambda of both)."""
-        equations, k = self.equations, self.equations.arcs[i]["phase"]
-        z, own, T, n, stay = (
-            equations.z[i], equations.flown[i], equations.lasting[i], len(equations.phases[k]["states"]),
-            equations.stay[k],
-        )  # fmt: skip
-        half, size = z.numel() // 2, n + self.p.numel()
-        by_p = -ca.gradient(T, self.p) * own["H"]
+        equations, k, p = self.equations, self.equations.arcs[i]["phase"], self.p
+        z, own, T, stay = equations.z[i], equations.flown[i], equations.lasting[i], equations.stay[k]
+        half, n = len(z) // 2, len(z) // 2 - len(stay)
+        by_p = [-own["H"] * slope for slope in gradient(T, p)]
         for j, name in enumerate(stay):  # lambda' of a parameter that acts is -H_q
-            by_p += ca.gradient(equations.q[name], self.p) * own["rates"][half + n + j] * T
-        rates = ca.vertcat(T * own["rates"][:n], ca.SX.zeros(self.p.numel()), T * own["rates"][half : half + n], by_p)
-        zeta = ca.SX.sym("zeta", 2 * size)
-        constants = ca.vertcat(*(equations.q[name] for name in stay))
-        rates = ca.substitute(rates, z, ca.vertcat(zeta[:n], constants, zeta[size : size + n], ca.SX.zeros(len(stay))))
-        rates = ca.substitute(rates, self.p, zeta[n:size])
-        return equations.program([zeta, equations.y], [rates], 1)
+            by_p = [b + (own["rates"][half + n + j] * T if equations.q[name] is q else ZERO)
+                    for b, q in zip(by_p, p, strict=True)]  # fmt: skip
+        x, moved, costate, still = ([symbol() for _ in of] for of in (range(n), p, range(n), p))
+        parts = own["rates"][:n], [ZERO] * len(p), own["rates"][half : half + n]
+        rates = [*(T * rate for part in parts for rate in part), *by_p]
+        told = {**dict(zip(z[:n], x, strict=True)), **dict(zip(z[half : half + n], costate, strict=True))}
+        told |= dict(zip(z[n:half], (equations.q[name] for name in stay), strict=True))
+        rates = put(put(rates, told), dict(zip(p, moved, strict=True)))
+        return Program([[*x, *moved, *costate, *still], equations.y], rates, 1)
 
     def demand_order(self) -> None:
         """Switches are jumps of one scalar each in which H is affine, and nothing makes a direction vanish from H."""
@@ -120,9 +115,8 @@ class SecondVariation:
         for i, arc in enumerate(arcs):
             for name in self.equations.flown[i]["factors"]:
                 (c,) = (c for c in self.equations.phases[arc["phase"]]["controls"] if c["names"] == [name])
-                held = arc["regimes"][name] != "interior" and self.equations.limit(c[arc["regimes"][name]], {})
-                seen = held is not False and self.equations.numbers[held.element_hash()][1] > 0
-                demand(bool(seen), "nothing may multiply a direction for a while")
+                held = arc["regimes"][name] != "interior" and self.equations.limit(c[arc["regimes"][name]], {}).parts[0]
+                demand(bool(held is not False and held > 0), "nothing may multiply a direction for a while")
             if name := arc["switched"]:
                 a, b = arc["regimes"], arcs[i + 1]["regimes"]
                 demand([own for own in a if a[own] != b[own]] == [name], f"{name} does not switch alone")
@@ -132,8 +126,7 @@ class SecondVariation:
     def check(self, grid: list[list[Any]], nodes: list[Any], y: list[Any]) -> None:
         """See that it is positive, for the flight that has these enclosures at the times of the grid."""
         self.demand_order()
-        program, ends, W = self.equations.program, [own[-1] for own in nodes], None
-        (p,) = [program([self.equations.y], [self.p])(y)]
+        ends, W, p = [own[-1] for own in nodes], None, Program([self.equations.y], self.p)(y)
         for k, (slopes, conditions, form) in enumerate(self.junctions):
             G, psi, C = (own.matrix(y, *ends) for own in (slopes, conditions, form))
             C = C if W is None else C - W
