@@ -113,6 +113,12 @@ FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
         lambda told: told["problem"]["phases"][0]["controls"][0].update(kind="chosen"), "no such kind",
     ),
     "a number for a name": (lambda told: told["problem"]["given"].update({"-1": {"number": "1"}}), "a name is none"),
+    "words behind a number": (
+        lambda told: told.update(objective="[2 +/- 1e-9 +/- 0], the best of all"), "does not hold anything",
+    ),
+    "a given unread": (lambda told: told["problem"]["given"]["distance"].update(offset="7"), "goes unread"),
+    "a link unread": (lambda told: told["problem"]["tapes"].update({"links 0": {"outputs": []}}), "goes unread"),
+    "a ball for a size": (lambda told: told["only_one_within"].__setitem__(0, "1e-9 +/- 1e-10"), "is no number"),
     "few bits": (lambda told: told.update(bits=1), "no such number of bits"),
     "more digits than are seen": (lambda told: told.update(objective=f"[2.{40 * '0'}1 +/- 1e-50]"), "does not hold"),
     "no double": (
@@ -164,6 +170,7 @@ FALSE_OPTIMUM: dict[str, tuple[Callable[[Told], Any], str]] = {
     "weight": (lambda told: told["weights"][0].__setitem__(0, -1.0), "a weight is none"),
     "no weight": (lambda told: told["weights"][0].__setitem__(0, math.nan), "a weight is none"),
     "one phase": (lambda told: told["weights"].pop(), "not as many weights as phases"),
+    "one state": (lambda told: told["weights"][0].pop(), "not as many weights as states"),
     "light": (lambda told: told.update(weights=[[1e-60] * len(own) for own in told["weights"]]), "weights|positive"),
 }  # fmt: skip
 

@@ -16,10 +16,10 @@ from flint import arb, arb_mat, ctx, fmpq
 
 from perilune.rigorous.certified.equations import Equations, number
 from perilune.rigorous.certified.expressions import Failed, Loose, demand
+from perilune.rigorous.certified.form import once, well_formed
 from perilune.rigorous.certified.optimum import SecondVariation
 from perilune.rigorous.certified.steps import over, step
 
-FORMAT = "perilune theorem 5"
 TOLERANCE, PIECES = 1e-6, 2.0**-20  # of limits in SI; least part of a step
 PARTS = (3, 8, 24)  # of each step of the certificate, tried in order: much is enclosed less closely here
 
@@ -28,9 +28,9 @@ def sentence(told: dict[str, Any]) -> str:
     """The theorem of a certificate in words: what is seen here, all of it, and nothing else."""
     values = [("J", told["objective"]), *((u["name"], u["enclosure"]) for u in told["unknowns"])]
     optimum = (
-        " It is a strict local minimum of J: of flights that meet the same conditions where phases begin and end, whose"
-        " controls keep their bounds, and whose states, controls and free parameters are close enough to its own, "
-        "controls but for short times about switches, every other has a larger J."
+        " It is a strict local minimum of J: of flights that meet the same conditions where phases begin and end, keep "
+        "all ranges and bounds of controls, states and parameters, and whose states, controls and free parameters are "
+        "close enough to its own, controls but for short times about switches, every other has a larger J."
     )
     return (
         f"The problem {told['problem']['name']!r} as it stands here has an extremal of {len(told['arcs'])} arcs, a "
@@ -44,66 +44,13 @@ def sentence(told: dict[str, Any]) -> str:
     )
 
 
-KEYS = {  # of what the problem is stated by; nothing else may stand there
-    "phase": {"name", "duration", "states", "controls", "end", "path"}, "bounded": {"name", "lower", "upper"},
-    "direction": {"kind", "names"}, "control": {"kind", "names", "name", "lower", "upper"},
-    "on": {"free", "ranges", "states"}, "problem": {"name", "digest", "phases", "given", "free", "tapes"},
-}  # fmt: skip
-
-
-def well_formed(told: dict[str, Any]) -> None:
-    """Words are those that a certificate has, names say one thing each, and nothing that is stated goes unread."""
-    problem, on, phases = told["problem"], told["on_bounds"], told["problem"]["phases"]
-    demand(told["format"] == FORMAT, "it has another format")
-    demand(type(told["bits"]) is int and 64 <= told["bits"] <= 2048, "it has no such number of bits")
-    keyed = [
-        (problem, "problem"),
-        (on, "on"),
-        *((p, "phase") for p in phases),
-        *((f, "bounded") for f in problem["free"]),
-    ]
-    names = [[*problem["given"], *(f["name"] for f in problem["free"])], [p["name"] for p in phases]]
-    tapes = {"objective", "start"}
-    for k, p in enumerate(phases):
-        keyed += [(own, "bounded") for what in ("states", "end") for own in p[what]]
-        keyed += [(c, "direction" if c["kind"] == "direction" else "control") for c in p["controls"]]
-        names += [[own["name"] for own in p[what]] for what in ("states", "end")]
-        names += [[name for c in p["controls"] for name in c["names"]], p["path"]]
-        tapes |= {f"{what} {k}" for what in ("dynamics", "path", "end", "links")}
-        for what in ("path", "end"):
-            count = len(problem["tapes"].get(f"{what} {k}", {"outputs": ()})["outputs"])
-            demand(count == len(p[what]), f"{p['name']} does not name what its {what} states")
-        demand(all(c["kind"] in ("direction", "bounded") for c in p["controls"]), "a control has no such kind")
-        demand(all(c["kind"] == "direction" or c["names"] == [c["name"]] for c in p["controls"]), "a name is none")
-    demand(all({*own} <= KEYS[what] for own, what in keyed) and {*problem["tapes"]} <= tapes, "something goes unread")
-    for own in names:
-        demand(len({*own}) == len(own), "two things have one name")
-        demand(all(name[0] != "-" and name.replace("-", "_").isidentifier() for name in own), "a name is none")
-    places = {"ranges": [(p["name"], c["name"]) for p in phases for c in p["end"]], "states": [
-        (p["name"], s["name"]) for p in phases for s in p["states"]
-    ]}  # fmt: skip
-    sides = {*on["free"].values(), *(side for _, _, side in on["states"])}
-    demand(sides <= {"lower", "upper"}, "a bound has no such side")
-    demand({side for _, _, side in on["ranges"]} <= {"lower", "upper", "inside"}, "a bound has no such side")
-    demand({*on["free"]} <= {f["name"] for f in problem["free"]}, "a side is that of nothing")
-    demand(all((p, n) in places[what] for what in places for p, n, _ in on[what]), "a side is that of nothing")
-    follows = [arc["phase"] for arc in told["arcs"]]
-    demand(follows == sorted(follows), "arcs are out of order")
-    for i, (arc, grid) in enumerate(zip(told["arcs"], told["grid"], strict=True)):
-        scalars = {c["name"] for c in phases[follows[i]]["controls"] if c["kind"] == "bounded"}
-        demand({*arc["regimes"]} == scalars, "regimes are not those of the controls")
-        demand({*arc["regimes"].values()} <= {"lower", "upper", "interior"}, "a control has no such regime")
-        ends = follows[i : i + 2] == [follows[i]] * 2
-        demand(bool(arc["switched"]) == ends, f"arc {i + 1} does not end where it says")
-        demand(grid[0] == 0.0 and len(grid) < 10**4, f"the steps of arc {i + 1} do not begin where it does")
-
-
 def claimed(text: str) -> list[Any]:
     """The middle and the radius of a ball in decimals, as they stand there."""
-    parts = [part.strip() or "0" for part in f"{text.strip('[]')}+/-".split("+/-")[:2]]
-    for part in parts:
-        demand(bool(re.fullmatch(r"-?\d+(\.\d+)?(e[-+]?\d{1,4})?", part, re.ASCII)), f"{text} does not hold anything")
-    return [arb(fmpq(*Fraction(part).as_integer_ratio())) for part in parts]
+    one = r"(-?\d+(?:\.\d+)?(?:e[-+]?\d{1,4})?)"
+    found = re.fullmatch(rf"{one}|\[{one} \+/- {one}\]|\[\+/- {one}\]", text, re.ASCII)
+    demand(found is not None, f"{text!r} does not hold anything")
+    alone, middle, radius, about_zero = found.groups()  # type: ignore[union-attr]
+    return [arb(fmpq(*Fraction(part or "0").as_integer_ratio())) for part in (alone or middle, radius or about_zero)]
 
 
 def column(values: list[Any]) -> Any:
@@ -243,7 +190,7 @@ def main() -> int:
     sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         with open(sys.argv[1], encoding="utf-8") as file:
-            certificate = json.load(file)
+            certificate = json.load(file, object_pairs_hook=once)
         confirm(certificate)
     except (
         Failed,

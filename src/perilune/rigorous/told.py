@@ -11,7 +11,8 @@ from typing import Any
 from flint import arb, ctx
 
 from perilune.problem.problem import Problem
-from perilune.rigorous.check_certificate import FORMAT, sentence
+from perilune.rigorous.certified.form import FORMAT
+from perilune.rigorous.check_certificate import sentence
 from perilune.rigorous.given import exactly
 from perilune.rigorous.limits import Statement
 from perilune.rigorous.taylor import Ball

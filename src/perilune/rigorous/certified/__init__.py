@@ -1,1 +1,1 @@
-"""Certificates, proved anew: `expressions` and `equations`, flown in `steps`, and the second variation (`optimum`)."""
+"""Certificates, proved anew: `form`, `expressions`, `equations`, `steps` of a flight, its second order (`optimum`)."""

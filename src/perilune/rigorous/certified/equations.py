@@ -69,11 +69,12 @@ class Equations:
         self.first, self.last = ([f(i for i, own in enumerate(follows) if own == k) for k in range(len(self.phases))]
                                  for f in (min, max))  # fmt: skip
         self.stay = [[f["name"] for f in self.free if self.acts(k, f["name"])] for k in range(len(self.phases))]
-        self.y, unnamed = [symbol() for _ in told["unknowns"]], [*zip(told["unknowns"], range(10**6), strict=False)]
+        self.y = [symbol() for _ in told["unknowns"]]
+        unnamed = [*zip((u["name"] for u in told["unknowns"]), self.y, strict=True)]
 
         def unknown(name: str) -> Expression:
-            demand(bool(unnamed) and unnamed[0][0]["name"] == name, "the unknowns are named otherwise")
-            return self.y[unnamed.pop(0)[1]]
+            demand(bool(unnamed) and unnamed[0][0] == name, "the unknowns are named otherwise")
+            return unnamed.pop(0)[1]
 
         self.lam = [
             [unknown(f"{p['name']}.lambda_{name}(0)") for name in [*(s["name"] for s in p["states"]), *stay]]

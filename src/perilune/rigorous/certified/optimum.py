@@ -76,6 +76,8 @@ class SecondVariation:
         demand(len(weights) == len(equations.phases), "there are not as many weights as phases")
         free = [q for name, q in equations.q.items() if name not in equations.on["free"]]
         self.p = [*free, *equations.lengths.values()]
+        sizes = [len(phase["states"]) + len(self.p) for phase in equations.phases]
+        demand([len(own) for own in weights] == sizes, "there are not as many weights as states")
         self.rates = [self.program_of(i) for i in range(len(equations.arcs))]
         v, groups, self.junctions = self.p, [equations.y, *equations.z], list[Any]()
         for k in range(len(equations.phases) + 1):
