@@ -434,6 +434,8 @@ def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else()
     least = solve(problem.with_given(q=0.1), level=0)
     claim = verify(replace(least, problem=problem, free={**least.free, "q": 0.1}))
     assert [c.name for c in claim.failed if c.level == 2] == ["stationary_q"]
+    with pytest.raises(PeriluneError, match="u of go has a bound that is free, which no direct method takes"):
+        solve(problem, Pseudospectral())
 
 
 def test_a_multiplier_that_is_no_number_has_no_sign() -> None:

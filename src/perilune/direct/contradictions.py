@@ -27,7 +27,7 @@ from perilune.problem.symbolic import (
     trace_parameters,
 )
 from perilune.problem.variables import Variable
-from perilune.words.outcome import InfeasibleError
+from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.types import Vector
 from perilune.words.units import told
 
@@ -43,10 +43,22 @@ def check_consistent(problem: Problem) -> None:
     ------
     InfeasibleError
         Naming the bound and what breaks it, in SI.
+    PeriluneError
+        Of a bound that a free parameter holds.
     """
     p = problem.parameters({})
     for phase in problem.phases:
-        for _, control in scalars(phase.controls):
+        bounded = [control for _, control in scalars(phase.controls)]
+        for one in (*bounded, *phase.states, *phase.end_conditions):
+            for side in ("lower", "upper"):
+                if getattr(one, side) in problem.free_names:
+                    raise PeriluneError(
+                        f"{one.name} of {phase.name} has a bound that is free, which no direct method takes",
+                        got=f"{side} = {getattr(one, side)!r}, a free parameter",
+                        expected="a number, or the name of a given parameter",
+                        advice="Indirect() alone, or a condition of the path that says the same",
+                    )
+        for control in bounded:
             lower, upper = control.limits(p)
             if not lower <= upper:
                 raise InfeasibleError(
