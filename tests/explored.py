@@ -51,7 +51,7 @@ def served(*arguments: str, end: int = signal.SIGINT) -> Iterator[str]:
             process.send_signal(end)
             code, more = process.wait(20), process.stderr.read()
     assert code == 0, f"it ended with {code}"
-    assert more.splitlines()[1:] == [], "more than that Ctrl-C ends it"
+    assert more.splitlines()[1:] == [], f"more than that Ctrl-C ends it: {more}"
 
 
 def until(page: Any, expression: str, seconds: float = 30.0) -> None:
