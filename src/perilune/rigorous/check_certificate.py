@@ -18,7 +18,7 @@ from perilune.rigorous.certified.equations import Equations, number
 from perilune.rigorous.certified.expressions import Failed, Loose, demand
 from perilune.rigorous.certified.form import once, well_formed
 from perilune.rigorous.certified.optimum import SecondVariation
-from perilune.rigorous.certified.steps import over, step
+from perilune.rigorous.certified.steps import identity, over, step
 
 TOLERANCE, PIECES = 1e-6, 2.0**-20  # of limits in SI; least part of a step
 PARTS = (3, 8, 24)  # of each step of the certificate, tried in order: much is enclosed less closely here
@@ -61,9 +61,9 @@ def column(values: list[Any]) -> Any:
 class _Proof:
     """The boundary value problem of a certificate, enclosed."""
 
-    def __init__(self, told: dict[str, Any], parts: int) -> None:
+    def __init__(self, told: dict[str, Any]) -> None:
         well_formed(told)
-        self.told, self.equations, self.parts, self.grid = told, Equations(told), parts, list[list[Any]]()
+        self.told, self.equations, self.grid = told, Equations(told), list[list[Any]]()
 
     def fly(self, y: list[Any], near: Any = None) -> tuple[Any, Any]:
         """z at every node of every arc, and dz/dy there if it is that of a box, which that of its centre narrows."""
@@ -84,15 +84,13 @@ class _Proof:
                 by_y[i].append(V)
         return nodes, by_y
 
-    def check(self, tell: Any = print) -> tuple[list[Any], Any]:
+    def check(self, parts: int, tell: Any = print) -> tuple[list[Any], Any]:
         """The unknowns and J of the root that Krawczyk's operator proves, if all else is seen too."""
         equations, radii = self.equations, self.told["only_one_within"]
         centre = [number(u["centre"]) for u in self.told["unknowns"]]
         demand(all(arb(r) > 0 for r in radii), "a box without an inside")
         grid = [[*map(arb, own), *time(centre)] for own, time in zip(self.told["grid"], equations.times, strict=True)]
-        self.grid = [
-            [(a + (b - a) * j / self.parts).mid() for a, b in pairwise(own) for j in range(self.parts)] for own in grid
-        ]
+        self.grid = [[(a + (b - a) * j / parts).mid() for a, b in pairwise(own) for j in range(parts)] for own in grid]
         near, _ = self.fly(centre)
         tell("flight of the centre enclosed")
         box = [c + arb(0, r) for c, r in zip(centre, radii, strict=True)]
@@ -105,7 +103,7 @@ class _Proof:
         *rows, row = slopes.tolist()
         *F, J = equations.residual(centre, *(own[-1] for own in near))
         inverse = arb_mat(rows).mid().inv().mid()
-        E = arb_mat([[int(a == b) for b in range(len(box))] for a in range(len(box))]) - inverse * arb_mat(rows)
+        E = identity(len(box)) - inverse * arb_mat(rows)
         steps, aside = (inverse * column(F)).entries(), column([arb(0, r) for r in radii])
         root = [c - d + e for c, d, e in zip(centre, steps, (E * aside).entries(), strict=True)]
         demand(
@@ -173,12 +171,13 @@ def confirm(certificate: dict[str, Any], tell: Any = print) -> tuple[list[Any], 
     before = ctx.cap
     try:
         with ctx.workprec(certificate["bits"] + 32):
+            proof = _Proof(certificate)
             for parts in PARTS[:-1]:
                 try:
-                    return _Proof(certificate, parts).check(tell)
+                    return proof.check(parts, tell)
                 except Loose as error:
                     tell(f"{error}: shorter steps")
-            return _Proof(certificate, PARTS[-1]).check(tell)
+            return proof.check(PARTS[-1], tell)
     except ZeroDivisionError as error:
         raise Failed("something is divided by 0") from error
     finally:

@@ -115,6 +115,11 @@ class Equations:
         limits = [c.get(side) for c in self.phases[k]["controls"] for side in ("lower", "upper")]
         return ["p", name] in self.problem["tapes"][f"dynamics {k}"]["instructions"] or name in limits
 
+    def control(self, k: int, name: str) -> dict[str, Any]:
+        """A scalar of a phase."""
+        (found,) = (c for c in self.phases[k]["controls"] if c["kind"] != "direction" and c["name"] == name)
+        return found
+
     def limit(self, stated: str, free: dict[str, Any]) -> Expression:
         """A bound: a number, or the name of one."""
         known = {**self.given, **free}
@@ -184,7 +189,7 @@ class Equations:
             F.append(q - self.limit(f[side], {}) if side else slope)
         for i, arc in enumerate(self.arcs):
             if name := arc["switched"]:
-                (c,) = (c for c in self.phases[arc["phase"]]["controls"] if c["names"] == [name])
+                c = self.control(arc["phase"], name)
                 own, regime, follows = self.flown[i], arc["regimes"][name], self.arcs[i + 1]["regimes"][name]
                 affine = "interior" in (regime, follows) or name not in own["curved"]
                 demand(affine and regime != follows, f"{name} does not switch there")  # else H would jump

@@ -18,14 +18,9 @@ from flint import arb, arb_mat
 
 from perilune.rigorous.certified.equations import Equations
 from perilune.rigorous.certified.expressions import ZERO, Failed, Program, demand, dot, gradient, put, symbol
-from perilune.rigorous.certified.steps import horner, over, step
+from perilune.rigorous.certified.steps import horner, identity, over, step
 
 DEEPEST, PENALTY = 12, 2.0**40  # halvings of a step; R, times M of what a condition weighs
-
-
-def identity(size: int) -> Any:
-    """The unit matrix."""
-    return arb_mat([[int(a == b) for b in range(size)] for a in range(size)]) if size else arb_mat(0, 0)
 
 
 def diagonal(weights: list[Any]) -> Any:
@@ -113,16 +108,16 @@ class SecondVariation:
 
     def demand_order(self) -> None:
         """Switches are jumps of one scalar each in which H is affine, and nothing makes a direction vanish from H."""
-        arcs = self.equations.arcs
+        arcs, flown = self.equations.arcs, self.equations.flown
         for i, arc in enumerate(arcs):
-            for name in self.equations.flown[i]["factors"]:
-                (c,) = (c for c in self.equations.phases[arc["phase"]]["controls"] if c["names"] == [name])
-                held = arc["regimes"][name] != "interior" and self.equations.limit(c[arc["regimes"][name]], {}).parts[0]
-                demand(bool(held is not False and held > 0), "nothing may multiply a direction for a while")
+            for name in flown[i]["factors"]:
+                c, regime = self.equations.control(arc["phase"], name), arc["regimes"][name]
+                held = regime != "interior" and bool(self.equations.limit(c[regime], {}).parts[0] > 0)
+                demand(held, "nothing may multiply a direction for a while")
             if name := arc["switched"]:
                 a, b = arc["regimes"], arcs[i + 1]["regimes"]
                 demand([own for own in a if a[own] != b[own]] == [name], f"{name} does not switch alone")
-                affine = f"{name} twice" not in [*self.equations.signed[i], *self.equations.signed[i + 1]]
+                affine = name not in flown[i]["curved"] and name not in flown[i + 1]["curved"]
                 demand(affine and "interior" not in (a[name], b[name]), f"H is not affine in {name}, which switches")
 
     def check(self, grid: list[list[Any]], nodes: list[Any], y: list[Any]) -> None:

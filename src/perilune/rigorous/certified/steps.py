@@ -9,6 +9,11 @@ from perilune.rigorous.certified.expressions import Loose, Program, demand
 ORDER, WIDER = 34, 2.0**-20  # of the series; of what encloses a step
 
 
+def identity(size: int) -> Any:
+    """The unit matrix."""
+    return arb_mat([[int(a == b) for b in range(size)] for a in range(size)]) if size else arb_mat(0, 0)
+
+
 def horner(c: list[Any], t: Any) -> Any:
     """A polynomial, lowest order first."""
     total = c[-1]
