@@ -19,6 +19,7 @@ pytest.importorskip("flint")
 from flint import arb, arb_series, ctx
 
 import prover_checks
+from perilune.problem.variables import Given, Variable
 from perilune.problem.verification import Verification
 from perilune.rigorous.certified.equations import Equations
 from perilune.rigorous.certified.expressions import Expression, Failed, Program, gradient, symbol
@@ -26,6 +27,22 @@ from perilune.rigorous.check_certificate import confirm, sentence
 from perilune.rigorous.verified import with_theorem
 
 Told = dict[str, Any]
+
+
+def rolled() -> pl.Problem:
+    """Half a metre in a second by two controls that no formula gives: H is -0.27 (u + v) - cos u - cos v + 0.1 u v."""
+    phase = pl.Phase(
+        name="roll", states=(Variable(name="x", unit="m"), Variable(name="cost", unit="s")),
+        controls=tuple(pl.Bounded(name=name, lower=-2.0, upper=2.0) for name in "uv"), duration="T",
+        dynamics=lambda x, u, p, m: (p.speed * (u.u + u.v), 2 - m.cos(u.u) - m.cos(u.v) + 0.1 * u.u * u.v),
+        end=lambda x, p, m: (x.x - p.distance,), end_conditions=(Variable(name="place", unit="m"),),
+        typical_end=lambda p, m: (p.distance, p.T),
+    )  # fmt: skip
+    given = {"T": Given(value=1.0, unit="s"), "speed": Given(value=1.0, unit="m/s")}
+    return pl.Problem(
+        name="rolled", phases=(phase,), start=lambda p, m: (0.0 * p.distance, 0.0 * p.T), objective_unit="s",
+        objective=lambda x, p, m: x.cost, given={**given, "distance": Given(value=0.5, unit="m")},
+    )  # fmt: skip
 
 
 @cache
@@ -38,7 +55,7 @@ def certificate(make: Callable[[], pl.Problem]) -> Told:
     return json.loads(_written(make))
 
 
-@pytest.mark.parametrize("make", [meditch, least_time, least_energy, staged_burns])
+@pytest.mark.parametrize("make", [meditch, least_time, least_energy, staged_burns, rolled])
 def test_a_certificate_is_confirmed_without_the_prover(make: Callable[[], pl.Problem]) -> None:
     told = certificate(make)
     found, J = confirm(told, lambda _: None)
@@ -59,6 +76,7 @@ def _cut(told: Told) -> None:
 
 
 def _sine(told: Told) -> None:
+    """v' = sin u, which asks for no jump."""
     tape = told["problem"]["tapes"]["dynamics 0"]
     tape["instructions"].append(["sin", 1])
     tape["outputs"][1] = 2
@@ -130,7 +148,7 @@ FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
     "a name": (lambda told: told["unknowns"][2].update(name="tf"), "named otherwise"),
     "a flight cut off": (_cut, "do not begin"),
     "an arc without an end": (lambda told: told["arcs"][1].update(switched="u"), "does not end where"),
-    "no formula": (_sine, "no formula"),
+    "a jump in a sine": (_sine, "does not switch there"),
     "a jump though H is curved": (_curved, "does not switch there"),
     "nothing at rest": (_one, "divided by 0"),
     "a regime that is none": (lambda told: told["arcs"][0]["regimes"].update(u="name"), "no such regime"),
@@ -187,10 +205,43 @@ FALSE_END: dict[str, tuple[Callable[[Told], Any], str]] = {
 }  # fmt: skip
 
 
+def _far(least: str, most: str | None) -> Callable[[Told], Any]:
+    """Ranges of both controls."""
+
+    def change(told: Told) -> None:
+        for control in told["problem"]["phases"][0]["controls"]:
+            control.update(lower=least, upper=most)
+
+    return change
+
+
+def _turned(told: Told) -> None:
+    """Both as a direction, in which H is not linear."""
+    told["problem"]["phases"][0]["controls"] = [{"kind": "direction", "names": ["u", "v"]}]
+    told["arcs"][0]["regimes"] = {}
+
+
+FALSE_CONTROL: dict[str, tuple[Callable[[Told], Any], str]] = {
+    "least": (_far("-2", "19/4"), "a sign is not seen"),  # H of u = 4.75 alone is less by 0.14
+    "range": (_far("-2", "1/5"), "a limit of arc 1"),  # both are 0.25
+    "no range": (_far("-2", None), "has no range"),
+    "place": (lambda told: told["unknowns"][-1].update(centre="251/1000"), "leaves the box"),
+    "name": (lambda told: told["unknowns"][-1].update(name="w"), "named otherwise"),
+    "no formula": (_turned, "no formula"),
+}
+
+
+def test_a_control_is_least_as_far_as_it_is() -> None:
+    told = certificate(rolled)
+    _far("-2", "9/2")(told)
+    confirm(told, lambda _: None)
+
+
 @pytest.mark.parametrize(
     ("make", "claim", "change", "why"),
     [(make, claim, *own)
-     for make, false in ((least_time, FALSE), (staged_burns, FALSE_END), (staged_burns, FALSE_OPTIMUM))
+     for make, false in ((least_time, FALSE), (staged_burns, FALSE_END), (staged_burns, FALSE_OPTIMUM),
+                         (rolled, FALSE_CONTROL))
      for claim, own in false.items()],
 )  # fmt: skip
 def test_a_false_certificate_is_refused(

@@ -53,6 +53,7 @@ def seen_again(boundary: Any, refined: Any, found: Any, rough: Any, said: Any) -
     told = room("told").certificate(proved, "")
     told["weights"] = weights
     steered = {regime for arc in told["arcs"] for name, regime in arc["regimes"].items() if name == "u"} == {"interior"}
+    steered &= not any(arc.joint for arc in boundary.arcs)
     for control in (c for phase in told["problem"]["phases"] for c in phase["controls"] if c["name"] == "u"):
         control.update({"lower": None, "upper": None} if steered else {})  # some are steered beyond, and none on them
     told["theorem"] = sentence(told)
@@ -423,6 +424,7 @@ def test_a_state_that_its_bound_holds_at_the_end_is_not_moved() -> None:
     (lambda: swung(0.97 * math.pi / 2, 0.0, "range"), True), (lambda: swung(1.03 * math.pi / 2, 0.0, "range"), False),
     (lambda: switched(-0.97 * 0.25, 1.0, 0.25), True), (lambda: switched(-1.03 * 0.25, 1.0, 0.25), False),
     (lambda: twice(-0.53), True), (lambda: twice(-0.54), False),
+    (lambda: swung(3.05, 0.5, joint=True), True), (lambda: swung(3.25, 0.5, joint=True), False),
 ])  # fmt: skip
 def test_the_checker_sees_as_much(made: Any, minimum: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules[__name__], "AGAIN", True)

@@ -17,11 +17,12 @@ from flint import arb, arb_mat, ctx, fmpq
 from perilune.rigorous.certified.equations import Equations, number
 from perilune.rigorous.certified.expressions import Failed, Loose, demand
 from perilune.rigorous.certified.form import once, well_formed
+from perilune.rigorous.certified.minimum import Others
 from perilune.rigorous.certified.optimum import SecondVariation
 from perilune.rigorous.certified.steps import identity, over, step
 
 TOLERANCE, PIECES = 1e-6, 2.0**-20  # of limits in SI; least part of a step
-PARTS = (3, 8, 24)  # of each step of the certificate, tried in order: much is enclosed less closely here
+REMAINDERS = (1e-38, 1e-50, 1e-62)  # of a step, beside what moves there, tried in order
 
 
 def sentence(told: dict[str, Any]) -> str:
@@ -53,6 +54,17 @@ def claimed(text: str) -> list[Any]:
     return [arb(fmpq(*Fraction(part or "0").as_integer_ratio())) for part in (alone or middle, radius or about_zero)]
 
 
+def divided(rates: Any, z: list[Any], length: Any, most: float) -> Any:
+    """z behind a step, if its remainder is no larger than a part of it, or than what z is known to."""
+    try:
+        end, _, c = step(rates, z, arb_mat(len(z), 0), length)
+    except Loose:
+        return None
+    remainders = [(own[-1].rad() * length ** (len(own) - 1)).abs_upper() for own in c]
+    small = zip(remainders, z, end, strict=True)
+    return end if all(r <= most * (a.abs_upper() + b.abs_upper()) + a.rad() for r, a, b in small) else None
+
+
 def column(values: list[Any]) -> Any:
     """A matrix of one column."""
     return arb_mat([[value] for value in values])
@@ -64,35 +76,53 @@ class _Proof:
     def __init__(self, told: dict[str, Any]) -> None:
         well_formed(told)
         self.told, self.equations, self.grid = told, Equations(told), list[list[Any]]()
+        self.others = [own["joint"] and Others(self.equations, i) for i, own in enumerate(self.equations.flown)]
 
-    def fly(self, y: list[Any], near: Any = None) -> tuple[Any, Any]:
-        """z at every node of every arc, and dz/dy there if it is that of a box, which that of its centre narrows."""
+    def divide(self, y: list[Any], most: float) -> list[Any]:
+        """z at every node of the flight from y: its steps halve those of the certificate until remainders are small."""
+        nodes, z, self.grid = list[Any](), list[Any](), []
+        for start, time, rates, grid in zip(
+            self.equations.starts, self.equations.times, self.equations.rates, self.told["grid"], strict=True
+        ):
+            z, longest, ends = start(y, z), arb("inf"), [*map(arb, grid), *time(y)]
+            nodes, self.grid, waiting = [*nodes, [z]], [*self.grid, []], [*pairwise(ends)][::-1]
+            while waiting:
+                a, b = waiting.pop()
+                end = divided(rates, z, b - a, most) if b - a < longest else None
+                if end is None:
+                    demand(b - a > PIECES * ends[-1] / len(ends), "a step is not enclosed", Loose)
+                    waiting += [(((a + b) / 2).mid(), b), (a, ((a + b) / 2).mid())]
+                else:
+                    z, longest = end, 2.5 * (b - a)
+                    nodes[-1].append(z)
+                    self.grid[-1].append(a)
+        return nodes
+
+    def fly(self, y: list[Any], near: list[Any]) -> tuple[Any, Any]:
+        """z at every node of the flight from a box, which that of its centre narrows, and dz/dy there."""
         nodes, by_y, z, V, aside = [], [], list[Any](), arb_mat(0, len(y)), column([v - v.mid() for v in y])
         for begins, start, time in zip(self.grid, self.equations.starts, self.equations.times, strict=True):
-            by = start.slopes[0].matrix(y, z) + start.slopes[1].matrix(y, z) * V if near else None
+            V = start.slopes[0].matrix(y, z) + start.slopes[1].matrix(y, z) * V
             z, i = start(y, z), len(nodes)
-            V = by if near else arb_mat(len(z), 0)
             nodes, by_y = [*nodes, [z]], [*by_y, [V]]
             for a, b in pairwise([*begins, *time(y)]):
-                z, V, _ = step(self.equations.rates[i], z, V, b - a)
-                if near and len(nodes[i]) == len(begins):
+                z, by_start, _ = step(self.equations.rates[i], z, identity(len(z)), b - a)
+                V = by_start * V
+                if len(nodes[i]) == len(begins):
                     V = V + column(self.equations.rates[i](z)) * time.slopes[0].matrix(y)
-                if near:
-                    moved = zip(z, near[i][len(nodes[i])], (V * aside).entries(), strict=True)
-                    z = [direct.intersection(middle + off) for direct, middle, off in moved]
+                moved = zip(z, near[i][len(nodes[i])], (V * aside).entries(), strict=True)
+                z = [direct.intersection(middle + off) for direct, middle, off in moved]
                 nodes[i].append(z)
                 by_y[i].append(V)
         return nodes, by_y
 
-    def check(self, parts: int, tell: Any = print) -> tuple[list[Any], Any]:
+    def check(self, remainder: float, tell: Any = print) -> tuple[list[Any], Any]:
         """The unknowns and J of the root that Krawczyk's operator proves, if all else is seen too."""
         equations, radii = self.equations, self.told["only_one_within"]
         centre = [number(u["centre"]) for u in self.told["unknowns"]]
         demand(all(arb(r) > 0 for r in radii), "a box without an inside")
-        grid = [[*map(arb, own), *time(centre)] for own, time in zip(self.told["grid"], equations.times, strict=True)]
-        self.grid = [[(a + (b - a) * j / parts).mid() for a, b in pairwise(own) for j in range(parts)] for own in grid]
-        near, _ = self.fly(centre)
-        tell("flight of the centre enclosed")
+        near = self.divide(centre, remainder)
+        tell(f"flight of the centre enclosed in {sum(map(len, self.grid))} steps")
         box = [c + arb(0, r) for c, r in zip(centre, radii, strict=True)]
         nodes, by_y = self.fly(box, near)
         tell("flight of the box enclosed")
@@ -155,7 +185,7 @@ class _Proof:
             for name, (value, rise) in zip(self.equations.signed[i], signs, strict=True):
                 turned = any((end, name) in zeros and rise * (1 - 2 * end) > 0 for end in (0.0, 1.0) if end in (a, b))
                 seen &= bool(value > 0) or turned
-            if not seen:
+            if not seen or (self.others[i] and not self.others[i].are_worse(places[0])):
                 demand(b - a > PIECES, f"a limit of arc {i + 1} is broken, or a sign is not seen")
                 waiting += [(a, (a + b) / 2), ((a + b) / 2, b)]
 
@@ -172,12 +202,12 @@ def confirm(certificate: dict[str, Any], tell: Any = print) -> tuple[list[Any], 
     try:
         with ctx.workprec(certificate["bits"] + 32):
             proof = _Proof(certificate)
-            for parts in PARTS[:-1]:
+            for remainder in REMAINDERS[:-1]:
                 try:
-                    return proof.check(parts, tell)
+                    return proof.check(remainder, tell)
                 except Loose as error:
                     tell(f"{error}: shorter steps")
-            return proof.check(PARTS[-1], tell)
+            return proof.check(REMAINDERS[-1], tell)
     except ZeroDivisionError as error:
         raise Failed("something is divided by 0") from error
     finally:

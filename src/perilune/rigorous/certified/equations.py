@@ -3,6 +3,8 @@
 Nothing of the prover is used. H = lambda . f and L = J + nu . psi + lambda(0) . x(0) give all:
 
     x' = f,  lambda' = -H_x,  u = argmin H;    psi = 0,  lambda(T) = dL/dx(T),  dL/dq = 0 (with H, of a duration q).
+
+Scalars w that no formula gives are states: H_w = 0 where an arc begins, and w' = -H_ww^-1 (H_w)_z z' keeps it so.
 """
 
 import re
@@ -54,11 +56,21 @@ def power(a: Expression, b: Expression) -> Expression:
     return 1 / product if ball < 0 else product
 
 
+def eliminated(rows: Sequence[list[Any]]) -> list[list[Any]]:
+    """Rows that begin with a symmetric matrix, taken from each other: the matrix is positive if its pivots are."""
+    rows = [*rows]
+    for k in range(len(rows)):
+        for i in range(k + 1, len(rows)):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return rows
+
+
 class Equations:
     """The conditions of a certificate as programs.
 
-    Unknowns y are lambda(0) of each phase, free parameters q, multipliers nu of what each phase ends on, and lengths of
-    arcs; z = (x, lambda) of an arc, where a parameter that acts in its phase is a state that stays.
+    Unknowns y are lambda(0) of each phase, free parameters q, multipliers nu of what each phase ends on, lengths of
+    arcs, and w where each begins; z = (x, lambda, w) of an arc, where a parameter that acts is a state that stays.
     """
 
     def __init__(self, told: dict[str, Any]) -> None:
@@ -85,13 +97,16 @@ class Equations:
         self.ends = [[(unknown(name), *own) for name, *own in self.end(k)] for k in range(len(self.phases))]
         self.lengths = {i: unknown(f"{self.phases[k]['name']}, length of arc {i - self.first[k] + 1}")
                         for i, k in enumerate(follows) if self.arcs[i]["switched"]}  # fmt: skip
-        demand(not unnamed, "the unknowns are named otherwise")
         self.lasting = list[Any]()
         for i, k in enumerate(follows):
             whole = {**self.given, **self.q}[self.phases[k]["duration"]]
             self.lasting.append(self.lengths.get(i, whole - sum(self.lasting[self.first[k] : i], ZERO)))
 
         self.flown, before = [self.steered(i, z) for i, z in enumerate(self.z)], [[], *self.z[:-1]]
+        arcs = [f"at the start of arc {i - self.first[k] + 1}" for i, k in enumerate(follows)]
+        self.w = [[unknown(f"{self.phases[k]['name']}, {name} {arc}") for name in own["w"]]
+                  for k, arc, own in zip(follows, arcs, self.flown, strict=True)]  # fmt: skip
+        demand(not unnamed, "the unknowns are named otherwise")
         (self.J,) = self.traced("objective", len(self.phases) - 1, self.z[-1], {}, self.q)
         self.begins = [self.traced(f"links {k - 1}" if k else "start", max(k - 1, 0), before[i], {}, self.q)
                        for k, i in enumerate(self.first)]  # fmt: skip
@@ -167,7 +182,8 @@ class Equations:
 
     def conditions(self, before: list[Any]) -> tuple[list[Any], list[Any], list[Any]]:
         """Where arcs begin, what vanishes, and what has to be positive beside it."""
-        L, starts, F, asked = self.J, [*before], list[Any](), list[Any]()
+        L, F, asked = self.J, list[Any](), list[Any]()
+        starts = [z[: 2 * len(self.lam[arc["phase"]])] for z, arc in zip(before, self.arcs, strict=True)]
         for k, i in enumerate(self.first):
             begins = [*self.begins[k], *(self.q[name] for name in self.stay[k])]
             starts[i], L = [*begins, *self.lam[k]], L + dot(self.lam[k], begins)
@@ -180,7 +196,8 @@ class Equations:
                 F.append(value - self.limit(c[side], {}) if held else multiplier if side else value)
         for i, lam in zip(self.last, self.lam, strict=True):
             half = len(lam)
-            F += [own - slope for own, slope in zip(self.z[i][half:], gradient(L, self.z[i][:half]), strict=True)]
+            slopes = gradient(L, self.z[i][:half])
+            F += [own - slope for own, slope in zip(self.z[i][half : 2 * half], slopes, strict=True)]
         for f in self.free:
             name, q, side = f["name"], self.q[f["name"]], self.on["free"].get(f["name"])
             lasting = [i for i, p in zip(self.last, self.phases, strict=True) if p["duration"] == name]
@@ -195,11 +212,14 @@ class Equations:
                 demand(affine and regime != follows, f"{name} does not switch there")  # else H would jump
                 inside = regime == "interior"
                 F.append(own["u"][name] - self.limit(c[follows], {}) if inside else own["pulls"][name])
+        for z, own, w, start in zip(self.z, self.flown, self.w, starts, strict=True):
+            start += w
+            F += put([own["pulls"][name] for name in own["w"]], dict(zip(z, start, strict=True)))
         return starts, F, asked
 
     def steered(self, i: int, z: list[Expression]) -> dict[str, Any]:
         """Of an arc: z', the u that minimises H, dH/du, H, limits, and signs by which that is the only minimum."""
-        k, regimes, half = self.arcs[i]["phase"], self.arcs[i]["regimes"], len(z) // 2
+        k, regimes, half = self.arcs[i]["phase"], self.arcs[i]["regimes"], len(z) // 2  # w comes behind it
         phase, n = self.phases[k], len(self.phases[k]["states"])
         u = {name: symbol() for c in phase["controls"] for name in c["names"]}
         moved = dict(zip(self.stay[k], z[n:half], strict=True))
@@ -208,7 +228,7 @@ class Equations:
         H = dot(z[half : half + n], f)
         scalars = {c["name"]: c for c in phase["controls"] if c["kind"] != "direction"}
         directions, found = [c for c in phase["controls"] if c["kind"] == "direction"], dict[str, Any]()
-        curved, factors = self.curved(H, u, scalars, directions)
+        curved, factors, joint = self.curved(H, u, scalars, directions)
 
         def at(values: dict[str, Any], *outputs: Any) -> list[Any]:
             return put(outputs, {u[name]: value for name, value in values.items()})
@@ -216,33 +236,49 @@ class Equations:
         for c in directions:  # a scalar that multiplies it does not turn it
             g = at(dict.fromkeys(scalars, 1), *gradient(H, [u[name] for name in c["names"]]))
             found |= {name: -own / made("sqrt", dot(g, g)) for name, own in zip(c["names"], g, strict=True)}
-        pulls = dict(zip(scalars, at(found, *gradient(H, [u[name] for name in scalars])), strict=True))
+        of_scalars, *pulls = at(found, H, *gradient(H, [u[name] for name in scalars]))
         held = {name: self.limit(c[regimes[name]], moved) for name, c in scalars.items() if regimes[name] != "interior"}
-        for name, pull in pulls.items():
+        w = {name: symbol() for name in scalars if joint and name not in held}
+        known = {**held, **w}
+        for name, pull in zip(scalars, pulls, strict=True):
             demand(name in held or name in curved, f"{name} is singular")
-            found[name] = held[name] if name in held else -at({name: 0}, pull)[0] / curved[name]
-        pulls = dict(zip(pulls, at(found, *pulls.values()), strict=True))
-        signs = {f"{name} twice": own for name, own in zip(curved, at(found, *curved.values()), strict=True)}
-        signs |= {name: pulls[name] * (1 if regimes[name] == "lower" else -1) for name in held}
+            found[name] = known[name] if name in known else -at({name: 0}, pull)[0] / curved[name]
+        pulls = dict(zip(scalars, at(found, *pulls), strict=True))
         limits = self.traced(f"path {k}", k, z, found, self.q)
         bounded = [*zip(z, phase["states"], strict=False), *((found[name], scalars[name]) for name in scalars)]
         limits += [room for value, told in bounded for room in self.room(value, told, self.q)]
         adjoint = [-slope for slope in gradient(at(held, H)[0], z[:half])]  # a bound that holds u moves with what it is
+        rates = at(found, *f, *[ZERO] * (half - n), *adjoint)
+        rows = [[*gradient(pulls[name], [*w.values()]), -dot(gradient(pulls[name], z), rates)] for name in w]
+        moving, rows = list[Expression](), eliminated(rows)
+        for j, row in reversed([*enumerate(rows)]):
+            moving = [(row[-1] - dot(row[j + 1 : -1], moving)) / row[j], *moving]
+        twice = [row[j] for j, row in enumerate(rows)] if joint else at(found, *curved.values())
+        signs = {f"{name} twice": own for name, own in zip(w if joint else curved, twice, strict=True)}
+        signs |= {name: pulls[name] * (1 if regimes[name] == "lower" else -1) for name in held}
+        z += w.values()
         return {
-            "rates": at(found, *f, *[ZERO] * (half - n), *adjoint), "u": found, "pulls": pulls, "curved": curved,
-            "factors": factors, "signed": [*signs], "signs": [*signs.values()], "limits": limits, "H": at(found, H)[0],
+            "rates": [*rates, *moving], "u": found, "w": [*w], "pulls": pulls, "curved": curved, "factors": factors,
+            "signed": [*signs], "signs": [*signs.values()], "limits": limits, "H": at(found, H)[0],
+            "joint": (of_scalars, {name: u[name] for name in scalars}, self.ranges(scalars, moved)) if joint else None,
         }  # fmt: skip
+
+    def ranges(self, scalars: dict[str, Any], moved: dict[str, Any]) -> list[Expression]:
+        """Both bounds of each scalar."""
+        bounds = [(c["lower"], c["upper"]) for c in scalars.values()]
+        demand(all(bound is not None for own in bounds for bound in own), "a control without a formula has no range")
+        return [self.limit(bound, moved) for own in bounds for bound in own]
 
     def curved(
         self, H: Expression, u: dict[str, Any], scalars: dict[str, Any], directions: list[Any]
-    ) -> tuple[Any, Any]:
-        """d2H/du2 of scalars, if the minimum of H is that of each control by itself; and which multiply directions."""
+    ) -> tuple[dict[str, Any], set[str], bool]:
+        """d2H/du2 of scalars, which of them multiply directions, and whether no formula gives them."""
         slopes = dict(zip(u, gradient(H, [*u.values()]), strict=True))
         form = {(a, b): own for a in u for b, own in zip(u, gradient(slopes[a], [*u.values()]), strict=True)}
         form, factors = {pair: own for pair, own in form.items() if own is not ZERO}, set[str]()
-        for own in form.values():
-            moving = [d for d in gradient(own, [*u.values()]) if d is not ZERO]
-            demand(not moving, "H has no formula for its minimum")
+        moved = {pair for pair, own in form.items() if any(d is not ZERO for d in gradient(own, [*u.values()]))}
+        between = [(a, b) for a, b in form if a in scalars and b in scalars]
+        demand(moved <= {*between}, "H has no formula for its minimum")
         for c in directions:
             own = {b for a, b in form if a in c["names"]}
             demand(any(slopes[name] is not ZERO for name in c["names"]), f"{c['names']} moves nothing")
@@ -253,6 +289,5 @@ class Equations:
                 demand(all(slope is ZERO for slope in rest), "a direction is multiplied and is not")
                 least = self.limit(scalars[s]["lower"], {})
                 demand(bool(least.parts[0] >= 0), "a factor of a direction may be negative")
-        twice = [(a, b) for a, b in form if a in scalars and b in scalars]
-        demand(all(a == b for a, b in twice), "H has no formula for its minimum")
-        return {a: form[a, a] for a, _ in twice}, factors
+        joint = bool(moved) or any(a != b for a, b in between)
+        return {a: form.get((a, a), ZERO) for a, _ in between}, factors, joint

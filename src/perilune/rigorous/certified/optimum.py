@@ -18,6 +18,7 @@ from flint import arb, arb_mat
 
 from perilune.rigorous.certified.equations import Equations
 from perilune.rigorous.certified.expressions import ZERO, Failed, Program, demand, dot, gradient, put, symbol
+from perilune.rigorous.certified.minimum import positive
 from perilune.rigorous.certified.steps import horner, identity, over, step
 
 DEEPEST, PENALTY = 12, 2.0**40  # halvings of a step; R, times M of what a condition weighs
@@ -26,18 +27,6 @@ DEEPEST, PENALTY = 12, 2.0**40  # halvings of a step; R, times M of what a condi
 def diagonal(weights: list[Any]) -> Any:
     """A diagonal matrix."""
     return arb_mat([[w if a == b else arb(0) for b in range(len(weights))] for a, w in enumerate(weights)])
-
-
-def positive(form: Any) -> bool:
-    """Whether every symmetric matrix in these balls is positive definite: pivots of its elimination."""
-    rows = form.tolist()
-    for k in range(len(rows)):
-        if not rows[k][k] > 0:
-            return False
-        for i in range(k + 1, len(rows)):
-            factor = rows[i][k] / rows[k][k]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
-    return True
 
 
 def above(W: Any, weights: list[Any]) -> Any:
@@ -73,7 +62,7 @@ class SecondVariation:
         self.p = [*free, *equations.lengths.values()]
         sizes = [len(phase["states"]) + len(self.p) for phase in equations.phases]
         demand([len(own) for own in weights] == sizes, "there are not as many weights as states")
-        self.rates = [self.program_of(i) for i in range(len(equations.arcs))]
+        self.rates, self.pulls = zip(*map(self.programs_of, range(len(equations.arcs))), strict=True)
         v, groups, self.junctions = self.p, [equations.y, *equations.z], list[Any]()
         for k in range(len(equations.phases) + 1):
             psi = [(nu, value) for nu, value, _, side in equations.ends[k - 1] if side != "inside"] if k else []
@@ -89,22 +78,25 @@ class SecondVariation:
             if k < len(equations.phases):
                 v = [*equations.z[equations.last[k]][: len(equations.begins[k])], *self.p]
 
-    def program_of(self, i: int) -> Program:
-        """The canonical equations of an arc for (x, p, lambda of both)."""
+    def programs_of(self, i: int) -> tuple[Program, Program]:
+        """The canonical equations of an arc for (x, p, lambda of both, w), and H_w."""
         equations, k, p = self.equations, self.equations.arcs[i]["phase"], self.p
         z, own, T, stay = equations.z[i], equations.flown[i], equations.lasting[i], equations.stay[k]
-        half, n = len(z) // 2, len(z) // 2 - len(stay)
+        half, n = len(equations.lam[k]), len(equations.lam[k]) - len(stay)
         by_p = [-own["H"] * slope for slope in gradient(T, p)]
         for j, name in enumerate(stay):  # lambda' of a parameter that acts is -H_q
             by_p = [b + (own["rates"][half + n + j] * T if equations.q[name] is q else ZERO)
                     for b, q in zip(by_p, p, strict=True)]  # fmt: skip
         x, moved, costate, still = ([symbol() for _ in of] for of in (range(n), p, range(n), p))
         parts = own["rates"][:n], [ZERO] * len(p), own["rates"][half : half + n]
-        rates = [*(T * rate for part in parts for rate in part), *by_p]
+        w, turning = z[2 * half :], [T * rate for rate in own["rates"][2 * half :]]
+        rates = [*(T * rate for part in parts for rate in part), *by_p, *turning]
         told = {**dict(zip(z[:n], x, strict=True)), **dict(zip(z[half : half + n], costate, strict=True))}
         told |= dict(zip(z[n:half], (equations.q[name] for name in stay), strict=True))
-        rates = put(put(rates, told), dict(zip(p, moved, strict=True)))
-        return Program([[*x, *moved, *costate, *still], equations.y], rates, 1)
+        pulls = [own["pulls"][name] for name in own["w"]]
+        rates, pulls = (put(put(of, told), dict(zip(p, moved, strict=True))) for of in (rates, pulls))
+        canonical = [*x, *moved, *costate, *still]
+        return Program([[*canonical, *w], equations.y], rates, 1), Program([canonical, w, equations.y], pulls, 2)
 
     def demand_order(self) -> None:
         """Switches are jumps of one scalar each in which H is affine, and nothing makes a direction vanish from H."""
@@ -124,6 +116,7 @@ class SecondVariation:
         """See that it is positive, for the flight that has these enclosures at the times of the grid."""
         self.demand_order()
         ends, W, p = [own[-1] for own in nodes], None, Program([self.equations.y], self.p)(y)
+        equations = self.equations
         for k, (slopes, conditions, form) in enumerate(self.junctions):
             G, psi, C = (own.matrix(y, *ends) for own in (slopes, conditions, form))
             C = C if W is None else C - W
@@ -141,23 +134,26 @@ class SecondVariation:
                 if arc["phase"] == k:
                     (T,) = self.equations.times[i](y)
                     for z, (a, b) in zip(nodes[i], pairwise([*grid[i], T]), strict=False):
-                        n, half = W.nrows() - len(p), len(z) // 2
-                        zeta = [*z[:n], *p, *z[half : half + n], *([arb(0)] * len(p))]
+                        n, half = W.nrows() - len(p), len(equations.lam[k])
+                        zeta = [*z[:n], *p, *z[half : half + n], *([arb(0)] * len(p)), *z[2 * half :]]
                         _, W = self.carried(i, zeta, W, (b - a) / T, y, self.weights[k])
 
     def carried(
         self, i: int, z: list[Any], W: Any, length: Any, y: list[Any], weights: list[Any], depth: int = 0
     ) -> Any:
         """Where a step ends z, and no less than W there; halved where X is not seen to be regular."""
-        size = W.nrows()
+        size, start = W.nrows(), identity(W.nrows()).tolist() + W.tolist()
         try:
-            end, V, c = step(self.rates[i], z, arb_mat(identity(size).tolist() + W.tolist()), length, y)
-            seen = regular(c[2 * size : 2 * size + size * size], size, length)
+            if z[2 * size :]:  # H_w stays 0
+                by_z, by_w = (own.matrix(z[: 2 * size], z[2 * size :], y) for own in self.pulls[i].slopes)
+                start += (-by_w.inv() * by_z * arb_mat(start)).tolist()
+            end, V, c = step(self.rates[i], z, arb_mat(start), length, y)
+            seen = regular(c[len(z) : len(z) + size * size], size, length)
         except (Failed, ZeroDivisionError):
             seen, end, V = False, z, W
         if seen:
             rows = V.tolist()
-            return end, above(arb_mat(rows[size:]) * arb_mat(rows[:size]).inv(), weights)
+            return end, above(arb_mat(rows[size : 2 * size]) * arb_mat(rows[:size]).inv(), weights)
         demand(depth < DEEPEST, f"no solution of Riccati's equation is seen on arc {i + 1}")
         for _ in range(2):
             z, W = self.carried(i, z, W, length / 2, y, weights, depth + 1)

@@ -1,0 +1,54 @@
+"""That a control is the only one that minimises H where no formula says so: boxes of others, none of them as good.
+
+In none of a box B is H as small as at the control u if H is larger there by enclosures, or by its slopes in the box
+around both, or convex there: where u is on no bound, it is stationary, and where it is, H rises from that.
+"""
+
+from typing import Any
+
+from flint import arb, arb_mat, ctx
+
+from perilune.rigorous.certified.equations import Equations, eliminated
+from perilune.rigorous.certified.expressions import Program, gradient
+
+BITS, BOXES, NARROWEST = 80, 4000, 2.0**-24  # of a piece of the flight; the least of a box beside its range
+
+
+def positive(form: Any) -> bool:
+    """Whether every symmetric matrix in these balls is positive definite: pivots of its elimination."""
+    return all(row[k] > 0 for k, row in enumerate(eliminated(form.tolist())))
+
+
+class Others:
+    """H of an arc by its scalars, and what these are and may be."""
+
+    def __init__(self, equations: Equations, i: int) -> None:
+        z, (H, named, ranges) = equations.z[i], equations.flown[i]["joint"]
+        u, own = [*named.values()], [equations.flown[i]["u"][name] for name in named]
+        slopes = gradient(H, u)
+        self.H = Program([z, u], [H])
+        self.slopes = Program([z, u], [*slopes, *(d for own in slopes for d in gradient(own, u))])
+        self.controls, self.ranges = Program([z], own), Program([z], ranges)
+
+    def are_worse(self, z: list[Any]) -> bool:
+        """Whether it is seen, for all z of a box."""
+        with ctx.workprec(BITS):
+            own, bounds = self.controls(z), self.ranges(z)
+            waiting = [[a.union(b) for a, b in zip(bounds[::2], bounds[1::2], strict=True)]]
+            (best,), sizes = self.H(z, own), [float(whole.rad()) for whole in waiting[0]]
+            for _ in range(BOXES):
+                if not waiting:
+                    return True
+                B = waiting.pop()
+                found = self.slopes(z, [a.union(b) for a, b in zip(B, own, strict=True)])
+                falls = sum((d * (b - a) for d, b, a in zip(found, B, own, strict=False)), arb(0))
+                form = arb_mat(len(B), len(B), found[len(B) :])
+                if self.H(z, B)[0] > best or falls > 0 or positive(form):
+                    continue
+                widths = [float(b.rad()) / max(size, 1e-300) for b, size in zip(B, sizes, strict=True)]
+                i = max(range(len(B)), key=widths.__getitem__)
+                if not widths[i] > NARROWEST:
+                    return False
+                waiting += [[*B[:i], part, *B[i + 1 :]]
+                            for part in (B[i].lower().union(B[i].mid()), B[i].mid().union(B[i].upper()))]  # fmt: skip
+        return False
