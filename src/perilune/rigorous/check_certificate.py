@@ -22,7 +22,7 @@ from perilune.rigorous.certified.optimum import SecondVariation
 from perilune.rigorous.certified.steps import identity, over, step
 
 TOLERANCE, PIECES = 1e-6, 2.0**-20  # of limits in SI; least part of a step
-REMAINDERS = (1e-38, 1e-50, 1e-62)  # of a step, beside what moves there, tried in order
+REMAINDERS = (1e-36, 1e-45, 1e-60)  # of a step, beside what moves there, tried in order
 
 
 def sentence(told: dict[str, Any]) -> str:
@@ -54,15 +54,28 @@ def claimed(text: str) -> list[Any]:
     return [arb(fmpq(*Fraction(part or "0").as_integer_ratio())) for part in (alone or middle, radius or about_zero)]
 
 
-def divided(rates: Any, z: list[Any], length: Any, most: float) -> Any:
-    """z behind a step, if its remainder is no larger than a part of it, or than what z is known to."""
-    try:
-        end, _, c = step(rates, z, arb_mat(len(z), 0), length)
-    except Loose:
-        return None
+def small(rates: Any, z: list[Any], length: Any, most: float) -> list[Any]:
+    """z behind a step whose remainder is no larger than a part of it."""
+    end, _, c = step(rates, z, arb_mat(len(z), 0), length)
     remainders = [(own[-1].rad() * length ** (len(own) - 1)).abs_upper() for own in c]
-    small = zip(remainders, z, end, strict=True)
-    return end if all(r <= most * (a.abs_upper() + b.abs_upper()) + a.rad() for r, a, b in small) else None
+    fine = [r <= most * (a.abs_upper() + b.abs_upper()) for r, a, b in zip(remainders, z, end, strict=True)]
+    demand(all(fine), "a remainder is large", Loose)
+    return end
+
+
+def parted(z: list[Any]) -> tuple[list[Any], Any]:
+    """Middles, and what is about them."""
+    return [v.mid() for v in z], column([v - v.mid() for v in z])
+
+
+def both(a: list[Any], b: list[Any]) -> list[Any]:
+    """What two enclosures of the same have in common."""
+    return [own.intersection(other) for own, other in zip(a, b, strict=True)]
+
+
+def moved(z: list[Any], V: Any, by: Any) -> list[Any]:
+    """z + V by."""
+    return [a + b for a, b in zip(z, (V * by).entries(), strict=True)]
 
 
 def column(values: list[Any]) -> Any:
@@ -78,42 +91,46 @@ class _Proof:
         self.told, self.equations, self.grid = told, Equations(told), list[list[Any]]()
         self.others = [own["joint"] and Others(self.equations, i) for i, own in enumerate(self.equations.flown)]
 
-    def divide(self, y: list[Any], most: float) -> list[Any]:
-        """z at every node of the flight from y: its steps halve those of the certificate until remainders are small."""
-        nodes, z, self.grid = list[Any](), list[Any](), []
+    def fly(self, box: list[Any], most: float) -> tuple[Any, Any]:
+        """z at every node of the flight from the centre of a box, and dz/dy there for all of the box.
+
+        That is z = m + B (S (y - c) + r) too, with a frame B that goes with the tangents, so that balls do not grow by
+        wrapping (Lohner's parallelepiped). Steps halve those of the certificate until their remainders are small.
+        """
+        y, aside = [v.mid() for v in box], column([v - v.mid() for v in box])
+        nodes, by_y, self.grid = list[Any](), list[Any](), []
+        near, V = list[Any](), arb_mat(0, len(y))
         for start, time, rates, grid in zip(
             self.equations.starts, self.equations.times, self.equations.rates, self.told["grid"], strict=True
         ):
-            z, longest, ends = start(y, z), arb("inf"), [*map(arb, grid), *time(y)]
-            nodes, self.grid, waiting = [*nodes, [z]], [*self.grid, []], [*pairwise(ends)][::-1]
+            ends, Z = [*map(arb, grid), *time(y)], moved(near, V, aside)
+            V = start.slopes[0].matrix(box, Z) + start.slopes[1].matrix(box, Z) * V
+            near, Z = start(y, near), start(box, Z)
+            (m, r), B, S = parted(near), identity(len(near)), V
+            longest, waiting = arb("inf"), [*pairwise(ends)][::-1]
+            nodes, by_y, self.grid = [*nodes, [near]], [*by_y, [V]], [*self.grid, []]
             while waiting:
                 a, b = waiting.pop()
-                end = divided(rates, z, b - a, most) if b - a < longest else None
-                if end is None:
+                whole = b - a if waiting else time(box)[0] - a
+                try:
+                    demand(b - a < longest, "it is longer than the last one twice", Loose)
+                    end = small(rates, m, b - a, most)
+                    around = [own.union(middle) for own, middle in zip(Z, m, strict=True)]
+                    Z_end, by_start, _ = step(rates, around, identity(len(m)), whole)
+                except Loose:
                     demand(b - a > PIECES * ends[-1] / len(ends), "a step is not enclosed", Loose)
                     waiting += [(((a + b) / 2).mid(), b), (a, ((a + b) / 2).mid())]
-                else:
-                    z, longest = end, 2.5 * (b - a)
-                    nodes[-1].append(z)
-                    self.grid[-1].append(a)
-        return nodes
-
-    def fly(self, y: list[Any], near: list[Any]) -> tuple[Any, Any]:
-        """z at every node of the flight from a box, which that of its centre narrows, and dz/dy there."""
-        nodes, by_y, z, V, aside = [], [], list[Any](), arb_mat(0, len(y)), column([v - v.mid() for v in y])
-        for begins, start, time in zip(self.grid, self.equations.starts, self.equations.times, strict=True):
-            V = start.slopes[0].matrix(y, z) + start.slopes[1].matrix(y, z) * V
-            z, i = start(y, z), len(nodes)
-            nodes, by_y = [*nodes, [z]], [*by_y, [V]]
-            for a, b in pairwise([*begins, *time(y)]):
-                z, by_start, _ = step(self.equations.rates[i], z, identity(len(z)), b - a)
-                V = by_start * V
-                if len(nodes[i]) == len(begins):
-                    V = V + column(self.equations.rates[i](z)) * time.slopes[0].matrix(y)
-                moved = zip(z, near[i][len(nodes[i])], (V * aside).entries(), strict=True)
-                z = [direct.intersection(middle + off) for direct, middle, off in moved]
-                nodes[i].append(z)
-                by_y[i].append(V)
+                    continue
+                longer = 0 * V if waiting else column(rates(Z_end)) * time.slopes[0].matrix(box)
+                near, by_frame = moved(end, by_start, column(near) - column(m)), by_start * B
+                (m, off), B = parted(end), by_frame.mid()
+                S, r = B.inv() * (by_frame * S + longer), B.inv() * (by_frame * r + off)
+                near = both(near, moved(m, B, r))
+                V = arb_mat(len(m), len(y), both((by_start * V + longer).entries(), (B * S).entries()))
+                Z, longest = both(Z_end, moved(near, V, aside)), 2.5 * (b - a)
+                nodes[-1].append(near)
+                by_y[-1].append(V)
+                self.grid[-1].append(a)
         return nodes, by_y
 
     def check(self, remainder: float, tell: Any = print) -> tuple[list[Any], Any]:
@@ -121,12 +138,11 @@ class _Proof:
         equations, radii = self.equations, self.told["only_one_within"]
         centre = [number(u["centre"]) for u in self.told["unknowns"]]
         demand(all(arb(r) > 0 for r in radii), "a box without an inside")
-        near = self.divide(centre, remainder)
-        tell(f"flight of the centre enclosed in {sum(map(len, self.grid))} steps")
         box = [c + arb(0, r) for c, r in zip(centre, radii, strict=True)]
-        nodes, by_y = self.fly(box, near)
-        tell("flight of the box enclosed")
-        ends = [own[-1] for own in nodes]
+        aside = column([arb(0, r) for r in radii])
+        near, by_y = self.fly(box, remainder)
+        tell(f"flights of the box enclosed in {sum(map(len, self.grid))} steps")
+        ends = [moved(z[-1], V[-1], aside) for z, V in zip(near, by_y, strict=True)]
         slopes = equations.residual.slopes[0].matrix(box, *ends)
         for own, V in zip(equations.residual.slopes[1:], by_y, strict=True):
             slopes = slopes + own.matrix(box, *ends) * V[-1]
@@ -134,7 +150,7 @@ class _Proof:
         *F, J = equations.residual(centre, *(own[-1] for own in near))
         inverse = arb_mat(rows).mid().inv().mid()
         E = identity(len(box)) - inverse * arb_mat(rows)
-        steps, aside = (inverse * column(F)).entries(), column([arb(0, r) for r in radii])
+        steps = (inverse * column(F)).entries()
         root = [c - d + e for c, d, e in zip(centre, steps, (E * aside).entries(), strict=True)]
         demand(
             all(b.contains_interior(r) for b, r in zip(box, root, strict=True)), "Krawczyk's operator leaves the box"
@@ -149,8 +165,7 @@ class _Proof:
             middle, radius = claimed(text)
             demand(bool(abs(value - middle) < radius or value == middle), f"{text} does not hold what it should", Loose)
         demand(self.told["theorem"] == sentence(self.told), "the theorem says something else")
-        nodes = [[[n + m for n, m in zip(z, (V * aside).entries(), strict=True)] for z, V in zip(*own, strict=True)]
-                 for own in zip(near, by_y, strict=True)]  # fmt: skip
+        nodes = [[moved(z, V, aside) for z, V in zip(*own, strict=True)] for own in zip(near, by_y, strict=True)]
         demand(
             all(v > 0 for v in equations.asked(root, *(own[-1] for own in nodes))),
             "a bound is broken, or would be left",

@@ -181,8 +181,11 @@ class Program:
         w = [*self.blank]
         for at, g, i in self.inputs:
             w[at] = groups[g][i]
-        for at, do, *parts in self.operations:
-            w[at] = do(*(w[i] for i in parts))
+        try:
+            for at, do, *parts in self.operations:
+                w[at] = do(*(w[i] for i in parts))
+        except ValueError as error:  # of series
+            raise ZeroDivisionError from error
         return [w[i] for i in self.outputs]
 
     def matrix(self, *groups: Sequence[Any]) -> Any:

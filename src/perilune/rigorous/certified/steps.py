@@ -4,7 +4,7 @@ from typing import Any
 
 from flint import arb, arb_mat, arb_series, ctx
 
-from perilune.rigorous.certified.expressions import Loose, Program, demand
+from perilune.rigorous.certified.expressions import Failed, Loose, Program, demand
 
 ORDER, WIDER = 34, 2.0**-20  # of the series; of what encloses a step
 
@@ -62,7 +62,10 @@ def step(rates: Program, z: list[Any], V: Any, length: Any, *others: Any) -> tup
     sizes = [float(own.abs_upper()) for own in ranges]
     sizes[size:] = [max(sizes[size:], default=0.0)] * (len(c) - size)
     whole = [own + arb(0, WIDER * wide + 1e-60) for own, wide in zip(ranges, sizes, strict=True)]
-    last = [own[n] for own in coefficients(rates, whole[:size], arb_mat(size, V.ncols(), whole[size:]), n, *others)]
+    try:
+        last = [own[n] for own in coefficients(rates, whole[:size], arb_mat(size, V.ncols(), whole[size:]), n, *others)]
+    except (Failed, ZeroDivisionError) as error:  # of balls too wide to divide by
+        raise Loose("a step is not enclosed") from error
     reach = arb(0).union(length**n)
     held = [w.contains_interior(r + top * reach) for w, r, top in zip(whole, ranges, last, strict=True)]
     demand(all(held), "a step is not enclosed", Loose)
