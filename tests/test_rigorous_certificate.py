@@ -147,6 +147,8 @@ FALSE: dict[str, tuple[Callable[[Told], Any], str]] = {
     ),
     "a name": (lambda told: told["unknowns"][2].update(name="tf"), "named otherwise"),
     "a flight cut off": (_cut, "do not begin"),
+    "steps without an end": (lambda told: told["grid"][0].append(math.inf), "out of order"),
+    "steps back": (lambda told: told["grid"][0].extend([0.5, 0.25]), "out of order"),
     "an arc without an end": (lambda told: told["arcs"][1].update(switched="u"), "does not end where"),
     "a jump in a sine": (_sine, "does not switch there"),
     "a jump though H is curved": (_curved, "does not switch there"),
@@ -231,9 +233,38 @@ FALSE_CONTROL: dict[str, tuple[Callable[[Told], Any], str]] = {
 }
 
 
-def test_a_control_is_least_as_far_as_it_is() -> None:
+def _beside_it(told: Told) -> None:
+    """A control that costs, on its lower bound; an angle of the others that might jump, times 0."""
+    tape, phase = told["problem"]["tapes"]["dynamics 0"], told["problem"]["phases"][0]
+    phase["controls"].append({"kind": "bounded", "names": ["s"], "name": "s", "lower": "0", "upper": "1"})
+    told["arcs"][0]["regimes"]["s"] = "lower"
+    at, cost = len(tape["instructions"]), tape["outputs"][1]
+    tape["instructions"] += [
+        ["u", "s"], ["add", cost, at], ["u", "u"], ["mul", at + 2, at + 2], ["const", 1.5], ["add", at + 3, at + 4],
+        ["atan2", at + 2, at + 5], ["const", 0.0], ["mul", at + 6, at + 7], ["add", at + 1, at + 8],
+    ]  # fmt: skip
+    tape["outputs"][1] = at + 9
+
+
+def _at_rest(told: Told) -> None:
+    """A state more, y' = -y, that is 0."""
+    phase, tapes = told["problem"]["phases"][0], told["problem"]["tapes"]
+    phase["states"].append({"name": "y", "lower": None, "upper": None})
+    for name, more in (("start", [["const", 0.0]]), ("dynamics 0", [["x", "y"], ["neg", None]])):
+        tape = tapes[name]
+        at = len(tape["instructions"])
+        tape["instructions"] += [[at if part is None else part for part in own] for own in more]
+        tape["outputs"].append(at + len(more) - 1)
+    told["unknowns"].insert(2, {"name": "roll.lambda_y(0)", "centre": "0", "enclosure": "[+/- 1e-30]"})
+    told["only_one_within"].insert(2, 1e-9)
+    told["weights"][0].append(1.0)
+
+
+@pytest.mark.parametrize("change", [_far("-2", "9/2"), _beside_it, _at_rest])
+def test_a_control_is_least_as_far_as_it_is(change: Callable[[Told], Any]) -> None:
     told = certificate(rolled)
-    _far("-2", "9/2")(told)
+    change(told)
+    told["theorem"] = sentence(told)
     confirm(told, lambda _: None)
 
 

@@ -54,7 +54,7 @@ def seen_again(boundary: Any, refined: Any, found: Any, rough: Any, said: Any) -
     told["weights"] = weights
     steered = {regime for arc in told["arcs"] for name, regime in arc["regimes"].items() if name == "u"} == {"interior"}
     steered &= not any(arc.joint for arc in boundary.arcs)
-    for control in (c for phase in told["problem"]["phases"] for c in phase["controls"] if c["name"] == "u"):
+    for control in (c for phase in told["problem"]["phases"] for c in phase["controls"] if c["names"] == ["u"]):
         control.update({"lower": None, "upper": None} if steered else {})  # some are steered beyond, and none on them
     told["theorem"] = sentence(told)
     try:
@@ -151,6 +151,20 @@ def test_a_link_at_a_harmless_place_moves_no_conjugate_point(stretch: float, end
 @pytest.mark.parametrize("stretch", [0.0, 3.0])
 def test_a_control_without_a_formula_has_its_conjugate_points(stretch: float) -> None:
     assert swung(3.05, stretch, joint=True).proved and not swung(3.25, stretch, joint=True).proved
+
+
+def pulled(stiffness: float) -> Any:
+    """Least integral of (s^2 - k (y - x/1000)^2)/2 in 1 s from 0 to x = 1 with x' = s d: minima up to k = pi^2."""
+    phase = pl.Phase(
+        name="go", states=variables("x", "y", "c"), duration="T",
+        controls=(pl.Direction(names=("a", "b")), pl.Bounded(name="s", lower=0.0, upper=3.0)),
+        dynamics=lambda x, u, p, m: (
+            u.s * u.a / p.T, u.s * u.b / p.T, (u.s**2 - p.k * (x.y - 0.001 * x.x) ** 2) / 2 / p.T,
+        ),
+        end=lambda x, p, m: (x.x - p.e, x.y), end_conditions=variables("there", "beside"),
+    )  # fmt: skip
+    stated = phases("pulled", phase, start=lambda p, m: (0.0, 0.0, 0.0), e=1.0, k=stiffness)
+    return optimum(stated, [(0, {"s": "interior"}, "")], [-1.0, 0.0, 1.0, 1.0, 0.0])
 
 
 def spun(angle: float, turn: float, skew: float) -> Any:
@@ -425,6 +439,7 @@ def test_a_state_that_its_bound_holds_at_the_end_is_not_moved() -> None:
     (lambda: switched(-0.97 * 0.25, 1.0, 0.25), True), (lambda: switched(-1.03 * 0.25, 1.0, 0.25), False),
     (lambda: twice(-0.53), True), (lambda: twice(-0.54), False),
     (lambda: swung(3.05, 0.5, joint=True), True), (lambda: swung(3.25, 0.5, joint=True), False),
+    (lambda: pulled(0.97 * math.pi**2), True), (lambda: pulled(1.03 * math.pi**2), False),
 ])  # fmt: skip
 def test_the_checker_sees_as_much(made: Any, minimum: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules[__name__], "AGAIN", True)

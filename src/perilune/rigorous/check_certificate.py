@@ -19,10 +19,11 @@ from perilune.rigorous.certified.expressions import Failed, Loose, demand
 from perilune.rigorous.certified.form import once, well_formed
 from perilune.rigorous.certified.minimum import Others
 from perilune.rigorous.certified.optimum import SecondVariation
-from perilune.rigorous.certified.steps import identity, over, step
+from perilune.rigorous.certified.steps import LEAST, identity, over, step
 
 TOLERANCE, PIECES = 1e-6, 2.0**-20  # of limits in SI; least part of a step
 REMAINDERS = (1e-36, 1e-45, 1e-60)  # of a step, beside what moves there, tried in order
+BESIDE, STEPS = 1e-9, 10**5  # the most that these are of the box; of an arc
 
 
 def sentence(told: dict[str, Any]) -> str:
@@ -37,10 +38,11 @@ def sentence(told: dict[str, Any]) -> str:
         f"The problem {told['problem']['name']!r} as it stands here has an extremal of {len(told['arcs'])} arcs, a "
         "flight that satisfies Pontryagin's conditions exactly, with "
         f"{', '.join(f'{name} = {value}' for name, value in values)} in SI. "
-        "No other with these arcs and sides has every unknown within `only_one_within` of its `centre`. No condition "
-        f"of the path and no bound of a state or a control is broken by more than {TOLERANCE:g} in SI, no range of a "
-        "parameter or an end at all; no multiplier says that a bound or a range should be left; and but for switches, "
-        "and for a direction that is multiplied by 0, the control is the only one that minimises H."
+        "No other with these arcs and sides, and controls that are continuous along each arc, has every unknown within "
+        "`only_one_within` of its `centre`. No condition of the path and no bound of a state or a control is broken by "
+        f"more than {TOLERANCE:g} in SI, no range of a parameter or an end at all; no multiplier says that a bound or "
+        "a range should be left; and but for switches, and for a direction that is multiplied by 0, the control is the "
+        "only one that minimises H."
         f"{'' if told['weights'] is None else optimum}"
     )
 
@@ -55,10 +57,10 @@ def claimed(text: str) -> list[Any]:
 
 
 def small(rates: Any, z: list[Any], length: Any, most: float) -> list[Any]:
-    """z behind a step whose remainder is no larger than a part of it."""
+    """z behind a step whose remainder is no larger than a part of it, or than what `step` adds to nothing."""
     end, _, c = step(rates, z, arb_mat(len(z), 0), length)
     remainders = [(own[-1].rad() * length ** (len(own) - 1)).abs_upper() for own in c]
-    fine = [r <= most * (a.abs_upper() + b.abs_upper()) for r, a, b in zip(remainders, z, end, strict=True)]
+    fine = [r <= most * (a.abs_upper() + b.abs_upper()) + LEAST for r, a, b in zip(remainders, z, end, strict=True)]
     demand(all(fine), "a remainder is large", Loose)
     return end
 
@@ -111,6 +113,7 @@ class _Proof:
             nodes, by_y, self.grid = [*nodes, [near]], [*by_y, [V]], [*self.grid, []]
             while waiting:
                 a, b = waiting.pop()
+                demand(len(nodes[-1]) < STEPS, "it takes too many steps")
                 whole = b - a if waiting else time(box)[0] - a
                 try:
                     demand(b - a < longest, "it is longer than the last one twice", Loose)
@@ -140,7 +143,8 @@ class _Proof:
         demand(all(arb(r) > 0 for r in radii), "a box without an inside")
         box = [c + arb(0, r) for c, r in zip(centre, radii, strict=True)]
         aside = column([arb(0, r) for r in radii])
-        near, by_y = self.fly(box, remainder)
+        most = min(remainder, *(BESIDE * r / (abs(float(c)) + r) for c, r in zip(centre, radii, strict=True)))
+        near, by_y = self.fly(box, most)
         tell(f"flights of the box enclosed in {sum(map(len, self.grid))} steps")
         ends = [moved(z[-1], V[-1], aside) for z, V in zip(near, by_y, strict=True)]
         slopes = equations.residual.slopes[0].matrix(box, *ends)

@@ -48,6 +48,8 @@ def theorem_text(proved: Proved) -> str:
     told += [f"{f.name} = {_ball(y[f.name])} {f.unit}".removesuffix(" 1") for f in problem.free]
     arcs = f" It consists of {len(boundary.arcs)} arcs." if len(boundary.arcs) > 1 else ""
     around = "in which the verified answer lies" if proved.reached else "around it"
+    if any(arc.implicit for arc in boundary.arcs):  # two such controls may be as good as each other at a time
+        around += ", of flights whose controls are continuous along each arc"
     values = ", ".join(told)
     return (
         f"Theorem. With {_taken(problem)}, the problem {problem.name} has an extremal: a flight that satisfies "

@@ -75,6 +75,7 @@ class Equations:
 
     def __init__(self, told: dict[str, Any]) -> None:
         self.problem, self.arcs, self.on = told["problem"], told["arcs"], told["on_bounds"]
+        self.weighed = told["weights"] is not None
         self.phases, self.free = self.problem["phases"], self.problem["free"]
         self.given = {name: Expression("number", given(own)) for name, own in self.problem["given"].items()}
         follows = [arc["phase"] for arc in self.arcs]
@@ -256,6 +257,8 @@ class Equations:
         twice = [row[j] for j, row in enumerate(rows)] if joint else at(found, *curved.values())
         signs = {f"{name} twice": own for name, own in zip(w if joint else curved, twice, strict=True)}
         signs |= {name: pulls[name] * (1 if regimes[name] == "lower" else -1) for name in held}
+        if self.weighed:  # where nothing multiplied a direction, H would not ask for it
+            signs |= {f"{name} multiplies": found[name] for name in factors if name not in held}
         z += w.values()
         return {
             "rates": [*rates, *moving], "u": found, "w": [*w], "pulls": pulls, "curved": curved, "factors": factors,
@@ -287,7 +290,8 @@ class Equations:
             for s in own:
                 rest = put([slopes[name] for name in c["names"]], {u[s]: ZERO})
                 demand(all(slope is ZERO for slope in rest), "a direction is multiplied and is not")
-                least = self.limit(scalars[s]["lower"], {})
-                demand(bool(least.parts[0] >= 0), "a factor of a direction may be negative")
+                least = scalars[s]["lower"]
+                fine = least is not None and bool(self.limit(least, {}).parts[0] >= 0)
+                demand(fine, "a factor of a direction may be negative")
         joint = bool(moved) or any(a != b for a, b in between)
         return {a: form.get((a, a), ZERO) for a, _ in between}, factors, joint

@@ -1,5 +1,7 @@
 """What a certificate may look like: known words, names that say one thing each, and nothing that nobody reads."""
 
+import math
+from itertools import pairwise
 from typing import Any
 
 from perilune.rigorous.certified.expressions import demand
@@ -39,6 +41,8 @@ def well_formed(told: dict[str, Any]) -> None:
         ends = follows[i : i + 2] == [follows[i]] * 2
         demand(bool(arc["switched"]) == ends, f"arc {i + 1} does not end where it says")
         demand(grid[0] == 0.0 and len(grid) < 10**4, f"the steps of arc {i + 1} do not begin where it does")
+        rise = all(type(b) is float and a < b < math.inf for a, b in pairwise(grid))
+        demand(rise, f"the steps of arc {i + 1} are out of order")
 
 
 def _problem_formed(problem: dict[str, Any]) -> None:

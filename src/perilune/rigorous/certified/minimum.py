@@ -1,7 +1,8 @@
 """That a control is the only one that minimises H where no formula says so: boxes of others, none of them as good.
 
 In none of a box B is H as small as at the control u if H is larger there by enclosures, or by its slopes in the box
-around both, or convex there: where u is on no bound, it is stationary, and where it is, H rises from that.
+around both, or convex there: where u is on no bound, it is stationary, and where it is, H rises from that. What holds
+for the rest is enough where H rises all along from the bounds that hold some.
 """
 
 from typing import Any
@@ -29,6 +30,7 @@ class Others:
         self.H = Program([z, u], [H])
         self.slopes = Program([z, u], [*slopes, *(d for own in slopes for d in gradient(own, u))])
         self.controls, self.ranges = Program([z], own), Program([z], ranges)
+        self.sides = [{"lower": 1, "upper": -1}.get(equations.arcs[i]["regimes"][name], 0) for name in named]
 
     def are_worse(self, z: list[Any]) -> bool:
         """Whether it is seen, for all z of a box."""
@@ -41,9 +43,10 @@ class Others:
                     return True
                 B = waiting.pop()
                 found = self.slopes(z, [a.union(b) for a, b in zip(B, own, strict=True)])
-                falls = sum((d * (b - a) for d, b, a in zip(found, B, own, strict=False)), arb(0))
-                form = arb_mat(len(B), len(B), found[len(B) :])
-                if self.H(z, B)[0] > best or falls > 0 or positive(form):
+                rest = [j for j, side in enumerate(self.sides) if not found[j] * side > 0]
+                rises = sum((found[j] * (B[j] - own[j]) for j in rest), arb(0)) > 0
+                form = arb_mat([[found[len(B) * (j + 1) + k] for k in rest] for j in rest]) if rest else arb_mat(0, 0)
+                if self.H(z, B)[0] > best or rises or positive(form):
                     continue
                 widths = [float(b.rad()) / max(size, 1e-300) for b, size in zip(B, sizes, strict=True)]
                 i = max(range(len(B)), key=widths.__getitem__)

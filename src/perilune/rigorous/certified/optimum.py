@@ -104,8 +104,8 @@ class SecondVariation:
         for i, arc in enumerate(arcs):
             for name in flown[i]["factors"]:
                 c, regime = self.equations.control(arc["phase"], name), arc["regimes"][name]
-                held = regime != "interior" and bool(self.equations.limit(c[regime], {}).parts[0] > 0)
-                demand(held, "nothing may multiply a direction for a while")
+                turned = regime == "interior" or bool(self.equations.limit(c[regime], {}).parts[0] > 0)
+                demand(turned, "nothing may multiply a direction for a while")
             if name := arc["switched"]:
                 a, b = arc["regimes"], arcs[i + 1]["regimes"]
                 demand([own for own in a if a[own] != b[own]] == [name], f"{name} does not switch alone")

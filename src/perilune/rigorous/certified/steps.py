@@ -6,7 +6,7 @@ from flint import arb, arb_mat, arb_series, ctx
 
 from perilune.rigorous.certified.expressions import Failed, Loose, Program, demand
 
-ORDER, WIDER = 34, 2.0**-20  # of the series; of what encloses a step
+ORDER, WIDER, LEAST = 34, 2.0**-20, 1e-60  # of the series; what encloses a step is wider by a part and that
 
 
 def identity(size: int) -> Any:
@@ -61,7 +61,7 @@ def step(rates: Program, z: list[Any], V: Any, length: Any, *others: Any) -> tup
     ranges = [horner(own, span) for own in c]
     sizes = [float(own.abs_upper()) for own in ranges]
     sizes[size:] = [max(sizes[size:], default=0.0)] * (len(c) - size)
-    whole = [own + arb(0, WIDER * wide + 1e-60) for own, wide in zip(ranges, sizes, strict=True)]
+    whole = [own + arb(0, WIDER * wide + LEAST) for own, wide in zip(ranges, sizes, strict=True)]
     try:
         last = [own[n] for own in coefficients(rates, whole[:size], arb_mat(size, V.ncols(), whole[size:]), n, *others)]
     except (Failed, ZeroDivisionError) as error:  # of balls too wide to divide by
