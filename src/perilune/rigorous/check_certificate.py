@@ -127,7 +127,8 @@ class _Proof:
                 longer = 0 * V if waiting else column(rates(Z_end)) * time.slopes[0].matrix(box)
                 near, by_frame = moved(end, by_start, column(near) - column(m)), by_start * B
                 (m, off), B = parted(end), by_frame.mid()
-                S, r = B.inv() * (by_frame * S + longer), B.inv() * (by_frame * r + off)
+                inverse, nearly_one = B.inv(), B.inv() * by_frame
+                S, r = nearly_one * S + inverse * longer, nearly_one * r + inverse * off
                 near = both(near, moved(m, B, r))
                 V = arb_mat(len(m), len(y), both((by_start * V + longer).entries(), (B * S).entries()))
                 Z, longest = both(Z_end, moved(near, V, aside)), 2.5 * (b - a)
