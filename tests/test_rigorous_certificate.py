@@ -246,6 +246,12 @@ def _beside_it(told: Told) -> None:
     tape["outputs"][1] = at + 9
 
 
+def _to_the_end(told: Told) -> None:
+    """Steps of the least time, of which the last is none."""
+    told |= certificate(least_time)
+    told["grid"] = [[0.0, 5e-324, 0.5], [0.0, 1.0]]
+
+
 def _at_rest(told: Told) -> None:
     """A state more, y' = -y, that is 0."""
     phase, tapes = told["problem"]["phases"][0], told["problem"]["tapes"]
@@ -260,12 +266,41 @@ def _at_rest(told: Told) -> None:
     told["weights"][0].append(1.0)
 
 
-@pytest.mark.parametrize("change", [_far("-2", "9/2"), _beside_it, _at_rest])
-def test_a_control_is_least_as_far_as_it_is(change: Callable[[Told], Any]) -> None:
+@pytest.mark.parametrize("change", [_far("-2", "9/2"), _beside_it, _at_rest, _to_the_end])
+def test_a_right_certificate_is_confirmed(change: Callable[[Told], Any]) -> None:
     told = certificate(rolled)
     change(told)
     told["theorem"] = sentence(told)
     confirm(told, lambda _: None)
+
+
+def test_no_other_is_in_the_box_about_a_centre_that_is_no_double() -> None:
+    """q - 1 = 0, 2^-98 or 2^-98 + 2^-108, the last two within 1e-32 of 1 + 2^-98, which 96 bits round to 1."""
+    numbers = {"T": "1", "one": "1", "near": "1*2^-98", "next": "1025*2^-108", "k": "1025*2^-10"}
+    unbounded = {"lower": None, "upper": None}
+    phase = {"name": "go", "duration": "T", "states": [{"name": "x", **unbounded}], "controls": [],
+             "end": [{"name": "meets", **unbounded}], "path": []}  # fmt: skip
+    end = [["x", "x"], ["p", "one"], ["sub", 0, 1], ["p", "near"], ["sub", 2, 3], ["p", "next"], ["sub", 2, 5],
+           ["mul", 2, 4], ["mul", 7, 6]]  # fmt: skip
+    tapes = {"start": [["p", "q"]], "dynamics 0": [["const", 0.0]], "end 0": end,
+             "objective": [["x", "x"], ["p", "k"], ["mul", 0, 1]]}  # fmt: skip
+    told = {
+        "format": "perilune theorem 5", "bits": 64, "grid": [[0.0]], "weights": None, "objective": "[1.0 +/- 1e-2]",
+        "problem": {
+            "name": "roots", "phases": [phase], "given": {name: {"number": value} for name, value in numbers.items()},
+            "free": [{"name": "q", **unbounded}],
+            "tapes": {name: {"instructions": own, "outputs": [len(own) - 1]} for name, own in tapes.items()},
+        },
+        "arcs": [{"phase": 0, "regimes": {}, "switched": ""}], "on_bounds": {"free": {}, "ranges": [], "states": []},
+        "unknowns": [
+            {"name": "go.lambda_x(0)", "centre": "0", "enclosure": "[+/- 1e-5]"},
+            {"name": "q", "centre": f"{2**98 + 1}/{2**98}", "enclosure": "[1.0 +/- 1e-19]"},
+            {"name": "go.nu_meets", "centre": f"-{2**196}", "enclosure": "[+/- 1e90]"},
+        ],
+        "only_one_within": [1e-3, 1e-32, 2.0**208],
+    }  # fmt: skip
+    with pytest.raises(Failed, match="leaves the box"):
+        confirm(told | {"theorem": sentence(told)}, lambda _: None)
 
 
 @pytest.mark.parametrize(

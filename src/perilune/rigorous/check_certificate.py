@@ -19,7 +19,7 @@ from perilune.rigorous.certified.expressions import Failed, Loose, demand
 from perilune.rigorous.certified.form import once, well_formed
 from perilune.rigorous.certified.minimum import Others
 from perilune.rigorous.certified.optimum import SecondVariation
-from perilune.rigorous.certified.steps import LEAST, identity, over, step
+from perilune.rigorous.certified.steps import LEAST, identity, over, power, step
 
 TOLERANCE, PIECES = 1e-6, 2.0**-20  # of limits in SI; least part of a step
 REMAINDERS = (1e-36, 1e-45, 1e-60)  # of a step, beside what moves there, tried in order
@@ -59,7 +59,7 @@ def claimed(text: str) -> list[Any]:
 def small(rates: Any, z: list[Any], length: Any, most: float) -> list[Any]:
     """z behind a step whose remainder is no larger than a part of it, or than what `step` adds to nothing."""
     end, _, c = step(rates, z, arb_mat(len(z), 0), length)
-    remainders = [(own[-1].rad() * length ** (len(own) - 1)).abs_upper() for own in c]
+    remainders = [(own[-1].rad() * power(length, len(own) - 1)).abs_upper() for own in c]
     fine = [r <= most * (a.abs_upper() + b.abs_upper()) + LEAST for r, a, b in zip(remainders, z, end, strict=True)]
     demand(all(fine), "a remainder is large", Loose)
     return end
@@ -68,6 +68,14 @@ def small(rates: Any, z: list[Any], length: Any, most: float) -> list[Any]:
 def parted(z: list[Any]) -> tuple[list[Any], Any]:
     """Middles, and what is about them."""
     return [v.mid() for v in z], column([v - v.mid() for v in z])
+
+
+def frame(V: Any) -> tuple[Any, Any]:
+    """The middle of a matrix and its inverse; of one that has none, the unit matrix."""
+    try:
+        return V.mid(), V.mid().inv()
+    except ZeroDivisionError:
+        return identity(V.nrows()), identity(V.nrows())
 
 
 def both(a: list[Any], b: list[Any]) -> list[Any]:
@@ -99,8 +107,8 @@ class _Proof:
         That is z = m + B (S (y - c) + r) too, with a frame B that goes with the tangents, so that balls do not grow by
         wrapping (Lohner's parallelepiped). Steps halve those of the certificate until their remainders are small.
         """
-        y, aside = [v.mid() for v in box], column([v - v.mid() for v in box])
-        nodes, by_y, self.grid = list[Any](), list[Any](), []
+        (y, aside), self.grid = parted(box), []
+        nodes, by_y = list[Any](), list[Any]()
         near, V = list[Any](), arb_mat(0, len(y))
         for start, time, rates, grid in zip(
             self.equations.starts, self.equations.times, self.equations.rates, self.told["grid"], strict=True
@@ -109,7 +117,7 @@ class _Proof:
             V = start.slopes[0].matrix(box, Z) + start.slopes[1].matrix(box, Z) * V
             near, Z = start(y, near), start(box, Z)
             (m, r), B, S = parted(near), identity(len(near)), V
-            longest, waiting = arb("inf"), [*pairwise(ends)][::-1]
+            longest, least, waiting = arb("inf"), PIECES * ends[-1] / len(ends), [*pairwise(ends)][::-1]
             nodes, by_y, self.grid = [*nodes, [near]], [*by_y, [V]], [*self.grid, []]
             while waiting:
                 a, b = waiting.pop()
@@ -121,17 +129,16 @@ class _Proof:
                     around = [own.union(middle) for own, middle in zip(Z, m, strict=True)]
                     Z_end, by_start, _ = step(rates, around, identity(len(m)), whole)
                 except Loose:
-                    demand(b - a > PIECES * ends[-1] / len(ends), "a step is not enclosed", Loose)
+                    demand(b - a > least, "a step is not enclosed", Loose)
                     waiting += [(((a + b) / 2).mid(), b), (a, ((a + b) / 2).mid())]
                     continue
                 longer = 0 * V if waiting else column(rates(Z_end)) * time.slopes[0].matrix(box)
                 near, by_frame = moved(end, by_start, column(near) - column(m)), by_start * B
-                (m, off), B = parted(end), by_frame.mid()
-                inverse, nearly_one = B.inv(), B.inv() * by_frame
-                S, r = nearly_one * S + inverse * longer, nearly_one * r + inverse * off
+                (m, off), (B, inverse) = parted(end), frame(by_frame)
+                S, r = inverse * by_frame * S + inverse * longer, inverse * by_frame * r + inverse * off
                 near = both(near, moved(m, B, r))
                 V = arb_mat(len(m), len(y), both((by_start * V + longer).entries(), (B * S).entries()))
-                Z, longest = both(Z_end, moved(near, V, aside)), 2.5 * (b - a)
+                Z, longest = both(Z_end, moved(near, V, aside)), 2.5 * (b - a) + 2 * least
                 nodes[-1].append(near)
                 by_y[-1].append(V)
                 self.grid[-1].append(a)
@@ -140,10 +147,9 @@ class _Proof:
     def check(self, remainder: float, tell: Any = print) -> tuple[list[Any], Any]:
         """The unknowns and J of the root that Krawczyk's operator proves, if all else is seen too."""
         equations, radii = self.equations, self.told["only_one_within"]
-        centre = [number(u["centre"]) for u in self.told["unknowns"]]
         demand(all(arb(r) > 0 for r in radii), "a box without an inside")
-        box = [c + arb(0, r) for c, r in zip(centre, radii, strict=True)]
-        aside = column([arb(0, r) for r in radii])
+        box = [number(u["centre"]) + arb(0, r) for u, r in zip(self.told["unknowns"], radii, strict=True)]
+        centre, aside = parted(box)
         most = min(remainder, *(BESIDE * r / (abs(float(c)) + r) for c, r in zip(centre, radii, strict=True)))
         near, by_y = self.fly(box, most)
         tell(f"flights of the box enclosed in {sum(map(len, self.grid))} steps")
@@ -216,7 +222,7 @@ def confirm(certificate: dict[str, Any], tell: Any = print) -> tuple[list[Any], 
     Raises
     ------
     Failed
-        If anything that its theorem says is not seen.
+        If anything that its theorem says is not seen. What is no certificate at all may raise other errors.
     """
     before = ctx.cap
     try:

@@ -1,5 +1,6 @@
 """Steps of a flight in balls: Taylor polynomials by Picard's iteration in power series, with their remainder."""
 
+import math
 from typing import Any
 
 from flint import arb, arb_mat, arb_series, ctx
@@ -22,10 +23,15 @@ def horner(c: list[Any], t: Any) -> Any:
     return total
 
 
+def power(t: Any, n: int) -> Any:
+    """t^n, of balls about 0 too, of which FLINT's own is none."""
+    return math.prod([t] * n, start=arb(1))
+
+
 def over(c: list[Any], t: Any) -> Any:
     """A polynomial over an interval, by its slope there; its last coefficient is a ball that holds the remainder."""
     slope = horner([k * own for k, own in enumerate(c[:-1])][1:], t)
-    return horner(c[:-1], t.mid()) + slope * (t - t.mid()) + c[-1] * t ** (len(c) - 1)
+    return horner(c[:-1], t.mid()) + slope * (t - t.mid()) + c[-1] * power(t, len(c) - 1)
 
 
 def listed(series: Any, count: int) -> list[Any]:
@@ -66,7 +72,7 @@ def step(rates: Program, z: list[Any], V: Any, length: Any, *others: Any) -> tup
         last = [own[n] for own in coefficients(rates, whole[:size], arb_mat(size, V.ncols(), whole[size:]), n, *others)]
     except (Failed, ZeroDivisionError) as error:  # of balls too wide to divide by
         raise Loose("a step is not enclosed") from error
-    reach = arb(0).union(length**n)
+    reach = arb(0).union(power(length, n))
     held = [w.contains_interior(r + top * reach) for w, r, top in zip(whole, ranges, last, strict=True)]
     demand(all(held), "a step is not enclosed", Loose)
     c = [[*own, top] for own, top in zip(c, last, strict=True)]
