@@ -35,8 +35,8 @@ def sentence(told: dict[str, Any]) -> str:
         "close enough to its own, controls but for short times about switches, every other has a larger J."
     )
     return (
-        f"The problem {told['problem']['name']!r} as it stands here has an extremal of {len(told['arcs'])} arcs, a "
-        "flight that satisfies Pontryagin's conditions exactly, with "
+        f"The problem {told['problem']['name']!r} as it stands here has an extremal of {len(told['arcs'])} "
+        f"arc{'s' if len(told['arcs']) > 1 else ''}, a flight that satisfies Pontryagin's conditions exactly, with "
         f"{', '.join(f'{name} = {value}' for name, value in values)} in SI. "
         "No other with these arcs and sides, and controls that are continuous along each arc, has every unknown within "
         "`only_one_within` of its `centre`. No condition of the path and no bound of a state or a control is broken by "
