@@ -72,8 +72,9 @@ def parted(z: list[Any]) -> tuple[list[Any], Any]:
 
 def frame(V: Any) -> tuple[Any, Any]:
     """The middle of a matrix and its inverse; of one that has none, the unit matrix."""
+    middle = V.mid()
     try:
-        return V.mid(), V.mid().inv()
+        return middle, middle.inv()
     except ZeroDivisionError:
         return identity(V.nrows()), identity(V.nrows())
 
@@ -135,7 +136,8 @@ class _Proof:
                 longer = 0 * V if waiting else column(rates(Z_end)) * time.slopes[0].matrix(box)
                 near, by_frame = moved(end, by_start, column(near) - column(m)), by_start * B
                 (m, off), (B, inverse) = parted(end), frame(by_frame)
-                S, r = inverse * by_frame * S + inverse * longer, inverse * by_frame * r + inverse * off
+                turned = inverse * by_frame  # nearly 1: in another order balls would grow
+                S, r = turned * S + inverse * longer, turned * r + inverse * off
                 near = both(near, moved(m, B, r))
                 V = arb_mat(len(m), len(y), both((by_start * V + longer).entries(), (B * S).entries()))
                 Z, longest = both(Z_end, moved(near, V, aside)), 2.5 * (b - a) + 2 * least

@@ -1,1 +1,1 @@
-"""Certificates, proved anew: `form`, `expressions`, `equations`, `steps` of a flight, its second order (`optimum`)."""
+"""Certificates anew: `form`, `expressions`, `equations`, `steps`, least H (`minimum`), second order (`optimum`)."""

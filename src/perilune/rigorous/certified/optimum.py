@@ -115,24 +115,24 @@ class SecondVariation:
     def check(self, grid: list[list[Any]], nodes: list[Any], y: list[Any]) -> None:
         """See that it is positive, for the flight that has these enclosures at the times of the grid."""
         self.demand_order()
-        ends, W, p = [own[-1] for own in nodes], None, Program([self.equations.y], self.p)(y)
-        equations = self.equations
+        equations, ends, W = self.equations, [own[-1] for own in nodes], None
+        p = Program([equations.y], self.p)(y)
         for k, (slopes, conditions, form) in enumerate(self.junctions):
             G, psi, C = (own.matrix(y, *ends) for own in (slopes, conditions, form))
             C = C if W is None else C - W
             for row in psi.tolist():
                 weight = sum((v * v / w for v, w in zip(row, self.weights[k - 1], strict=True)), arb(0))
                 C = C + arb_mat([[a * b * (PENALTY / weight) for b in row] for a in row])
-            if k == len(self.equations.phases):
+            if k == len(equations.phases):
                 demand(positive(C), "the second variation is not seen to be positive")
                 return
             M = diagonal(self.weights[k])
             core = G.transpose() * M * G + C
             demand(positive(core), "weights do not outweigh the curvature of a start")
             W = above((M * G * core.inv() * G.transpose() * M if core.nrows() else 0 * M) - M, self.weights[k])
-            for i, arc in enumerate(self.equations.arcs):
+            for i, arc in enumerate(equations.arcs):
                 if arc["phase"] == k:
-                    (T,) = self.equations.times[i](y)
+                    (T,) = equations.times[i](y)
                     for z, (a, b) in zip(nodes[i], pairwise([*grid[i], T]), strict=False):
                         n, half = W.nrows() - len(p), len(equations.lam[k])
                         zeta = [*z[:n], *p, *z[half : half + n], *([arb(0)] * len(p)), *z[2 * half :]]
