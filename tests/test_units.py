@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from typing import Any
 
 import pytest
 from hypothesis import given, strategies as st
 
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import _UNITS, Scales, dimension_text, parse_quantity, told, unit
+from perilune.words.units import _UNITS, Scales, dimension_text, exact_quantity, parse_quantity, told, unit
 
 
 @pytest.mark.parametrize(
@@ -46,7 +47,7 @@ def test_a_quantity_becomes_si(text: str, wanted: str, value: float) -> None:
 EACH = {
     "m": 1.0, "km": 1000.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048,
     "s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0, "day": 86400.0,
-    "kg": 1.0, "g": 0.001, "t": 1000.0, "lb": 0.45359237,
+    "kg": 1.0, "g": 0.001, "t": 1000.0, "lb": 0.45359237, "slug": 14.593902937206364,
     "N": 1.0, "kN": 1000.0, "MN": 1000000.0, "lbf": 4.4482216152605, "g0": 9.80665, "Pa": 1.0, "kPa": 1000.0,
     "J": 1.0, "kJ": 1000.0, "MJ": 1000000.0, "W": 1.0, "kW": 1000.0, "MW": 1000000.0,
     "K": 1.0, "%": 0.01, "rad": 1.0, "deg": 0.017453292519943295, "1": 1.0,
@@ -56,6 +57,14 @@ EACH = {
 @pytest.mark.parametrize("name", _UNITS)
 def test_each_unit_has_the_size_of_its_definition(name: str) -> None:
     assert unit(name)[0] == pytest.approx(EACH[name], rel=1e-15)
+
+
+def test_a_slug_is_exactly_that_of_its_definition() -> None:
+    """One pound-force over one foot per second squared, which no decimal of a few digits is."""
+    slug = Fraction(45359237 * 980665, 10**13) / Fraction(3048, 10**4)
+    assert exact_quantity("2 slug") == (2 * slug, 0)
+    assert exact_quantity("1 slug/ft^3") == (slug / Fraction("0.3048") ** 3, 0)
+    assert exact_quantity("3 ft") == (Fraction("0.9144"), 0) and exact_quantity("1 slug^0.5") is None
 
 
 @pytest.mark.parametrize(

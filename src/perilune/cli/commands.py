@@ -119,19 +119,20 @@ def _check(typed: Namespace) -> Answer:
         }
         for f in found
     ]
-    lines = [problem.heading]
+    lines = [problem.heading, *(f"  {'read':10} {text}" for text in problem.inputs_read)]
     for row in rows:
         value, limit = (told(row[side], row["unit"]) for side in ("value", "limit"))
         lines.append(f"  {row['verdict']:10} {row['name']}: {value} ({row['relation']} {limit})")
         lines += [f"             {row['meaning']}"] if row["meaning"] else []
+    inputs = {"inputs": list(problem.inputs_read)} if problem.inputs_read else {}
     try:
         refuse_impossible(found)
     except InfeasibleError as error:
         said = refusal(error, error.exit_code)
         lines.append(str(error))
-        return replace(said, text="\n".join(lines), document={**said.document, "findings": rows})
+        return replace(said, text="\n".join(lines), document={**said.document, **inputs, "findings": rows})
     warned = any(f.verdict == "warning" for f in found)
-    document = {"problem": problem.name, "outcome": "POSSIBLE", "warnings": warned, "findings": rows}
+    document = {"problem": problem.name, "outcome": "POSSIBLE", "warnings": warned, **inputs, "findings": rows}
     return Answer(text="\n".join(lines), document=document)
 
 

@@ -80,9 +80,11 @@ def solution_document(solution: Solution) -> dict[str, Any]:
     """
     statistics = solution.statistics
     claims = {"claimed": ["method", "statistics", *_structure(solution)]} if statistics.claimed else {}
+    inputs = {"inputs": list(solution.problem.inputs_read)} if solution.problem.inputs_read else {}
     document = {
         "problem": solution.problem.name,
         "title": solution.problem.title,
+        **inputs,
         "method": solution.method,
         "outcome": solution.outcome.name,
         "within": solution.verification.within,

@@ -12,8 +12,8 @@ at layers' boundaries included. Above and below, a table goes on as exponential 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -23,15 +23,15 @@ from typing import Any
 import numpy as np
 
 from perilune.models import standard_atmosphere
+from perilune.models.air_table import read_air_table
 from perilune.problem.variables import Given
-from perilune.words.bounded import bounded_text
+from perilune.words.bounded import one_line
 from perilune.words.maths import MOST_KNOTS, Table
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 STANDARD_NEAR = 1e-3  # of the density
 NEAR, ROUGHEST = 1e-3, 1e-2  # of the density: aimed at, and refused
-LARGEST_FILE = 1_000_000  # bytes
 _KILOMETRE = 1e3  # m, by which tables count altitudes
 _SEA_LEVEL = 1.225  # kg/m^3, by which they count densities
 _FIRST_KNOTS = 12
@@ -56,6 +56,8 @@ class Air:
         From and up to which altitude [m] the data go.
     near
         How near the table is to them, as a share of the density.
+    said
+        What was read of its file, in words; "" of air that is no file's.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Air:
     bottom: float = float("-inf")
     top: float = float("inf")
     near: float = 0.0
+    said: str = ""
 
     def density(self, altitude: Any, p: Any, m: Any) -> Any:
         """Density [kg/m^3] at an altitude [m], from the parameters of the problem."""
@@ -89,29 +92,23 @@ def standard() -> Air:
 
 
 def from_file(path: str | Path) -> Air:
-    """Air of a file of two columns, altitude [m] and density [kg/m^3], with a line of names or without.
+    """Return the air of a file with a column of altitudes and one of densities, in the units that its headings state.
 
     Parameters
     ----------
     path
-        CSV, altitudes in increasing order, at most 1 MB.
+        A text file of at most 1 MB: cells apart by commas, semicolons, tabs or blanks, altitudes in increasing or in
+        decreasing order. Without headings, or where these state no unit, they are [m] and [kg/m^3].
 
     Raises
     ------
     PeriluneError
-        If it cannot be read, or is no table of positive densities, or is so rough that no smooth table follows it.
+        If it cannot be read, has no altitudes or no positive densities, or is so rough that no smooth table follows it.
     """
     path = Path(path)
-    text = bounded_text(
-        path, "table of air", LARGEST_FILE, expected="a CSV file of altitude [m] and density [kg/m^3]",
-        advice="give the way to it, beside the scenario file",
-    )  # fmt: skip
-    rows = [line.split(",") for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if rows and not _number(rows[0][0]):
-        rows = rows[1:]
-    values = [_row(number, row) for number, row in enumerate(rows, 1)]
-    altitude, density = np.array(values, dtype=float).reshape(-1, 2).T
-    return tabulated(altitude, density, f"air of {path.name}")
+    read = read_air_table(path)
+    name = f"air of {one_line(path.name, 60)}"
+    return replace(tabulated(read.altitude, read.density, name, lines=read.lines), said=read.said)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +189,9 @@ def thermosphere(epoch: datetime, way: Way, *, f107: float, f107a: float, ap: fl
     return tabulated(altitude, density, f"NRLMSIS 2.1 of {utc:%Y-%m-%d %H:%M} UTC")
 
 
-def tabulated(altitude: Vector, density: Vector, name: str, near: float = NEAR) -> Air:
+def tabulated(
+    altitude: Vector, density: Vector, name: str, near: float = NEAR, *, lines: Sequence[int] | None = None
+) -> Air:
     """Air of samples of the density.
 
     Parameters
@@ -203,22 +202,25 @@ def tabulated(altitude: Vector, density: Vector, name: str, near: float = NEAR) 
         What it is, in words.
     near
         How near the table should come to all samples, as a share of the density.
+    lines
+        Where in a file each sample stands, for messages.
 
     Raises
     ------
     PeriluneError
         If the altitudes do not increase, a density is not positive, or no table of `MOST_KNOTS` knots follows them.
     """
-    x, y = _checked(altitude, density, name)
-    places = np.unique(np.linspace(0, len(x) - 1, _FIRST_KNOTS).astype(int)).tolist()
+    places = [f"row {k + 1}" for k in range(len(altitude))] if lines is None else [f"line {k}" for k in lines]
+    x, y = _checked(altitude, density, name, places)
+    knots = np.unique(np.linspace(0, len(x) - 1, _FIRST_KNOTS).astype(int)).tolist()
     while True:
-        table = Table(x=tuple(x[places]), y=tuple(y[places]), kind="smoother")
+        table = Table(x=tuple(x[knots]), y=tuple(y[knots]), kind="smoother")
         away = np.abs(np.expm1(np.clip(table(x) - y, -1.0, 1.0)))
         worst = int(away.argmax())
-        if away[worst] <= near or len(places) in (MOST_KNOTS, len(x)):
+        if away[worst] <= near or len(knots) in (MOST_KNOTS, len(x)):
             break
-        places = sorted({*places, worst})
-    _refuse_rough(x, y, table, float(away[worst]), name)
+        knots = sorted({*knots, worst})
+    _refuse_rough(x, y, table, float(away[worst]), name, places)
     given = _given("air_density", _SEA_LEVEL, "air_height", _KILOMETRE)
     low, high = float(altitude[0]), float(altitude[-1])
     return Air(name=name, given=given, table=table, bottom=low, top=high, near=float(away[worst]))
@@ -228,7 +230,7 @@ def _given(name: str, density: float, height_name: str, height: float) -> Mappin
     return MappingProxyType({name: Given(value=density, unit="kg/m^3"), height_name: Given(value=height, unit="m")})
 
 
-def _checked(altitude: Vector, density: Vector, name: str) -> tuple[Vector, Vector]:
+def _checked(altitude: Vector, density: Vector, name: str, places: Sequence[str]) -> tuple[Vector, Vector]:
     """Altitude in km and the logarithm of the density beside that at sea level."""
     if len(altitude) < 3:
         raise PeriluneError(f"{name}: a table needs rows", got=str(len(altitude)), expected="at least 3")
@@ -236,7 +238,7 @@ def _checked(altitude: Vector, density: Vector, name: str) -> tuple[Vector, Vect
     if len(wrong):
         k = int(wrong[0])
         raise PeriluneError(
-            f"{name}: row {k + 1} is no altitude with a density",
+            f"{name}: {places[k]} is no altitude with a density",
             got=f"{altitude[k]:g} m, {density[k]:g} kg/m^3",
             expected="finite numbers, and a density above 0",
             advice="leave the row out: above and below its ends a table goes on as exponential air does",
@@ -245,15 +247,15 @@ def _checked(altitude: Vector, density: Vector, name: str) -> tuple[Vector, Vect
     if len(back):
         k = int(back[0])
         raise PeriluneError(
-            f"{name}: altitudes do not increase at row {k + 2}",
+            f"{name}: altitudes do not increase at {places[k + 1]}",
             got=f"{altitude[k]:g} m, then {altitude[k + 1]:g} m",
-            expected="increasing altitudes, each once",
+            expected="altitudes in order, each once",
             advice="sort the rows by altitude",
         )
     return altitude / _KILOMETRE, np.round(np.log(density / _SEA_LEVEL), _DIGITS)
 
 
-def _refuse_rough(x: Vector, y: Vector, table: Table, away: float, name: str) -> None:
+def _refuse_rough(x: Vector, y: Vector, table: Table, away: float, name: str, places: Sequence[str]) -> None:
     """Refuse samples that a smooth table misses, or between which it swings."""
     if away > ROUGHEST:
         raise PeriluneError(
@@ -268,27 +270,8 @@ def _refuse_rough(x: Vector, y: Vector, table: Table, away: float, name: str) ->
     k = int(swing.argmax())
     if swing[k] > ROUGHEST:
         raise PeriluneError(
-            f"{name}: a smooth table swings between two rows",
+            f"{name}: a smooth table swings between {places[k]} and {places[k + 1]}",
             got=f"between {x[k]:g} and {x[k + 1]:g} km it leaves the range of both densities",
             expected="densities that lead from one to the next",
             advice="add rows there, evenly spaced",
         )
-
-
-def _number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _row(number: int, row: list[str]) -> tuple[float, float]:
-    if len(row) != 2 or not all(map(_number, row)):
-        raise PeriluneError(
-            f"row {number} of the table of air is no pair of numbers",
-            got=",".join(row)[:60],
-            expected="altitude [m], density [kg/m^3]",
-            advice="two columns with a comma between, and nothing else; a line that begins with # is a comment",
-        )
-    return float(row[0]), float(row[1])

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 
 _MOST_TOLD = 4  # values that were given later, in a heading
+_LONGEST_INPUT = 600  # characters of what was read of a file
 
 
 class ShownProblem:
@@ -42,6 +43,11 @@ class ShownProblem:
         ]
         said = ", ".join([*later[:_MOST_TOLD], *([f"{len(later) - _MOST_TOLD} more"] if later[_MOST_TOLD:] else [])])
         return one_line(self.title or self.name) + (f", but with {said}" if said else "")
+
+    @property
+    def inputs_read(self: Any) -> tuple[str, ...]:
+        """What was read of its files, as it may be printed (`Views.inputs`)."""
+        return tuple(one_line(text, _LONGEST_INPUT) for text in self.views.inputs)
 
     def __repr__(self: Any) -> str:
         phases = ", ".join(f"{p.name} ({len(p.states)} states)" for p in self.phases)

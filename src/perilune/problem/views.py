@@ -195,6 +195,8 @@ class Views:
         What the fourth value of `Phase.track` is, the least height there [m]; "" where there is none.
     space
         Where in space the flight is, or None.
+    inputs
+        What was read of each file that the problem is made of, in a sentence: its rows, units and ranges.
     """
 
     histories: tuple[History, ...] = ()
@@ -209,10 +211,12 @@ class Views:
     corridor: Corridor | None = None
     dispersion: Dispersion | None = None
     space: Space | None = None
+    inputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         demand_row(self.histories, "figures", History)
         demand_row(self.peaks, "peaks", str)
+        demand_row(self.inputs, "sentences on files", str)
         _demand_texts(self, "Views", "height", "radius", "frame", "label", "floor")
         for name, kind in _PARTS.items():
             if (part := getattr(self, name)) is not None:

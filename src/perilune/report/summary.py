@@ -45,6 +45,8 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         head = "extremals, best first" if len(rows) > 2 else "extremal"
         lines += ["", head + (f" ({_AGAIN})" if solution.statistics.claimed else "")]
         lines += ["  " + "  ".join(f"{cell:>{width}}" for cell, width in _padded(rows, row)) for row in rows]
+    if solution.problem.inputs_read:
+        lines += ["", *(f"read: {text}" for text in solution.problem.inputs_read)]
     verification = solution.verification
     lines += ["", f"verification: {verification.headline}"]
     if solution.statistics.claimed and verification.text:
@@ -93,6 +95,8 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
             + (f" ({_AGAIN})." if solution.statistics.claimed else "."),
             table(rows[0], rows[1:]),
         ]
+    if solution.problem.inputs_read:
+        parts += ["## Files read", "\n".join(f"- {text}" for text in solution.problem.inputs_read)]
     parts += ["## Proof", _proof(solution)]
     parts += [] if solution.statistics.claimed else ["## How it was found", _how(solution)]
     names = list(figures)

@@ -47,6 +47,7 @@ _UNITS: dict[str, tuple[float, tuple[int, ...]]] = {
     "MN": (1e6, (1, -2, 1)),
     "lbf": (_POUND * STANDARD_GRAVITY, (1, -2, 1)),
     "lb": (_POUND, (0, 0, 1)),
+    "slug": (_POUND * STANDARD_GRAVITY / _FOOT, (0, 0, 1)),
     "ft": (_FOOT, (1, 0, 0)),
     "g0": (STANDARD_GRAVITY, (1, -2, 0)),
     "Pa": (1.0, (-1, -2, 1)),
@@ -69,6 +70,8 @@ _FACTOR = re.compile(r"([A-Za-z]+0?|1|%)(?:\^(-?\d(?:\.[05])?))?", re.ASCII)
 _NO_FINITE = "[+-]?(?i:nan|inf|infinity)(?![A-Za-z])"  # read too, so that this is what is said of it
 _QUANTITY = re.compile(rf"\s*({_NUMBER}|{_NO_FINITE})\s*(.{{0,60}}?)\s*", re.DOTALL | re.ASCII)
 _BASE_NAMES = ("m", "s", "kg", "K")
+# Factors that are no decimal of a few digits.
+_EXACT = {"slug": Fraction(repr(_POUND)) * Fraction(repr(STANDARD_GRAVITY)) / Fraction(repr(_FOOT))}
 
 
 @lru_cache(maxsize=256)
@@ -243,11 +246,12 @@ def exact_quantity(text: str) -> tuple[Fraction, int] | None:
     for name, power in _powers(match.group(2) or "1"):
         degrees = name == "deg"
         # Every other factor is a decimal of a few digits, which are those of its double.
-        size = Fraction(1, 180) if degrees else Fraction(repr(_UNITS[name][0]))
+        factor = _EXACT.get(name) or Fraction(repr(_UNITS[name][0]))
+        size = Fraction(1, 180) if degrees else factor
         around += power * degrees
         if not power.is_integer():
             size, power = Fraction(math.isqrt(size.numerator), math.isqrt(size.denominator)), 2 * power
-            if degrees or size**2 != Fraction(repr(_UNITS[name][0])):
+            if degrees or size**2 != factor:
                 return None
         number *= size ** int(power)
     return number, int(around)

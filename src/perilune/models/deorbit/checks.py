@@ -99,7 +99,7 @@ def refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | No
                 f"{air.name} ends before the flight does",
                 got=f"data from {air.bottom / 1e3:g} to {air.top / 1e3:g} km, and {name} = {altitude / 1e3:g} km",
                 expected="data from the site up to the interface",
-                advice=f"more rows, or another {name}",
+                advice=f"more rows, or another {name}" + (f"; its file was read as {air.said}" if air.said else ""),
             )
 
 

@@ -16,6 +16,9 @@ kilometres within a turn: `slack` stands for that.
 
 *Slow enough.* What `fall` says of arriving at the site.
 
+*A file of air.* Its densities and those of the standard atmosphere of the body, which differ by less than a factor of
+three between solar minimum and maximum where they are compared: beyond ten a unit is wrong.
+
 *Sideways.* What `passes` says of a site that is out of the plane of the orbit; lift may reach further, and is only
 warned.
 """
@@ -27,6 +30,8 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from perilune.models import ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.ballistic import borne_at_least
@@ -37,6 +42,7 @@ from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, pa
 from perilune.models.deorbit.records import velocity_change
 from perilune.models.deorbit.secular import drift
 from perilune.models.deorbit.skip import leaves_again
+from perilune.models.standard_atmosphere import LOWEST, density as standard_density
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Physics
@@ -45,12 +51,32 @@ _DEGREE = math.degrees(1.0)
 OFF_PLANE = math.radians(0.5)  # of oblateness and of what the air does
 _DAY = 86400.0  # s
 _AHEAD = 3 * _DAY  # looked at for a pass that can be made
+_COMPARED_TO, _COMPARED_AT = 200e3, 401  # m, above which the Sun changes densities by more; altitudes
+_OTHER_AIR = 10.0  # times a density
 
 
-def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: bool) -> tuple[Finding, ...]:
-    """Every comparison of a return, for `Problem.preflight`."""
+def compare_return(
+    p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: bool, standard: bool
+) -> tuple[Finding, ...]:
+    """Return every comparison of a return, for `Problem.preflight`.
+
+    Parameters
+    ----------
+    p, m
+        Parameters [SI] and the maths namespace.
+    angles
+        Argument of latitude and node at t = 0 [rad].
+    air
+        Air below the interface, or None.
+    drifts
+        Whether a coast follows the burn.
+    standard
+        Whether the standard atmosphere, 1976, is that of the body.
+    """
     low, high = extremes(p)
     found = _above_interface(p, m, low, angles)
+    if air is not None and air.said and standard:
+        found += _like_standard(air)
     if hasattr(p, "vehicle_dry_mass"):
         found += [_comes_down(p, m, low, high), *_at_interface(p, m)]
         if not hasattr(p, "transition_longest_coast"):
@@ -62,6 +88,27 @@ def compare_return(p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: 
         found += _slow_enough(p, air, fallen)
         found += _in_plane(p, angles, fallen, drifts=drifts) if hasattr(p, "site_longitude") else ()
     return tuple(found)
+
+
+def _like_standard(air: Air) -> list[Finding]:
+    """By which factor the air of a file is denser or thinner than the standard, where this is most."""
+    low, high = max(air.bottom, LOWEST), min(air.top, _COMPARED_TO)
+    if low >= high:
+        return []
+    altitude = np.linspace(low, high, _COMPARED_AT)
+    own = SimpleNamespace(**{name: given.value for name, given in air.given.items()})
+    share = air.density(altitude, own, NUMERIC) / standard_density(altitude)
+    factor = np.maximum(share, 1 / share)
+    worst = int(factor.argmax())
+    return [
+        Finding(
+            name="factor between its densities and the US Standard Atmosphere 1976", value=float(factor[worst]),
+            limit=_OTHER_AIR, at_least=False, unit="1", binding=False,
+            meaning=f"at {altitude[worst] / 1e3:.3g} km the {air.name} has {share[worst]:.3g} times the density of the"
+            f" US Standard Atmosphere 1976; its file was read as {air.said}",
+            advice="look at the units in its headings, and at the order of its columns",
+        )
+    ]  # fmt: skip
 
 
 def _above_interface(p: Any, m: Any, low: Any, angles: Physics) -> list[Finding]:

@@ -363,7 +363,7 @@ def deorbit_entry(
         results=told_results,
         result_variables=told.of_flight(names),
         views=told.views(
-            air=flown is not None,
+            air=flown,
             heat=nose,
             coasts=_is_the_earth(body),
             given=given,
@@ -371,7 +371,9 @@ def deorbit_entry(
             epoch=epoch or "",
         ),
         declared=stated,
-        preflight=partial(compare_return, angles=angles, air=flown, drifts="drift" in names),
+        preflight=partial(
+            compare_return, angles=angles, air=flown, drifts="drift" in names, standard=_is_the_earth(body)
+        ),
         ranges=partial(_ranges, angles=angles, air=flown, names=names),
         rough_flight=partial(times.picture, angles=angles, air=flown, names=names, heat=heat),
         scales=Scales(length=float(body.radius), time=time, mass=float(vehicle.mass)),

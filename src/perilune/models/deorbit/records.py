@@ -238,7 +238,8 @@ class Atmosphere:
     )
     file: str | None = words(
         "my_air.csv", default=None, file=True,
-        about="altitude [m], density [kg/m^3] in two columns, at most 1 MB; beside the scenario",
+        about="columns of altitude and density in the units of their headings, else m and kg/m^3; at most 1 MB,"
+        " in the scenario's folder",
     )  # fmt: skip
     f107: float | None = quantity(
         "1", "150", default=None, above=0.0, most=1000.0, about="solar flux of the day before [1e-22 W/m^2/Hz]"

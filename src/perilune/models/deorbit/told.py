@@ -169,7 +169,7 @@ def dispersion(given: Iterable[str]) -> Dispersion:
     )  # fmt: skip
 
 
-def views(*, air: bool, heat: bool, coasts: bool, given: Iterable[str], body: str = "", epoch: str = "") -> Views:
+def views(*, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], body: str = "", epoch: str = "") -> Views:
     """Figures of a return, with air or without, with heat or without, over a body whose coasts are known or not."""
     peaks = (("dynamic_pressure", "load") if air else ()) + (("heat_rate",) if air and heat else ())
     return Views(
@@ -196,4 +196,5 @@ def views(*, air: bool, heat: bool, coasts: bool, given: Iterable[str], body: st
             body=body, rotation="body_rotation_rate", epoch=epoch,
             longitude="longitude", latitude="latitude", height="altitude",
         ),
+        inputs=(f"{air.name}: {air.said}",) if air and air.said else (),
     )  # fmt: skip
