@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -234,6 +235,20 @@ def test_extremals_are_told_by_what_their_parameters_decide(hybrid: Solution) ->
     assert [row["landed_mass"] for row in rows] == [-e.objective for e in hybrid.extremals]
     assert rows[0]["flight_time"] == hybrid.free["flight_time"]
     assert "propellant" not in rows[0]  # it needs the flight
+
+
+def test_results_receive_the_records_that_all_physics_does(hybrid: Solution) -> None:
+    """Of an extremal the states at its ends are not known: NaN in a record of the same type, and not of another."""
+    stated = hybrid.problem.results
+    assert stated is not None
+
+    def asked(first: Any, last: Any, p: Any, m: Any) -> Any:
+        assert last._fields == hybrid.problem.phases[-1].state_names
+        return stated(first._replace(m=first.m), SimpleNamespace(**last._asdict()), p, m)
+
+    by_record = replace(hybrid, problem=replace(hybrid.problem, results=asked))
+    assert extremals_document(by_record) == extremals_document(hybrid)
+    assert by_record.results == hybrid.results
 
 
 def test_legends_come_from_the_problem(hybrid: Solution, ordinary: Solution) -> None:

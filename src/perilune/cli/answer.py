@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from perilune.cli.stopping import STOPPED
@@ -34,38 +35,108 @@ def deliver(as_json: bool, work: Callable[[], Answer]) -> int:
         answer = refusal(stopped(*error.args), INTERRUPTED)
     except Exception as error:
         # Foreign code that is met by Ctrl-C may make an error of its own of it.
-        answer = refusal(stopped(), INTERRUPTED) if STOPPED.is_set() else _failed(error)
+        answer = refusal(stopped(), INTERRUPTED) if STOPPED.is_set() else failed(error)
     return say(answer, as_json)
 
 
-def _failed(error: Exception) -> Answer:
-    """What is said where a command cannot go on."""
-    tracing = os.environ.get("PERILUNE_TRACEBACK")
-    if isinstance(error, PeriluneError):
-        if tracing and (behind := error.__cause__ or error.__context__) is not None:  # for who wrote what failed
-            from traceback import format_exception
+class Files:
+    """Files that are written of an answer, which is given all the same where they cannot be.
 
-            aside("".join(format_exception(behind)))
-        return refusal(error, error.exit_code)
+    Where its result itself is not there, the exit code is that of the fault, unless the answer has another.
+    """
+
+    def __init__(self) -> None:
+        self.failed: list[PeriluneError] = []
+        self._code = 0
+
+    @contextmanager
+    def written(self) -> Iterator[None]:
+        """Catch what a writer raises; Ctrl-C goes on, also where foreign code made an error of its own of it."""
+        try:
+            yield
+        except Exception as error:
+            if STOPPED.is_set():
+                raise
+            from perilune.io.files import NotWrittenError
+
+            if isinstance(error, NotWrittenError):
+                self.failed += error.failed
+                return
+            self._code, worded = _code_of(error), _worded(error)
+            if worded is not error:
+                worded.__cause__ = error
+            if str(worded) not in map(str, self.failed):  # a full disk says the same of all
+                self.failed.append(worded)
+
+    def tell(self) -> None:
+        """Print on stderr what is said of files that failed."""
+        for error in self.failed:
+            _trace(error)
+            aside(f"perilune: {error}")
+
+    def noted(self, answer: Answer) -> Answer:
+        """Return the answer with what is said of files that failed, and print it on stderr."""
+        self.tell()
+        if not self.failed:
+            return answer
+        document = {**answer.document, "not_written": [_parts(error) for error in self.failed]}
+        return replace(answer, document=document, exit_code=answer.exit_code or self._code)
+
+    def placed(self, answer: Answer, out: Path | None) -> Answer:
+        """Return the same, with where the files are as the last words."""
+        if out is not None and not self._code:
+            but = f", but for {len(self.failed)} of its files" if self.failed else ""
+            answer = replace(answer, text=f"{answer.text}\n\nwritten to {out}{but}")
+        return self.noted(answer)
+
+
+def failed(error: Exception) -> Answer:
+    """Return what is said where a command cannot go on."""
+    if isinstance(error, PeriluneError):
+        _trace(error)
+    elif os.environ.get("PERILUNE_TRACEBACK") and not isinstance(error, OSError):
+        raise error
+    return refusal(_worded(error), _code_of(error))
+
+
+def _trace(error: PeriluneError) -> None:
+    """Print what is behind an error, where it is asked for by who wrote what failed."""
+    if os.environ.get("PERILUNE_TRACEBACK") and (behind := error.__cause__ or error.__context__) is not None:
+        from traceback import format_exception
+
+        aside("".join(format_exception(behind)))
+
+
+def _code_of(error: Exception) -> int:
+    if isinstance(error, PeriluneError):
+        return error.exit_code
+    return 2 if isinstance(error, OSError) or _missing(error) else 1
+
+
+def _missing(error: Exception) -> str:
+    """Name of a package that is not installed; "" for any other error."""
+    found = isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("perilune")
+    return str(error.name) if found and isinstance(error, ModuleNotFoundError) else ""
+
+
+def _worded(error: Exception) -> PeriluneError:
+    """Return any error in our four parts."""
+    if isinstance(error, PeriluneError):
+        return error
     if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename else ""
-        fault = PeriluneError(
+        return PeriluneError(
             "a file cannot be read or written",
             got=f"{place}{error.strerror}",
             advice="choose another place; look at its rights and at the space that is left",
         )
-        return refusal(fault, 2)
-    if tracing:
-        raise error
-    if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("perilune"):
-        missing = PeriluneError(f"perilune needs {error.name}, which is not installed", advice="pip install perilune")
-        return refusal(missing, 2)
-    fault = PeriluneError(
+    if missing := _missing(error):
+        return PeriluneError(f"perilune needs {missing}, which is not installed", advice="pip install perilune")
+    return PeriluneError(
         "perilune failed, which is a fault of the program and not yours",
         got=f"{type(error).__name__}: {str(error)[:300]}",
         advice="report it with your scenario and what PERILUNE_TRACEBACK=1 shows",
     )
-    return refusal(fault, 1)
 
 
 def stopped(advice: str = "") -> PeriluneError:
@@ -75,13 +146,17 @@ def stopped(advice: str = "") -> PeriluneError:
 
 def refusal(error: PeriluneError, code: int) -> Answer:
     """What is said of an error."""
-    parts = {"what": error.what, "got": error.got, "expected": error.expected, "try": error.advice}
+    parts = _parts(error)
     document: dict[str, Any] = {"outcome": OUTCOME_OF_CODE.get(code, "REFUSED"), "error": parts}
     if isinstance(error, InfeasibleError):
         parts["reason"] = error.reason
     if isinstance(error, NotConvergedError) or (isinstance(error, InfeasibleError) and error.partial):
         document["partial"] = error.partial
     return Answer(text=f"perilune: {error}", document=document, exit_code=code)
+
+
+def _parts(error: PeriluneError) -> dict[str, str]:
+    return {"what": error.what, "got": error.got, "expected": error.expected, "try": error.advice}
 
 
 def say(answer: Answer, as_json: bool) -> int:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from perilune.cli.answer import Answer, aside, deliver, refusal, say, tell
+from perilune.cli.answer import Answer, Files, aside, deliver, failed, refusal, say, tell
 from perilune.cli.arguments import Told, help_text, parsed, settings
 from perilune.cli.doctor import diagnosis
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
@@ -50,24 +50,28 @@ def _solve(typed: Namespace) -> Answer:
     from perilune.solve import solve as solve_problem
 
     log: deque[str] = deque(maxlen=LONGEST_LOG)
-    kept = ""
+    kept, files = "", Files()
     with advised(lambda: kept), progress(typed.verbose, log) as watch:
         with failure_kept(scenario, out, typed.force, log):
             solution = solve_problem(
                 scenario.problem, chosen, level=typed.level, tolerance=scenario.tolerance, watch=watch
             )
             if out is not None:
-                with put_off():
+                with put_off(), files.written():
                     from perilune.io.export import save
 
                     save(solution, out, scenario.text, force=typed.force)
                     kept = f"the solution is in {out}; its figures and the report may be missing"
         if out is not None:
-            from perilune.report import add_report
-
             watch("writing figures and the report")
-            add_report(solution, out, scenario_text=scenario.text, ordinary=_beside(solution))
-    return _solution_answer(solution, typed.verbose, out)
+            ordinary = None
+            with files.written():
+                ordinary = _beside(solution)
+            with files.written():
+                from perilune.report import add_report
+
+                add_report(solution, out, scenario_text=scenario.text, ordinary=ordinary)
+    return files.placed(_solution_answer(solution, typed.verbose), out)
 
 
 def _beside(solution: Solution) -> Solution | None:
@@ -86,13 +90,28 @@ def _beside(solution: Solution) -> Solution | None:
         return None
 
 
-def _solution_answer(solution: Solution, verbose: bool, out: Path | None = None) -> Answer:
+def _solution_answer(solution: Solution, verbose: bool) -> Answer:
     from perilune.io.export import solution_document
     from perilune.report.summary import solution_summary
 
     heed()
-    text = solution_summary(solution, every_check=verbose) + (f"\n\nwritten to {out}" if out is not None else "")
-    return Answer(text=text, document=solution_document(solution), exit_code=solution.outcome.exit_code)
+    try:
+        text, document = solution_summary(solution, every_check=verbose), solution_document(solution)
+    except Exception as error:
+        return _plain_answer(solution, failed(error))
+    return Answer(text=text, document=document, exit_code=solution.outcome.exit_code)
+
+
+def _plain_answer(solution: Solution, fault: Answer) -> Answer:
+    """What is known of a flight without computing anything of it, where a fault keeps its results from being told."""
+    problem = solution.problem
+    units = {"objective": problem.objective_unit, **{free.name: free.unit for free in problem.free}}
+    values = {"objective": float(solution.objective), **solution.free}
+    aside(fault.text)
+    lines = [f"{problem.heading}: {solution.outcome.name}, and its results cannot be told", ""]
+    lines += [f"  {name}: {told(value, units.get(name, ''))}" for name, value in values.items()]
+    document = {"problem": problem.name, "outcome": solution.outcome.name, "values": values, "fault": fault.document}
+    return Answer(text="\n".join(lines), document=document, exit_code=fault.exit_code)
 
 
 def _sweep(typed: Namespace) -> Answer:
@@ -161,24 +180,31 @@ def _atlas(typed: Namespace) -> Answer:
 def _verify(typed: Namespace) -> Answer:
     from perilune.report.beside import proved_directory
 
+    certificate = typed.certificate
+    if certificate is not None:
+        from perilune.io.files import new_file
+
+        certificate = new_file(certificate, "the certificate", typed.force)  # refused before the work, not after it
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
         solution = proved_directory(typed.directory, typed.level, watch)
-    answer = _solution_answer(solution, typed.verbose)
-    if typed.certificate is None:
+    answer, files = _solution_answer(solution, typed.verbose), Files()
+    if certificate is None:
         return answer
-    return replace(answer, text=f"{answer.text}\n\n{_certified(solution, typed)}")
+    with files.written():
+        answer = replace(answer, text=f"{answer.text}\n\n{_certified(solution, certificate)}")
+    return files.noted(answer)
 
 
-def _certified(solution: Solution, typed: Namespace) -> str:
+def _certified(solution: Solution, file: Path) -> str:
     """Write the certificate of a theorem; what is said of it."""
-    from perilune.io.files import json_text
+    from perilune.io.files import fresh_file, json_text
 
     if solution.verification.certificate is None:
         return "no certificate was written, as there is no theorem"
     text = json_text(dict(solution.verification.certificate))
-    with typed.certificate.open("w" if typed.force else "x", encoding="utf-8") as opened:
-        opened.write(text)
-    return f"certificate written to {typed.certificate}"
+    with fresh_file(file, "the certificate") as beside:
+        beside.write_text(text, encoding="utf-8")
+    return f"certificate written to {file}"
 
 
 def _export(typed: Namespace) -> Answer:

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from perilune.cli.answer import Answer
+from perilune.cli.answer import Answer, Files
 from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
 from perilune.cli.stopping import advised, heed
 from perilune.cli.sweeping import elsewhere, ranges, varied
@@ -146,15 +146,16 @@ def _query(typed: Namespace) -> Answer:
     answer = atlas.query(**values)
     solution = prove(answer, typed.prove) if typed.prove else answer
     heed()
+    files = Files()
     if typed.out is not None:
-        from perilune.report import write_all
+        with files.written():
+            from perilune.report import write_all
 
-        write_all(solution, typed.out, scenario_text=None, force=typed.force)
+            write_all(solution, typed.out, scenario_text=None, force=typed.force)
     lines = [solution_summary(solution, every_check=typed.verbose), "", *_query_lines(answer.query)]
     code = solution.outcome.exit_code if typed.prove else 0
-    return Answer(
-        text="\n".join(lines), document={**solution_document(solution), "query": asdict(answer.query)}, exit_code=code
-    )
+    document = {**solution_document(solution), "query": asdict(answer.query)}
+    return files.placed(Answer(text="\n".join(lines), document=document, exit_code=code), typed.out)
 
 
 def _export(typed: Namespace) -> Answer:

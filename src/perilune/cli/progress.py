@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from perilune.cli.answer import INTERRUPTED, aside, refusal, stopped
+from perilune.cli.answer import INTERRUPTED, Files, aside, refusal, stopped
 from perilune.cli.stopping import STOPPED, heed
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
@@ -113,9 +113,11 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
             said = refusal(known, getattr(error, "exit_code", INTERRUPTED))
             told = scenario.text
             origin = None if told is None else {"sha256": hash_of(told), "text": told}
-            with fresh_directory(out, force) as work:
+            files = Files()
+            with files.written(), fresh_directory(out, force) as work:
                 document = {**said.document, "log": list(log), "scenario": origin, "versions": versions()}
                 if (flight := getattr(error, "flight", None)) is not None:
                     document["flight"] = whole_document(flight)
                 (work / FAILURE_FILE).write_text(json_text(document), encoding="utf-8")
+            files.tell()
         raise

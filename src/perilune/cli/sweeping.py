@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from perilune.cli.answer import INTERRUPTED, Answer
+from perilune.cli.answer import INTERRUPTED, Answer, Files
 from perilune.cli.arguments import settings
 from perilune.cli.methods import method_of
 from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
@@ -60,8 +60,10 @@ def sweep_answer(order: Namespace) -> Answer:
         if family.points and all(p.outcome is outcome for p in family.points):
             first, names = family.points[0].message, " and ".join(family.parameters)
             raise error(f"no value of {names} is possible", got=first, advice="try another range")
+    files = Files()
     if order.out is not None:
-        write_family(family, order.out, force=True)  # what may not be replaced was refused above
+        with files.written():
+            write_family(family, order.out, force=True)  # what may not be replaced was refused above
     codes = [p.solution.outcome.exit_code if p.solution else 4 for p in family.points]
     # At level 0 no proof was asked for, so none is missing.
     worst = max((c for c in codes if c != 5 or order.level), default=0, key=(0, 5, 4).index)
@@ -73,7 +75,7 @@ def sweep_answer(order: Namespace) -> Answer:
             total *= len(values)
         note(f"stopped by the user with {len(family.points)} of {total} values done, which are kept")
     code = INTERRUPTED if family.interrupted else worst
-    return Answer(text=family_csv(family), document=family_document(family), exit_code=code)
+    return files.noted(Answer(text=family_csv(family), document=family_document(family), exit_code=code))
 
 
 @contextmanager

@@ -15,23 +15,23 @@ import platform
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from perilune import __version__ as perilune_version
 from perilune.io.columns import columns, per_unit, rounded
-from perilune.io.files import finite, fresh_directory, json_text
+from perilune.io.files import finite, fresh_directory, json_text, refuse_unwritten, write_each
 from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.io.physics import physics_document
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.solution import Curve, Solution, Trajectory, results_between
 from perilune.problem.tolerance import unit_of
 from perilune.problem.verification import Check, Verification
 from perilune.words.asked import called_in_words, demand, refused
-from perilune.words.maths import NUMERIC
+from perilune.words.outcome import PeriluneError
 
 INTERPOLATION = {
     "state": "cubic Hermite",
@@ -140,14 +140,11 @@ def extremals_document(solution: Solution) -> list[dict[str, Any]]:
     Where J is the negative of a result, that result stands for it.
     """
     problem = solution.problem
-    unknown = [SimpleNamespace(**dict.fromkeys(problem.phases[k].state_names, math.nan)) for k in (0, -1)]
+    first, last = ([math.nan] * len(problem.phases[k].states) for k in (0, -1))
     rows = []
     for extremal in solution.extremals:
-        known: dict[str, Any] = {}
-        if problem.results is not None:
-            values = problem.results(*unknown, problem.parameters({**solution.free, **extremal.free}), NUMERIC)
-            known = {v.name: float(value) for v, value in zip(problem.result_variables, values, strict=True)}
-        known = {name: value for name, value in known.items() if math.isfinite(value)}
+        found = results_between(problem, first, last, problem.parameters({**solution.free, **extremal.free}))
+        known: dict[str, Any] = {name: r.value for name, r in found.items() if math.isfinite(r.value)}
         best = {problem.maximised: -extremal.objective} if problem.maximised else {"objective": extremal.objective}
         rows.append({**known, **{k: float(v) for k, v in best.items()}, "nature": extremal.nature.value})
     return rows
@@ -174,6 +171,8 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
 
     Raises
     ------
+    NotWrittenError
+        If a table cannot be written; ``solution.json`` and the other tables are there then.
     PeriluneError
         If the directory cannot be written, or is not empty and `force` is false.
     """
@@ -181,14 +180,19 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
     if not isinstance(scenario_text, str | None):
         raise refused(scenario_text, "a text, or None for a problem in Python", "the text of a scenario")
     with fresh_directory(directory, force) as work:
-        write_solution_files(solution, work, scenario_text)
+        failed = write_solution_files(solution, work, scenario_text)
+    refuse_unwritten(failed)
 
 
-def write_solution_files(solution: Solution, directory: Path, scenario_text: str | None) -> None:
-    """As `save`, into a directory that exists."""
+def write_solution_files(solution: Solution, directory: Path, scenario_text: str | None) -> list[PeriluneError]:
+    """Write the files of `save` into a directory that exists; return what is said of tables that failed."""
     (directory / SOLUTION_FILE).write_text(json_text(whole_document(solution, scenario_text)), encoding="utf-8")
-    for k in range(len(solution.trajectories)):
-        (directory / trajectory_name(solution, k)).write_text(trajectory_csv(solution, k), encoding="utf-8", newline="")
+
+    def table(path: Path, k: int) -> None:
+        path.write_text(trajectory_csv(solution, k), encoding="utf-8", newline="")
+
+    tables = {trajectory_name(solution, k): partial(table, k=k) for k in range(len(solution.trajectories))}
+    return write_each(directory, tables)
 
 
 def solution_files(solution: Solution) -> list[str]:

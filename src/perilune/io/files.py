@@ -1,7 +1,8 @@
 """Writing to disk so that a reader sees either the whole result or nothing of it.
 
 Everything is written into a temporary directory beside the target and moved when it is complete, so an error
-or Ctrl-C in the middle leaves the target as it was. A killed process leaves that directory; the next writer of the same
+or Ctrl-C in the middle leaves the target as it was; a file that only repeats the result, such as a figure, may fail for
+itself (`write_each`). A killed process leaves that directory; the next writer of the same
 target removes it. Nothing that is there already is overwritten unless the caller says so. Then what an earlier run
 wrote goes as a whole, so that no figure of it stays beside the new ones; files that this program did not write are
 never removed.
@@ -17,7 +18,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -30,8 +31,23 @@ try:
 except ImportError:  # Windows: what a killed process leaves there stays
     fcntl = None
 
+
+class NotWrittenError(PeriluneError):
+    """Some files of a result could not be written; all others of it are where they belong.
+
+    `failed` has an error in words for each file, whose cause is what its writer raised.
+    """
+
+    def __init__(self, failed: Sequence[PeriluneError]) -> None:
+        first, *more = failed
+        what = f"{first.what}, and {len(more)} more files" if more else first.what
+        super().__init__(what, got=first.got, expected="every file; the others are written", advice=first.advice)
+        self.failed: tuple[PeriluneError, ...] = tuple(failed)
+
+
 FAILURE_FILE = "failure.json"
 FIGURES, DRAWN_BY = "figures", "perilune"  # their folder, and the creator that an SVG names
+DRAWN_AS = (".png", ".svg")  # files of one drawing
 _OF_FILES = set(".csv .czml .gif .html .jpg .json .md .mp4 .nc .oem .parquet .pdf .png .svg .toml .txt .zip".split())
 # What runs write into their directory by name; where others may use the name too, by what is near its head.
 _RESULTS = re.compile(r"(solution|failure|family)\.json|family\.(csv|png|svg)|trajectory(_\d+_\w+)?\.csv")
@@ -146,6 +162,54 @@ def fresh_file(target: Path, what: str) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             beside.unlink()
+
+
+def write_each(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[PeriluneError]:
+    """Write files one by one, so that one that fails takes no other with it.
+
+    Parameters
+    ----------
+    directory
+        Where; folders below it that names go through are made.
+    writers
+        By the name of the file, or of the drawing without its ending: what writes it to a path.
+
+    Returns
+    -------
+    list of PeriluneError
+        One for each file whose writer failed, whatever it raised; nothing of that file is left.
+    """
+    failed = []
+    for name, write in writers.items():
+        path = directory / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(path)
+        except Exception as error:
+            for part in (path, *(path.with_name(f"{path.name}{ending}") for ending in DRAWN_AS)):
+                part.unlink(missing_ok=True)
+            failed.append(unwritten(f"{name} is not written" if path.suffix else f"{name} is not drawn", error))
+    return failed
+
+
+def refuse_unwritten(failed: Sequence[PeriluneError]) -> None:
+    """Raise what is said of files that could not be written, if there are any."""
+    if failed:
+        raise NotWrittenError(failed) from failed[0].__cause__
+
+
+def unwritten(what: str, error: Exception) -> PeriluneError:
+    """Return in words why something is not there: what its writer raised, which is the cause."""
+    if isinstance(error, PeriluneError):
+        got, advice = "; ".join(text for text in (error.what, error.got) if text), error.advice
+    elif isinstance(error, OSError):
+        got, advice = error.strerror or str(error), "make space, or look at the rights there, and write it again"
+    else:
+        got = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+        advice = "a fault of the program: report it with solution.json and what PERILUNE_TRACEBACK=1 shows"
+    found = PeriluneError(what, got=got, advice=advice)
+    found.__cause__ = error
+    return found
 
 
 def in_use(target: Path) -> bool:

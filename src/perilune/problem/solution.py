@@ -276,19 +276,14 @@ class Solution(ShownSolution):
     @cached_property
     def _results(self) -> Mapping[str, Result]:
         problem, p = self.problem, self.parameters
-        first, last = (problem.phases[i].state_record(*self.trajectories[i].state.values[i]) for i in (0, -1))
         if problem.results is None:
             found = {
                 "flight_time": Result(value=self.duration, unit="s"),
                 "objective": Result(value=float(self.objective), unit=problem.objective_unit, description="J"),
             }
         else:
-            try:
-                with np.errstate(all="ignore"):
-                    values = problem.results(first, last, p, NUMERIC)
-            except ArithmeticError:  # a file may hold what nothing can be computed with
-                values = [np.nan] * len(problem.result_variables)
-            found = _named(problem.result_variables, values)
+            first, last = (self.trajectories[i].state.values[i] for i in (0, -1))
+            found = results_between(problem, first, last, p)
         for k, phase in enumerate(problem.phases):
             with np.errstate(all="ignore"):
                 found |= _named(
@@ -362,6 +357,23 @@ class Solution(ShownSolution):
 def full(values: Any, t: Vector) -> Vector:
     """A quantity at every time, also where the physics returns one number for all."""
     return np.broadcast_to(np.asarray(values, dtype=float), np.shape(t))
+
+
+def results_between(problem: Problem, first: Sequence[float], last: Sequence[float], p: Any) -> dict[str, Result]:
+    """Return what `Problem.results` makes of the states at both ends of a flight, NaN where it cannot be computed.
+
+    The states come to the problem's function as the records that all its functions receive; components that are not
+    known may be NaN.
+    """
+    if problem.results is None:
+        return {}
+    ends = [phase.state_record(*x) for phase, x in ((problem.phases[0], first), (problem.phases[-1], last))]
+    try:
+        with np.errstate(all="ignore"):
+            values = problem.results(*ends, p, NUMERIC)
+    except ArithmeticError:  # a file may hold what nothing can be computed with
+        values = [np.nan] * len(problem.result_variables)
+    return _named(problem.result_variables, values)
 
 
 def _named(variables: Sequence[Variable], values: Sequence[Any]) -> dict[str, Result]:

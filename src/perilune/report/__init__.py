@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from perilune.problem.solution import Solution
+from perilune.words.outcome import PeriluneError
 
 REPORT_FILE = "report.md"
 
@@ -35,15 +38,18 @@ def write_all(
 
     Raises
     ------
+    NotWrittenError
+        If a file beside ``solution.json`` cannot be written; all others are there then.
     PeriluneError
         If the directory cannot be written, or is not empty and `force` is false.
     """
     from perilune.io.export import write_solution_files
-    from perilune.io.files import fresh_directory
+    from perilune.io.files import fresh_directory, refuse_unwritten
 
     with fresh_directory(out_dir, force) as work:
-        write_solution_files(solution, work, scenario_text)
-        _write_report(solution, work, scenario_text, ordinary)
+        failed = write_solution_files(solution, work, scenario_text)
+        failed += _write_report(solution, work, scenario_text, ordinary)
+    refuse_unwritten(failed)
 
 
 def add_report(
@@ -51,21 +57,39 @@ def add_report(
 ) -> None:
     """Write the same beside what `perilune.save` wrote of the solution, which stays where this ends by an error."""
     from perilune.io.export import solution_files
-    from perilune.io.files import fresh_directory
+    from perilune.io.files import fresh_directory, refuse_unwritten
 
     with fresh_directory(directory, force=True) as work:
         for name in solution_files(solution):
-            shutil.copy2(directory / name, work)
-        _write_report(solution, work, scenario_text, ordinary)
+            if (directory / name).is_file():  # a table may have failed
+                shutil.copy2(directory / name, work)
+        failed = _write_report(solution, work, scenario_text, ordinary)
+    refuse_unwritten(failed)
 
 
-def _write_report(solution: Solution, work: Path, scenario_text: str | None, ordinary: Solution | None) -> None:
-    from perilune.report.figures import save, solution_figures
+def _write_report(
+    solution: Solution, work: Path, scenario_text: str | None, ordinary: Solution | None
+) -> list[PeriluneError]:
+    """Write figures and report into a directory; return what is said of those that failed."""
+    from matplotlib.figure import Figure
+
+    from perilune.io.files import FIGURES, unwritten, write_each
+    from perilune.report.figures import drawings, save
     from perilune.report.summary import solution_markdown
 
-    (work / "figures").mkdir()
-    drawn = solution_figures(solution, ordinary)
-    for name, figure in drawn.items():
-        save(figure, work / "figures", name)
-    report = solution_markdown(solution, drawn, scenario_text or "")
-    (work / REPORT_FILE).write_text(report, encoding="utf-8")
+    known, failed = dict[str, Callable[[], Figure]](), list[PeriluneError]()
+    drawn = []
+    try:
+        known = drawings(solution, ordinary)
+    except Exception as error:  # of what all figures share
+        failed.append(unwritten("no figure is drawn", error))
+
+    def figure(path: Path, draw: Callable[[], Figure]) -> None:
+        save(draw(), path.parent, path.name)
+        drawn.append(path.name)
+
+    def report(path: Path) -> None:
+        path.write_text(solution_markdown(solution, drawn, scenario_text or ""), encoding="utf-8")
+
+    figures = {f"{FIGURES}/{name}": partial(figure, draw=draw) for name, draw in known.items()}
+    return failed + write_each(work, {**figures, REPORT_FILE: report})

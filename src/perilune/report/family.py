@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from perilune.io.columns import rounded, spoken
 from perilune.io.export import results
-from perilune.io.files import finite, fresh_directory, json_text
+from perilune.io.files import finite, fresh_directory, json_text, refuse_unwritten, write_each
 from perilune.words.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -92,15 +93,20 @@ def family_figure(family: Family) -> Figure:
 def write_family(family: Family, directory: str | Path, force: bool = False) -> None:
     """Write ``family.csv``, ``family.json`` and, along one parameter, ``family.png`` / ``.svg``.
 
-    Arguments of `fresh_directory`.
+    Arguments of `fresh_directory`. A table or figure that cannot be written is a `NotWrittenError`; the other files are
+    there then.
     """
     from perilune.report.style import save
 
+    writers: dict[str, Callable[[Path], object]] = {
+        f"{FAMILY_NAME}.csv": lambda path: path.write_text(family_csv(family), encoding="utf-8", newline="")
+    }
+    if len(family.parameters) == 1:
+        writers[FAMILY_NAME] = lambda path: save(family_figure(family), path.parent, path.name)
     with fresh_directory(directory, force) as work:
         (work / f"{FAMILY_NAME}.json").write_text(json_text(family_document(family)), encoding="utf-8")
-        (work / f"{FAMILY_NAME}.csv").write_text(family_csv(family), encoding="utf-8", newline="")
-        if len(family.parameters) == 1:
-            save(family_figure(family), work, FAMILY_NAME)
+        failed = write_each(work, writers)
+    refuse_unwritten(failed)
 
 
 def _result_units(document: dict[str, Any]) -> dict[str, str]:
