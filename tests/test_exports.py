@@ -26,6 +26,7 @@ from perilune.io.exports.table import flight_table
 from perilune.io.exports.tabular import write_netcdf
 from perilune.models.bodies import MARS, MOON, Body
 from perilune.models.landing import Orbit, Vehicle, hybrid_landing
+from perilune.models.time_scales import leap_seconds_within
 from perilune.problem.solution import Solution
 from perilune.scenario import load_file
 from perilune.words.outcome import PeriluneError
@@ -54,6 +55,12 @@ Loose: Any = pl
           for form in ("oem", "czml", "netcdf")),
         (lambda s, f: s.to_xarray(epoch=LATE), ("behind the year 2199", "earlier")),
         (lambda s, f: pl.export(s, f, "oem", epoch=f"{EPOCH}.123456789"), ("more digits", "microseconds at most")),
+        (lambda s, f: pl.export(s, f, "oem", epoch="2016-12-31T23:59:60"), ("second 60", "before or behind")),
+        (lambda s, f: s.to_xarray(epoch="2017-01-01T00:59:60.5+01:00"), ("second 60", "second earlier or later")),
+        *((lambda s, f, text=text, of=of: Loose.export(s, f, "oem", epoch=EPOCH, **{of: text}),
+           (f"no {of.upper()} of an orbit", "printable ASCII"))
+          for of in ("object_name", "object_id") for text in ("", " x", "é", "a\nSTOP_TIME = 1", 81 * "x", 3)),
+        (lambda s, f: pl.export(s, f, "csv", object_id="2030-001A"), ("csv has no place for object_id", "oem")),
         (lambda s, f: Loose.export(s, f, "oem", epoch=2030), ("not an epoch", "2030")),
         (lambda s, f: Loose.export(s, f, epoch=datetime), ("not an epoch", "the class datetime")),
         (lambda s, f: Loose.export(s, f, scenario_text=3), ("not the text of a scenario", "3")),
@@ -144,6 +151,44 @@ def test_a_planar_flight_says_which_plane_was_chosen(hybrid: Solution, tmp_path:
     comments = " ".join(line.removeprefix("COMMENT ") for line in text.splitlines() if line.startswith("COMMENT"))
     assert "its plane is the equator" in comments and "IAU/IAG elements" in comments and "level 0" in comments
     assert text.isascii() and max(map(len, text.splitlines())) <= 254
+
+
+def test_an_object_is_called_as_is_asked(hybrid: Solution, tmp_path: Path) -> None:
+    """And what a message has no place for, mass and thrust, stands at its segment; times are whole microseconds."""
+    plain = pl.export(hybrid, tmp_path / "plain.oem", epoch=EPOCH).read_text().splitlines()
+    assert "OBJECT_NAME = hybrid_landing" in plain and "OBJECT_ID = UNKNOWN" in plain
+    named = pl.export(hybrid, tmp_path / "x.oem", epoch=EPOCH, object_name="LANDER 1", object_id="2030-001A")
+    lines = named.read_text().splitlines()
+    assert "OBJECT_NAME = LANDER 1" in lines and "OBJECT_ID = 2030-001A" in lines
+    (said,) = [line for line in lines if line.startswith("COMMENT mass")]
+    mass = hybrid.trajectories[0].state.values[:, hybrid.problem.phases[0].state_names.index("m")]
+    assert f"mass {mass[0]:.6f} kg at the begin and {mass[-1]:.6f} kg at the end" in said and "to 440 N" in said
+    stamps = [line.split()[0] for line in lines if line.startswith("2030") and "=" not in line]
+    assert all(len(at) == len("2030-01-01T00:00:00.000000") for at in stamps)
+    assert all(datetime.fromisoformat(at) for at in stamps) and sorted(set(stamps)) == stamps
+
+
+@pytest.mark.parametrize(
+    ("seconds", "read"),
+    [(0.4999999999, "2016-12-31T23:59:59.000000000"), (1.499999999, "2016-12-31T23:59:59.999999999"),
+     (1.5, "2016-12-31T23:59:60.000000000"), (2.499999999, "2016-12-31T23:59:60.999999999"),
+     (2.5, "2017-01-01T00:00:00.000000000"), (86402.5, "2017-01-02T00:00:00.000000000")],
+)  # fmt: skip
+def test_clocks_over_a_leap_second(seconds: float, read: str) -> None:
+    assert stamp(datetime(2016, 12, 31, 23, 59, 58, 500000, tzinfo=UTC), seconds) == read
+
+
+def test_clocks_over_many_leap_seconds_and_none() -> None:
+    """By the list of the IERS: 27 from 1972 to 2017; the begin of 1972 was none, and behind one it is over."""
+    begin = datetime(1971, 12, 31, 23, 59, 59, tzinfo=UTC)
+    assert stamp(begin, 1.0) == "1972-01-01T00:00:00.000000000"
+    whole = (datetime(2017, 1, 1, tzinfo=UTC) - begin).total_seconds()
+    assert stamp(begin, whole + 26) == "2016-12-31T23:59:60.000000000"
+    assert stamp(begin, whole + 27) == "2017-01-01T00:00:00.000000000"
+    assert leap_seconds_within(begin, whole) == leap_seconds_within(begin, whole + 25) != ()
+    assert len(leap_seconds_within(begin, whole + 26)) == 27 and not leap_seconds_within(begin, 1e7)
+    after = datetime(2017, 1, 1, tzinfo=UTC)
+    assert leap_seconds_within(after, 1e9) == () and stamp(after, 1.0) == "2017-01-01T00:00:01.000000000"
 
 
 def test_names_of_the_problem_break_no_message(hybrid: Solution, tmp_path: Path) -> None:

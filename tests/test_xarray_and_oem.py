@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation, Slerp
 import perilune as pl
 from command_line import ROOT
 from perilune.io.columns import columns, sides
-from perilune.io.exports.path import JUMP
+from perilune.io.exports.epochs import TICK
+from perilune.io.exports.path import JUMP, legs
 from perilune.models.orientation import axes_in_space
 from perilune.problem.solution import Solution
 from perilune.scenario import load_file, load_text
@@ -162,6 +163,79 @@ def test_an_orbit_message_is_read_by_another_library(returned: Solution, tmp_pat
         begin += duration
     middle = segment.states and next(iter(segment.states)).epoch
     assert segment(middle).position == pytest.approx(next(iter(segment.states)).position, rel=1e-12)
+
+
+LEAP = "2016-12-31T23:57:00"  # 179 s before the last leap second that is known
+
+
+@pytest.mark.filterwarnings("ignore")  # of times that the tables of astropy do not reach
+def test_a_flight_over_a_leap_second_has_it_in_every_file(descent: Solution, tmp_path: Path) -> None:
+    """Seconds between times, by a library that knows the leap seconds, are those of the model."""
+    oem, time = pytest.importorskip("oem", reason=NEEDS), pytest.importorskip("astropy.time", reason=NEEDS)
+    begin = time.Time(LEAP, scale="utc")
+    files = {form: pl.export(descent, tmp_path / f"x.{form}", epoch=LEAP) for form in ("oem", "czml", "csv")}
+    (segment,) = message = oem.OrbitEphemerisMessage.open(files["oem"])
+    states = list(segment.states)
+    seconds = np.array([(state.epoch - begin).sec for state in states])
+    assert seconds[-1] == pytest.approx(descent.duration, abs=1e-6) and (np.diff(seconds) > 0).all()
+    for inside in ("2016-12-31T23:59:60.000000", "2016-12-31T23:59:60.500000", "2017-01-01T00:00:00.000000"):
+        at = time.Time(inside, scale="utc")
+        here = (
+            axes_in_space("moon", datetime.fromisoformat(LEAP).replace(tzinfo=UTC))
+            @ descent.inertial(0, np.array([(at - begin).sec]))[0]
+        )
+        np.testing.assert_allclose(1e3 * np.array(segment(at).position), here[:, 0], rtol=0, atol=2e-3)
+    comments = " ".join(message.header["COMMENT"]) if "COMMENT" in message.header else files["oem"].read_text()
+    assert "leap second 2016-12-31T23:59:60" in comments
+    _, vehicle, *_ = json.loads(files["czml"].read_text())
+    first, last = (time.Time(end.removesuffix("Z"), scale="utc") for end in vehicle["availability"].split("/"))
+    assert (last - first).sec == pytest.approx(descent.duration, abs=1e-8)
+    rows = list(csv.reader(files["csv"].read_text().splitlines()))[1:]
+    stamped = np.array([(time.Time(row[1], scale="utc") - begin).sec for row in rows])
+    np.testing.assert_allclose(stamped, [float(row[0]) for row in rows], rtol=0, atol=1e-8)
+    assert rows[0][1].startswith("2016-12-31") and rows[-1][1].startswith("2017-01-01")
+
+
+@QUIET
+def test_netcdf_says_which_seconds_it_counts(descent: Solution, tmp_path: Path) -> None:
+    """By the CF conventions 1.12, 4.4.3: with no leap second inside dates are UTC, else lengths of time are right."""
+    netcdf4 = pytest.importorskip("netCDF4", reason=NEEDS)
+    for epoch, name, seconds in ((EPOCH, "UTC", "utc"), (LEAP, "UTC until a leap second", "none")):
+        with netcdf4.Dataset(pl.export(descent, tmp_path / "x.nc", epoch=epoch, force=True)) as found:
+            time = found["time"]
+            assert (time.long_name, time.units_metadata) == (name, f"leap_seconds: {seconds}")
+            assert time[-1] - time[0] == descent.duration
+            assert ("2016-12-31T23:59:60" in getattr(time, "comment", "")) == (epoch == LEAP)
+
+
+def test_the_clocks_of_spice_read_the_leap_second(descent: Solution, tmp_path: Path) -> None:
+    spice = pytest.importorskip("spiceypy", reason=NEEDS)
+    kernel = tmp_path / "leap.tls"
+    kernel.write_text(
+        "KPL/LSK\n\\begindata\nDELTET/DELTA_T_A = 32.184\nDELTET/K = 1.657D-3\nDELTET/EB = 1.671D-2\n"
+        "DELTET/M = ( 6.239996D0 1.99096871D-7 )\nDELTET/DELTA_AT = ( 36, @2015-JUL-1 37, @2017-JAN-1 )\n\\begintext\n"
+    )
+    text = pl.export(descent, tmp_path / "x.oem", epoch=LEAP).read_text()
+    stamps = [line.split()[0] for line in text.splitlines() if line[:3] == "201"]
+    spice.furnsh(str(kernel))
+    seconds = np.array([spice.utc2et(at) for at in stamps])
+    spice.kclear()
+    model = [leg.time for leg in legs(descent, tick=TICK)]
+    # TDB goes ahead of TT and back by 1.7 ms in a year: by 1e-7 s in the flight.
+    np.testing.assert_allclose(seconds - seconds[0], model[0], rtol=0, atol=1e-6)
+
+
+def test_states_are_those_of_whole_microseconds(returned: Solution) -> None:
+    """Rounded alone a time would be off by 4 mm of the way of a return; the ends lie beyond the phase by as much."""
+    begin = 0.0
+    for k, leg in enumerate(legs(returned, tick=TICK)):
+        trajectory = returned.trajectories[k]
+        assert np.abs(leg.time / TICK - np.round(leg.time / TICK)).max() < 1e-3 and (np.diff(leg.time) > 0.5e-6).all()
+        assert abs(leg.time[0] - begin) < TICK and abs(leg.time[-1] - begin - trajectory.duration) < TICK
+        r, v, _ = returned.inertial(k, np.clip(leg.time - begin, 0.0, trajectory.duration))
+        beyond = np.linalg.norm(leg.position - r, axis=0)
+        assert beyond[1:-1].max() == 0 and beyond.max() < 0.5e-6 * 1.01 * np.linalg.norm(v, axis=0).max()
+        begin += trajectory.duration
 
 
 def message_start(message: Any) -> Any:

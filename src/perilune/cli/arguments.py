@@ -204,6 +204,8 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
             help="UTC at the begin of the flight, e.g. 2030-01-01T00:00:00, where the scenario has none; "
             "oem and czml need it.",
         ),
+        option("--object-name", metavar="TEXT", help="OBJECT_NAME of an oem. Usually the name of the problem."),
+        option("--object-id", metavar="TEXT", help="OBJECT_ID of an oem, e.g. 2030-001A. Usually UNKNOWN."),
         prove("Prove the solution first", "; otherwise the file says what is claimed"),
         FORCE,
         NO_CACHE,

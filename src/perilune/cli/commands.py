@@ -210,17 +210,18 @@ def _certified(solution: Solution, file: Path) -> str:
 def _export(typed: Namespace) -> Answer:
     from perilune.io.exports.epochs import epoch_of
     from perilune.io.exports.provenance import provenance
-    from perilune.io.exports.writing import placed, write
+    from perilune.io.exports.writing import demand_named, placed, write
     from perilune.io.reload import opened
     from perilune.solve import prove
 
     _, form = placed(typed.out, typed.format, typed.force)
+    named = demand_named(form, typed.object_name, typed.object_id)
     loaded, document = opened(typed.directory)
     epoch_of(loaded, typed.epoch)  # refused before the proof, which may take long
     solution = prove(loaded, typed.prove)
     heed()
     about = provenance(solution, document=document)
-    write(solution, typed.out, form, about, epoch=typed.epoch, force=typed.force)
+    write(solution, typed.out, form, about, epoch=typed.epoch, force=typed.force, **named)
     size = typed.out.stat().st_size
     told = {"written": str(typed.out), "format": form, "bytes": size, "proof": about["proof"]}
     text = f"written to {typed.out}: {form}, {size / 2**10:.0f} KiB; proof: {about['proof']}"

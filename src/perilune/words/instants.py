@@ -11,6 +11,7 @@ from perilune.words.outcome import PeriluneError
 # How bodies are turned in space is told by polynomials about J2000, which are of use for a century or two.
 FIRST, END = (datetime(year, 1, 1, tzinfo=UTC) for year in (1900, 2200))
 EXAMPLE = "2030-01-01T00:00:00"
+_LEAP = re.compile(r"\d:?60([.,]\d+)?(Z|[+-]\d\d:?\d\d)?$")
 _FINER = re.compile(r"[.,]\d{6}\d*[1-9]")  # than a microsecond, which a datetime would cut
 
 
@@ -20,7 +21,8 @@ def instant(stated: str | datetime, name: str = "the epoch") -> datetime:
     Raises
     ------
     PeriluneError
-        If it is no time, not before `END` and from `FIRST` on, or finer than a microsecond; `name` is what is stated.
+        If it is no time, not before `END` and from `FIRST` on, finer than a microsecond, or in a leap second; `name` is
+        what is stated.
     """
     if isinstance(stated, type) or not isinstance(stated, str | datetime):
         raise refused(stated, f'a text such as "{EXAMPLE}", or a datetime', "an epoch")
@@ -28,6 +30,11 @@ def instant(stated: str | datetime, name: str = "the epoch") -> datetime:
         raise PeriluneError(
             f"{name} has more digits than are kept", got=str(stated)[:60], expected="microseconds at most",
             advice="round it",
+        )  # fmt: skip
+    if isinstance(stated, str) and "T" in stated and _LEAP.search(stated):
+        raise PeriluneError(
+            f"{name} has a second 60, as only leap seconds have", got=stated[:60],
+            expected="a time before or behind it", advice="begin a second earlier or later",
         )  # fmt: skip
     try:
         found = datetime.fromisoformat(stated) if isinstance(stated, str) else stated

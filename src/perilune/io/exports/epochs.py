@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
+from perilune.models.time_scales import leap_seconds_within, utc_after
 from perilune.problem.solution import Solution
 from perilune.words.instants import END, EXAMPLE, instant
 from perilune.words.outcome import PeriluneError
+
+TICK = 1e-6  # s
 
 
 def epoch_of(solution: Solution, stated: str | datetime | None) -> datetime | None:
@@ -54,7 +57,19 @@ def needed_epoch(solution: Solution, stated: str | datetime | None, form: str) -
 
 
 def stamp(epoch: datetime, seconds: float) -> str:
-    """A time after the epoch in ISO 8601, UTC without a letter, to a nanosecond. No leap second is put in."""
-    whole, rest = divmod(1000 * epoch.microsecond + round(seconds * 1e9), 1_000_000_000)
-    at = epoch.replace(microsecond=0, tzinfo=None) + timedelta(seconds=whole)
-    return f"{at.isoformat()}.{rest:09d}"
+    """Return UTC after the epoch in ISO 8601 without a letter, to a nanosecond; in a leap second it is 23:59:60."""
+    return utc_after(epoch, round(seconds * 1e9))
+
+
+def stamp_of_tick(epoch: datetime, seconds: float) -> str:
+    """The same to a microsecond, which is how finely most readers see time."""
+    return utc_after(epoch, 1000 * round(seconds / TICK))[:-3]
+
+
+def leap_seconds_told(epoch: datetime, seconds: float) -> str:
+    """Return a sentence on the leap seconds within so many seconds after the epoch, by those that are known."""
+    days = leap_seconds_within(epoch, seconds)
+    if not days:
+        return "No leap second that is known lies within the flight."
+    named = ", ".join(f"{day - timedelta(days=1):%Y-%m-%d}T23:59:60" for day in days)
+    return f"Within the flight lies the leap second {named}."

@@ -2,7 +2,8 @@
 
 Positions and velocities stand in the axes of the ICRF, from the centre of the body, times in UTC. From the model's own
 axes they come by the orientation of the body at the begin of the flight (`perilune.models.orientation`); how well that
-is known stands in a comment, as does what the model left open.
+is known stands in a comment, as does what the model left open. The format has no place for mass and thrust: a comment
+of each segment says how far they go, and their histories are in the tables of the other formats.
 """
 
 from __future__ import annotations
@@ -11,20 +12,39 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
-from perilune.io.exports.epochs import stamp
+import numpy as np
+
+from perilune.io.columns import nodes
+from perilune.io.exports.epochs import TICK, leap_seconds_told, stamp_of_tick
 from perilune.io.exports.path import Leg, legs, space_of
 from perilune.io.format import hash_of
 from perilune.models.orientation import axes_in_space, told_orientation
 from perilune.problem.solution import Solution
 from perilune.words.bounded import one_line
+from perilune.words.outcome import PeriluneError
 
 _WIDTH = 200  # the standard allows 254 characters
-_NAMED = 80  # of them for the name of the problem
+_NAMED = 80  # of them for the name of the object
+UNNAMED = "UNKNOWN"  # as the standard has it, where there is no designator
 NAME = "an orbit ephemeris message (OEM)"
 
 
-def write_oem(solution: Solution, about: Mapping[str, str], epoch: datetime, path: Path) -> None:
+def write_oem(
+    solution: Solution,
+    about: Mapping[str, str],
+    epoch: datetime,
+    path: Path,
+    object_name: str | None = None,
+    object_id: str | None = None,
+) -> None:
     """Write the message.
+
+    Parameters
+    ----------
+    solution, about, epoch, path
+        What is written, words about it, UTC at its begin, and the file.
+    object_name, object_id
+        As `demand_object` allows; the name of the problem and `UNNAMED` if None.
 
     Raises
     ------
@@ -33,12 +53,32 @@ def write_oem(solution: Solution, about: Mapping[str, str], epoch: datetime, pat
     """
     body = space_of(solution, NAME).body.lower()
     matrix = axes_in_space(body, epoch)
-    flown = [leg.turned(matrix) for leg in legs(solution)]
+    flown = [leg.turned(matrix) for leg in legs(solution, tick=TICK)]
+    called = object_name or _plain(solution.problem.name)[:_NAMED], object_id or UNNAMED
     lines = ["CCSDS_OEM_VERS = 2.0", *_comments(_told(solution, about, body, epoch, max(leg.lost for leg in flown)))]
     lines += [f"CREATION_DATE = {datetime.now(UTC):%Y-%m-%dT%H:%M:%S}", "ORIGINATOR = PERILUNE", ""]
     for leg in flown:
-        lines += _segment(leg, solution.problem.name, body, epoch)
+        lines += _segment(leg, called, body, epoch, _mass_and_thrust(solution, leg.phase))
     path.write_text("\n".join(lines), encoding="ascii", newline="\n")
+
+
+def demand_object(text: str, keyword: str) -> None:
+    """Refuse what no OBJECT_NAME or OBJECT_ID of a message can be.
+
+    Raises
+    ------
+    PeriluneError
+        If it is no line of 1 to 80 printable ASCII characters that begins and ends with none that is
+        blank.
+    """
+    fits = isinstance(text, str) and 0 < len(text) <= _NAMED and text.isascii() and text.isprintable()
+    if not fits or text != text.strip():
+        raise PeriluneError(
+            f"this is no {keyword} of {NAME}", got=repr(text)[:_NAMED],
+            expected=f"1 to {_NAMED} printable ASCII characters, as "
+            + ("'LANDER 1'" if keyword == "OBJECT_NAME" else "the designator '2030-001A'"),
+            advice="leave it out for the name of the problem" if keyword == "OBJECT_NAME" else f"or {UNNAMED}",
+        )  # fmt: skip
 
 
 def _told(solution: Solution, about: Mapping[str, str], body: str, epoch: datetime, lost: float) -> Iterator[str]:
@@ -55,7 +95,22 @@ def _told(solution: Solution, about: Mapping[str, str], body: str, epoch: dateti
         f"the ICRF at that time: {told_orientation(body, epoch)}."
     )
     yield f"Hermite interpolation of degree 3 between two lines loses at most {1e3 * lost:.1g} mm."
-    yield "Times are the epoch and the seconds of the model: no leap second is put in."
+    yield f"Times are UTC, to a microsecond. {leap_seconds_told(epoch, solution.duration)}"
+
+
+def _mass_and_thrust(solution: Solution, name: str) -> list[str]:
+    """A comment on what the format has no place for, where the phase has one mass [kg] among its states."""
+    k = [phase.name for phase in solution.problem.phases].index(name)
+    masses = [i for i, state in enumerate(solution.problem.phases[k].states) if state.unit == "kg"]
+    if len(masses) != 1:
+        return []
+    trajectory = solution.trajectories[k]
+    t = nodes(trajectory)
+    mass = solution.flown(k, t)[0][masses[0]]
+    thrust = mass * np.linalg.norm(solution.inertial(k, t)[2], axis=0)
+    pushed = f"thrust from {thrust.min():.6g} to {thrust.max():.6g} N" if thrust.any() else "no thrust"
+    text = f"mass {mass[0]:.6f} kg at the begin and {mass[-1]:.6f} kg at the end of the phase, {pushed}"
+    return list(_comments(iter([text])))
 
 
 def _comments(texts: Iterator[str]) -> Iterator[str]:
@@ -75,15 +130,13 @@ def _plain(text: str) -> str:
     return one_line(text.replace("Δ", "Delta "), most=10_000).encode("ascii", "replace").decode()
 
 
-def _segment(leg: Leg, name: str, body: str, epoch: datetime) -> list[str]:
-    kilometres = zip(*(leg.position / 1e3).tolist(), *(leg.velocity / 1e3).tolist(), strict=True)
-    stamps = [stamp(epoch, float(t)) for t in leg.time]
-    # Two times nearer than a nanosecond are one here.
-    rows = dict(zip(stamps, kilometres, strict=True))
+def _segment(leg: Leg, called: tuple[str, str], body: str, epoch: datetime, remarks: list[str]) -> list[str]:
+    rows = zip(*(leg.position / 1e3).tolist(), *(leg.velocity / 1e3).tolist(), strict=True)
+    stamps = [stamp_of_tick(epoch, float(t)) for t in leg.time]
     return [
-        "META_START", f"COMMENT phase {_plain(leg.phase)}", f"OBJECT_NAME = {_plain(name)[:_NAMED]}",
-        "OBJECT_ID = UNKNOWN", f"CENTER_NAME = {body.upper()}", "REF_FRAME = ICRF", "TIME_SYSTEM = UTC",
+        "META_START", f"COMMENT phase {_plain(leg.phase)}", *remarks, f"OBJECT_NAME = {called[0]}",
+        f"OBJECT_ID = {called[1]}", f"CENTER_NAME = {body.upper()}", "REF_FRAME = ICRF", "TIME_SYSTEM = UTC",
         f"START_TIME = {stamps[0]}", f"STOP_TIME = {stamps[-1]}",
         "INTERPOLATION = HERMITE", "INTERPOLATION_DEGREE = 3", "META_STOP", "",
-        *(" ".join([at, *map(repr, row)]) for at, row in rows.items()), "",
+        *(" ".join([at, *map(repr, row)]) for at, row in zip(stamps, rows, strict=True)), "",
     ]  # fmt: skip

@@ -91,7 +91,7 @@ def space_of(solution: Solution, form: str) -> Space:
     return problem.views.space
 
 
-def legs(solution: Solution, bent: float | None = None) -> list[Leg]:
+def legs(solution: Solution, bent: float | None = None, tick: float | None = None) -> list[Leg]:
     """The phases in inertial axes; a phase without length has none.
 
     Parameters
@@ -102,6 +102,9 @@ def legs(solution: Solution, bent: float | None = None) -> list[Leg]:
         Most that linear interpolation of the thrust loses between two times, as a share of it: an angle [rad]. Then a
         switch, at which the thrust jumps, is seen from both its sides, which are times next to each other. None where
         the thrust does not matter.
+    tick
+        Times are whole multiples of this [s], and states are those of these times: at the ends of a phase, up to half
+        of it beyond them. A phase that has only one such time is left out. None for times as they are.
 
     Raises
     ------
@@ -111,7 +114,9 @@ def legs(solution: Solution, bent: float | None = None) -> list[Leg]:
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
         if trajectory.duration > 0:
-            found.append(_leg(solution, k, begin, bent))
+            leg = _leg(solution, k, begin, bent)
+            leg = leg if tick is None else _ticking(leg, solution, k, begin, tick)
+            found += [leg] if len(leg.time) > 1 else []
         begin += trajectory.duration
     if not found or not all(np.isfinite([leg.position, leg.velocity, leg.push]).all() for leg in found):
         raise PeriluneError(
@@ -138,6 +143,21 @@ def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> Leg:
     return Leg(
         phase=solution.problem.phases[k].name, time=begin + t, position=r, velocity=v, push=push,
         push_rate=_rates(solution, k, t, push), lost=float(lost.max()),
+    )  # fmt: skip
+
+
+def _ticking(leg: Leg, solution: Solution, k: int, begin: float, tick: float) -> Leg:
+    """The same at whole multiples of a tick; the rate of its thrust is that of the time before."""
+    wholes, first = np.unique(np.round(leg.time / tick), return_index=True)
+    duration = solution.trajectories[k].duration
+    inside = np.clip(wholes * tick - begin, 0.0, duration)
+    beyond = wholes * tick - begin - inside
+    r, v, push = solution.inertial(k, inside)
+    step = min(_NEAR, duration) * np.where(inside < 0.5 * duration, 1.0, -1.0)
+    pull = (solution.inertial(k, inside + step)[1] - v) / step
+    return replace(
+        leg, time=wholes * tick, position=r + beyond * v, velocity=v + beyond * pull, push=push,
+        push_rate=leg.push_rate[:, first],
     )  # fmt: skip
 
 

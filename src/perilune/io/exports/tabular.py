@@ -19,8 +19,9 @@ import numpy as np
 
 from perilune import __version__
 from perilune.io.columns import rounded
-from perilune.io.exports.epochs import stamp
+from perilune.io.exports.epochs import leap_seconds_told, stamp
 from perilune.io.exports.table import Field, FlightTable
+from perilune.models.time_scales import leap_seconds_within
 from perilune.words.outcome import PeriluneError
 
 if TYPE_CHECKING:
@@ -150,10 +151,15 @@ def _variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np
     time: dict[str, Any] = {"units": "s", "long_name": _TIME}
     if epoch is not None:
         since = f"seconds since {stamp(epoch, 0.0).replace('T', ' ')[:-3]}"
-        time = {
-            "standard_name": "time", "long_name": "UTC", "units": since, "calendar": "standard",
-            "units_metadata": "leap_seconds: none",
-        }  # fmt: skip
+        time = {"standard_name": "time", "long_name": "UTC", "units": since, "calendar": "standard"}
+        if leap_seconds_within(epoch, float(table.time[-1])):
+            # No calendar that readers know has leap seconds; lengths of time are right, dates behind the leap are not.
+            late = (
+                f"{leap_seconds_told(epoch, float(table.time[-1]))} It is counted here, and dates behind it are late."
+            )
+            time |= {"long_name": "UTC until a leap second", "units_metadata": "leap_seconds: none", "comment": late}
+        else:
+            time["units_metadata"] = "leap_seconds: utc"
     phase = {
         "long_name": "phase of the flight", "flag_meanings": " ".join(table.phases),
         "flag_values": np.arange(len(table.phases), dtype=np.int8),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from perilune.io.exports.provenance import provenance
 from perilune.io.files import fresh_file, new_file
 from perilune.problem.solution import Solution
 from perilune.words.asked import called_in_words, demand, refused
+from perilune.words.outcome import PeriluneError
 
 if TYPE_CHECKING:
     import pandas
@@ -29,6 +31,8 @@ def export(
     format: str | None = None,
     *,
     epoch: str | datetime | None = None,
+    object_name: str | None = None,
+    object_id: str | None = None,
     scenario_text: str | None = None,
     force: bool = False,
 ) -> Path:
@@ -45,7 +49,10 @@ def export(
         file is called (``.nc`` for NetCDF) if None, and NetCDF where its name has no ending.
     epoch
         Time at the begin of the flight in ISO 8601, UTC unless it says otherwise. ``oem`` and ``czml`` need one, where
-        the problem states none.
+        the problem states none. A leap second that is known is counted; what has one in itself is no epoch.
+    object_name, object_id
+        ``OBJECT_NAME`` and ``OBJECT_ID`` of an ``oem``, which are the name of the problem and ``UNKNOWN`` if None; the
+        standard recommends the name and the international designator (``2030-001A``) that the object is registered by.
     scenario_text
         The scenario that the problem was made of, to stand in the file.
     force
@@ -59,13 +66,15 @@ def export(
     Raises
     ------
     PeriluneError
-        If the format is not known or does not fit the problem or how the file is called, an epoch is missing, the file
-        is there already or cannot be written, or a package is not installed.
+        If the format is not known or does not fit the problem or how the file is called, an epoch is missing, an object
+        is named in a way that the format cannot have, the file is there already or cannot be written, or a package is
+        not installed.
     """
     demand(solution, Solution, "a solution to export", "perilune.load(DIR) reads one that was saved")
     if not isinstance(scenario_text, str | None):
         raise refused(scenario_text, "a text, or None for a problem in Python", "the text of a scenario")
-    return write(solution, file, format, provenance(solution, scenario_text), epoch=epoch, force=force)
+    about = provenance(solution, scenario_text)
+    return write(solution, file, format, about, epoch=epoch, object_name=object_name, object_id=object_id, force=force)
 
 
 def write(
@@ -75,13 +84,16 @@ def write(
     about: Mapping[str, str],
     *,
     epoch: str | datetime | None = None,
+    object_name: str | None = None,
+    object_id: str | None = None,
     force: bool = False,
 ) -> Path:
     """As `export`, with what is to be said of the solution (`perilune.io.exports.provenance`)."""
     path, format = placed(file, format, force)
+    named = demand_named(format, object_name, object_id)
     found = needed_epoch(solution, epoch, _TIMED[format]) if format in _TIMED else None
     with fresh_file(path, "the export") as beside:
-        _writer(format)(solution, about, found or epoch_of(solution, epoch), beside)
+        _writer(format, named)(solution, about, found or epoch_of(solution, epoch), beside)
     return path
 
 
@@ -91,12 +103,27 @@ def placed(file: str | Path, format: str | None, force: bool) -> tuple[Path, str
     return path, format_of(path, format, FORMATS)
 
 
-def _writer(format: str) -> Callable[[Solution, Mapping[str, str], Any, Path], None]:
+def demand_named(format: str, object_name: str | None, object_id: str | None) -> dict[str, str | None]:
+    """The two by their names; refuses a format that has no place for them, and what they cannot be there."""
+    named = {"object_name": object_name, "object_id": object_id}
+    asked = {name: text for name, text in named.items() if text is not None}
+    if asked and format != "oem":
+        raise PeriluneError(
+            f"{format} has no place for {' and '.join(asked)}", expected="oem, which has", advice="leave it out"
+        )
+    for name, text in asked.items():
+        from perilune.io.exports.oem import demand_object
+
+        demand_object(text, name.upper())
+    return named
+
+
+def _writer(format: str, named: Mapping[str, str | None]) -> Callable[[Solution, Mapping[str, str], Any, Path], None]:
     """What writes a format; loaded when it is asked for."""
     if format == "oem":
         from perilune.io.exports.oem import write_oem
 
-        return write_oem
+        return partial(write_oem, **named)
     if format == "czml":
         from perilune.io.exports.czml import write_czml
 
