@@ -24,6 +24,7 @@ from perilune.models.rotating import gravity, heading_axes, local_axes, place, p
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.solve import verify
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
@@ -239,6 +240,35 @@ def test_freedom_costs_nothing_and_is_used_rightly(optimum: Solution) -> None:
     assert landed @ np.cross(starts[0], starts[1]) == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("coordinates", ["cartesian", "spherical"])
+def test_anywhere_needs_no_place(coordinates: str) -> None:
+    """The same flight as beside a place that does not matter, by the direct method too, whose guess ends there."""
+    settings = {"target": "anywhere", "coordinates": coordinates, "start": INCLINED}
+    named, free = (peng(site=site, **settings) for site in (SITE, Site(altitude=2e3)))
+    assert "site_longitude" in named.given and "site_longitude" not in free.given
+    direct = [Pseudospectral(nodes=12).run(problem).objective for problem in (named, free)]
+    assert direct[1] == pytest.approx(direct[0], rel=1e-6)
+    if coordinates == "cartesian":
+        one, other = (Indirect().run(problem) for problem in (named, free))
+        assert other.objective == pytest.approx(one.objective, rel=1e-10)
+        assert verify(other).level == 3
+
+
+def test_a_guess_of_a_landing_anywhere_lies_ahead() -> None:
+    """On the ground, by the way that full throttle needs, and without a jump of the longitude."""
+    start = replace(INCLINED, longitude=radians(179.9), heading=radians(90.0), latitude=0.1, sideways_speed=0.0)
+    for coordinates in ("cartesian", "spherical"):
+        problem = peng(site=Site(), start=start, target="anywhere", coordinates=coordinates)
+        p = problem.parameters({"flight_time": 400.0})
+        end = np.array(problem.phases[0].typical_end(p, NUMERIC), dtype=float)
+        if coordinates == "cartesian":
+            end = spherical_of(end, start.heading)
+            end[1] = end[1] % (2 * math.pi)
+        assert end[0] == pytest.approx(PENG_MOON.radius, rel=1e-12)
+        ahead = (end[1] - start.longitude) * PENG_MOON.radius
+        assert 0.3 < ahead / (0.5 * start.forward_speed * 400.0) < 2.0
+
+
 def test_symmetries(optimum: Solution) -> None:
     """Turned about the axis, and mirrored together with the rotation: the same flight time."""
     turn = radians(37.0)
@@ -381,6 +411,10 @@ def test_precision_frame_is_the_cartesian_one() -> None:
         (lambda: peng(throttle=(0.6, 0.5)), "throttle's bounds"),
         (lambda: approach().with_given(throttle_lower=0.95), "throttle's bounds"),
         (lambda: peng(steering=PENG_STEERING).with_given(steering_azimuth_upper=1.0), "azimuth are not a range"),
+        (lambda: peng(site=Site()), "site.longitude is missing"),
+        (lambda: peng(site=Site(altitude=2e3), target="downrange"), 'the target "anywhere"'),
+        (lambda: Site(latitude=1.0), "site.longitude is missing"),
+        (lambda: Site(longitude=1.0), "site.latitude is missing"),
         (lambda: peng(coordinates="polar"), "unknown coordinates"),
         (lambda: peng(target="crater"), "unknown target"),
         (lambda: peng(minimise="cost"), "unknown minimise"),

@@ -344,7 +344,7 @@ def test_what_the_parking_altitude_is_stands_where_it_is_stated() -> None:
 def test_a_message_names_the_template_of_its_kind() -> None:
     polar = EXAMPLES / "polar_descent.toml"
     with pytest.raises(PeriluneError, match="`perilune new powered_descent`"):
-        load_text(polar.read_text(encoding="utf-8").partition("[site]")[0])
+        load_text(polar.read_text(encoding="utf-8").partition("[start]")[0])
     with pytest.raises(PeriluneError, match="KIND`, hybrid_landing or powered_descent or precision_landing"):
         load_text("[vehicle")
 

@@ -268,3 +268,16 @@ def test_a_sweep_over_the_site(capsys: pytest.CaptureFixture[str]) -> None:
     assert [float(row[0]) for row in rows[1:]] == pytest.approx([0.0, 3.0, 6.0])
     masses = [float(row[1]) for row in rows[1:]]
     assert masses == sorted(masses, reverse=True)
+
+
+def test_anywhere_is_stated_without_a_site() -> None:
+    """Neither a place nor the section; of another target what is missing is named, with the way out."""
+    text = POLAR.read_text(encoding="utf-8")
+    begin = text.index("[site]")
+    bare = text[:begin] + text[text.index("[steering]") :]
+    free = load_text(bare.replace('target = "site"', 'target = "anywhere"'))
+    assert free.given["site_altitude"].value == 0.0 and "site_longitude" not in free.given
+    for target in ("site", "downrange"):
+        with pytest.raises(PeriluneError, match=r"site\.longitude is missing") as error:
+            load_text(bare.replace('target = "site"', f'target = "{target}"'))
+        assert 'target "anywhere"' in error.value.advice and error.value.exit_code == 2

@@ -135,8 +135,25 @@ class Site:
     """Where the flight ends at rest."""
 
     altitude: float = quantity("m", "2 km", default=0.0, about="above the body's radius")
-    longitude: float = quantity("rad", "5 deg", **_TURNS, about="east")
-    latitude: float = quantity("rad", "76 deg", **_LATITUDE)
+    longitude: float | None = quantity(
+        "rad", "5 deg", default=None, **_TURNS, about="east; needed but for the target anywhere"
+    )  # fmt: skip
+    latitude: float | None = quantity(
+        "rad", "76 deg", default=None, **{**_LATITUDE, "about": "north; needed but for the target anywhere"}
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        if (self.longitude is None) != (self.latitude is None):
+            refuse_unplaced(self)
+
+
+def refuse_unplaced(site: Site, advice: str = "state both of them, as `perilune new` writes them") -> None:
+    """Refuse a site without a longitude or a latitude."""
+    for name in ("longitude", "latitude"):
+        if getattr(site, name) is None:
+            raise PeriluneError(
+                f"site.{name} is missing", expected="site.longitude and site.latitude of the place", advice=advice
+            )
 
 
 @record("steering")
@@ -293,7 +310,8 @@ def powered_descent(
     Parameters
     ----------
     vehicle, start, site, body
-        The lander, where the burn begins, where it ends at rest, and on what body.
+        The lander, where the burn begins, where it ends at rest, and on what body. A site without longitude and
+        latitude is of the target ``"anywhere"`` alone.
     coordinates
         ``"cartesian"`` (thrust direction free on the sphere; no singular point) or ``"spherical"`` (the
         paper's; bounded angles; singular at the poles).
@@ -324,6 +342,8 @@ def powered_descent(
     """
     demand_records((vehicle, Vehicle), (start, Ignition), (site, Site), (body, Body))
     choices = Choices(coordinates=coordinates, target=target, minimise=minimise)
+    if target != "anywhere":
+        refuse_unplaced(site, 'state both of them, or the target "anywhere" for any place at site.altitude')
     stated = [oblate(body, j2), with_dry_mass(vehicle, dry_mass), start, site]
     if steering is not None or coordinates == "spherical":
         stated.append(steering or Steering())

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from perilune.models.budget import spent
+from perilune.models.limits import braking
 from perilune.models.rotating import (
     apparent_gravity,
     combine,
@@ -67,6 +68,17 @@ def _axes_at_start(p: Any, m: Any) -> Any:
 
 def _site_position(p: Any, m: Any) -> Any:
     return combine((p.body_radius + p.site_altitude, local_axes(p.site_longitude, p.site_latitude, m)[0]))
+
+
+def _likely_landing(p: Any, m: Any) -> Any:
+    """Site, or where none is stated a place ahead of the start, as far as full thrust stops the speed over ground."""
+    if hasattr(p, "site_longitude"):
+        return _site_position(p, m)
+    up, oy, oz = _axes_at_start(p, m)
+    r_site = p.body_radius + p.site_altitude
+    _, time = braking(m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2), p, m)
+    ahead = combine((r_site, up), (0.5 * time * p.start_forward_speed, oy), (0.5 * time * p.start_sideways_speed, oz))
+    return combine((r_site / m.sqrt(dot(ahead, ahead)), ahead))
 
 
 def _track_normal(p: Any, m: Any) -> Any:
@@ -194,7 +206,7 @@ def _cartesian_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _cartesian_typical_end(p: Any, m: Any) -> Sequence[Any]:
-    return (*_site_position(p, m), 0.0, 0.0, 0.0, 0.6 * p.vehicle_mass)
+    return (*_likely_landing(p, m), 0.0, 0.0, 0.0, 0.6 * p.vehicle_mass)
 
 
 # -- spherical
@@ -280,8 +292,17 @@ def _spherical_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _spherical_typical_end(p: Any, m: Any) -> Sequence[Any]:
-    r = p.body_radius + p.site_altitude
-    return (r, p.site_longitude, p.site_latitude, 0.0, 0.0, 0.0, 0.6 * p.vehicle_mass)
+    r, longitude, latitude = p.body_radius + p.site_altitude, *_likely_landing_place(p, m)
+    return (r, longitude, latitude, 0.0, 0.0, 0.0, 0.6 * p.vehicle_mass)
+
+
+def _likely_landing_place(p: Any, m: Any) -> tuple[Any, Any]:
+    """Longitude and latitude of it, the longitude without a jump from that of the start."""
+    if hasattr(p, "site_longitude"):
+        return p.site_longitude, p.site_latitude
+    x, y, z = _likely_landing(p, m)
+    c, s = m.cos(p.start_longitude), m.sin(p.start_longitude)
+    return p.start_longitude + m.atan2(c * y - s * x, c * x + s * y), place((x, y, z), m)[2]
 
 
 # -- the two records

@@ -221,7 +221,9 @@ DESCENT = Kind(
         "body": Section(record=OblateBody, known=BODIES),
         "vehicle": Section(record=Vehicle),
         "start": Section(record=Ignition),
-        "site": Section(record=Site),
+        "site": Section(
+            record=Site, required=False, otherwise=Site(), absent="may be left out with the target anywhere"
+        ),
         "steering": Section(record=Steering, required=False),
         "throttle": Section(record=Throttle, required=False),
     },
@@ -233,6 +235,8 @@ DESCENT = Kind(
         "vehicle.specific_impulse": "365 s",
         "vehicle.dry_mass": "8 t",
         "site.altitude": "2 km",
+        "site.longitude": "5 deg",
+        "site.latitude": "76 deg",
     },
 )
 PRECISION = Kind(

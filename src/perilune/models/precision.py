@@ -20,7 +20,7 @@ from perilune.models.bodies import MOON, Body, UniformGravity, oblate, told_as
 from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing, spent
 from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
 from perilune.models.corridor import NONE, Corridor, above_slope, conditions, kept, kept_falling
-from perilune.models.descent import SPEED, Site, with_dry_mass
+from perilune.models.descent import SPEED, Site, refuse_unplaced, with_dry_mass
 from perilune.models.descent_frames import mass_rate, thrust, variables
 from perilune.models.final_descent import (
     FINAL_TIME,
@@ -273,6 +273,7 @@ def _ground(body: Body | UniformGravity, site: Site | None, j2: float) -> tuple[
                 advice="only flat ground, which body.gravity states, is the same everywhere",
             )
         demand_records((site, Site), (body, Body))
+        refuse_unplaced(site)
         return oblate(body, j2), site
     if site is not None or j2:
         raise PeriluneError(
