@@ -17,7 +17,7 @@ from perilune.io.export import trajectory_csv
 from perilune.problem.solution import Solution
 from perilune.report.family import family_csv, family_document
 from perilune.report.figures import label, save, solution_figures
-from perilune.report.histories import _costate_symbol, open_at_wraps
+from perilune.report.histories import _costate_symbol
 from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import Outcome
@@ -66,13 +66,6 @@ def test_a_site_below_the_datum_is_in_the_picture(below: Solution, ordinary: Sol
     assert (flight[:, 1] - under).min() > -1e-2  # km on the paper: it comes down to the ground, and not below
     assert abs(flight[-1, 1] - under[-1]) < 0.02 * np.ptp(flight[:, 1])
     save(path, tmp_path, "path")
-
-
-def test_an_angle_that_goes_on_from_the_other_end_is_no_line_across() -> None:
-    time, angle = np.arange(4.0), np.array([170.0, 179.0, -178.0, -170.0])
-    assert open_at_wraps(time, angle, "deg")[0].tolist() == [0.0, 1.0, 2.0, 2.0, 3.0]
-    np.testing.assert_array_equal(open_at_wraps(time, angle, "deg")[1], [170.0, 179.0, np.nan, -178.0, -170.0])
-    assert open_at_wraps(time, angle, "m")[1].tolist() == angle.tolist()  # of which nothing goes round
 
 
 def test_a_switch_is_drawn_as_a_step() -> None:

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import perilune as pl
 from command_line import ROOT
-from perilune.io.columns import columns, sides
+from perilune.io.columns import columns, nodes, sides
 from perilune.io.exports.epochs import TICK
-from perilune.io.exports.path import JUMP, legs
+from perilune.io.exports.path import JUMP, apart, legs
 from perilune.models.orientation import axes_in_space
 from perilune.problem.solution import Solution
 from perilune.scenario import load_file, load_text
@@ -75,10 +75,16 @@ def body_fixed(solution: Solution, k: int, t: np.ndarray) -> np.ndarray:
 def test_netcdf_is_read_by_another_library(returned: Solution, tmp_path: Path) -> None:
     netcdf4 = pytest.importorskip("netCDF4", reason=NEEDS)
     with netcdf4.Dataset(pl.export(returned, tmp_path / "flight.nc", scenario_text="a = 'ü'")) as found:
-        rows = expected(returned)
-        np.testing.assert_allclose(found["time"][:], rows.pop("time") + begins(returned), rtol=1e-15)
+        rows, times = expected(returned), found["time"][:]
+        told = rows.pop("time") + begins(returned)
+        moved = np.flatnonzero(np.append(np.diff(told), 1.0) == 0)  # before a jump: of a microsecond earlier
+        assert len(moved) and np.abs(told[moved] - times[moved] - JUMP).max() < 1e-5 * JUMP
+        np.testing.assert_allclose(np.delete(times, moved), np.delete(told, moved), rtol=1e-15)
         for name, values in rows.items():
-            np.testing.assert_array_equal(np.ma.filled(found[name][:], np.nan), values, err_msg=name)
+            read = np.ma.filled(found[name][:], np.nan)
+            np.testing.assert_array_equal(np.delete(read, moved), np.delete(values, moved), err_msg=name)
+            np.testing.assert_allclose(read[moved], values[moved], rtol=1e-6, atol=1e-6, err_msg=name)
+        assert found["x"].dimensions == ("time",) and "microsecond" in found.comment
         assert found.Conventions.startswith("CF-") and found.featureType == "trajectory"
         assert (
             found["time"].units == "seconds since 2026-06-01 12:00:00.000000" and found["time"].standard_name == "time"
@@ -86,7 +92,7 @@ def test_netcdf_is_read_by_another_library(returned: Solution, tmp_path: Path) -
         assert found["altitude"].standard_name == "height_above_reference_ellipsoid" and found["altitude"].units == "m"
         assert (found["longitude"].units, found["latitude"].units) == ("degrees_east", "degrees_north")
         assert found["path_angle"].units == "degree" and "costate of vx" in found["lambda_vx"].long_name
-        assert found["load"].coordinates == "time altitude longitude latitude"
+        assert found["load"].coordinates == "altitude longitude latitude"
         assert found["phase"].flag_meanings.split()[found["phase"][-1]] == "entry"
         assert found.frame.startswith("inertial axes that are the body's own at the begin of the flight")
         assert "perilune" in found.source and found.proof == "level 0: unverified" and found.scenario == "a = 'ü'"
@@ -107,6 +113,47 @@ def test_xarray_opens_what_a_solution_makes(returned: Solution, hybrid: Solution
     plain = hybrid.to_xarray()  # without an epoch, and with nothing that places it over the ground
     assert plain["time"].attrs["units"] == "s" and "featureType" not in plain.attrs
     np.testing.assert_array_equal(plain["r"], hybrid.trajectories[0].state.values[:, 0])
+
+
+@QUIET
+def test_xarray_looks_between_and_beside_the_times_of_a_file(
+    returned: Solution, gated: Solution, tmp_path: Path
+) -> None:
+    """By its `interp` and `sel`, which refuse an index with a time twice; on both sides of jumps what was there."""
+    xarray = pytest.importorskip("xarray", reason=NEEDS)
+    for solution, name in ((returned, "altitude"), (gated, "m")):
+        with xarray.open_dataset(pl.export(solution, tmp_path / f"{name}.nc"), engine="scipy") as found:
+            assert found.indexes["time"].is_unique and found.indexes["time"].is_monotonic_increasing
+            dated = found["time"].dtype.kind == "M"
+
+            def at(seconds: Any, found: Any = found, dated: bool = dated) -> Any:
+                whole = np.round(1e9 * np.asarray(seconds)).astype("timedelta64[ns]")
+                return found["time"].values[0] + whole if dated else np.asarray(seconds)
+
+            begin = 0.0
+            for k, trajectory in enumerate(solution.trajectories):
+                t = trajectory.time[0] + trajectory.duration * np.linspace(0.01, 0.99, 50)
+                known = columns(solution, k, t)[name].values
+                off = found[name].interp(time=at(begin + t)).values - known
+                assert np.abs(off).max() < 1e-3 * np.ptp(known)  # it is linear between the nodes
+                near = found[name].sel(time=at(begin + t), method="nearest").values
+                assert np.abs(near - known).max() < 0.05 * np.ptp(known)
+                begin += trajectory.duration
+    steps = np.concatenate([sides(trajectory)[1] for trajectory in gated.trajectories[:1]])
+    jumps: list[float] = []
+    with xarray.open_dataset(tmp_path / "m.nc", engine="scipy") as found:
+        for step in steps:
+            before, behind = (float(found["throttle"].interp(time=step + d)) for d in (-2 * JUMP, 0.0))
+            values = columns(gated, 0, np.array([step - 2 * JUMP, step]))["throttle"].values
+            assert [before, behind] == pytest.approx(values.tolist(), abs=1e-6)
+            jumps.append(abs(behind - before))
+    assert max(jumps) > 0.5  # others are of costates
+
+
+def test_phases_without_length_have_no_rows_of_a_file_with_a_time_each() -> None:
+    told, kept = apart(np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0 + 1e-7, 2.0, 2.0]))
+    assert told[kept] == pytest.approx([0.0, 1.0 + 1e-7 - JUMP, 1.0 + 1e-7, 2.0 - JUMP, 2.0], abs=1e-12)
+    assert (np.diff(told[kept]) > 0).all()
 
 
 def test_pandas_and_csv_agree(returned: Solution, tmp_path: Path) -> None:
@@ -163,6 +210,40 @@ def test_an_orbit_message_is_read_by_another_library(returned: Solution, tmp_pat
         begin += duration
     middle = segment.states and next(iter(segment.states)).epoch
     assert segment(middle).position == pytest.approx(next(iter(segment.states)).position, rel=1e-12)
+
+
+def test_a_longitude_goes_on_over_the_meridian_of_the_date(returned: Solution, tmp_path: Path) -> None:
+    """By 246 deg to the east in two phases, where each table jumped by 359.5 deg; the same places as before."""
+    pl.save(returned, tmp_path / "run")
+    trajectories = [path.read_text() for path in sorted((tmp_path / "run").glob("trajectory_*.csv"))]
+    frame = returned.to_dataframe()
+    table = pl.export(returned, tmp_path / "x.csv", "csv").read_text()
+    for texts in (trajectories, [table]):
+        rows = [row for text in texts for row in csv.DictReader(text.splitlines())]
+        east = np.array([float(row["longitude [deg]"]) for row in rows])
+        np.testing.assert_allclose(east, frame["longitude"], rtol=1e-14)
+    assert (np.diff(east) >= 0).all() and np.diff(east).max() < 2 and east[[0, -1]] == pytest.approx([16.0, 262.0])
+    for k, trajectory in enumerate(returned.trajectories):
+        fixed = body_fixed(returned, k, nodes(trajectory))
+        here = frame[frame["phase"] == returned.problem.phases[k].name]
+        turned = np.exp(1j * np.radians(here["longitude"])) * np.hypot(fixed[:, 0], fixed[:, 1])
+        np.testing.assert_allclose(turned, fixed[:, 0] + 1j * fixed[:, 1], rtol=1e-9)
+
+
+def test_tables_of_before_still_agree_and_wrong_ones_do_not(returned: Solution, tmp_path: Path) -> None:
+    """Their longitudes began again at -180 deg; a degree more is another place."""
+    pl.save(returned, tmp_path / "run")
+    place = tmp_path / "run" / "trajectory_2_entry.csv"
+    head, *rows = list(csv.reader(place.read_text().splitlines()))
+    at = head.index("longitude [deg]")
+
+    def checked(more: float) -> bool:
+        moved = [[*row[:at], repr(float(f"{float(row[at]) + more:.15g}")), *row[at + 1 :]] for row in rows]
+        place.write_text("\n".join(",".join(row) for row in [head, *moved]))
+        checks = pl.verify(pl.load(tmp_path / "run"), level=1).checks
+        return all(check.passed for check in checks if "trajectory_2" in check.name)
+
+    assert checked(0.0) and checked(-360.0) and not checked(1.0) and not checked(-359.0)
 
 
 LEAP = "2016-12-31T23:57:00"  # 179 s before the last leap second that is known

@@ -3,12 +3,14 @@
 States, outputs, controls and costates are read from the solution's own curves, a `Direction` control
 normalised again after interpolation, and the Hamiltonian ``H = lam . f(x, u)`` is evaluated with the
 problem's own dynamics (a running cost is a state, so H has no other term). Angles leave in degrees,
-everything else in SI.
+everything else in SI. An output that is an angle goes on where its range ends: a flight to the east passes from
+179 to 181 degrees, and into the next phase, without a jump.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -82,7 +84,7 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
     told, t = (trajectory.time, nodes(trajectory)) if t is None else (t, t)
     state, control = solution.flown(k, t)
-    outputs = phase.evaluate("outputs", state, control, solution.parameters)
+    outputs = _unwrapped(solution, k, t, phase.evaluate("outputs", state, control, solution.parameters))
     table = [Column(name="time", unit="s", values=told)]
     table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.output_variables, outputs, strict=True)]
     table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.states, state, strict=True)]
@@ -96,6 +98,44 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
         ]
         table.append(Column(name="H", unit=per_unit(per, "s"), values=hamiltonian(solution, k, t)))
     return {column.name: column for column in table}
+
+
+def _unwrapped(solution: Solution, k: int, t: Vector, outputs: Sequence[Any]) -> list[Any]:
+    """Outputs of phase k at times t, each angle with the whole turns that it has made since the begin of the flight."""
+    variables, found = solution.problem.phases[k].output_variables, list(outputs)
+    angles = {v.name: i for i, v in enumerate(variables) if v.unit == "rad"}
+    # A first phase from its begin without a jump is as it is, which is known at once.
+    jumps = any(np.any(np.abs(np.diff(full(found[i], t))) > math.pi) for i in angles.values())
+    if angles and (k or jumps or t[0] > 0):
+        ways = _angles(solution, k, list(angles))
+        for name, i in angles.items():
+            value = full(found[i], t)
+            way = np.interp(t, *ways[name]) if name in ways else value
+            turns = np.round((way - value) / (2 * math.pi))
+            found[i] = value + 2 * math.pi * np.where(np.isfinite(turns), turns, 0.0)
+    return found
+
+
+def _angles(solution: Solution, last: int, names: Sequence[str]) -> dict[str, tuple[Vector, Vector]]:
+    """Times of phase `last` and each output there, unwrapped from the begin of the flight, where it is a number."""
+    ends, found = dict[str, float](), dict[str, tuple[Vector, Vector]]()
+    for k, phase in enumerate(solution.problem.phases[: last + 1]):
+        here = [i for i, v in enumerate(phase.output_variables) if v.name in names]
+        if not here:
+            continue
+        trajectory = solution.trajectories[k]
+        t = np.union1d(seen_at(trajectory), trajectory.time)
+        outputs = phase.evaluate("outputs", *solution.flown(k, t), solution.parameters)
+        for i in here:
+            name, values = phase.output_variables[i].name, full(outputs[i], t)
+            known = np.isfinite(values)
+            if known.any():
+                begin = [ends[name]] if name in ends else []
+                way = np.unwrap([*begin, *values[known]])[len(begin) :]
+                ends[name], found[name] = float(way[-1]), (t[known], way)
+        if k < last:
+            found.clear()
+    return found
 
 
 def nodes(trajectory: Trajectory) -> Vector:

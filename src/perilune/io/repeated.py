@@ -177,12 +177,15 @@ def _table_slips(solution: Solution, k: int, text: str) -> Iterator[str]:
     values, behind = _values(solution, k), _values(solution, k, solution.trajectories[k].time)
     if len(rows) - 1 != values.shape[1]:
         yield f"{len(rows) - 1} rows below the heading in place of {values.shape[1]}"
+    # The first tables had angles begin again where their range ends.
+    angles = np.isin(headings, [f"{v.name} [deg]" for v in solution.problem.phases[k].output_variables])
     limits: Matrix | None = None
     for number, (row, known, after) in enumerate(zip(rows[1:], values.T, behind.T, strict=False)):
         if len(row) != len(headings):
             yield f"row {number + 2}: {len(row)} cells in place of {len(headings)}"
             continue
         said, blank = np.array([_number(cell) for cell in row]), np.array([cell == "" for cell in row])
+        said += np.where(angles & np.isfinite(said), 360.0 * np.round(np.nan_to_num(known - said) / 360.0), 0.0)
         alike = (np.abs(said - known) <= _WRITTEN * np.abs(known)) | (np.isnan(known) & blank)
         if not alike.all():  # it may be rounding
             limits = _cell_limits(solution, k) if limits is None else limits

@@ -18,11 +18,9 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.views import History
 from perilune.report.style import BLUE, GREY, LOOKS, VERMILION, legend_above, new_figure, styled, time_text
-from perilune.words.types import Vector
 
 # From these values on, a quantity is told in units of a thousand.
 LONG = {"m": (2000.0, "km"), "Pa": (2000.0, "kPa"), "W/m^2": (2000.0, "kW/m^2")}
-_HALF_TURN = 180.0  # deg: between two times of a figure no angle turns by more
 GREEK = ("alpha", "beta", "gamma", "phi", "psi", "theta")
 
 
@@ -41,7 +39,7 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
         text, factor = axis_text(problem, [column for parts in flown.values() for _, column in parts])
         for (who, parts), (colour, dash) in zip(flown.items(), LOOKS, strict=False):
             for time, column in parts:
-                ax.plot(*open_at_wraps(time, factor * column.values, column.unit), dash, color=colour, label=who)
+                ax.plot(time, factor * column.values, dash, color=colour, label=who)
                 who = "_"  # one entry in the legend for all phases of a flight
             if rows == 1 and parts:
                 time, column = parts[-1]
@@ -60,12 +58,6 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
     figure.align_ylabels()
     legend_above(figure, axes[0])
     return figure
-
-
-def open_at_wraps(time: Vector, values: Vector, unit: str) -> tuple[Vector, Vector]:
-    """A line to draw: broken where an angle goes on from the other end of its range, which is no way that it went."""
-    wraps = np.flatnonzero(np.abs(np.diff(values)) > _HALF_TURN) + 1 if unit == "deg" else []
-    return np.insert(time, wraps, time[wraps]), np.insert(values, wraps, np.nan)
 
 
 def mark_phases(axes: Any, solution: Solution, begin: float, last: float) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from perilune.io.exports.epochs import stamp
-from perilune.io.exports.path import JUMP, Leg, legs, space_of
+from perilune.io.exports.path import JUMP, Leg, apart, legs, space_of
 from perilune.io.files import json_text
 from perilune.problem.solution import Solution
 from perilune.words.types import Matrix, Vector
@@ -106,12 +106,7 @@ def _colour(*rgb: int) -> dict[str, Any]:
 def joined(flown: list[Leg]) -> Leg:
     """The whole flight with one sample of each time; of samples about a jump the last, and the first before it."""
     time = np.concatenate([leg.time for leg in flown])
-    # To the next; twice as far as one is moved, which so keeps behind those before it.
-    near = np.append(np.diff(time) < 2 * JUMP, False)
-    lasts = np.flatnonzero(~near)
-    last = time[lasts[np.searchsorted(lasts, np.arange(len(time)))]]
-    told = np.where(near, np.maximum(np.minimum(time, last - JUMP), time[0]), time)
-    kept = np.append(True, ~near[:-1]) | ~near
+    told, kept = apart(time)
     found = {
         name: np.concatenate([getattr(leg, name) for leg in flown], axis=1)[:, kept]
         for name in ("position", "velocity", "push", "push_rate")

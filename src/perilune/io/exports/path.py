@@ -71,6 +71,22 @@ class Leg:
         )  # fmt: skip
 
 
+def apart(time: Vector) -> tuple[Vector, np.ndarray]:
+    """Times that are `JUMP` apart: of those about a jump the last, and the first that much before it.
+
+    Returns
+    -------
+    tuple
+        All times, those before a jump as they are told then, and which of them are kept.
+    """
+    # To the next; twice as far as one is moved, which so keeps behind those before it.
+    near = np.append(np.diff(time) < 2 * JUMP, False)
+    lasts = np.flatnonzero(~near)
+    last = time[lasts[np.searchsorted(lasts, np.arange(len(time)))]]
+    told = np.where(near, np.maximum(np.minimum(time, last - JUMP), time[0]), time)
+    return told, (np.append(True, ~near[:-1]) & (told < last)) | ~near
+
+
 def space_of(solution: Solution, form: str) -> Space:
     """Where in space the flight is, for a format that has no other places.
 

@@ -3,7 +3,8 @@
 The columns are those of `perilune.io.columns`: outputs, states, controls, costates and H, angles in degrees and
 everything else in SI; and where the problem says where in space it flies, position, velocity and acceleration by thrust
 in inertial axes. What a phase does not have is NaN in it. Where a phase ends and the next begins, and at a switch, a
-time stands twice: before it and behind it.
+time stands twice: before it and behind it; or, where each time must be another, the row before it is that of a
+microsecond earlier.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perilune.io.columns import Column, columns, nodes
+from perilune.io.exports.path import apart
 from perilune.problem.solution import Solution
 from perilune.problem.views import Space
 from perilune.words.types import Vector
@@ -57,15 +59,28 @@ class FlightTable:
         return np.array(self.phases)[self.phase]
 
 
-def flight_table(solution: Solution) -> FlightTable:
-    """The table of a solution."""
-    parts, times, begin = [], [], 0.0
-    for k, trajectory in enumerate(solution.trajectories):
-        found = columns(solution, k)
-        del found["time"]
-        parts.append(found | {column.name: column for column in _in_space(solution, k, nodes(trajectory))})
-        times.append(begin + trajectory.time)
-        begin += trajectory.duration
+def flight_table(solution: Solution, parted: bool = False) -> FlightTable:
+    """The table of a solution.
+
+    Parameters
+    ----------
+    solution
+        The flight.
+    parted
+        Whether times increase strictly, by a microsecond at least; else both sides of a jump have one time.
+    """
+    begins = np.cumsum([0.0, *(trajectory.duration for trajectory in solution.trajectories[:-1])])
+    times = [begin + trajectory.time for begin, trajectory in zip(begins, solution.trajectories, strict=True)]
+    looks = [nodes(trajectory) for trajectory in solution.trajectories]
+    if parted:
+        times = _parted(times)
+        looks = [np.clip(t - begin, 0.0, trajectory.duration)
+                 for t, begin, trajectory in zip(times, begins, solution.trajectories, strict=True)]  # fmt: skip
+    parts = []
+    for k, look in enumerate(looks):
+        found = columns(solution, k, look) if len(look) else {}
+        found.pop("time", None)
+        parts.append(found | {column.name: column for column in _in_space(solution, k, look)})
     lengths = [len(time) for time in times]
     told, placed = _told(solution), _placed(solution.problem.views.space)
     names = {name: part[name].unit for part in parts for name in part}
@@ -89,8 +104,15 @@ def flight_table(solution: Solution) -> FlightTable:
     )  # fmt: skip
 
 
+def _parted(times: list[Vector]) -> list[Vector]:
+    """Times of each phase that are a microsecond apart: of those about a jump the last, and the first before it."""
+    told, kept = apart(np.concatenate(times))
+    ends = np.cumsum([len(time) for time in times])[:-1]
+    return [time[here] for time, here in zip(np.split(told, ends), np.split(kept, ends), strict=True)]
+
+
 def _in_space(solution: Solution, k: int, t: Vector) -> Iterator[Column]:
-    if solution.problem.phases[k].inertial is None:
+    if solution.problem.phases[k].inertial is None or not len(t):
         return
     for stem, unit, rows in zip(("", "v", "thrust_"), ("m", "m/s", "m/s^2"), solution.inertial(k, t), strict=True):
         for axis, values in zip(_AXES, rows, strict=True):

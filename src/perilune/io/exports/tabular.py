@@ -36,7 +36,10 @@ _PLACES = {
     "height": {"standard_name": "height_above_reference_ellipsoid", "positive": "up"},
 }
 _CF_UNITS = {"deg": "degree"}  # UDUNITS knows no "deg"
-_DIMENSION = "obs"
+_DIMENSION = "time"
+_PARTED = (
+    "Where a phase ends or something jumps, the row before it is that of a microsecond earlier: no time stands twice."
+)
 
 
 def write_csv(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
@@ -114,7 +117,7 @@ def dataset_of(table: FlightTable, about: Mapping[str, str], epoch: datetime | N
         name: xarray.Variable((_DIMENSION,) if values.ndim else (), values, attributes)
         for name, (values, attributes) in _variables(table, epoch).items()
     }
-    found = xarray.Dataset(variables, attrs=_file_attributes(table, about, epoch)).set_coords(["time", "phase"])
+    found = xarray.Dataset(variables, attrs=_file_attributes(table, about, epoch)).set_coords("phase")
     return xarray.decode_cf(found)
 
 
@@ -143,7 +146,13 @@ def _is_geometry(table: FlightTable, epoch: datetime | None) -> bool:
 
 def _file_attributes(table: FlightTable, about: Mapping[str, str], epoch: datetime | None) -> dict[str, str]:
     geometry = {"featureType": "trajectory"} if _is_geometry(table, epoch) else {}
-    return {"Conventions": _CONVENTIONS, **geometry, "history": f"exported by perilune {__version__}", **about}
+    return {
+        "Conventions": _CONVENTIONS,
+        **geometry,
+        "history": f"exported by perilune {__version__}",
+        "comment": _PARTED,
+        **about,
+    }
 
 
 def _variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np.ndarray, dict[str, Any]]]:
@@ -177,8 +186,8 @@ def _attributes(f: Field, places: list[str]) -> dict[str, Any]:
     found: dict[str, Any] = {"units": _CF_UNITS.get(f.unit, f.unit), "long_name": f.about, **_PLACES.get(f.placed, {})}
     if not np.isfinite(f.values).all():
         found["_FillValue"] = np.float64(np.nan)
-    if not f.placed:
-        found["coordinates"] = " ".join(["time", *places])
+    if places and not f.placed:
+        found["coordinates"] = " ".join(places)
     return found
 
 

@@ -131,11 +131,15 @@ def _writer(format: str, named: Mapping[str, str | None]) -> Callable[[Solution,
     from perilune.io.exports.table import flight_table
     from perilune.io.exports.tabular import WRITERS
 
-    return lambda solution, about, epoch, path: WRITERS[format](flight_table(solution), about, epoch, path)
+    parted = format == "netcdf"  # in which time is a dimension
+    return lambda solution, about, epoch, path: WRITERS[format](flight_table(solution, parted), about, epoch, path)
 
 
 def to_xarray(solution: Solution, *, epoch: str | datetime | None = None) -> xarray.Dataset:
     """The flight as a data set of xarray: what ``format="netcdf"`` writes, opened.
+
+    Its dimension is the time, which increases strictly: ``interp`` and ``sel(time=..., method="nearest")`` take it.
+    Where something jumps the row before is that of a microsecond earlier.
 
     Parameters
     ----------
@@ -151,7 +155,7 @@ def to_xarray(solution: Solution, *, epoch: str | datetime | None = None) -> xar
     from perilune.io.exports.tabular import dataset_of
 
     demand(solution, Solution, "a solution to export")
-    return dataset_of(flight_table(solution), provenance(solution), epoch_of(solution, epoch))
+    return dataset_of(flight_table(solution, parted=True), provenance(solution), epoch_of(solution, epoch))
 
 
 def to_dataframe(solution: Solution) -> pandas.DataFrame:
