@@ -38,6 +38,8 @@ _SURELY_DOWN = math.radians(-1.0)  # a path angle from which no vehicle leaves t
 _ANGLES_TRIED, _SPEEDS_TRIED = 6, 4
 _KEPT = 64  # falls
 _BEYOND = 10e3  # m
+# What a speed of zero, or air that stops like a wall, makes of the equations: such a fall comes nowhere.
+_NO_NUMBERS = (ArithmeticError, ValueError)
 
 
 def typical_angle(p: Any) -> float:
@@ -171,16 +173,22 @@ def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: in
     landed.terminal = True  # type: ignore[attr-defined]
     start = [p.interface_altitude, 0.0, speed, angle, 0.0]
     floats = terminal_speed(p, air) < _FLOATING  # and its equations are stiff
-    flown = solve_ivp(
-        _rates(p, air),
-        (0.0, _LONGEST),
-        start,
-        method="LSODA" if floats else "RK45",
-        rtol=1e-6,
-        atol=1e-6,
-        events=landed,
-        dense_output=True,
-    )
+    try:
+        with np.errstate(all="ignore"):
+            flown = solve_ivp(
+                _rates(p, air),
+                (0.0, _LONGEST),
+                start,
+                method="LSODA" if floats else "RK45",
+                rtol=1e-6,
+                atol=1e-6,
+                events=landed,
+                dense_output=True,
+            )
+    except _NO_NUMBERS:
+        rows = np.tile(start, (points, 1))
+        rows.flags.writeable = False
+        return Fall(time=_LONGEST, lands=False, rows=rows)
     time = float(flown.t[-1])
     rows = flown.sol(np.linspace(0.0, time, points)).T
     rows.flags.writeable = False
@@ -188,10 +196,11 @@ def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: in
 
 
 def terminal_speed(p: Any, air: Air) -> float:
-    """Speed [m/s] of a steady vertical fall where the entry ends."""
+    """Speed [m/s] of a steady vertical fall where the entry ends, without bound where there is no air."""
     radius, mass = p.body_radius + lowest(p), getattr(p, "separation_mass", p.vehicle_mass)
     slowed = drag_acceleration(air.density(lowest(p), p, NUMERIC), (1.0, 0.0, 0.0), mass, p, NUMERIC)
-    return math.sqrt(p.body_gravitational_parameter / (radius * radius) / float(slowed))
+    pull = p.body_gravitational_parameter / (radius * radius)
+    return math.sqrt(pull / float(slowed)) if slowed > 0 else math.inf
 
 
 def slowest_arrival(p: Any, air: Air, steepest: float, speeds: tuple[float, float]) -> float:
@@ -240,8 +249,12 @@ def _was_thrown(p: Any, air: Air, speed: float, angle: float) -> bool:
 
     turns.terminal = comes.terminal = True  # type: ignore[attr-defined]
     start = [lowest(p), 0.0, speed, angle, 0.0]
-    flown = solve_ivp(
-        lambda t, y: [-rate for rate in forward(t, y)], (0.0, _LONGEST), start, rtol=1e-4, atol=1e-4,
-        events=(turns, comes),
-    )  # fmt: skip
+    try:
+        with np.errstate(all="ignore"):
+            flown = solve_ivp(
+                lambda t, y: [-rate for rate in forward(t, y)], (0.0, _LONGEST), start, rtol=1e-4, atol=1e-4,
+                events=(turns, comes),
+            )  # fmt: skip
+    except _NO_NUMBERS:
+        return False
     return bool(len(flown.t_events[0])) and not len(flown.t_events[1])

@@ -75,13 +75,14 @@ def compare_return(
     """
     low, high = extremes(p)
     found = _above_interface(p, m, low, angles)
+    enters = all(np.all(f.passed) for f in found if f.binding)  # what is within the air already falls from no interface
     if air is not None and air.said and standard:
         found += _like_standard(air)
     if hasattr(p, "vehicle_dry_mass"):
         found += [_comes_down(p, m, low, high), *_at_interface(p, m)]
         if not hasattr(p, "transition_longest_coast"):
             found.append(_burns_down(p, m, low))
-    if air is not None and _of_one(p, low) and low > p.body_radius:
+    if air is not None and _of_one(p, low) and low > p.body_radius and enters:
         fallen = fall(p, air)
         if not hasattr(p, "vehicle_lift_to_drag"):
             found += (*borne_at_least(p, air, fallen), *leaves_again(p, air, fallen))
