@@ -89,10 +89,12 @@ class Timed(io.StringIO):
         super().__init__()
 
     def write(self, text: str) -> int:
+        """Write, and remember when."""
         self.heard()
         return super().write(text)
 
     def heard(self) -> None:
+        """Remember that something was written."""
         now = time.monotonic()
         self.longest, self.last = max(self.longest, now - self.last), now
 

@@ -78,11 +78,14 @@ def run_python(page: Path) -> None:
 
 
 def said(arguments: list[str]) -> tuple[int, str]:
-    """Exit code of a command, and what it prints. In this process: one of its own loads everything anew."""
+    """Exit code of a command, and what it prints. In this process: one of its own loads everything anew.
+
+    For how long it is at work, which a page does not show, depends on the machine.
+    """
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
         code = run(arguments)
-    return code, printed.getvalue()
+    return code, re.sub(r"^perilune: at work for .*\n", "", printed.getvalue(), flags=re.MULTILINE)
 
 
 def run_console(page: Path, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:

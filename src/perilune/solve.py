@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
@@ -14,10 +15,12 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, THEOREM, Verification
-from perilune.words.asked import called_in_words, demand, demand_callable, demand_level, refused
-from perilune.words.outcome import Outcome, PeriluneError
-from perilune.words.watch import Watch
+from perilune.words.asked import called_in_words, demand, demand_callable, demand_level, demand_si, refused
+from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
+from perilune.words.units import told
+from perilune.words.watch import Iteration, Progress, TimeLimitReached, Watch, at_work, best_so_far, progressing
 
+TIME_LIMIT = 600.0  # s, where none is stated: the hardest answers take a minute or two
 SECOND_VARIATION = ("conjugate_point", "second_variation", "nothing_gained")  # checks of level 3
 
 if TYPE_CHECKING:
@@ -34,6 +37,7 @@ def solve(
     level: int = 3,
     tolerance: Tolerance | None = None,
     watch: Watch | None = None,
+    time_limit: float | None = None,
 ) -> Solution:
     """Solve a problem and prove the answer.
 
@@ -51,7 +55,10 @@ def solve(
     tolerance
         Differences that do not matter to the proof, which then says so; by default only rounding does not.
     watch
-        Receives each iteration, and lines of text.
+        Receives each iteration, and lines of text; nothing takes much longer than a second without one.
+    time_limit
+        Time [s] after which the search, or the proof, ends with `NotConvergedError` and the best flight so far; by
+        default `TIME_LIMIT`, and none for a theorem. ``math.inf`` is none. Whatever ends before it depends on no clock.
 
     Returns
     -------
@@ -63,7 +70,7 @@ def solve(
     InfeasibleError
         If a binding comparison of `perilune.problem.preflight` is missed, or as the method says.
     NotConvergedError
-        As the method says.
+        As the method says, or where the time limit is over.
     """
     demand(
         problem, Problem, "a problem to solve", "a scenario file is read by perilune.scenario.load_file(FILE).problem"
@@ -73,13 +80,56 @@ def solve(
         _theorem()  # what is not installed is said before the work
     demand_callable(watch, "a watch")
     demand_tolerance(tolerance)
-    refuse_impossible(preflight(problem))
-    solution = prove(_answered(usable(method), problem, guess, watch), level, tolerance, watch)
-    if guess is None and isinstance(usable(method), Indirect) and _no_minimum(solution):
-        further = cast("Indirect", usable(method)).beyond(problem, solution, watch)
-        if further is not None and (better := prove(further, level, tolerance, watch)).verification.level >= 3:
+    limit = _demand_limit(time_limit, level)
+    with progressing(watch, problem, limit) as work:
+        try:
+            refuse_impossible(preflight(problem))
+            return _solved_and_proved(usable(method), problem, guess, level, tolerance, work)
+        except TimeLimitReached as end:
+            raise _out_of_time(problem, work, limit, end) from None
+
+
+def _solved_and_proved(
+    method: Method, problem: Problem, guess: Solution | None, level: int, tolerance: Tolerance | None, work: Progress
+) -> Solution:
+    """Return the answer of a method with its proof, or the better one that lies beyond an extremal that is none."""
+    solution = _answered(method, problem, guess, work)
+    best = f"J = {solution.objective:.9g} {problem.objective_unit}, which is not proved yet"
+    best_so_far(problem, solution.objective, best, lambda: solution, extremal=True)
+    solution = prove(solution, level, tolerance, work)
+    if guess is None and isinstance(method, Indirect) and _no_minimum(solution):
+        further = method.beyond(problem, solution, work)
+        if further is not None and (better := prove(further, level, tolerance, work)).verification.level >= 3:
             return better
     return solution
+
+
+def _demand_limit(stated: float | None, level: int) -> float:
+    """Return the time limit [s] that holds."""
+    if stated is None:
+        return math.inf if level == THEOREM else TIME_LIMIT
+    demand_si(stated, "a time limit", 'time_limit=60.0; --time-limit "60 s" on the command line')
+    if not stated > 0:
+        raise PeriluneError("a time limit is a positive time", got=f"{stated:g} s", expected="more than 0 s")
+    return float(stated)
+
+
+def _out_of_time(problem: Problem, work: Progress, limit: float, end: TimeLimitReached) -> NotConvergedError:
+    """Return what is said at the end of the time, with the best flight that is known."""
+    found, known = work.flight(), "no flight is known yet"
+    if found is not None:
+        flight, extremal = found
+        kind = "an extremal" if extremal else "a rough flight of the direct method"
+        known = f"best so far: {kind} with J = {told(flight.objective, problem.objective_unit, 9)}, which is not proved"
+    return NotConvergedError(
+        f"the time limit of {told(limit, 's')} is over",
+        got=f"{known}; at work on: {work.stage or 'the begin'}",
+        expected="an answer and its proof",
+        advice='more time (--time-limit "20 min", or time_limit=1200.0), a guess, or a lower --level; with --out DIR '
+        "the best flight is kept",
+        partial={"tried": list(end.tried)},
+        flight=None if found is None else found[0],
+    )
 
 
 def _no_minimum(solution: Solution) -> bool:
@@ -215,11 +265,14 @@ def verify(
     demand_level(level, LEVELS)
     add_theorem = _theorem() if level == THEOREM else None
     usual = level if add_theorem is None else THEOREM - 2
-    found = examine(solution, usual, resolve or _solve_again, other if other is None else usable(other), tolerance)
-    if add_theorem is not None and found.level < usual:
-        why = f"no theorem: it is tried of what reaches level {usual}, and this reaches level {found.level}"
-        return replace(found, notes=(why, *found.notes))
-    return found if add_theorem is None else add_theorem(found, solution, watch)
+    another = other if other is None else usable(other)
+    with progressing(watch) as work:
+        work.at_work("proof: the flight is flown again")
+        found = examine(solution, usual, resolve or _solve_again, another, tolerance)
+        if add_theorem is not None and found.level < usual:
+            why = f"no theorem: it is tried of what reaches level {usual}, and this reaches level {found.level}"
+            return replace(found, notes=(why, *found.notes))
+        return found if add_theorem is None else add_theorem(found, solution, work)
 
 
 def _theorem() -> Callable[[Verification, Solution, Watch | None], Verification]:
@@ -242,4 +295,7 @@ def _theorem() -> Callable[[Verification, Solution, Watch | None], Verification]
 
 
 def _solve_again(problem: Problem, guess: Solution) -> Solution:
-    return Indirect().run(problem, guess)
+    def work(_: Iteration | str) -> None:
+        at_work("proof: neighbouring problems are solved again")
+
+    return Indirect().run(problem, guess, work)

@@ -16,6 +16,7 @@ from perilune.cli.options import (
     OUT,
     SET,
     SETTINGS,
+    SOLVED_WITHIN,
     VERBOSE,
     Option,
     level,
@@ -139,7 +140,7 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
     find = (SET, OUT, VERBOSE, FORCE)
     command(
         "solve", "Find the best landing, without a guess, and prove it.", FILE, *find, level(0, 3), METHOD,
-        *SETTINGS, NO_CACHE,
+        *SETTINGS, SOLVED_WITHIN, NO_CACHE,
     )  # fmt: skip
     command(
         "sweep",

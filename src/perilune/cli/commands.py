@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from perilune.cli.answer import Answer, Files, aside, deliver, failed, refusal, say, tell
 from perilune.cli.arguments import Told, help_text, parsed, settings
 from perilune.cli.doctor import diagnosis
+from perilune.cli.options import seconds
 from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
 from perilune.cli.stopping import advised, heed, put_off
 from perilune.words.outcome import InfeasibleError, PeriluneError
@@ -44,18 +45,22 @@ def _solve(typed: Namespace) -> Answer:
     from perilune.scenario import load_file
 
     chosen, out = method_of(typed.method, settings(typed)), typed.out
-    scenario = load_file(typed.file, typed.changes)
-    refuse_used(out, typed.force)
-    warn(preflight(scenario.problem))
+    limit = None if typed.time_limit is None else seconds(typed.time_limit, "--time-limit")
+    log: deque[str] = deque(maxlen=LONGEST_LOG)
+    with progress(False, log):
+        scenario = load_file(typed.file, typed.changes)
+        refuse_used(out, typed.force)
+        found = preflight(scenario.problem)
+    warn(found)
     from perilune.solve import solve as solve_problem
 
-    log: deque[str] = deque(maxlen=LONGEST_LOG)
     kept, files = "", Files()
     with advised(lambda: kept), progress(typed.verbose, log) as watch:
         with failure_kept(scenario, out, typed.force, log):
             solution = solve_problem(
-                scenario.problem, chosen, level=typed.level, tolerance=scenario.tolerance, watch=watch
-            )
+                scenario.problem, chosen, level=typed.level, tolerance=scenario.tolerance, watch=watch,
+                time_limit=limit,
+            )  # fmt: skip
             if out is not None:
                 with put_off(), files.written():
                     from perilune.io.export import save
@@ -124,8 +129,10 @@ def _check(typed: Namespace) -> Answer:
     from perilune.problem.preflight import preflight, refuse_impossible
     from perilune.scenario import load_file
 
-    problem = load_file(typed.file, typed.changes).problem
-    found = preflight(problem)
+    with progress(False, deque(maxlen=1)) as watch:
+        problem = load_file(typed.file, typed.changes).problem
+        watch("comparing with what physics allows")
+        found = preflight(problem)
     rows = [
         {
             "name": f.name,
@@ -160,7 +167,10 @@ def _opportunities(typed: Namespace) -> Answer:
     from perilune.report.opportunities import opportunities_document, opportunities_text
     from perilune.scenario import load_file
 
-    found = opportunities(load_file(typed.file, typed.changes).problem, typed.days)
+    with progress(False, deque(maxlen=1)) as watch:
+        problem = load_file(typed.file, typed.changes).problem
+        watch("looking at the passes")
+        found = opportunities(problem, typed.days)
     document, text = opportunities_document(found), opportunities_text(found, every=typed.every)
     try:
         refuse_none(found, typed.days)
@@ -218,7 +228,8 @@ def _export(typed: Namespace) -> Answer:
     named = demand_named(form, typed.object_name, typed.object_id)
     loaded, document = opened(typed.directory)
     epoch_of(loaded, typed.epoch)  # refused before the proof, which may take long
-    solution = prove(loaded, typed.prove)
+    with progress(False, deque(maxlen=1)) as watch:
+        solution = prove(loaded, typed.prove, watch=watch)
     heed()
     about = provenance(solution, document=document)
     write(solution, typed.out, form, about, epoch=typed.epoch, force=typed.force, **named)

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from perilune.words.outcome import PeriluneError
+
 
 def whole(least: int, most: int | None = None) -> Callable[[str], int]:
     """What reads a whole number in a range."""
@@ -24,6 +26,23 @@ def whole(least: int, most: int | None = None) -> Callable[[str], int]:
 def real(text: str) -> float:
     """Read a number."""
     return float(text)
+
+
+def seconds(text: str, flag: str) -> float:
+    """Read a time with its unit, in s; `flag` names it in a refusal.
+
+    Raises
+    ------
+    PeriluneError
+        If it is none.
+    """
+    from perilune.words.declared import named
+    from perilune.words.units import parse_quantity
+
+    try:
+        return parse_quantity(text, "s", "60 s")
+    except PeriluneError as error:
+        raise named(flag, error) from None
 
 
 real.__name__ = "number"  # what argparse calls it
@@ -75,6 +94,11 @@ JSON = switch("--json", "One JSON document on stdout.", dest="as_json")
 VERBOSE = switch("--verbose", "Show every iteration on stderr, and every check.")
 FORCE = switch("--force", "Replace what an earlier run wrote there.")
 NO_CACHE = switch("--no-cache", "Compile anew and keep no machine code on disk.")
+SOLVED_WITHIN = option(
+    "--time-limit",
+    metavar="TIME",
+    help='When to end with the best flight so far, e.g. "60 s". Usually "10 min", never for a theorem.',
+)
 METHOD = option(
     "--method",
     metavar="METHOD",

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import re
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 from perilune.cli.answer import INTERRUPTED, Files, aside, refusal, stopped
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
     from perilune.words.watch import Iteration
 
 LONGEST_LOG = 1000  # lines of progress that a failure keeps
+_FIRST_WORD, _NEXT_WORD = 2.0, 5.0  # s: until the first word on what is at work, and between two of them
+_BEST_SO_FAR = "best so far: "  # how `perilune.words.watch.best_so_far` begins
 _COUNT = re.compile(r"\d+ of \d+")  # members that are done, of all
 _COUNTED = re.compile(r" \(\d+ of \d+\).*")
 
@@ -36,25 +40,82 @@ def _iteration_line(i: Iteration) -> str:
 
 @contextmanager
 def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | str], None]]:
-    """A `watch` that keeps lines in `log`, prints them if verbose, and else moves a spinner on a terminal."""
+    """Yield a `watch` that keeps lines in `log`, and prints them if verbose.
+
+    What takes longer than two seconds shows for how long it is at work and on what: beside a spinner on a
+    terminal, else in a line every few seconds.
+    """
     shown: AbstractContextManager[Any] = nullcontext()
+    clock = WorkClock()
     show: Callable[[str], object] = aside if verbose else str
+    tick: Callable[[], object] = clock.print_line
     if not verbose and sys.stderr.isatty():
         from rich.console import Console
 
         console, told = Console(stderr=True), Told()
         shown = console.status("solving")
         spin, room = shown.update, console.width - 3  # beside the spinner
-        show = lambda line: spin(told.line(line, room))  # noqa: E731
+        show = lambda line: spin(told.line(clock.text(line), room))  # noqa: E731
+        tick = lambda: spin(told.line(clock.text(), room))  # noqa: E731
 
     def watch(event: Iteration | str) -> None:
         line = event if isinstance(event, str) else _iteration_line(event)
         log.append(line)
+        clock.hear(line, printed=verbose)
         show(line)
         heed()
 
-    with shown:
+    with shown, clock.ticking(tick):
         yield watch
+
+
+@dataclass
+class WorkClock:
+    """How long a command is at work, and on what."""
+
+    began: float = field(default_factory=time.monotonic)
+    printed: float = field(default_factory=time.monotonic)
+    line: str = ""
+    best: str = ""
+
+    def hear(self, line: str, *, printed: bool = False) -> None:
+        """Remember a line, and whether it was printed."""
+        if line.startswith(_BEST_SO_FAR):
+            self.best = f"; {line}"
+        elif line:
+            self.line = line
+        self.printed = time.monotonic() if printed else self.printed
+
+    def text(self, line: str = "") -> str:
+        """Return what is shown beside a spinner."""
+        seconds = time.monotonic() - self.began
+        return (f"{seconds:.0f} s: " if seconds > _FIRST_WORD else "") + (line or self.line) + self.best
+
+    def print_line(self) -> None:
+        """Print for how long the command is at work, where nothing was printed for a while."""
+        now = time.monotonic()
+        if now - self.printed > (_FIRST_WORD if self.printed == self.began else _NEXT_WORD):
+            self.printed = now
+            on = ": " * bool(self.line) + self.line + self.best
+            aside(f"perilune: at work for {now - self.began:.0f} s{on}")
+
+    @contextmanager
+    def ticking(self, tick: Callable[[], object]) -> Iterator[None]:
+        """Call `tick` twice a second from a thread of its own, as foreign code may not come back for long."""
+        ended = Event()
+
+        def run() -> None:
+            while not ended.wait(0.5):
+                tick()
+
+        self.printed = self.began
+        thread = Thread(target=run)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
 
 
 @dataclass

@@ -24,6 +24,7 @@ import numpy as np
 from perilune.direct.assembly import Assembled
 from perilune.direct.reduced import Reduced, Weighed
 from perilune.words.types import Matrix, Vector
+from perilune.words.watch import at_work
 
 # First points keep this distance from a bound, or this part of the range between two.
 PUSH = 1e-2
@@ -138,6 +139,7 @@ class _Search:
         here.curve(point.y, point.ranged)
         found, best, missed = None, self.tolerance, self.missed(point.v)
         for iteration in range(iterations + 1):
+            at_work(f"direct method: iteration {iteration} of the nonlinear program")
             error, apart = self.errors(point)
             if max(error, apart) <= self.tolerance:
                 # The last step is worth its while: the multipliers of states become costates.

@@ -40,6 +40,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.symbolic import Unnumbered, canonical_given, free_scales, state_scales
 from perilune.problem.variables import Variable
 from perilune.words.types import Matrix, Vector
+from perilune.words.watch import at_work
 
 # State values up to which the dense search of our own is quicker than IPOPT, and iterations after which it is given up.
 MODERATE, PATIENCE = 160, 50
@@ -258,11 +259,46 @@ def _told_in_our_words() -> Iterator[None]:
         sys.stderr.write(lines.getvalue())
 
 
+class _Alive(ca.Callback):
+    """A sign of life at each iteration of IPOPT; what it raises is raised again when IPOPT has ended."""
+
+    def __init__(self, unknowns: int, rows: int, given: int) -> None:
+        super().__init__()
+        self.sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": given}
+        self.raised: BaseException | None = None
+        self.count = 0
+        self.construct("alive", {})
+
+    def get_n_in(self) -> int:
+        return ca.nlpsol_n_out()
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return ca.nlpsol_out(i)
+
+    def get_name_out(self, i: int) -> str:
+        return "ret"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self.sizes[ca.nlpsol_out(i)], 1)
+
+    def eval(self, arg: Any) -> list[int]:
+        self.count += 1
+        try:
+            at_work(f"direct method: iteration {self.count} of the nonlinear program")
+        except BaseException as error:
+            self.raised = error
+        return [int(self.raised is not None)]
+
+
 @dataclass(frozen=True, eq=False)
 class _Solver:
     """A compiled program; what it tells of its last run is of that run as long as one thread at a time has it."""
 
     function: ca.Function
+    alive: _Alive
     lock: Lock
 
     def __call__(self, posed: Posed, first: Vector) -> tuple[Optimum, str]:
@@ -274,10 +310,13 @@ class _Solver:
             If the user stopped it.
         """
         with self.lock, _told_in_our_words():
+            self.alive.raised, self.alive.count = None, 0
             out = self.function(
                 x0=first, p=posed.given, lbx=posed.lower, ubx=posed.upper, lbg=posed.low, ubg=posed.high
             )
-            stats = self.function.stats()
+            stats, raised = self.function.stats(), self.alive.raised
+        if raised is not None:
+            raise raised
         # Ctrl-C inside a derivative reaches IPOPT as a foreign exception.
         if stats["return_status"] in ("User_Requested_Stop", "NonIpopt_Exception_Thrown"):
             raise KeyboardInterrupt
@@ -296,7 +335,10 @@ def _solver(
 ) -> _Solver:
     """The compiled program: its cache is what makes the second solve of the same physics cheap."""
     program = _assembled(unnumbered, layouts, nearest)
+    value = program.value
+    alive = _Alive(value.size1_in("x"), value.size1_out("g"), value.size1_in("p"))
     options = {
+        "iteration_callback": alive,
         "print_time": False,
         "error_on_fail": False,
         "show_eval_warnings": False,  # a NaN on the way is the search's to deal with, not C++'s to print
@@ -315,4 +357,4 @@ def _solver(
         "ipopt.honor_original_bounds": "yes",
         "ipopt.bound_relax_factor": 0.0,
     }
-    return _Solver(ca.nlpsol("transcription", "ipopt", program.value, options), Lock())
+    return _Solver(ca.nlpsol("transcription", "ipopt", program.value, options), alive, Lock())

@@ -19,7 +19,7 @@ from perilune.structures.read import contacts, of_states
 from perilune.structures.regimes import wavering
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, best_so_far, silent
 
 _SEGMENTS = 8  # of a phase; of several phases together at first
 _FOLLOWED = 1e-3  # relative mesh error up to which a mesh has followed a flight, and a finer one shows no other
@@ -93,6 +93,7 @@ class Coarse:
             except PeriluneError as error:
                 self.refusal = error
             if self.solution is not None and _fair(self.solution):
+                _tell_of_rough(self.problem, self.solution)
                 break
         return self.solution
 
@@ -159,6 +160,12 @@ class Coarse:
     def _say(self, lines: tuple[str, ...]) -> None:
         """One line; what a mesh missed, condition by condition, stays with the direct method."""
         self.tried.append("direct transcription: " + "; ".join(line.partition(" (")[0] for line in lines))
+
+
+def _tell_of_rough(problem: Problem, rough: Solution) -> None:
+    """Tell of a rough flight, which is what a time limit would leave."""
+    told = f"J = {rough.objective:.6g} {problem.objective_unit}, mesh error {rough.statistics.residual:.1g}"
+    best_so_far(problem, rough.objective, f"a rough flight with {told}", lambda: rough, extremal=False)
 
 
 def touched(flight: Solution) -> set[str]:

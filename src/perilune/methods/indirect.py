@@ -32,7 +32,7 @@ from perilune.shooting.continuation import Member
 from perilune.structures.carry import Joined
 from perilune.words.asked import called_in_words
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import TimeLimitReached, Watch, best_so_far, silent
 
 
 @called_in_words
@@ -111,6 +111,11 @@ class Indirect(Ladder):
                 return found
             error.partial["tried"] = list(search.tried)
             raise
+        except TimeLimitReached as end:
+            end.tried = (*search.tried, *end.tried)
+            raise
+        told = f"J = {solution.objective:.9g} {search.problem.objective_unit}, and whether another is better is open"
+        best_so_far(search.problem, solution.objective, told, lambda: solution, extremal=True)
         for rough in search.outdoing():
             if not rough.objective < solution.objective:
                 continue

@@ -33,6 +33,7 @@ from perilune.proof.feasible import feasibility
 from perilune.proof.flight import flights
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import quotient
+from perilune.words.watch import at_work
 
 if TYPE_CHECKING:
     from perilune.structures.structure import Structure
@@ -78,7 +79,7 @@ def agreement(
         parts, structure = arcs
         same = _same_arcs(solution.problem, parts, structure)
         try:
-            solution, near = parts, other.run(same, split(near, structure, same))
+            solution, near = parts, other.run(same, split(near, structure, same), at_work)
         except PeriluneError as failure:
             yield Check(
                 name="cross_arcs", level=4, value=float("nan"), limit=0.0, unit="1",
@@ -132,7 +133,7 @@ def _rivals(solution: Solution, other: Method) -> tuple[list[Solution], str]:
     from perilune.methods.indirect import Indirect
 
     try:
-        first = other.run(solution.problem, solution if isinstance(other, Indirect) else None)
+        first = other.run(solution.problem, solution if isinstance(other, Indirect) else None, at_work)
     except PeriluneError as error:
         return [], f", but {type(other).__name__} does not: {error.what}"
     if isinstance(other, Indirect):
@@ -145,7 +146,7 @@ def _rivals(solution: Solution, other: Method) -> tuple[list[Solution], str]:
     if first.objective - solution.objective > _allowed(objective_scale(solution), first.objective, near):
         # From no guess it ended in a worse optimum, which refutes nothing: does it confirm this one?
         try:
-            rivals.append(other.run(problem, solution))
+            rivals.append(other.run(problem, solution, at_work))
         except PeriluneError:
             pass
     return rivals, ""

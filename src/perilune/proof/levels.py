@@ -30,6 +30,7 @@ from perilune.proof.stated import raised, sensible
 from perilune.proof.variations import Kept
 from perilune.words.asked import demand_level
 from perilune.words.outcome import PeriluneError
+from perilune.words.watch import at_work
 
 _ROUGH = "neighbours were not solved again, as a check of level 1 failed"
 _UNTOLD = "neighbours were not solved again, as a check of level 3 cannot be told"
@@ -85,6 +86,7 @@ def examine(
         # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
         with np.errstate(all="ignore"):
             for check in _checks(solution, level, resolve, other, tolerance, checks):
+                at_work(f"proof: level {check.level}, {check.name}")
                 checks.append(raised(check, tolerance))
             if solution.repeated is not None and all(check.passed for check in checks):
                 checks.extend(solution.repeated(solution))

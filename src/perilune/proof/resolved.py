@@ -20,6 +20,7 @@ from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, objective_scale
 from perilune.proof.extremal import all_multipliers, at_bound, varied
 from perilune.words.outcome import PeriluneError
+from perilune.words.watch import at_work
 
 Resolve = Callable[[Problem, Solution], Solution]
 
@@ -37,6 +38,7 @@ SHIFTED = "initial_costate_"  # how the names of checks of shifted starts begin
 
 def _objective(resolve: Resolve, problem: Problem, guess: Solution) -> float:
     """J of a neighbouring problem, NaN where it could not be solved: the check then fails, saying so."""
+    at_work("proof: neighbouring problems are solved again")
     try:
         return float(resolve(problem, guess).objective)
     except PeriluneError:

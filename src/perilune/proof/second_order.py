@@ -57,6 +57,7 @@ from perilune.proof.switching import HAMILTONIAN_LIMIT
 from perilune.proof.variations import Kept, Piece, pieces_of
 from perilune.words.derivatives import COMPLEX, jacobian, stacked
 from perilune.words.types import Matrix, Vector
+from perilune.words.watch import at_work
 
 CURVATURE_LIMIT = -1e-4
 # Discretisation lowers kappa by 1.6e-4 of itself (oscillator).
@@ -211,6 +212,7 @@ def _form(pieces: Sequence[Piece]) -> Form:
             shape = np.linalg.inv(np.linalg.cholesky(step * piece.H_uu)).transpose(0, 2, 1)
         path = np.zeros((piece.steps, n + m + k, columns))
         for j in range(piece.steps):
+            at_work("proof: level 3, the second variation")
             path[j, n : n + m] = parameters
             path[j, n + m :, at + j * k : at + (j + 1) * k] = shape[j]
             after = through[j] @ dx + into[j] @ path[j, n:]

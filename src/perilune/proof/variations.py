@@ -23,6 +23,7 @@ from perilune.proof.strict import crossings, end_switches
 from perilune.proof.switching import control_rates, on_bounds, varied_sizes, with_limits
 from perilune.words.derivatives import jacobian
 from perilune.words.types import Matrix, Vector
+from perilune.words.watch import at_work
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
 _WITHOUT_EFFECT = 1e-12  # of a direction, against the largest derivative of the dynamics
@@ -88,6 +89,7 @@ def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept
     for arc in arcs:
         stretches = _stretches(arc, {time: name for (i, time), name in times.items() if i == arc.index})
         for stretch in stretches:
+            at_work("proof: level 3, the second variation")
             own = kept.get(arc.index, Kept())
             found.append(Piece(arc, p, varied, list(switches.values()), stretch, own, finer))
             if stretch.place is not None:

@@ -1,9 +1,21 @@
-"""What a long computation tells while it runs."""
+"""What a long computation tells while it runs, and the time that it may take.
+
+A computation reports to a `Watch`: each iteration, and lines of text. Deep inside of it, where no watch is passed,
+`at_work` is a sign of life for the computation that is at work in this context (`contextvars`): it is told at most once
+a second, and is where a time limit takes effect. A limit that is not met changes nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
+from typing import Any
+
+_SIGN_EVERY = 1.0  # s between two signs of life that are told
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,3 +34,136 @@ Watch = Callable[[Iteration | str], None]
 
 def silent(event: Iteration | str) -> None:
     """Watch nothing."""
+
+
+class TimeLimitReached(BaseException):
+    """The time limit of a computation is over; no error, which a method would try to mend.
+
+    Attributes
+    ----------
+    tried
+        What a search had tried until then.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("the time limit is over")
+        self.tried: tuple[str, ...] = ()
+
+
+@dataclass
+class Progress:
+    """A computation at work: a `Watch` that passes events on, and ends the work when its time is over.
+
+    Parameters
+    ----------
+    watch
+        Receives the events.
+    subject
+        What is computed, by which `best_so_far` tells whether a flight is one of it.
+    limit
+        Time [s] that it may take, without bound if infinite.
+    outer
+        The computation of which this one is a part.
+    """
+
+    watch: Watch
+    subject: Any = None
+    limit: float = math.inf
+    outer: Progress | None = None
+    stage: str = ""
+    best: tuple[bool, float, Callable[[], Any]] | None = None
+
+    def __post_init__(self) -> None:
+        self.began: float = time.monotonic()
+        self.heard: float = self.began
+
+    def __call__(self, event: Iteration | str) -> None:
+        """Pass an event on."""
+        self.demand_time()
+        self.heard = time.monotonic()
+        if isinstance(event, str) and event:
+            self.stage = event
+        self.watch(event)
+
+    def demand_time(self) -> None:
+        """End the work once where its time is over, and that of which it is a part where that is so.
+
+        Raises
+        ------
+        TimeLimitReached
+            If it is.
+        """
+        if self.outer is not None:
+            self.outer.demand_time()
+        if time.monotonic() - self.began > self.limit:
+            self.limit = math.inf  # what is said of the end takes time as well
+            raise TimeLimitReached
+
+    def at_work(self, text: str) -> None:
+        """Tell a sign of life where nothing was told for a second."""
+        self.demand_time()
+        if time.monotonic() - self.heard > _SIGN_EVERY:
+            self(text)
+
+    def flight(self) -> tuple[Any, bool] | None:
+        """Return the best flight that is known so far, and whether it is an extremal; None where there is none."""
+        return None if self.best is None else (self.best[2](), self.best[0])
+
+
+_AT_WORK: ContextVar[Progress | None] = ContextVar("_AT_WORK", default=None)
+
+
+@contextmanager
+def progressing(watch: Watch | None, subject: Any = None, limit: float = math.inf) -> Iterator[Progress]:
+    """Enter a computation, as a part of that which is at work in this context, if any.
+
+    Parameters
+    ----------
+    watch
+        Receives its events; one that is at work already goes on.
+    subject, limit
+        As of `Progress`.
+    """
+    if isinstance(watch, Progress):
+        yield watch
+        return
+    made = Progress(watch or silent, subject, limit, outer=_AT_WORK.get())
+    token = _AT_WORK.set(made)
+    try:
+        yield made
+    finally:
+        _AT_WORK.reset(token)
+
+
+def at_work(text: Iteration | str) -> None:
+    """Give a sign of life of the computation at work, if any; also a `Watch` for a part that tells no more than that.
+
+    Raises
+    ------
+    TimeLimitReached
+        If its time is over.
+    """
+    if (now := _AT_WORK.get()) is not None:
+        now.at_work(text if isinstance(text, str) else now.stage)
+
+
+def best_so_far(subject: Any, objective: float, told: str, flight: Callable[[], Any], *, extremal: bool) -> None:
+    """Remember the best flight of what is computed, and tell of it, unless a better one is known.
+
+    Parameters
+    ----------
+    subject
+        The problem of the flight; of another than that which is computed nothing is remembered.
+    objective, told
+        J, and what is told of it.
+    flight
+        Makes it.
+    extremal
+        Whether it is an extremal, which is better than a rough flight.
+    """
+    now = _AT_WORK.get()
+    if now is None or now.subject is not subject:
+        return
+    if now.best is None or (extremal, -objective) >= (now.best[0], -now.best[1]):
+        now.best = extremal, objective, flight
+        now(f"best so far: {told}")

@@ -12,6 +12,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from perilune.words.outcome import PeriluneError
+from perilune.words.watch import at_work
 
 _PIECES = 1 << 23, 1 << 12, 1 << 14, 1 << 16, 1 << 20  # bytes: sections of all sizes
 _TOGETHER = 2**31 - 2**27
@@ -100,6 +101,7 @@ def compile_ir(text: str) -> bytes:
     """
     import llvmlite.binding as llvm
 
+    at_work("compiling machine code")
     machine = _machine()
     try:
         module = llvm.parse_assembly(text)
