@@ -73,9 +73,7 @@ def flight_table(solution: Solution, parted: bool = False) -> FlightTable:
     times = [begin + trajectory.time for begin, trajectory in zip(begins, solution.trajectories, strict=True)]
     looks = [nodes(trajectory) for trajectory in solution.trajectories]
     if parted:
-        times = _parted(times)
-        looks = [np.clip(t - begin, 0.0, trajectory.duration)
-                 for t, begin, trajectory in zip(times, begins, solution.trajectories, strict=True)]  # fmt: skip
+        times, looks = _parted(times, looks)
     parts = []
     for k, look in enumerate(looks):
         found = columns(solution, k, look) if len(look) else {}
@@ -104,11 +102,20 @@ def flight_table(solution: Solution, parted: bool = False) -> FlightTable:
     )  # fmt: skip
 
 
-def _parted(times: list[Vector]) -> list[Vector]:
-    """Times of each phase that are a microsecond apart: of those about a jump the last, and the first before it."""
-    told, kept = apart(np.concatenate(times))
-    ends = np.cumsum([len(time) for time in times])[:-1]
-    return [time[here] for time, here in zip(np.split(told, ends), np.split(kept, ends), strict=True)]
+def _parted(times: list[Vector], looks: list[Vector]) -> tuple[list[Vector], list[Vector]]:
+    """Times of each phase that are a microsecond apart, and where in it they are looked for.
+
+    Of those about a jump the last is left, and the first that much before it.
+    """
+    whole, ends = np.concatenate(times), np.cumsum([len(time) for time in times])[:-1]
+    told, kept = apart(whole)
+    look = np.where(told == whole, np.concatenate(looks), np.maximum(np.concatenate(looks) + (told - whole), 0.0))
+    here = np.split(kept, ends)
+
+    def rows(values: Vector) -> list[Vector]:
+        return [part[own] for part, own in zip(np.split(values, ends), here, strict=True)]
+
+    return rows(told), rows(look)
 
 
 def _in_space(solution: Solution, k: int, t: Vector) -> Iterator[Column]:
