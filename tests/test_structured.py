@@ -160,7 +160,7 @@ def test_arcs_that_break_a_bound_of_the_control_are_no_answer() -> None:
     with pytest.raises(pl.NotConvergedError, match="every extremal breaks a condition") as caught:
         pl.solve(problem)
     said = "structure free and touches height_above_site, free: an extremal, but azimuth_above_lower falls to -117.061"
-    assert caught.value.partial["tried"][-1].startswith(said)
+    assert any(line.startswith(said) for line in caught.value.partial["tried"])
 
 
 def test_arcs_keep_a_bound_of_the_control_that_a_law_can_hold(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -127,6 +127,27 @@ class Coarse:
             with suppress(PeriluneError):
                 self.solution = known = self._run(segments=self.finer.pop(0), iterations=_FINER, guess=known)
                 yield known
+
+    def without_limits(self) -> Solution | None:
+        """Return its answer where nothing limits the states on the way; None where that has none either.
+
+        Nor do extremals without arcs know of such limits. A program whose limits leave no room, as that of a dry mass
+        that is only just reached, has no inside from which to be solved.
+        """
+        phases = tuple(
+            replace(
+                phase,
+                path=None,
+                path_conditions=(),
+                states=tuple(replace(state, lower=-np.inf, upper=np.inf) for state in phase.states),
+            )
+            for phase in self.problem.phases
+        )
+        if all(new == old for new, old in zip(phases, self.problem.phases, strict=True)):
+            return None
+        self.watch("direct method: without the limits of the states")
+        known = Coarse(self.settings, self.problem.changed(phases=phases, form=None), self.tried, self.watch).solve()
+        return None if known is None else replace(known, problem=self.problem)
 
     @cached_property
     def flight(self) -> Solution | None:

@@ -22,6 +22,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
+from perilune.methods.answer import Curves
 from perilune.methods.ladder import STRUCTURE, TRANSCRIBED, Ladder
 from perilune.methods.search import Search
 from perilune.problem.guess import fitting_guess
@@ -109,6 +110,10 @@ class Indirect(Ladder):
             rough = search.coarse.solution if guess is None else None
             if rough is not None and (found := self._structured(search, rough)) is not None:
                 return found
+            # So may an extremal that breaks the path by little: a mesh need not show the moment for which it does.
+            for known in search.breaking_path() if guess is None else ():
+                if (found := self._structured(search, known, brief=True)) is not None:
+                    return found
             error.partial["tried"] = list(search.tried)
             raise
         except TimeLimitReached as end:
@@ -123,7 +128,15 @@ class Indirect(Ladder):
             if found is not None and found.objective < solution.objective:
                 others = (replace(e, nature=e.nature.outdone) for e in solution.extremals)
                 solution = replace(found, extremals=(*found.extremals, *others))
-        return solution
+        return self._exactly(search, solution) if guess is None else solution
+
+    def _exactly(self, search: Search, solution: Solution) -> Solution:
+        """Return an answer that breaks the path by less than a search minds with the arcs that keep it, if any do."""
+        known = solution.trajectories
+        if not isinstance(known, Curves) or not search.answering.judge.grazes(known.root):
+            return solution
+        found = self._structured(search, solution, brief=True)
+        return solution if found is None else replace(found, extremals=(*found.extremals, *solution.extremals[1:]))
 
     def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:
         """What the direct method leads to from nothing, where that is better than an extremal that is no minimum."""
@@ -146,12 +159,14 @@ class Indirect(Ladder):
             statistics=replace(found.statistics, rung=TRANSCRIBED, tried=tried),
         )
 
-    def _structured(self, search: Search, rough: Solution, *, guessed: bool = False) -> Solution | None:
+    def _structured(
+        self, search: Search, rough: Solution, *, guessed: bool = False, brief: bool = False
+    ) -> Solution | None:
         from perilune.methods.structured import Polish
 
         found = Polish(
             settings=self, problem=search.problem, watch=search.watch, tried=search.tried, guessed=guessed,
-            brief=is_neighbour(search.problem),
+            brief=brief or is_neighbour(search.problem),
         ).run(rough)  # fmt: skip
         if found is None:
             return None

@@ -15,12 +15,14 @@ from perilune.methods.flown import Flown, exported, in_one_piece
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import state_scales
+from perilune.problem.variables import Variable
 from perilune.shooting.function import Root
+from perilune.structures.read import CLOSEST, closer
 from perilune.words.types import Vector
 
-_POINTS = 201  # of a phase, at which its conditions are looked at, beside its switches
-_CLOSER, _BEFORE = 33, 1e-9  # as many around where each is least; of the phase: how long before a switch
-_SLACK = 1e-9  # canonical
+_POINTS = 201  # of a phase, at which its conditions are looked at first, beside its switches
+_BEFORE = 1e-9  # of the phase: how long before a switch
+_SLACK, _GRAZED = 1e-9, 1e-10  # canonical; the second is what the proof allows
 _NO_FLIGHT = 1e-6  # of its typical length: what vanishes meets all conditions where nothing is asked of its end
 _ACCURACY = 1e-11  # of the flights that are looked at
 
@@ -68,29 +70,42 @@ class Judge:
             found = self._on_the_way(exported(self.problem, self.conditions, root, _SLACK, **settings), values)
         yield from found
 
-    def _on_the_way(self, flights: list[Flown], values: dict[str, float]) -> list[Breach]:
-        phases = zip(self.problem.phases, self.conditions.phases, flights, strict=True)
-        return [breach for phase, extremal, arc in phases for breach in self._along(phase, extremal, arc, values)]
+    def grazes(self, root: Root) -> bool:
+        """Return whether an answer breaks something on its way by so little that only the proof says so."""
+        settings, values = {"rtol": _ACCURACY, "atol": _ACCURACY}, free_values(self.problem, self.conditions, root.y)
+        flights = in_one_piece(self.problem, self.conditions, root.y, **settings)
+        return bool(self._on_the_way(flights, values, _GRAZED))
 
-    def _along(self, phase: Phase, extremal: PhaseExtremal, arc: Flown, values: dict[str, float]) -> Iterator[Breach]:
+    def _on_the_way(self, flights: list[Flown], values: dict[str, float], slack: float = _SLACK) -> list[Breach]:
+        phases, found = zip(self.problem.phases, self.conditions.phases, flights, strict=True), list[Breach]()
+        for phase, extremal, arc in phases:
+            found += self._along(phase, extremal, arc, values, slack)
+        return found
+
+    def _along(
+        self, phase: Phase, extremal: PhaseExtremal, arc: Flown, values: dict[str, float], slack: float
+    ) -> list[Breach]:
         p, far = self.problem.parameters(values), arc.duration
         switches = np.array(arc.switches)
         t = np.unique([*np.linspace(0.0, far, _POINTS), *switches, *np.maximum(switches - _BEFORE * far, 0.0)])
-        found, closer = self._looked(phase, extremal, arc, t, p)
-        if not found and len(closer):  # what is broken for a moment alone, where a limit begins to bind
-            found, _ = self._looked(phase, extremal, arc, closer, p)
-        yield from found
+        found = list[Breach]()
+        for _ in range(1 + CLOSEST):  # what is broken for a moment alone, where a limit begins to bind
+            found, between = self._looked(phase, extremal, arc, t, p, slack)
+            if found or not len(between):
+                break
+            t = np.union1d(t, between)
+        return found
 
     def _looked(
-        self, phase: Phase, extremal: PhaseExtremal, arc: Flown, t: Vector, p: Any
+        self, phase: Phase, extremal: PhaseExtremal, arc: Flown, t: Vector, p: Any, slack: float
     ) -> tuple[list[Breach], Vector]:
-        """What is broken at times, and times around those at which each condition and bound is nearest to it."""
+        """Return what is broken at times, and times between them at which something may be."""
         x = arc(t)[:, : extremal.state_count].T * state_scales(self.problem, phase)[:, None]
         u = controls(extremal, arc, t, self.p).T if phase.path_conditions else x[:0]
-        rooms = [along for _, along in phase.path_along(x, u, p)] if phase.path_conditions else []
-        for state, along in zip(phase.states, x, strict=True):
+        along = phase.path_along(x, u, p) if phase.path_conditions else ()
+        rooms: list[tuple[Variable, Vector]] = [*along]
+        for state, values in zip(phase.states, x, strict=True):
             lower, upper = state.limits(p)
-            rooms += [room for room in (along - lower, upper - along) if np.isfinite(room).all()]
-        least = {int(np.argmin(room)) for room in rooms}
-        around = [np.linspace(t[max(i - 1, 0)], t[min(i + 1, len(t) - 1)], _CLOSER) for i in least]
-        return list(breaches_along(self.problem, phase, x, u, p, _SLACK)), np.concatenate([*around, t[:0]])
+            rooms += [(state, room) for room in (values - lower, upper - values) if np.isfinite(room).all()]
+        near = [closer(t, room, slack * self.problem.size_of(named)) for named, room in rooms]
+        return list(breaches_along(self.problem, phase, x, u, p, slack)), np.concatenate([*near, t[:0]])

@@ -20,9 +20,11 @@ from perilune.methods.ladder import TRANSCRIBED, Ladder
 from perilune.methods.smoothing import SMOOTH, Smoothing
 from perilune.methods.starts import PATIENCE, STRIDE, held_in, hold_ranges, leave_out, on_the_sphere, vanishing
 from perilune.methods.trials import Trials
+from perilune.problem.solution import Solution
 from perilune.shooting.continuation import Member
 from perilune.shooting.extremals import distinct
 from perilune.shooting.function import Roots
+from perilune.words.outcome import InfeasibleError
 from perilune.words.types import Matrix
 
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
@@ -50,6 +52,8 @@ class Rungs:
         Receives what was tried in vain.
     agreed
         Whether most random costates led to one and the same extremal, once they were flown.
+    met
+        Whether random costates led to any extremal, within the bounds or not.
     """
 
     settings: Ladder
@@ -58,6 +62,7 @@ class Rungs:
     coarse: Coarse
     tried: list[str]
     agreed: bool = field(default=False, init=False)
+    met: bool = field(default=False, init=False)
 
     def from_random_costates(self) -> Iterator[Met]:
         """With the bounded parameter held at several values.
@@ -85,6 +90,7 @@ class Rungs:
         for value in holds:
             lanes = np.nonzero((held == value) & roots.converged)[0].tolist()
             members += [Member(value=value, root=root) for root in distinct(roots[lane] for lane in lanes)]
+        self.met = bool(members)
         self.agreed = len(members) == 1 and bool(np.mean(roots.converged) >= _AGREED)
         yield Met(members, _RANDOM, f"{_RANDOM}{where}: {len(Y)} starts")
 
@@ -119,7 +125,7 @@ class Rungs:
         """
         trials, some, smoothing = self.trials, self.settings.segments, None
         pieces = ((1, some), (some, 2 * some), (2 * some, 3 * some, 4 * some), (2 * some, 3 * some, 4 * some))
-        for rough, counts in zip(self.coarse.resolved(), pieces, strict=False):
+        for rough, counts in zip(self._rough(), pieces, strict=False):
             y = unknowns_from(trials.problem, trials.conditions, rough)
             choice, value = held_in(trials, rough, y), 0.0
             if trials.scanned is not None:
@@ -143,3 +149,9 @@ class Rungs:
                 if root is not None:
                     yield Member(value=value, root=root), SMOOTH
                     return
+
+    def _rough(self) -> Iterator[Solution]:
+        """Yield flights of the direct method, or one without limits of the states where nothing is known yet."""
+        yield from self.coarse.resolved()
+        if not self.met and self.coarse.solution is None and not isinstance(self.coarse.refusal, InfeasibleError):
+            yield from filter(None, [self.coarse.without_limits()])

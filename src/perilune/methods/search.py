@@ -83,9 +83,9 @@ class Search:
         if guess is not None:
             return self.near(guess)[0]  # whether it keeps the rest of the path is for the proof to say
         search, found = self.all_extremals(base)
+        self.answering, search.outdone = search, search._outdone(found)
         if not search._answers(found):
             raise search._refusal(found)
-        self.answering, search.outdone = search, search._outdone(found)
         return search._compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
 
     def near(self, guess: Solution, *, family: bool = False) -> tuple[Solution, Callable[[], Breach | None]]:
@@ -172,7 +172,8 @@ class Search:
 
     def _outdone(self, found: list[Found]) -> list[Root]:
         """Extremals that break the path and are better than every answer: what keeps it near them may be as well."""
-        best = min(f.root.cost for f in found if f.minimum and self.judge.breach(f.root) is None)
+        answers = (f.root.cost for f in found if f.minimum and self.judge.breach(f.root) is None)
+        best = min(answers, default=math.inf)
         roots = (*(f.root for f in sorted(found, key=lambda f: (not f.minimum, f.root.cost))), *self.breaking)
         better = (root for root in roots if root.cost < best)
         outdoing = (root for root in better if all(breach.path for breach in self.judge.breaches(root)))
@@ -186,6 +187,11 @@ class Search:
         for root in self.answering.outdone if self.trials.bounded else ():
             guess = self.answering._compose([Found(root=root, minimum=True)], "")
             yield from filter(None, [Coarse(self.settings, self.problem, self.tried, self.watch).solve(guess)])
+
+    def breaking_path(self) -> Iterator[Solution]:
+        """Return the extremals that outdo every answer and break nothing but the path, as solutions."""
+        for root in self.answering.outdone:
+            yield self.answering._compose([Found(root=root, minimum=True)], "")
 
     def _keeping(self, more: Held) -> Search:
         """The same search with a control that keeps more conditions of the path."""

@@ -128,8 +128,9 @@ class Polish:
         Where a control wavers between its bounds it may be singular, or held by a condition on states; what rides along
         one may touch it twice. A mesh tells the worse the rougher it is, so that a finer one comes last in any case.
         """
-        wavers = not self.guessed and wavering(rough)
-        finer = wavers or (not self.guessed and self._rides(rough))
+        exact = self.guessed or self.brief
+        wavers = not exact and wavering(rough)
+        finer = wavers or (not exact and self._rides(rough))
         if not (finer and rough.statistics.residual > _ROUGH):
             yield rough
         if finer:

@@ -14,8 +14,8 @@ from perilune.methods.answer import Curves
 from perilune.methods.flown import Aloft
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.structures.read import POINTS, room_at, still
-from perilune.structures.structure import Structure
+from perilune.structures.read import CLOSEST, EXACTLY, POINTS, closer, room_at, still
+from perilune.structures.structure import Structure, margins
 from perilune.words.types import Matrix, Vector
 
 
@@ -38,8 +38,28 @@ class Way:
 
     def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
         """Times of phase k [s] and how far a condition is from its limit there [SI]."""
-        t, x = self._still(k) if still(self.problem, k, name) else self._phases(k)
-        return t, room_at(self.problem, self.whole.parameters, k, name, t, x)
+        if still(self.problem, k, name):
+            return (t := np.zeros(1)), self._room(k, name, t, self._aloft.at(self._first(k), t))
+        parts = [self._closely(k, name, *part) for part in self._phases(k)]
+        return np.concatenate([t for t, _ in parts]), np.concatenate([room for _, room in parts])
+
+    def _closely(self, k: int, name: str, j: int, times: Vector, x: Matrix) -> tuple[Vector, Vector]:
+        """Times of an arc and S there, the closer together the nearer S may be to its limit between them."""
+        room, begin, length = self._room(k, name, times, x), times[0], times[-1] - times[0]
+        for _ in range(CLOSEST):
+            between = closer(times, room, EXACTLY * self._size(k, name)) if length > 0.0 else times[:0]
+            if not len(between):
+                break
+            states = self._aloft.at(self._first(k) + j, np.clip((between - begin) / length, 0.0, 1.0))
+            times, at = np.unique(np.append(times, between), return_index=True)
+            room = np.append(room, self._room(k, name, between, states))[at]
+        return times, room
+
+    def _room(self, k: int, name: str, t: Vector, x: Matrix) -> Vector:
+        return room_at(self.problem, self.whole.parameters, k, name, t, x)
+
+    def _size(self, k: int, name: str) -> float:
+        return self.problem.size_of(margins(self.problem, k)[name][0])
 
     @cached_property
     def _aloft(self) -> Aloft:
@@ -48,19 +68,16 @@ class Way:
         return curves.aloft()
 
     @cached_property
-    def _phases(self) -> Callable[[int], tuple[Vector, Matrix]]:
+    def _phases(self) -> Callable[[int], list[tuple[int, Vector, Matrix]]]:
         return cache(self._phase)
 
-    def _phase(self, k: int) -> tuple[Vector, Matrix]:
-        begins, times, states = [0.0, *(arc.until for arc in self.structure.phases[k])], list[Vector](), list[Matrix]()
+    def _phase(self, k: int) -> list[tuple[int, Vector, Matrix]]:
+        """Return for each arc of phase k its number, times [s of the phase], and states there."""
+        begins, found = [0.0, *(arc.until for arc in self.structure.phases[k])], list[tuple[int, Vector, Matrix]]()
         for j, (begin, end) in enumerate(pairwise(begins)):
             shares = np.linspace(0.0, 1.0, 2 + math.ceil(POINTS * (end - begin) / begins[-1]))
-            times.append(begin + shares * (end - begin))
-            states.append(self._aloft.at(self._first(k) + j, shares))
-        return np.concatenate(times), np.concatenate(states, axis=1)
-
-    def _still(self, k: int) -> tuple[Vector, Matrix]:
-        return np.zeros(1), self._aloft.at(self._first(k), np.zeros(1))
+            found.append((j, begin + shares * (end - begin), self._aloft.at(self._first(k) + j, shares)))
+        return found
 
     def _first(self, k: int) -> int:
         return sum(map(len, self.structure.phases[:k]))

@@ -1,0 +1,150 @@
+"""Limits that are only just reached: the multiplier of a condition goes through zero, and the structure changes.
+
+The named points are of issue lists and of `benchmarks/structure_changes.py`. On the open side of a limit the answer is
+that without it; on the closed side it is no better, and by how much it is worse goes to zero.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import perilune as pl
+from perilune.methods.breaches import breaches_of
+from perilune.models.bodies import MARS, MOON
+from perilune.models.descent import Site
+from perilune.models.precision import Approach, Corridor, precision_landing
+from perilune.models.vehicle import Vehicle
+from perilune.scenario import load_file
+from perilune.structures.read import CLOSEST, closer
+from problems.constrained import bryson_denham, bryson_denham_truth
+
+EXAMPLE = Path(__file__).parent.parent / "examples" / "precision_landing.toml"
+
+
+def on_mars(slope: float | None, pad: float = 16.11334209455876) -> pl.Problem:
+    """A point of `benchmarks/structure_changes.py --seed 41`: the slope is touched from 0.258322949 rad on."""
+    return precision_landing(
+        Vehicle(mass=1848.038059249582, thrust=21576.721841930816, specific_impulse=297.9322600446545),
+        Approach(
+            east=513.748160051656, north=-715.8536607805378, up=415.74843919233984,
+            east_speed=-3.9368234734330416, north_speed=5.2435490545354915, up_speed=-38.0246292004458,
+        ),
+        Site(altitude=0.0, longitude=0.0, latitude=-0.4206080573391944),
+        Corridor(slope=slope, pad_radius=pad),
+        (0.4374897261851311, 0.8344560982905019),
+        MARS,
+    )  # fmt: skip
+
+
+def heavy(dry: float | None) -> pl.Problem:
+    """Another of these, of which no random costates lead to an extremal."""
+    return precision_landing(
+        Vehicle(
+            mass=15511.26567218037, thrust=46922.88905031691, specific_impulse=382.9089746325629, dry_mass=dry
+        ),
+        Approach(
+            east=-576.0376250966674, north=146.65635454162845, up=300.65108568807295,
+            east_speed=-13.97987478720896, north_speed=1.2284710162196337, up_speed=-5.602327752456119,
+        ),
+        Site(altitude=0.0, longitude=0.0, latitude=1.0808314864901511),
+        Corridor(),
+        (0.15348108354062415, 0.8055220394822586),
+        MOON,
+    )  # fmt: skip
+
+
+def kept(solution: pl.Solution) -> bool:
+    """Whether its tables keep every limit to the accuracy of the proof's first level."""
+    return not any(breaches_of(solution, 1e-9)) and solution.verification.level >= 1
+
+
+def test_a_slope_that_is_broken_by_a_quarter_of_a_millimetre_is_touched() -> None:
+    """1926.19507 kg by an independent transcription; the mesh showed no touch, and every extremal broke the slope."""
+    given = ("approach.east=-1416.2094665883978 m", "corridor.slope=0.5367892139328801 rad")
+    solution = pl.solve(load_file(str(EXAMPLE), given).problem)
+    assert -solution.objective == pytest.approx(1926.19507, abs=5e-6)
+    assert [arc.words for arc in solution.structure if "slope" in arc.words] == ["height above glide slope touched"]
+    # J changes by 2.7e-7 kg per metre of the touch: too little for a strict optimum, and all else is proved.
+    assert solution.verification.level == 2
+    assert [check.name for check in solution.verification.failed] == ["landing-1_strict_touch"]
+
+
+@pytest.mark.parametrize("offset", [1e-3, 3e-5, 1e-6, 1e-7])
+def test_a_slope_that_is_broken_between_the_looks_of_the_search_is_touched(offset: float) -> None:
+    """Parabolas of 0.1 mm below the slope lie between any two of 6400 looks; they were found by the proof alone."""
+    without = pl.solve(on_mars(None))
+    up = 0.25832294869638345
+    solution = pl.solve(on_mars(up * (1.0 + offset)))
+    assert kept(solution) and solution.verification.level >= 2, str(solution.verification)
+    worse = solution.objective - without.objective
+    assert -1e-9 <= worse <= 20.0 * offset**2 + 1e-9  # kg: the price of a touch begins with its square
+    beside = pl.solve(on_mars(up * (1.0 - offset)))
+    assert beside.objective == pytest.approx(without.objective, abs=1e-9) and beside.verification.level == 3
+
+
+@pytest.mark.parametrize("offset", [-1e-4, -1e-6, -1e-9, -5e-10, 0.0, 1e-9, 1e-6])
+def test_a_ceiling_just_below_the_free_flight_is_touched(offset: float) -> None:
+    """Bryson, Denham, Dreyfus 1963: J = 2 + 6 (1 - 4 l)^2 from l = 1/4 down. Between 1e-10 and 1e-9 it was level 0."""
+    ceiling = 0.25 * (1.0 + offset)
+    solution = pl.solve(bryson_denham(ceiling))
+    truth = bryson_denham_truth(ceiling) if offset < 0 else 2.0
+    assert solution.objective == pytest.approx(truth, abs=1e-12)
+    assert solution.verification.level >= 2, str(solution.verification)
+    assert [arc.words for arc in solution.structure] == (["room touched"] if offset < 0 else [])
+
+
+@pytest.mark.parametrize("offset", [-1e-4, -1e-6, -1e-9, 0.0, 1e-9, 1e-6, 1e-4])
+def test_a_touch_that_becomes_an_arc_is_either(offset: float) -> None:
+    """The same at l = 1/6, where the flight begins to stay on its ceiling: J = 4/(9 l) below."""
+    ceiling = (1.0 + offset) / 6.0
+    solution = pl.solve(bryson_denham(ceiling))
+    truth = 4.0 / (9.0 * ceiling) if offset < 0 else 2.0 + 6.0 * (1.0 - 4.0 * ceiling) ** 2
+    assert solution.objective == pytest.approx(truth, abs=1e-10)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+
+
+@pytest.mark.parametrize("offset", [-1e-6, -1e-9, 0.0])
+def test_a_dry_mass_that_is_just_landed_is_answered(offset: float) -> None:
+    """A program whose bound leaves no room has no inside: no mesh was solved, and no costates led to an extremal."""
+    landed = -pl.solve(heavy(None)).objective
+    solution = pl.solve(heavy(landed * (1.0 + offset)))
+    assert -solution.objective == pytest.approx(landed, rel=1e-12)
+    assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
+
+
+@pytest.mark.parametrize("offset", [1e-6, 1e-3])
+def test_a_dry_mass_that_is_just_not_landed_is_named(offset: float) -> None:
+    landed = 15070.989266540137
+    with pytest.raises(pl.InfeasibleError, match="misses m by") as caught:
+        pl.solve(heavy(landed * (1.0 + offset)))
+    assert caught.value.exit_code == 3
+    assert float(caught.value.what.split(" by ")[1].split()[0]) == pytest.approx(landed * offset, rel=1e-4)
+
+
+@pytest.mark.parametrize(("depth", "seen"), [(-1e-12, False), (1e-9, False), (1e-7, True), (1e-4, True)])
+def test_closer_looks_find_what_lies_between(depth: float, seen: bool) -> None:
+    """A parabola that is below zero for a ten-thousandth of the time, at a place that no look is at."""
+
+    def room(t: Any) -> Any:
+        return 10.0 * (t - 1.0 / math.pi) ** 2 - depth
+
+    t = np.linspace(0.0, 1.0, 201)
+    for _ in range(CLOSEST):
+        t = np.union1d(t, closer(t, room(t), 1e-9))
+    assert bool(room(t).min() < -1e-9) is seen
+    assert len(t) < 201 + 33 * CLOSEST
+
+
+def test_closer_looks_end_where_there_is_nothing_to_see() -> None:
+    t = np.linspace(0.0, 1.0, 201)
+    assert not len(closer(t, 1.0 + (t - 0.3) ** 2, 1e-9))  # far above its limit
+    assert not len(closer(t, np.zeros(201), 1e-9))  # on it all along
+    assert not len(closer(t[:1], np.zeros(1), 1e-9))  # one look
+    both = closer(t, (t - 0.2012) ** 2 * (t - 0.7013) ** 2, 1e-12)
+    assert np.ptp(both) > 0.4 and len(both) == 66  # two places, each its own looks
+    assert len(closer(t, t * (t - 1e-3), 1e-12)) == 33  # from the limit down and up again between the first two looks
