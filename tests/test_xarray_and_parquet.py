@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
-from command_line import read_json
+from command_line import ROOT, read_json
 from perilune.atlas import exporting
 from perilune.atlas.building import build
 from perilune.atlas.exporting import export
@@ -24,8 +24,11 @@ from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.store import MANIFEST
 from perilune.atlas.table import Table
 from perilune.cli import run
+from perilune.families.family import Family, FamilyPoint
+from perilune.families.sweep import sweep
+from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.outcome import PeriluneError
+from perilune.words.outcome import Outcome, PeriluneError
 
 AXES = {"vehicle.thrust": (430.0, 440.0), "retro.specific_impulse": (290.0, 310.0)}
 NEEDS = "needs the extra 'test'"
@@ -161,3 +164,76 @@ def test_the_command_line_exports(atlas: Atlas, tmp_path: Path, capsys: pytest.C
     assert run(["atlas", "export", place, "--out", str(file), "--force", "--format", "zarr"]) == 2
     assert run(["atlas", "export", place]) == 2
     assert run(["atlas", "export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
+
+
+def test_a_family_is_a_data_set_over_its_parameters(tmp_path: Path) -> None:
+    """Each value where its parameters are, by xarray; the same as of a member solved alone; through a file and back."""
+    xarray, pandas = pytest.importorskip("xarray", reason=NEEDS), pytest.importorskip("pandas", reason=NEEDS)
+    problem = cho_landing().with_given(retro_delta_v=0.0)
+    thrusts, masses = [500.0, 440.0], [290.0, 310.0, 300.0]  # in no order
+    family = sweep(problem, {"vehicle.thrust": thrusts, "vehicle.mass": masses}, level=1)
+    found, frame = family.to_xarray(), family.to_dataframe()
+    assert found["propellant"].dims == ("vehicle_thrust", "vehicle_mass") and found["propellant"].shape == (2, 3)
+    assert found["vehicle_thrust"].values.tolist() == thrusts and found["vehicle_mass"].values.tolist() == masses
+    alone = solve(problem.with_given(vehicle_thrust=440.0, vehicle_mass=310.0), level=1)
+    here = found.sel(vehicle_thrust=440.0, vehicle_mass=310.0)
+    for name, result in alone.results.items():
+        factor = 180 / np.pi if result.unit == "rad" else 1.0
+        assert float(here[name]) == pytest.approx(factor * result.value, rel=1e-9), name
+    assert str(here["outcome"].values) == "PROVED" and int(here["verification_level"]) == 1
+    assert found["vehicle_mass"].attrs["units"] == "kg" and found["propellant"].attrs["units"] == "kg"
+    assert float(found["retro_delta_v"]) == 0.0 and found["retro_delta_v"].dims == ()
+    found.to_netcdf(tmp_path / "family.nc", engine="netcdf4")
+    with xarray.open_dataset(tmp_path / "family.nc", engine="netcdf4") as back:
+        np.testing.assert_array_equal(back["propellant"], found["propellant"])
+    assert found["propellant"].sortby("vehicle_mass").interp(vehicle_mass=295.0).shape == (2,)
+    assert isinstance(frame, pandas.DataFrame) and len(frame) == 6
+    row = frame[(frame["vehicle_thrust"] == 440.0) & (frame["vehicle_mass"] == 310.0)].iloc[0]
+    assert row["propellant"] == float(here["propellant"]) and row["outcome"] == "PROVED"
+    assert frame.attrs["units"]["vehicle_thrust"] == "N" and frame.attrs["given"]["retro_delta_v"] == (0.0, "m/s")
+
+
+def test_points_that_are_no_grid_are_points_and_failures_are_kept() -> None:
+    """A member that physics refuses has its reason and no number; one point of a grid may be missing, or come twice."""
+    xarray = pytest.importorskip("xarray", reason=NEEDS)
+    problem = cho_landing().with_given(retro_delta_v=0.0)
+    points = [(440.0, 300.0), (500.0, 310.0), (20.0, 300.0)]
+    family = sweep(problem, [{"vehicle.thrust": t, "vehicle.mass": m} for t, m in points])
+    found = family.to_xarray()
+    assert isinstance(found, xarray.Dataset) and dict(found.sizes) == {"point": 3}
+    assert found["vehicle_thrust"].dims == ("point",) and found["vehicle_thrust"].values.tolist() == [
+        440.0,
+        500.0,
+        20.0,
+    ]
+    assert np.isfinite(found["propellant"].values).tolist() == [True, True, False]
+    assert str(found["outcome"].values[2]) == "INFEASIBLE" and "thrust" in str(found["message"].values[2])
+    twice = sweep(problem, {"vehicle.thrust": [440.0, 440.0]}).to_xarray()
+    assert dict(twice.sizes) == {"point": 2}
+    one = sweep(problem, {"vehicle.thrust": [440.0, 450.0]}).to_xarray()
+    assert dict(one.sizes) == {"vehicle_thrust": 2}
+
+
+@pytest.mark.parametrize("package", ["pandas", "xarray"])
+def test_a_family_without_the_package_is_one_sentence(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    family = Family(problem=cho_landing(), parameters=("vehicle_thrust",), points=())
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(PeriluneError, match=package) as missing:
+        family.to_dataframe() if package == "pandas" else family.to_xarray()
+    assert missing.value.advice == "pip install 'perilune[export]'"
+
+
+def test_angles_of_a_family_are_in_degrees() -> None:
+    pytest.importorskip("xarray", reason=NEEDS)
+    problem = load_file(ROOT / "examples" / "polar_descent.toml").problem
+    refused = FamilyPoint(values=(np.radians(76.0),), solution=None, message="none", failure=Outcome.INFEASIBLE)
+    family = Family(problem=problem, parameters=("site_latitude",), points=(refused,))
+    found, frame = family.to_xarray(), family.to_dataframe()
+    assert float(found["site_latitude"][0]) == pytest.approx(76.0) and found["site_latitude"].attrs["units"] == "degree"
+    assert frame["site_latitude"][0] == pytest.approx(76.0) and frame.attrs["units"] == {"site_latitude": "deg"}
+
+
+def test_a_family_of_nothing_is_empty() -> None:
+    pytest.importorskip("xarray", reason=NEEDS)
+    family = Family(problem=cho_landing(), parameters=("vehicle_thrust",), points=(), interrupted=True)
+    assert len(family.to_dataframe()) == 0 and dict(family.to_xarray().sizes) == {"point": 0}

@@ -119,6 +119,8 @@ _METHODS = {
     "verification_page": "perilune.report.pages",
     "to_xarray": "perilune.io.exports.writing",
     "to_dataframe": "perilune.io.exports.writing",
+    "family_frame": "perilune.families.datasets",
+    "family_dataset": "perilune.families.datasets",
 }
 
 if TYPE_CHECKING:

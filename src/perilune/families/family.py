@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,8 +13,13 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.asked import called_in_words, refused
 from perilune.words.declared import parameter_name
+from perilune.words.face import method
 from perilune.words.outcome import Outcome, PeriluneError, unknown_name
 from perilune.words.units import told_range
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 # Values of each parameter (the family is their grid), or the points themselves.
 Over = Mapping[str, Sequence[float]] | Sequence[Mapping[str, float]]
@@ -115,6 +120,33 @@ class Family:
         """SI unit of the parameter, of a family along one."""
         (only,) = self.units
         return only
+
+    @called_in_words
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The members as rows of a frame of pandas; see `perilune.families.datasets.family_frame`.
+
+        Parameters, free parameters and results, angles in degrees and everything else in SI (``attrs["units"]``), then
+        ``outcome``, ``verification_level``, ``within`` and ``message``.
+
+        Raises
+        ------
+        PeriluneError
+            If pandas is not installed.
+        """
+        return method("family_frame")(self)
+
+    @called_in_words
+    def to_xarray(self) -> xarray.Dataset:
+        """The members as a data set of xarray; see `perilune.families.datasets.family_dataset`.
+
+        Its dimensions are the parameters where the members are a grid, else the one dimension ``point``.
+
+        Raises
+        ------
+        PeriluneError
+            If xarray is not installed.
+        """
+        return method("family_dataset")(self)
 
 
 def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:

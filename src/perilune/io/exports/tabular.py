@@ -69,7 +69,7 @@ def write_parquet(table: FlightTable, about: Mapping[str, str], epoch: datetime 
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        raise _missing("Parquet", "pyarrow") from None
+        raise missing_package("Parquet", "pyarrow") from None
     utc = {} if epoch is None else {"epoch": f"{stamp(epoch, 0.0)}Z"}
     fields = [
         pa.field("time", pa.float64(), nullable=False, metadata={"unit": "s", "about": _TIME}),
@@ -112,7 +112,7 @@ def dataset_of(table: FlightTable, about: Mapping[str, str], epoch: datetime | N
     try:
         import xarray
     except ImportError:
-        raise _missing("a data set of xarray", "xarray") from None
+        raise missing_package("a data set of xarray", "xarray") from None
     variables = {
         name: xarray.Variable((_DIMENSION,) if values.ndim else (), values, attributes)
         for name, (values, attributes) in _variables(table, epoch).items()
@@ -126,7 +126,7 @@ def frame_of(table: FlightTable, about: Mapping[str, str]) -> pandas.DataFrame:
     try:
         import pandas
     except ImportError:
-        raise _missing("a frame of pandas", "pandas") from None
+        raise missing_package("a frame of pandas", "pandas") from None
     found = pandas.DataFrame(
         {"phase": table.phase_names, **{f.name: f.values for f in table.fields}},
         index=pandas.Index(table.time, name="time"),
@@ -183,7 +183,7 @@ def _variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np
 
 
 def _attributes(f: Field, places: list[str]) -> dict[str, Any]:
-    found: dict[str, Any] = {"units": _CF_UNITS.get(f.unit, f.unit), "long_name": f.about, **_PLACES.get(f.placed, {})}
+    found: dict[str, Any] = {"units": cf_unit(f.unit), "long_name": f.about, **_PLACES.get(f.placed, {})}
     if not np.isfinite(f.values).all():
         found["_FillValue"] = np.float64(np.nan)
     if places and not f.placed:
@@ -191,7 +191,13 @@ def _attributes(f: Field, places: list[str]) -> dict[str, Any]:
     return found
 
 
-def _missing(what: str, package: str) -> PeriluneError:
+def cf_unit(unit: str) -> str:
+    """A unit as the CF conventions have it."""
+    return _CF_UNITS.get(unit, unit)
+
+
+def missing_package(what: str, package: str) -> PeriluneError:
+    """The error where a package of the extra `export` is not installed."""
     return PeriluneError(f"{what} needs {package}, which is not installed", advice="pip install 'perilune[export]'")
 
 
