@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib
 import json
 import tomllib
@@ -344,6 +345,20 @@ def test_a_sweep_may_bring_its_key_into_the_scenario(
     problem = families[0].problem
     assert problem.free_names == ("retro_delta_v", "flight_time")
     assert {name: problem.given[name].value for name in given} == given
+
+
+def test_a_list_is_swept_in_its_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each value of it is tried as the file's own is, wherever it stands."""
+    out = tmp_path / "family"
+    assert (
+        run(["sweep", ORDINARY, "--vary", "vehicle.thrust=480, 0.44 kN, 460 N", "--level", "0", "--out", str(out)]) == 0
+    )
+    rows = list(csv.reader(capsys.readouterr().out.splitlines()))
+    assert [float(row[0]) for row in rows[1:]] == [480.0, 440.0, 460.0]
+    masses = [float(row[1]) for row in rows[1:]]
+    assert masses[1] < masses[2] < masses[0] and (out / "family.png").is_file()
+    assert run(["sweep", ORDINARY, "--vary", "vehicle.thrust=480,200000,440 N"]) == 2
+    assert "more than a lander withstands" in capsys.readouterr().err
 
 
 def test_a_real_sweep_through_the_jump(capsys: pytest.CaptureFixture[str]) -> None:

@@ -363,6 +363,37 @@ def test_the_range_of_a_sweep() -> None:
     assert all(b > a for a, b in itertools.pairwise(tenths))
 
 
+def test_the_list_of_a_sweep() -> None:
+    """In its own order; the last unit is that of every part without one."""
+    assert values_of("vehicle.thrust", "2800,3200,4400 N", KEYS) == [2800.0, 3200.0, 4400.0]
+    assert values_of("vehicle.thrust", "4.4 kN, 2800 N,3.2kN", KEYS) == [4400.0, 2800.0, 3200.0]
+    assert values_of("retro.delta_v", "1e3, 0 m/s", KEYS) == [1000.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "what"),
+    [
+        ("vehicle.thrust", "2800,,4400 N", "the values of vehicle.thrust are no list"),
+        ("vehicle.thrust", "2800,4400 N,", "the values of vehicle.thrust are no list"),
+        ("vehicle.thrust", "2800,3200:4400:100 N", "the values of vehicle.thrust are no list"),
+        ("vehicle.thrust", ",".join(map(str, range(1, 6000))) + " N", "the values of vehicle.thrust are no list"),
+        ("vehicle.thrust", "2800,4400", "vehicle.thrust - this is not a quantity"),
+        ("vehicle.thrust", "2800 m,4400 N", "wrong dimension"),
+        ("vehicle.thrust", "2800,nan N", "not finite"),
+        ("vehicle.thrust", "2800,-1 N", "vehicle.thrust is out of range"),
+        ("vehicle.thrust", "2800,4400,2.8e3 N", "stands in its list twice"),
+        ("vehicle.thrust", "2800 N, 2.8 kN", "stands in its list twice"),
+        ("vehicle.thrust", "1 2,3 N", "vehicle.thrust - this is not a unit"),
+        ("vehicle.thrust", "1:2:1 " + 300 * "N", "three parts"),
+        ("vehicle.thrus", "1,2 N", "no key"),
+    ],
+)
+def test_a_list_that_is_none_is_refused(key: str, text: str, what: str) -> None:
+    with pytest.raises(PeriluneError, match=re.escape(what)) as caught:
+        values_of(key, text, KEYS)
+    assert what == "no key" or "retro.delta_v=0,400,1600 m/s" in caught.value.advice
+
+
 @pytest.mark.parametrize(
     ("key", "text", "what"),
     [

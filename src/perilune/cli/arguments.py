@@ -151,7 +151,8 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
             metavar="KEY=START:STOP:STEP",
             action="append",
             required=True,
-            help='E.g. "retro.delta_v=0:1600:50 m/s"; given more than once, the family is the grid.',
+            help='E.g. "retro.delta_v=0:1600:50 m/s", or a list of values, "vehicle.thrust=2800,3200,4400 N"; given '
+            "more than once, the family is the grid.",
         ),
         *find,
         level(0, 1),

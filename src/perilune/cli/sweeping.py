@@ -7,6 +7,7 @@ from argparse import Namespace
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -166,12 +167,15 @@ def _refuse_used(order: Namespace) -> None:
 
 
 def varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Scenario:
-    """The scenario with the keys in it; both ends of the ranges are checked as the file itself is."""
+    """The scenario with the keys in it; both ends of the ranges and lists are checked as the file itself is."""
     from perilune.scenario import load_file, quantities_of
 
     known, found = quantities_of(file, changes), None
-    for end in (-1, 0):
+    corners = [[pick(values) for values in over.values()] for pick in (max, min, itemgetter(-1), itemgetter(0))]
+    for k, corner in enumerate(corners):
+        if corner in corners[k + 1 :]:
+            continue
         with suppress(InfeasibleError):  # the table will say so
-            ends = [f"{key}={values[end]!r} {known[key].unit}" for key, values in over.items()]
+            ends = [f"{key}={value!r} {known[key].unit}" for key, value in zip(over, corner, strict=True)]
             found = load_file(file, [*changes, *ends])
     return found or load_file(file, changes)

@@ -32,6 +32,7 @@ from perilune.problem.controls import Control, scalars
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_expressions, trace
 from perilune.problem.phase import Phase
 from perilune.problem.shown import ShownProblem
+from perilune.problem.simulated import SimulatedProblem
 from perilune.problem.tape import Expression
 from perilune.problem.variables import Free, Given, Variable, given_as, positive_scale
 from perilune.problem.verification import Check
@@ -48,7 +49,7 @@ _SIZED, _BOUNDED = (Variable, Free, *get_args(Control)), (Variable, *get_args(Co
 
 @called_in_words
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Problem(ShownProblem):
+class Problem(ShownProblem, SimulatedProblem):
     """Phases, links, parameters and the objective.
 
     Problems are equal when their forms (`perilune.problem.form`) and all their numbers are. A copy in another process

@@ -87,7 +87,9 @@ def family_figure(family: Family) -> Figure:
     shown = {text: y for text, y in table.items() if np.isfinite(y).any() and _varies(y) and not _same(y, value)}
     name = document["parameter"].replace("_", " ")
     doubted = np.array([point["outcome"] == Outcome.NOT_PROVED.name for point in document["points"]], dtype=bool)
-    return family_panels(value, shown or table, f"{name} ({document['unit']})", doubted)
+    order = np.argsort(value)  # a list of values may be asked for in any
+    drawn = {text: y[order] for text, y in (shown or table).items()}
+    return family_panels(value[order], drawn, f"{name} ({document['unit']})", doubted[order])
 
 
 def write_family(family: Family, directory: str | Path, force: bool = False) -> None:

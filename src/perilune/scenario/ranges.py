@@ -1,4 +1,4 @@
-"""Ranges of one key: the values of a sweep, ``START:STOP:STEP``, and the ends of an axis, ``LOW:HIGH``."""
+"""Ranges of one key: the values of a sweep, ``START:STOP:STEP`` or ``A,B,C``, and the ends of an axis, ``LOW:HIGH``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 
 from perilune.words.asked import called_in_words, demand, refused
+from perilune.words.bounded import one_line
 from perilune.words.declared import LONGEST_VALUE, Quantity, named
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity
@@ -14,21 +15,33 @@ from perilune.words.units import parse_quantity
 MOST_STEPS = 10_000
 _BARE = r"[-+]?nan|[-+]?inf|[-+\d.]+(?:[eE][-+]?\d+)?"  # what stands before a unit; if it is a number its reader says
 _ENDS = 'for example --vary "vehicle.thrust=350:650 N", or with a unit in each part'
-_ADVICE = 'for example --vary "retro.delta_v=0:1600:50 m/s", or with a unit in each part'
+_ADVICE = (
+    'for example --vary "retro.delta_v=0:1600:50 m/s" or "retro.delta_v=0,400,1600 m/s", or with a unit in each part'
+)
+_LONGEST_LIST = 20_000  # characters
 
 
 @called_in_words
 def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
-    """Values in SI of ``"START:STOP:STEP"`` for a key; the unit may stand in each part or in the last only.
+    """Return the values in SI of ``"START:STOP:STEP"`` or of a list ``"A,B,C"`` for a key.
 
-    STOP is included where a step meets it. `known` are the keys that may be varied.
+    The unit may stand in each part or in the last only. STOP is included where a step meets it.
+
+    Parameters
+    ----------
+    key, text
+        The key as a scenario writes it, and its range or list.
+    known
+        The keys that may be varied.
 
     Raises
     ------
     PeriluneError
-        If there is no such key, it is no such range, has more than `MOST_STEPS` values, or the step leads away from
-        STOP.
+        If there is no such key, it is no such range or list, the range has more than `MOST_STEPS` values, its step
+        leads away from STOP, or a value stands in the list twice.
     """
+    if isinstance(text, str) and "," in text:
+        return _listed(key, text, known)
     quantity, parts = _parts(key, text, known, "START:STOP:STEP", _ADVICE)
     try:
         start, stop = (float(quantity.read(part)) for part in parts[:2])
@@ -46,6 +59,28 @@ def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]
             advice="give the step the sign of STOP - START" if endless else "take a larger step",
         )
     return [start + k * step for k in range(int(steps + 1e-9) + 1)]
+
+
+def _listed(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
+    """Values in SI of a list, in its order."""
+    quantity, parts = _split(key, text, known, ",")
+    if not all(parts) or any(":" in part for part in parts) or len(text) > _LONGEST_LIST:
+        raise PeriluneError(
+            f"the values of {key} are no list", got=one_line(text, 60),
+            expected=f"A,B,C UNIT, a comma between values, at most {_LONGEST_LIST} characters; or START:STOP:STEP",
+            advice=_ADVICE,
+        )  # fmt: skip
+    try:
+        values = [float(quantity.read(part)) for part in parts]
+    except PeriluneError as error:
+        said = named(key, error)
+        raise PeriluneError(said.what, got=said.got, expected=said.expected, advice=_ADVICE) from None
+    if len(set(values)) < len(values):
+        twice = next(part for k, part in enumerate(parts) if values[k] in values[:k])
+        raise PeriluneError(
+            f"a value of {key} stands in its list twice", got=twice, expected="each value once", advice=_ADVICE
+        )
+    return values
 
 
 @called_in_words
@@ -70,17 +105,27 @@ def bounds_of(key: str, text: str, known: Mapping[str, Quantity]) -> tuple[float
 
 def _parts(key: str, text: str, known: Mapping[str, Quantity], form: str, advice: str) -> tuple[Quantity, list[str]]:
     """What is declared of a key, and the parts of a range, each with its unit."""
+    quantity, parts = _split(key, text, known, ":")
+    wanted = form.count(":") + 1
+    if len(parts) != wanted or not all(parts) or len(text) > LONGEST_VALUE:
+        many = {2: "two", 3: "three"}[wanted]
+        raise PeriluneError(
+            f"the range of {key} must have {many} parts",
+            got=one_line(text, 60) or "nothing",
+            expected=form,
+            advice=advice,
+        )
+    return quantity, parts
+
+
+def _split(key: str, text: str, known: Mapping[str, Quantity], sign: str) -> tuple[Quantity, list[str]]:
+    """What is declared of a key, and the parts between signs; a part without a unit has that of the last."""
     demand(known, Mapping, "what is known of the keys that may be varied")
     for value, what in ((key, "a key"), (text, "a range")):
         if not isinstance(value, str):
             raise refused(value, "a text", what)
     if key not in known:
         raise unknown_name("key with a quantity", key, list(known))
-    wanted, parts = form.count(":") + 1, [part.strip() for part in text[:LONGEST_VALUE].split(":")]
-    if len(parts) != wanted or not all(parts):
-        many = {2: "two", 3: "three"}[wanted]
-        raise PeriluneError(
-            f"the range of {key} must have {many} parts", got=repr(text[:60]), expected=form, advice=advice
-        )
+    parts = [part.strip() for part in text.split(sign)]
     last_unit = re.sub(rf"^(?:{_BARE})\s*", "", parts[-1])
     return known[key], [f"{part} {last_unit}" if re.fullmatch(_BARE, part) else part for part in parts]

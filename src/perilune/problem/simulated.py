@@ -1,0 +1,104 @@
+"""The rates of a problem's states in numbers, so that a flight may be flown by a program of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from perilune.words.asked import called_in_words, demand_numbers, refused
+from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.words.types import Matrix, Vector
+
+
+class SimulatedProblem:
+    """How a problem is flown from outside."""
+
+    @called_in_words
+    def rates(
+        self: Any,
+        x: Any,
+        u: Any = (),
+        t: Any = 0.0,
+        *,
+        phase: str | int | None = None,
+        free: Mapping[str, float] | None = None,
+    ) -> Vector | Matrix:
+        """Return the rates x' = f(x, u, p) of the states of a phase, as its dynamics state them.
+
+        Parameters
+        ----------
+        x
+            State in SI, in the order of ``phase.states``: shape (states,), or (states, n) for n of them at once.
+        u
+            Control in SI, in the order of ``phase.control_names``: shape (components,), or (components, n). A
+            `Direction` is a unit vector, and taken as it is; a throttle is not cut at its bounds.
+        t
+            Time [s]. Dynamics depend on it through x and u alone: it is there so that a simulator may pass its own.
+        phase
+            Name or number of the phase, where there are several.
+        free
+            Values [SI] of free parameters, as ``solution.free``, where the dynamics depend on them.
+
+        Returns
+        -------
+        ndarray
+            Rates in SI per second, of the shape of x (or as many columns as u has, where x has one).
+
+        Raises
+        ------
+        PeriluneError
+            If there is no such phase, x or u has another number of components, or the dynamics need a free parameter
+            that is not passed.
+        """
+        stated = self.phases[_number_of(self, phase)]
+        state = _components(x, stated.state_names, f"the state of {stated.name}")
+        control = _components(u, stated.control_names, f"the control of {stated.name}")
+        demand_numbers(t, "a time [s]")
+        try:
+            shape = np.broadcast_shapes(state.shape[1:], control.shape[1:])
+        except ValueError:
+            got = f"{state.shape[1]} states and {control.shape[1]} controls"
+            expected = "one control for each state, or one for all"
+            raise PeriluneError("states and controls are not equally many", got=got, expected=expected) from None
+        try:
+            found = stated.rates(list(state), list(control), self.parameters({} if free is None else free))
+        except AttributeError as error:
+            if error.name not in self.free_names:
+                raise
+            raise PeriluneError(
+                f"the dynamics of {stated.name} depend on the free parameter {error.name}", got="no value of it",
+                expected="a value of each that the dynamics take", advice="problem.rates(x, u, free=solution.free)",
+            ) from None  # fmt: skip
+        return np.array([np.broadcast_to(np.asarray(rate, dtype=float), shape) for rate in found])
+
+
+def _number_of(problem: Any, phase: str | int | None) -> int:
+    """Place of a phase that is named, numbered, or the only one."""
+    names = [stated.name for stated in problem.phases]
+    if phase is None:
+        if len(names) > 1:
+            raise PeriluneError(
+                f"{problem.name} has several phases", got="no phase", expected="one of " + ", ".join(names),
+                advice=f'problem.rates(x, u, phase="{names[0]}")',
+            )  # fmt: skip
+        return 0
+    if isinstance(phase, str) and names.count(phase) == 1:
+        return names.index(phase)
+    if isinstance(phase, int | np.integer) and not isinstance(phase, bool) and 0 <= phase < len(names):
+        return int(phase)
+    if names.count(str(phase)) > 1:
+        raise PeriluneError(
+            "several phases have this name", got=str(phase), expected=f"a number from 0 to {len(names) - 1}"
+        )
+    raise unknown_name("phase", phase, names)
+
+
+def _components(values: Any, names: Sequence[str], what: str) -> Matrix:
+    """Values as numbers, one row for each name."""
+    found = demand_numbers(values, what, most=2) if len(names) or np.size(values) else np.empty(0)
+    found = np.asarray(found, dtype=float)
+    if found.ndim == 0 or len(found) != len(names):
+        raise refused(values, f"{len(names)} components: {', '.join(names) or 'none'}", what)
+    return found
