@@ -133,7 +133,7 @@ class Indirect(Ladder):
     def _exactly(self, search: Search, solution: Solution) -> Solution:
         """Return an answer that breaks the path by less than a search minds with the arcs that keep it, if any do."""
         known = solution.trajectories
-        if not isinstance(known, Curves) or not search.answering.judge.grazes(known.root):
+        if not isinstance(known, Curves) or not search.answering.judge.grazed(known.root):
             return solution
         found = self._structured(search, solution, brief=True)
         return solution if found is None else replace(found, extremals=(*found.extremals, *solution.extremals[1:]))

@@ -49,6 +49,13 @@ class Judge:
 
     def breaches(self, root: Root) -> tuple[Breach, ...]:
         """All that the flight breaks."""
+        return tuple(breach for breach in self._all(root) if breach.canonical > _SLACK)
+
+    def grazed(self, root: Root) -> set[str]:
+        """Return the names of what the flight breaks by so little that it may be an answer, and the proof objects."""
+        return {breach.name for breach in self._all(root) if breach.canonical <= _SLACK}
+
+    def _all(self, root: Root) -> tuple[Breach, ...]:
         key = root.y.tobytes()
         if key not in self._known:
             self._known[key] = tuple(self._breaches(root))
@@ -66,38 +73,28 @@ class Judge:
                 yield Breach(name=free.name, text=text, miss=much, unit=free.unit, canonical=canonical)
         settings = {"rtol": _ACCURACY, "atol": _ACCURACY}
         found = self._on_the_way(in_one_piece(self.problem, self.conditions, root.y, **settings), values)
-        if found:  # where errors grow, one flight alone may break what its pieces keep
+        if _deep(found):  # where errors grow, one flight alone may break what its pieces keep
             found = self._on_the_way(exported(self.problem, self.conditions, root, _SLACK, **settings), values)
         yield from found
 
-    def grazes(self, root: Root) -> bool:
-        """Return whether an answer breaks something on its way by so little that only the proof says so."""
-        settings, values = {"rtol": _ACCURACY, "atol": _ACCURACY}, free_values(self.problem, self.conditions, root.y)
-        flights = in_one_piece(self.problem, self.conditions, root.y, **settings)
-        return bool(self._on_the_way(flights, values, _GRAZED))
+    def _on_the_way(self, flights: list[Flown], values: dict[str, float]) -> list[Breach]:
+        phases = zip(self.problem.phases, self.conditions.phases, flights, strict=True)
+        return [breach for phase, extremal, arc in phases for breach in self._along(phase, extremal, arc, values)]
 
-    def _on_the_way(self, flights: list[Flown], values: dict[str, float], slack: float = _SLACK) -> list[Breach]:
-        phases, found = zip(self.problem.phases, self.conditions.phases, flights, strict=True), list[Breach]()
-        for phase, extremal, arc in phases:
-            found += self._along(phase, extremal, arc, values, slack)
-        return found
-
-    def _along(
-        self, phase: Phase, extremal: PhaseExtremal, arc: Flown, values: dict[str, float], slack: float
-    ) -> list[Breach]:
+    def _along(self, phase: Phase, extremal: PhaseExtremal, arc: Flown, values: dict[str, float]) -> list[Breach]:
         p, far = self.problem.parameters(values), arc.duration
         switches = np.array(arc.switches)
         t = np.unique([*np.linspace(0.0, far, _POINTS), *switches, *np.maximum(switches - _BEFORE * far, 0.0)])
         found = list[Breach]()
         for _ in range(1 + CLOSEST):  # what is broken for a moment alone, where a limit begins to bind
-            found, between = self._looked(phase, extremal, arc, t, p, slack)
-            if found or not len(between):
+            found, between = self._looked(phase, extremal, arc, t, p)
+            if _deep(found) or not len(between):
                 break
             t = np.union1d(t, between)
         return found
 
     def _looked(
-        self, phase: Phase, extremal: PhaseExtremal, arc: Flown, t: Vector, p: Any, slack: float
+        self, phase: Phase, extremal: PhaseExtremal, arc: Flown, t: Vector, p: Any
     ) -> tuple[list[Breach], Vector]:
         """Return what is broken at times, and times between them at which something may be."""
         x = arc(t)[:, : extremal.state_count].T * state_scales(self.problem, phase)[:, None]
@@ -107,5 +104,9 @@ class Judge:
         for state, values in zip(phase.states, x, strict=True):
             lower, upper = state.limits(p)
             rooms += [(state, room) for room in (values - lower, upper - values) if np.isfinite(room).all()]
-        near = [closer(t, room, slack * self.problem.size_of(named)) for named, room in rooms]
-        return list(breaches_along(self.problem, phase, x, u, p, slack)), np.concatenate([*near, t[:0]])
+        near = [closer(t, room, _GRAZED * self.problem.size_of(named)) for named, room in rooms]
+        return list(breaches_along(self.problem, phase, x, u, p, _GRAZED)), np.concatenate([*near, t[:0]])
+
+
+def _deep(found: list[Breach]) -> bool:
+    return any(breach.canonical > _SLACK for breach in found)

@@ -162,13 +162,18 @@ class Search:
         """Conditions that the control could keep, broken by extremals that are better than every answer."""
         if not self.keepable:
             return ()
-        answers = [f.root.cost for f in found if f.minimum and self.judge.breach(f.root) is None]
+        answers = [f.root.cost for f in found if f.minimum and not self._broken(f.root)]
         best, names = min(answers, default=math.inf), set[str]()
         for root in (*(f.root for f in found), *self.breaking):
-            broken = {breach.name for breach in self.judge.breaches(root)}
+            broken = self._broken(root)
             if root.cost < best and (not answers or broken <= {*self.keepable}):
                 names |= broken
         return tuple(name for name in self.keepable if name in names)
+
+    def _broken(self, root: Root) -> set[str]:
+        """Return the names of what an extremal breaks; of what the control could keep by however little."""
+        grazed = self.judge.grazed(root) & {*self.keepable}
+        return {breach.name for breach in self.judge.breaches(root)} | grazed
 
     def _outdone(self, found: list[Found]) -> list[Root]:
         """Extremals that break the path and are better than every answer: what keeps it near them may be as well."""

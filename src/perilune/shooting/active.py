@@ -22,7 +22,8 @@ from perilune.shooting.function import Roots, Shooting
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Watch
 
-_SLACK = 1e-9  # by which a limit may be missed, or a multiplier be on the wrong side; canonical
+_SLACK = 1e-9  # by which a multiplier may be on the wrong side; canonical
+_BEYOND = 1e-11  # by which a limit may be missed: a tenth of what the proof allows; canonical
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +62,7 @@ class Limits:
         if np.count_nonzero(within) == within.size and not np.count_nonzero(roots.choice[:, :count]):
             return roots.choice
         masks, held = roots.choice[:, :count] > 0, roots.choice[:, count:]
-        low, high = ~masks & (values < self.lower - _SLACK), ~masks & (values > self.upper + _SLACK)
+        low, high = ~masks & (values < self.lower - _BEYOND), ~masks & (values > self.upper + _BEYOND)
         free = masks & (held == self.lower) & (rises < -_SLACK) | masks & (held == self.upper) & (rises > _SLACK)
         free &= self.lower < self.upper
         held = np.where(low, self.lower, np.where(high, self.upper, np.where(free, 0.0, held)))
