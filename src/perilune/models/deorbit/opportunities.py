@@ -171,15 +171,16 @@ def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[fl
 
 
 def _beyond(p: Any, away: float, turned: float) -> Finding:
-    """How far the site stays from the plane [rad], against what any flight turns it."""
+    """Compare how far the site stays from the plane [rad] with what any flight turns it."""
     return Finding(
         name="site off the plane when it can be reached", value=math.degrees(away),
-        limit=math.degrees(turned + OFF_PLANE), at_least=False, unit="deg", binding=True, meaning="the site stays further out of the plane than all propellant turns it",
+        limit=math.degrees(turned + OFF_PLANE), at_least=False, unit="deg", binding=True,
+        meaning="the site stays further out of the plane than all propellant turns it",
     )  # fmt: skip
 
 
 def _conditions(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) -> Iterator[Finding]:
-    """What the typical descent needs: propellant to spare, a coast behind a short burn, and a speed that is allowed.
+    """Yield what the typical descent needs: propellant to spare, a coast behind a short burn, and a speed that is allowed.
 
     All are met by a pass that is reachable.
     """
