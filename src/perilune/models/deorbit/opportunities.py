@@ -180,7 +180,7 @@ def _beyond(p: Any, away: float, turned: float) -> Finding:
 
 
 def _conditions(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) -> Iterator[Finding]:
-    """Yield what the typical descent needs: propellant to spare, a coast behind a short burn, and a speed that is allowed.
+    """Yield what a typical descent needs: propellant to spare, a coast behind a short burn, a speed that is allowed.
 
     All are met by a pass that is reachable.
     """
