@@ -6,6 +6,7 @@ unit, are altitudes in m and densities in kg/m^3.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,13 +22,14 @@ from perilune.words.units import unit
 LARGEST_FILE = 1_000_000  # bytes
 _SI = {"altitude": "m", "density": "kg/m^3"}
 _CALLED = {
-    "altitude": "altitude alt height hgt h z elevation elev höhe hoehe hauteur altura altitud quota".split(),
-    "density": "density dens rho ρ dichte densité densite densidad densidade densità densita".split(),
+    "altitude": "altitude altitudes alt height heights hgt h z elevation höhe hoehe hauteur altura altitud quota".split(),
+    "density": "density densities dens rho ρ dichte densité densite densidad densidade densità densita".split(),
 }
 # What changes nothing about either.
 _FURTHER = "geometric geodetic mass total air atmosphere atmospheric neutral mean sea level above msl asl amsl".split()
 _KNOWN = {*_CALLED["altitude"], *_CALLED["density"], *_FURTHER, "in", "of", "the"}
 _EXPECTED = 'headings such as "altitude [km]" and "density [kg/m^3]", or none for m and kg/m^3'
+_IN_PROSE = re.compile(r"[(\[]([^()\[\]]{1,20})[)\]]|\bin ([A-Za-z/^*\d³-]{1,20})")  # (ft), in feet
 _MOST_NAMED = 6  # columns in a message
 
 
@@ -85,6 +87,9 @@ def read_air_table(path: Path) -> AirTable:
     headings, units = _headings(table, count)
     columns = _columns(table, headings, count)
     columns = {name: _with_units(name, column, units) for name, column in columns.items()}
+    for name, column in columns.items():
+        if not column.unit:
+            _refuse_said_elsewhere(name, table.comments)
     values = {
         name: np.array([table.number(row, column.place) for row in table.body]) for name, column in columns.items()
     }
@@ -241,6 +246,19 @@ def _with_units(name: str, column: _AirColumn, units: list[str] | None) -> _AirC
             f"{column.unit}, as its heading says", advice=_EXPECTED,
         )  # fmt: skip
     return _AirColumn(place=column.place, unit=stated)
+
+
+def _refuse_said_elsewhere(name: str, comments: list[TextLine]) -> None:
+    """Refuse a comment that names another unit for a column whose heading states none."""
+    for line in comments:
+        for written in _IN_PROSE.findall(line.text):
+            stated = unit_as_written(next(filter(None, written)))
+            if stated is not None and unit(stated)[1] == unit(_SI[name])[1] and unit(stated) != unit(_SI[name]):
+                raise PeriluneError(
+                    f"line {line.number} of the table of air names {stated}, and no heading the unit of the {name}",
+                    got=line.text[:60], expected=f"a heading such as {name} [{stated}]",
+                    advice="state the units in headings, or change the comment where it means something else",
+                )  # fmt: skip
 
 
 # -- what is said ---------------------------------------------------------------------------------------------------
