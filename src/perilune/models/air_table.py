@@ -22,7 +22,7 @@ from perilune.words.units import unit
 LARGEST_FILE = 1_000_000  # bytes
 _SI = {"altitude": "m", "density": "kg/m^3"}
 _CALLED = {
-    "altitude": "altitude altitudes alt height heights hgt h z elevation höhe hoehe hauteur altura altitud quota".split(),
+    "altitude": "altitude altitudes alt height heights h z elevation höhe hoehe hauteur altura altitud quota".split(),
     "density": "density densities dens rho ρ dichte densité densite densidad densidade densità densita".split(),
 }
 # What changes nothing about either.
