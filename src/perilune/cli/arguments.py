@@ -11,6 +11,7 @@ from perilune.cli.options import (
     FILE,
     FORCE,
     JSON,
+    MAP,
     METHOD,
     NO_CACHE,
     OUT,
@@ -165,6 +166,7 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
             default=1,
             help="Processes that solve members side by side. Usually 1.",
         ),
+        *MAP,
         switch("--resume", "Go on with the members that are in --out DIR already."),
         NO_CACHE,
     )

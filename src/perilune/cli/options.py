@@ -105,6 +105,14 @@ METHOD = option(
     default="indirect",
     help="indirect (unless given); direct, which also flies along a limit; hybrid: genetic search, then direct.",
 )
+MAP = tuple(
+    option(f"--{axis}", metavar="NAME", help=f"Of the map of two parameters: what is {where}. Usually {usual}.")
+    for axis, where, usual in (
+        ("x", "to the right", "the first parameter"),
+        ("y", "upwards", "the second"),
+        ("z", "shown by colours and contours", "the main result"),
+    )
+)
 SETTINGS = (
     option("--nodes", metavar="N", type=whole(0), help="Points of the direct method's first mesh. Usually 20."),
     option(

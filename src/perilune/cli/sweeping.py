@@ -36,6 +36,14 @@ def sweep_answer(order: Namespace) -> Answer:
 
     over = ranges(order, values_of)
     scenario = varied(order.file, order.changes, over)
+    axes = {name: getattr(order, name) for name in ("x", "y", "z")}
+    if any(axes.values()):
+        if order.out is None:
+            raise PeriluneError("--x, --y and --z are of a figure", expected="--out DIR", advice="say where it goes")
+        from perilune.report.contours import demand_map
+        from perilune.words.declared import parameter_name
+
+        demand_map(scenario.problem, tuple(map(parameter_name, over)), axes)
     options: dict[str, Any] = {"method": method}
     if order.out is not None:
         _refuse_used(order)
@@ -64,7 +72,7 @@ def sweep_answer(order: Namespace) -> Answer:
     files = Files()
     if order.out is not None:
         with files.written():
-            write_family(family, order.out, force=True)  # what may not be replaced was refused above
+            write_family(family, order.out, force=True, axes=axes)  # what may not be replaced was refused above
     codes = [p.solution.outcome.exit_code if p.solution else 4 for p in family.points]
     # At level 0 no proof was asked for, so none is missing.
     worst = max((c for c in codes if c != 5 or order.level), default=0, key=(0, 5, 4).index)

@@ -17,6 +17,7 @@ from perilune.atlas.region import Axis
 from perilune.atlas.slices import Slice
 from perilune.io.columns import spoken
 from perilune.io.files import fresh_directory
+from perilune.report.contours import label_lines
 from perilune.report.histories import LONG
 from perilune.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, new_figure, save, styled
 from perilune.words.outcome import PeriluneError
@@ -166,15 +167,25 @@ def _quantity(shown: Slice, values: Vector, text: str) -> Figure:
 def _equal(shown: Slice, panel: Any, along: list[Vector], values: Vector) -> None:
     """Lines of equal value, of each sheet for itself: between two of them the value may jump."""
     known = values[np.isfinite(values)]
-    levels, least = np.quantile(known, np.linspace(0.1, 0.9, 7)), _SAME * np.abs(known).max()
+    levels, least = _round(np.quantile(known, np.linspace(0.1, 0.9, 7))), _SAME * np.abs(known).max()
     for number in range(len(shown.sheets)):
         here = np.where(shown.answers.sheet == number, values, np.nan).reshape(shown.shape).T
         if np.isfinite(here[:-1, :-1] + here[1:, 1:]).any() and np.nanmax(here) - np.nanmin(here) > least:
             inside = levels[(levels > np.nanmin(here)) & (levels < np.nanmax(here))]
             if len(inside := np.unique(inside)):
-                panel.contour(
+                lines = panel.contour(
                     *along, np.ma.masked_invalid(here), inside, colors="white", linewidths=0.5, linestyles="-"
                 )
+                label_lines(panel, lines)
+
+
+def _round(levels: Vector) -> Vector:
+    """Levels with as few digits as tell them apart, so that lines can be labelled."""
+    step = np.min(np.diff(np.unique(levels)), initial=np.inf)
+    if not 0 < step < np.inf:
+        return levels
+    digit = 10.0 ** math.floor(math.log10(0.5 * step))
+    return np.unique(np.round(levels / digit) * digit)
 
 
 def _named(shown: Slice) -> list[tuple[str, str]]:

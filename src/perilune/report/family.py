@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,12 +92,26 @@ def family_figure(family: Family) -> Figure:
     return family_panels(value[order], drawn, f"{name} ({document['unit']})", doubted[order])
 
 
-def write_family(family: Family, directory: str | Path, force: bool = False) -> None:
-    """Write ``family.csv``, ``family.json`` and, along one parameter, ``family.png`` / ``.svg``.
+def write_family(
+    family: Family, directory: str | Path, force: bool = False, axes: Mapping[str, str | None] | None = None
+) -> None:
+    """Write ``family.csv``, ``family.json`` and, along one parameter or two, ``family.png`` / ``.svg``.
 
-    Arguments of `fresh_directory`. A table or figure that cannot be written is a `NotWrittenError`; the other files are
-    there then.
+    Parameters
+    ----------
+    family
+        What is written.
+    directory, force
+        As of `fresh_directory`.
+    axes
+        Names of the quantities of a map, as of `perilune.report.contours.family_map`.
+
+    Raises
+    ------
+    NotWrittenError
+        If a table or figure cannot be written; the other files are there then.
     """
+    from perilune.families.datasets import grid_of
     from perilune.report.style import save
 
     writers: dict[str, Callable[[Path], object]] = {
@@ -105,10 +119,23 @@ def write_family(family: Family, directory: str | Path, force: bool = False) -> 
     }
     if len(family.parameters) == 1:
         writers[FAMILY_NAME] = lambda path: save(family_figure(family), path.parent, path.name)
+    elif any((axes or {}).values()) or _has_map(family, grid_of(family)):
+        from perilune.report.contours import family_map
+
+        writers[FAMILY_NAME] = lambda path: save(family_map(family, **(axes or {})), path.parent, path.name)
     with fresh_directory(directory, force) as work:
         (work / f"{FAMILY_NAME}.json").write_text(json_text(family_document(family)), encoding="utf-8")
         failed = write_each(work, writers)
     refuse_unwritten(failed)
+
+
+def _has_map(family: Family, placed: np.ndarray | None) -> bool:
+    """Whether two parameters, a grid and three solved neighbours at least make a map, where none was asked for."""
+    if placed is None or placed.ndim != 2 or min(placed.shape) < 2:
+        return False
+    solved = np.array([p.solution is not None for p in family.points])[placed]
+    corners = solved[1:, 1:].astype(int) + solved[:-1, 1:] + solved[1:, :-1] + solved[:-1, :-1]
+    return bool((corners >= 3).any())
 
 
 def _result_units(document: dict[str, Any]) -> dict[str, str]:

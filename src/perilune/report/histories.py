@@ -17,7 +17,18 @@ from perilune.io.columns import Column, flight_columns
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.views import History
-from perilune.report.style import BLUE, GREY, LOOKS, VERMILION, legend_above, new_figure, styled, time_text
+from perilune.report.style import (
+    BLUE,
+    FLAT,
+    GREY,
+    LOOKS,
+    VERMILION,
+    legend_above,
+    new_figure,
+    styled,
+    time_text,
+    widen,
+)
 
 # From these values on, a quantity is told in units of a thousand.
 LONG = {"m": (2000.0, "km"), "Pa": (2000.0, "kPa"), "W/m^2": (2000.0, "kW/m^2")}
@@ -34,7 +45,7 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
     sampled = {name: parts for name, parts in sampled.items() if any(parts.values())}
     rows = len(sampled)
     figure, axes = new_figure(height=2.3 if rows == 1 else 0.55 + 1.05 * rows, rows=rows)
-    axes = np.atleast_1d(axes)
+    axes, spans = np.atleast_1d(axes), _spans(sampled)
     for ax, (name, flown) in zip(axes, sampled.items(), strict=True):
         text, factor = axis_text(problem, [column for parts in flown.values() for _, column in parts])
         for (who, parts), (colour, dash) in zip(flown.items(), LOOKS, strict=False):
@@ -45,6 +56,7 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
                 time, column = parts[-1]
                 ax.plot(time[-1], factor * column.values[-1], "o", color=colour, markersize=3, clip_on=False)
         ax.set_ylabel(text if rows == 1 else text.replace(" (", "\n("))
+        widen(ax, factor * FLAT * spans[name])
         if name == problem.views.height:  # from the ground: 0, or a site below it
             lowest = min(float(column.values.min()) for parts in flown.values() for _, column in parts)
             ax.set_ylim(bottom=min(0.0, factor * lowest))
@@ -58,6 +70,16 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
     figure.align_ylabels()
     legend_above(figure, axes[0])
     return figure
+
+
+def _spans(sampled: Mapping[str, Mapping[str, list[tuple[Any, Column]]]]) -> dict[str, float]:
+    """The largest change along the flights of any quantity that has the unit of each."""
+    changes: dict[str, tuple[str, float]] = {}
+    for name, flown in sampled.items():
+        columns = [column for parts in flown.values() for _, column in parts]
+        known = np.concatenate([column.values[np.isfinite(column.values)] for column in columns])
+        changes[name] = columns[0].unit, float(np.ptp(known)) if len(known) else 0.0
+    return {name: max(span for other, span in changes.values() if other == unit) for name, (unit, _) in changes.items()}
 
 
 def mark_phases(axes: Any, solution: Solution, begin: float, last: float) -> None:

@@ -21,6 +21,7 @@ from perilune.io.files import DRAWN_BY
 from perilune.problem.problem import Problem
 
 COLUMN_WIDTH = 3.4  # inches
+FLAT = 1e-3  # of the largest motion beside it: what moves by less is drawn as if it moved by so much
 WIDEST = 54  # letters of a legend on one line, beside its stroke
 BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, GREY = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#6B6B6B",
@@ -86,6 +87,14 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
     drawn.__doc__, drawn.__name__ = draw.__doc__, draw.__name__
     return drawn
+
+
+def widen(axes: Any, least: float) -> None:
+    """Widen the vertical range of axes about its middle to a least span: what is smaller looks as flat as it is."""
+    low, high = axes.get_ylim()
+    if high - low < least:
+        middle = 0.5 * (low + high)
+        axes.set_ylim(middle - 0.5 * least, middle + 0.5 * least)
 
 
 def legend_above(figure: Figure, axes: Any, columns: int = 2) -> None:

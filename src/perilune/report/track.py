@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from perilune.io.columns import seen_at
 from perilune.problem.solution import Solution, full
-from perilune.report.style import GREY, LOOKS, legend_above, new_figure, styled
+from perilune.report.style import FLAT, GREY, LOOKS, legend_above, new_figure, styled, widen
 from perilune.words.types import Matrix, Vector
 
 
@@ -28,6 +28,9 @@ def track(flights: Mapping[str, Solution]) -> Figure:
     text = next(iter(flights.values())).problem.views.floor
     for least in floor:
         side.plot(along, least, "-.", color=GREY, linewidth=0.9, label=text)
+    spans = [np.ptp(way[:3], axis=1).max() for way in ways.values()]
+    for ax in (side, top):
+        widen(ax, FLAT * float(max(spans)))
     side.set(ylabel="height (km)")
     side.set_ylim(bottom=min(0.0, side.get_ylim()[0]))
     top.set(xlabel="downrange (km)", ylabel="cross-range,\nleft (km)")
