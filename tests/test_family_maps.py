@@ -67,17 +67,17 @@ def test_what_cannot_be_flown_is_hatched_and_has_no_colour(family: Family) -> No
     figure = family_map(gone)
     (axes, _) = figure.axes
     hatched = [c for c in axes.collections if c.get_hatch()]
-    assert len(hatched) == 1 and to_hex(hatched[0].get_facecolor()[0]) == "#f4f4f4"
+    assert len(hatched) == 1 and to_hex(tuple(np.asarray(hatched[0].get_facecolor())[0])) == "#f4f4f4"
     assert not np.any((coloured(figure)[:, 0] < 459.9) & (coloured(figure)[:, 1] < 299.9))
     assert "no solution" in axes.get_title("left")
     crosses = [line for line in axes.lines if line.get_marker() == "x"]
-    assert crosses[0].get_xydata().tolist() == [[420.0, 290.0], [420.0, 300.0]]
+    assert np.asarray(crosses[0].get_xydata()).tolist() == [[420.0, 290.0], [420.0, 300.0]]
     assert not [c for c in family_map(family).axes[0].collections if c.get_hatch()]
 
 
 def test_axes_may_be_results_and_thrust_over_weight(family: Family) -> None:
     figure = family_map(family, x="thrust_over_weight", y="vehicle.mass", z="propellant")
-    dots = next(line for line in figure.axes[0].lines if line.get_marker() == ".").get_xydata()
+    dots = np.asarray(next(line for line in figure.axes[0].lines if line.get_marker() == ".").get_xydata(), dtype=float)
     given = {name: value.value for name, value in family.problem.given.items()}
     pull = given["body_gravitational_parameter"] / given["body_radius"] ** 2
     known = [p.values[0] / (p.values[1] * pull) for p in family.points]

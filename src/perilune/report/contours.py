@@ -210,7 +210,7 @@ def _levels(height: Vector) -> Vector:
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         room = abs(high) or 1.0
         low, high = low - 0.1 * room, high + 0.1 * room
-    return MaxNLocator(nbins=_LEVELS).tick_values(low, high)
+    return np.asarray(MaxNLocator(nbins=_LEVELS).tick_values(low, high))
 
 
 def _contours(axes: Any, mesh: Triangulation, height: Vector, levels: Vector) -> Any:
