@@ -8,7 +8,6 @@ negative, in other units, with choices exchanged and sections missing, doubled, 
 line runs in this process, as ``perilune.cli.run``. What counts as a failure: an exit code that is not of `CODES`,
 anything on stderr that is a warning or a traceback, and (in `solve`) `SILENCE` seconds without a line on stderr. Each
 `solve` runs in a process of its own with ``--time-limit``; one that takes twice that is ended, and counts as well.
-These are seconds of a processor, so that a machine at other work makes no failures; the limit itself is of the clock.
 The scenarios depend on the seed alone; number N of a seed is drawn again with ``--only N``.
 """
 
@@ -20,7 +19,7 @@ import json
 import math
 import os
 import random
-import resource
+import signal
 import sys
 import tempfile
 import time
@@ -83,7 +82,7 @@ class Result:
 class Timed(io.StringIO):
     """A stream that remembers its longest time without a line."""
 
-    last: float = field(default_factory=time.process_time)
+    last: float = field(default_factory=time.monotonic)
     longest: float = 0.0
 
     def __post_init__(self) -> None:
@@ -96,7 +95,7 @@ class Timed(io.StringIO):
 
     def heard(self) -> None:
         """Remember that something was written."""
-        now = time.process_time()
+        now = time.monotonic()
         self.longest, self.last = max(self.longest, now - self.last), now
 
 
@@ -261,7 +260,7 @@ def scenario(seed: int, number: int, known: Sequence[dict[str, Any]]) -> str:
 
 def run_here(arguments: Sequence[str]) -> Result:
     """One command line in this process; what Python and foreign code write to stderr is read as well."""
-    began, timed, trace = time.process_time(), Timed(), ""
+    began, timed, trace = time.monotonic(), Timed(), ""
     before, kept = sys.stderr, os.dup(2)
     with tempfile.TemporaryFile() as foreign:
         os.dup2(foreign.fileno(), 2)
@@ -279,28 +278,30 @@ def run_here(arguments: Sequence[str]) -> Result:
             os.close(kept)
         foreign.seek(0)
         beside = foreign.read().decode("utf-8", "replace")
-    return Result(code, timed.getvalue() + beside, time.process_time() - began, timed.longest, trace)
+    return Result(code, timed.getvalue() + beside, time.monotonic() - began, timed.longest, trace)
 
 
 def run_apart(arguments: Sequence[str], longest: float) -> Result:
-    """The same in a child of this process, which is ended after so many seconds of a processor."""
+    """The same in a child of this process, which is ended after so many seconds."""
     reading, writing = os.pipe()
+    began = time.monotonic()
     child = os.fork()
     if child == 0:
         os.close(reading)
-        used = int(sum(os.times()[:2]) + longest) + 1
-        resource.setrlimit(resource.RLIMIT_CPU, (used, used))
         found = run_here(arguments)
         with os.fdopen(writing, "w", encoding="utf-8") as opened:
             json.dump(vars(found), opened)
         os._exit(0)
     os.close(writing)
+    signal.signal(signal.SIGALRM, lambda *_: os.kill(child, signal.SIGKILL))
+    signal.setitimer(signal.ITIMER_REAL, longest)
     with os.fdopen(reading, encoding="utf-8") as opened:
         told = opened.read()
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
     _, status = os.waitpid(child, 0)
     if told:
         return Result(**json.loads(told))
-    return Result(-os.waitstatus_to_exitcode(status), "", longest, trace=f"ended, status {status}")
+    return Result(-os.waitstatus_to_exitcode(status), "", time.monotonic() - began, trace=f"ended, status {status}")
 
 
 def judged(command: str, found: Result) -> str:

@@ -194,59 +194,6 @@ def test_a_descent_that_the_problem_does_not_allow_is_no_reachable_pass(more: di
     assert listed(returning())["reachable"] and not listed(returning(**more))["reachable"]
 
 
-@pytest.mark.parametrize(
-    ("more", "name", "limit"),
-    [
-        ({"vehicle": replace(VEHICLE, dry_mass=487.0)}, "1.1 times its delta-V", 3000.0 * math.log(500.0 / 487.0)),
-        ({"transition": None}, "share of the burn in the way down", 50.0),
-        ({"vehicle": replace(VEHICLE, thrust=25.0)}, "share of the burn in the way down", 50.0),
-        ({"interface": Interface(altitude=120e3, angle=-0.03, speed_lower=7700.0)}, "speed at the interface", 7680.0),
-        ({"interface": Interface(altitude=120e3, angle=-0.03, speed_upper=7000.0)}, "speed at the interface", 7020.0),
-    ],
-)
-def test_a_doubt_has_its_reason(more: dict[str, Any], name: str, limit: float) -> None:
-    """By name, with what was got and the limit, on the pass that nothing else makes doubtful."""
-    near = min(opportunities(returning(), 2.0), key=lambda one: abs(one.away))
-    assert near.verdict == "reachable" and near.reasons == ()
-    found = min(opportunities(returning(**more), 2.0), key=lambda one: abs(one.away))
-    assert found.verdict == "doubtful"
-    (reason,) = (reason for reason in found.reasons if reason.name == name)
-    assert reason.limit == pytest.approx(limit, rel=1e-12) and not reason.passed
-    if "vehicle" in more and name.startswith("1.1"):
-        assert reason.value == pytest.approx(1.1 * found.velocity_change, rel=1e-12)
-    assert reason.meaning and reason.advice
-
-
-def test_every_verdict_has_its_reasons_and_no_other() -> None:
-    """A reachable pass misses nothing; of one out of reach it is the angle, which the pre-flight compares too."""
-    found = opportunities(returning(), 2.0)
-    for one in found:
-        assert (one.verdict == "reachable") is (one.reasons == ())
-        assert all(not reason.passed for reason in one.reasons)
-    far = next(one for one in found if one.verdict == "out of reach" and abs(one.away) > math.radians(20.0))
-    (reason,) = far.reasons
-    told = next(f for f in preflight(begun(far)) if f.name == "site out of the plane of the orbit")
-    # That looks at every place along the flight, this at those about one landing: less is missing there.
-    assert 1.0 < told.value - told.limit <= reason.value - reason.limit + 0.5 and reason.unit == told.unit == "deg"
-
-
-def test_a_doubt_stands_beside_its_pass(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "return.toml"
-    file.write_text(SCENARIO.replace('thrust = "500 N"', 'thrust = "25 N"'), encoding="utf-8")
-    assert run(["opportunities", str(file), "--days", "2", "--all"]) == 0
-    rows = capsys.readouterr().out.splitlines()
-    doubts = [row for row in rows if "doubtful: " in row]
-    assert doubts and all(
-        re.search(r"share of the burn in the way down \d+\.?\d* %, at most 50", row) for row in doubts
-    )
-    assert any(re.search(r"out of reach: site off the plane .* deg, at most \d", row) for row in rows)
-    assert any(row.startswith("against doubts: ") and "more thrust" in row for row in rows)
-    assert run(["opportunities", str(file), "--days", "2", "--json"]) == 0
-    for row in json.loads(capsys.readouterr().out)["opportunities"]:
-        assert bool(row["reasons"]) is (row["verdict"] != "reachable")
-        assert all(isinstance(reason["limit"], float) and reason["relation"] for reason in row["reasons"])
-
-
 @pytest.mark.parametrize(("lower", "binding"), [(0.0, False), (0.9, True)])
 def test_a_burn_down_to_nothing_may_wait_for_the_site(lower: float, binding: bool) -> None:
     """At full thrust it is over before the site comes below; throttled down it lasts until the body has turned."""

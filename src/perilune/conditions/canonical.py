@@ -37,7 +37,6 @@ from perilune.problem.symbolic import (
 )
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
-from perilune.words.watch import at_work
 
 _REFRACTIONS = 7  # steps of Newton's method for the costate behind a surface; a step too many changes nothing
 
@@ -179,12 +178,10 @@ def canonical_equations(
     symbol = ca.SX.sym("z", z.numel())
 
     def function(name: str, *expressions: ca.SX) -> ca.Function:
-        at_work("deriving the optimality conditions")
         return ca.Function(name, [symbol, numbers], ca.cse([ca.substitute(e, z, symbol) for e in expressions]))
 
     laws, flows, solved, sides, reports, multipliers = [], [], [], [], [], []
     for f in dynamics.rates:
-        at_work("deriving the optimality conditions")
         hamiltonian = ca.dot(lam[:n], f)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
         gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
@@ -211,7 +208,6 @@ def canonical_equations(
         sides += [ca.Function("rates", [x, u, p.given, p.free], [f])] * len(law.control)
         each = zip(law.control, law.room, law.solved, law.held, law.regimes, strict=True)
         for control, room, found, held, regimes in each:
-            at_work("deriving the optimality conditions")
             if always:
                 holds = [*always.values(), *(kept[name] for name in held)]
                 mu = held_multipliers(phase, hamiltonian, u, holds, regimes)[: len(always)]

@@ -108,7 +108,7 @@ def read_air_table(path: Path) -> AirTable:
 
 
 def _count(table: DelimitedTable) -> int:
-    """Count the columns, which all rows have; an empty last one is none."""
+    """Number of columns, which all rows have; an empty last one is none."""
     counts = [len(row.cells) for row in table.body]
     count = max(set(counts), key=counts.count)
     for row, found in zip(table.body, counts, strict=True):
@@ -125,7 +125,7 @@ def _count(table: DelimitedTable) -> int:
 
 
 def _headings(table: DelimitedTable, count: int) -> tuple[list[TableHeading], list[str] | None]:
-    """Find the headings of the columns, and the units in a row of their own; neither where there is none."""
+    """Headings of the columns, and the units in a row of their own; neither where there is none."""
     if len(table.above) > 2:
         raise PeriluneError(
             f"line {table.above[0].number} of the table of air is neither a heading nor a row of numbers",
@@ -153,7 +153,7 @@ def _headings(table: DelimitedTable, count: int) -> tuple[list[TableHeading], li
 
 
 def _cells(table: DelimitedTable, line: TextLine, count: int) -> list[str]:
-    """Return the cells of a line of headings, one for each column; R writes none for the number of the row."""
+    """Cells of a line of headings, one for each column; R writes none for the number of the row."""
     cells, longer, shorter = (table.cells(line, wanted) for wanted in (count, count + 1, count - 1))
     if cells is None and longer is not None and not longer[-1]:
         cells = longer[:-1]
@@ -169,20 +169,20 @@ def _cells(table: DelimitedTable, line: TextLine, count: int) -> list[str]:
 
 
 def _numbered(body: list[CellRow]) -> bool:
-    """Tell whether the first column numbers the rows."""
+    """Whether the first column numbers the rows."""
     found = [row.cells[0] for row in body]
     return any(found == [str(k + begin) for k in range(len(found))] for begin in (0, 1))
 
 
 def _heads(headings: list[TableHeading]) -> bool:
-    """Tell whether a comment is a row of headings and not prose: of both columns, units in brackets or understood."""
+    """Whether a comment is a row of headings and not prose: of both columns, their units in brackets or understood."""
     called = [{name for name in _SI if set(h.words[:1]) & set(_CALLED[name])} for h in headings
               if not h.unread or h.bracketed]  # fmt: skip
     return len(set[str]().union(*called)) == len(_SI) or len({_role(h) for h in headings} & set(_SI)) == len(_SI)
 
 
 def _role(heading: TableHeading) -> str:
-    """Return ``altitude`` or ``density``, where a heading says so and nothing else; "" otherwise."""
+    """``altitude`` or ``density``, where a heading says so and nothing else; "" otherwise."""
     named = {name for name, words in _CALLED.items() if not set(words).isdisjoint(heading.words)}
     if heading.unread or len(named) > 1 or (heading.words and not named):
         return ""
@@ -192,7 +192,7 @@ def _role(heading: TableHeading) -> str:
 
 
 def _columns(table: DelimitedTable, headings: list[TableHeading], count: int) -> dict[str, _AirColumn]:
-    """Find the two columns that are meant."""
+    """The two columns that are meant."""
     if not headings:
         if count != 2:
             raise PeriluneError(
@@ -230,12 +230,12 @@ def _refuse_role(name: str, headings: list[TableHeading], count: int) -> None:
 
 
 def _words_of(heading: TableHeading) -> list[str]:
-    """Return all words of a heading, known or not."""
+    """All words of a heading, known or not."""
     return [*heading.words, *heading.text.casefold().replace("_", " ").replace("[", " ").replace("(", " ").split()]
 
 
 def _with_units(name: str, column: _AirColumn, units: list[str] | None) -> _AirColumn:
-    """Return the column with the unit that stands below its heading."""
+    """The column with the unit that stands below its heading."""
     if units is None or column.place >= len(units) or not units[column.place]:
         return column
     stated = unit_as_written(units[column.place])
@@ -267,7 +267,7 @@ def _refuse_said_elsewhere(name: str, comments: list[TextLine]) -> None:
 def _said(
     values: dict[str, Vector], found: dict[str, Vector], columns: dict[str, _AirColumn], ignored: list[str]
 ) -> str:
-    """Say rows, units and ranges, as ``51 rows; altitude in ft, 0 to 460 000 (0 to 140.208 km); …``."""
+    """Rows, units and ranges, as ``51 rows; altitude in ft, 0 to 460 000 (0 to 140.208 km); …``."""
     parts = [f"{len(found['altitude'])} rows"]
     for name, column in columns.items():
         low, high = (f"{_spaced(end(values[name]))}" for end in (np.min, np.max))
@@ -283,7 +283,7 @@ def _said(
 
 
 def _spaced(value: float) -> str:
-    """Write a number with six digits, those of thousands apart."""
+    """A number of six digits, those of thousands apart."""
     value = float(value)
     if 1e4 <= abs(value) < 1e9:
         return f"{value:,.0f}".replace(",", " ")

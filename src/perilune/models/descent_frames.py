@@ -71,7 +71,7 @@ def _site_position(p: Any, m: Any) -> Any:
 
 
 def _likely_landing(p: Any, m: Any) -> Any:
-    """Return the site, or where none is stated a place as far ahead as full thrust takes to stop."""
+    """Site, or where none is stated a place ahead of the start, as far as full thrust stops the speed over ground."""
     if hasattr(p, "site_longitude"):
         return _site_position(p, m)
     up, oy, oz = _axes_at_start(p, m)
@@ -297,7 +297,7 @@ def _spherical_typical_end(p: Any, m: Any) -> Sequence[Any]:
 
 
 def _likely_landing_place(p: Any, m: Any) -> tuple[Any, Any]:
-    """Return its longitude and latitude, the longitude without a jump from that of the start."""
+    """Longitude and latitude of it, the longitude without a jump from that of the start."""
     if hasattr(p, "site_longitude"):
         return p.site_longitude, p.site_latitude
     x, y, z = _likely_landing(p, m)

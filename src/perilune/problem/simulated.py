@@ -13,7 +13,7 @@ from perilune.words.types import Matrix, Vector
 
 
 class SimulatedProblem:
-    """Give a problem the method by which simulators of others fly it."""
+    """How a problem is flown from outside."""
 
     @called_in_words
     def rates(
@@ -75,7 +75,7 @@ class SimulatedProblem:
 
 
 def _number_of(problem: Any, phase: str | int | None) -> int:
-    """Return the place of a phase that is named, numbered, or the only one."""
+    """Place of a phase that is named, numbered, or the only one."""
     names = [stated.name for stated in problem.phases]
     if phase is None:
         if len(names) > 1:
@@ -96,7 +96,7 @@ def _number_of(problem: Any, phase: str | int | None) -> int:
 
 
 def _components(values: Any, names: Sequence[str], what: str) -> Matrix:
-    """Return values as numbers, one row for each name."""
+    """Values as numbers, one row for each name."""
     found = demand_numbers(values, what, most=2) if len(names) or np.size(values) else np.empty(0)
     found = np.asarray(found, dtype=float)
     if found.ndim == 0 or len(found) != len(names):

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from perilune.models.deorbit.opportunities import DOUBTFUL, OUT_OF_REACH, REACHABLE, Opportunity
-from perilune.problem.preflight import Finding
 
 _HEAD = f"{'ignition':>21} {'landing':>10}  {'pass':10} {'off the plane':>22} {'turn':>9} {'delta-V':>11}  verdict"
 
@@ -15,37 +14,12 @@ _HEAD = f"{'ignition':>21} {'landing':>10}  {'pass':10} {'off the plane':>22} {'
 def opportunities_document(found: Sequence[Opportunity]) -> dict[str, Any]:
     """All passes with their numbers in SI and radians; what no turn reaches has none."""
     rows = [
-        {
-            **vars(one),
-            "utc": one.utc and f"{one.utc:%Y-%m-%dT%H:%M:%SZ}",
-            "settings": dict(one.settings),
-            "reasons": [_reason_document(reason) for reason in one.reasons],
-        }
+        {**vars(one), "utc": one.utc and f"{one.utc:%Y-%m-%dT%H:%M:%SZ}", "settings": dict(one.settings)}
         for one in found
     ]
     for row in rows:
         row |= {name: row[name] if math.isfinite(row[name]) else None for name in ("turn", "velocity_change")}
     return {"opportunities": rows}
-
-
-def _reason_document(reason: Finding) -> dict[str, Any]:
-    """One comparison that is missed, in the unit that it names."""
-    return {
-        "name": reason.name,
-        "value": float(reason.value) if math.isfinite(reason.value) else None,
-        "relation": "at least" if reason.at_least else "at most",
-        "limit": float(reason.limit),
-        "unit": reason.unit,
-        "meaning": reason.meaning,
-        "advice": reason.advice,
-    }
-
-
-def _reason_text(reason: Finding) -> str:
-    if not math.isfinite(reason.value):
-        return "no turn at ignition leads there"
-    relation = "at least" if reason.at_least else "at most"
-    return f"{reason.name} {reason.value:.4g} {reason.unit}, {relation} {reason.limit:.4g}"
 
 
 def opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
@@ -58,9 +32,6 @@ def opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
     best = next(filter(None, good), None)
     if not every and len(shown) < len(found):
         lines.append(f"{len(found) - len(shown)} more are out of reach: --all")
-    doubts = [reason.advice for one in shown if one.verdict == DOUBTFUL for reason in one.reasons if reason.advice]
-    if doubts:
-        lines.append(f"against doubts: {'; '.join(dict.fromkeys(doubts))}")
     if best is not None:
         changes = " ".join(f'--set "{key}={value}"' for key, value in best.settings.items())
         lines += [f"all propellant gives {best.available:.1f} m/s; of the first that is {best.verdict}:"]
@@ -75,5 +46,4 @@ def _row(one: Opportunity) -> str:
     turn = f"{math.degrees(one.turn):.2f} deg" if math.isfinite(one.turn) else "-"
     change = f"{one.velocity_change:.0f} m/s" if math.isfinite(one.velocity_change) else "-"
     after = f"{one.landing / 3600:.3f} h"
-    why = ": " + "; ".join(map(_reason_text, one.reasons)) if one.reasons else ""
-    return f"{when:>21} {after:>10}  {one.going:10} {off:>22} {turn:>9} {change:>11}  {one.verdict}{why}"
+    return f"{when:>21} {after:>10}  {one.going:10} {off:>22} {turn:>9} {change:>11}  {one.verdict}"

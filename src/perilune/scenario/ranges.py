@@ -62,7 +62,7 @@ def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]
 
 
 def _listed(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
-    """Return the values in SI of a list, in its order."""
+    """Values in SI of a list, in its order."""
     quantity, parts = _split(key, text, known, ",")
     if not all(parts) or any(":" in part for part in parts) or len(text) > _LONGEST_LIST:
         raise PeriluneError(
@@ -119,7 +119,7 @@ def _parts(key: str, text: str, known: Mapping[str, Quantity], form: str, advice
 
 
 def _split(key: str, text: str, known: Mapping[str, Quantity], sign: str) -> tuple[Quantity, list[str]]:
-    """Split a text at a sign; a part without a unit gets that of the last. The key's declaration comes with them."""
+    """What is declared of a key, and the parts between signs; a part without a unit has that of the last."""
     demand(known, Mapping, "what is known of the keys that may be varied")
     for value, what in ((key, "a key"), (text, "a range")):
         if not isinstance(value, str):

@@ -34,7 +34,6 @@ from perilune.shooting.newton import Columns
 from perilune.shooting.propagate import Equations, engine, equations
 from perilune.shooting.settling import MOST_STEPS, settling
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import at_work
 
 #: Up to so many coupled unknowns Newton's step is compiled with the residual; beyond, LAPACK takes over.
 COMPILED = 12
@@ -223,7 +222,6 @@ class _Tracing:
         )
 
     def _leg(self, k: int, j: int, before: _End | None) -> tuple[Leg, _End]:
-        at_work("setting up the shooting function")
         extremal, flown = self.conditions.phases[k], self.flown[k]
         kept = flown.kept.tolist()
         whole_before = ca.SX.zeros(2 * self.conditions.phases[k - 1].half, 1) if k else ca.SX(0, 1)
@@ -306,7 +304,6 @@ class _Tracing:
         return met, cost
 
     def _closing(self, ends: list[_End], gaps: list[tuple[ca.SX, ca.SX]]) -> tuple[ca.Function, Columns, bool]:
-        at_work("setting up the shooting function")
         c, Y, n = self.conditions, self.Y, len(self.active)
         plain, cost = self._residual(ends)
         free = list(range(c.free_at.start, c.free_at.stop))

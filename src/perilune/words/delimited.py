@@ -65,7 +65,7 @@ class DelimitedTable:
     what: str
 
     def cells(self, line: TextLine, count: int) -> list[str] | None:
-        """Return the cells of a line above the numbers; None where no delimiter makes so many of it."""
+        """Cells of a line above the numbers; None where no delimiter makes so many of it."""
         for delimiter in (self.delimiter, *_DELIMITERS):
             found = _split(line.text, delimiter)
             if found is not None and delimiter == " ":
@@ -75,7 +75,7 @@ class DelimitedTable:
         return None
 
     def number(self, row: CellRow, column: int) -> float:
-        """Return the number in a cell.
+        """The number in a cell.
 
         Raises
         ------
@@ -135,7 +135,7 @@ def _is_comment(line: TextLine) -> bool:
 
 
 def _split(text: str, delimiter: str) -> list[str] | None:
-    """Return the cells of a line; None where its quotes do not close."""
+    """Cells of a line; None where its quotes do not close."""
     if delimiter == " ":
         text = text.replace("\t", " ").strip()
     try:
@@ -160,7 +160,7 @@ def _numbers(cells: list[str]) -> int:
 
 
 def _likeness(lines: list[TextLine], delimiter: str) -> tuple[int, int]:
-    """Count the lines that are rows of numbers, and those that have at least two."""
+    """How many lines are rows of numbers, and how many have at least two."""
     whole = some = 0
     for line in lines:
         cells = [cell for cell in _split(line.text, delimiter) or [] if cell]
@@ -170,7 +170,7 @@ def _likeness(lines: list[TextLine], delimiter: str) -> tuple[int, int]:
 
 
 def _with_brackets(cells: list[str]) -> list[str]:
-    """Join what stands in brackets to the cell before, of cells that lie apart by blanks."""
+    """Cells apart by blanks, what stands in brackets together with what it belongs to."""
     joined, depth = list[str](), 0
     for cell in cells:
         if joined and (depth > 0 or cell.startswith(("(", "["))):
@@ -182,7 +182,7 @@ def _with_brackets(cells: list[str]) -> list[str]:
 
 
 def _has_decimal_comma(body: list[CellRow], what: str) -> bool:
-    """Tell whether numbers have a decimal comma; refuse points as well, as commas may part thousands then."""
+    """Whether numbers have a decimal comma; with points as well, commas may part thousands."""
     found = {}
     for row in body:
         for cell in row.cells:

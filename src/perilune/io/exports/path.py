@@ -145,7 +145,7 @@ def legs(solution: Solution, bent: float | None = None, tick: float | None = Non
 def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> Leg:
     trajectory = solution.trajectories[k]
     t = np.unique(trajectory.time) if bent is None else np.union1d(trajectory.time, sides(trajectory))
-    for _ in range(_HALVED):
+    for left in reversed(range(_HALVED)):
         r, v, push = solution.inertial(k, t)
         middle, width = 0.5 * (t[1:] + t[:-1]), np.diff(t)
         between = 0.5 * (r[:, 1:] + r[:, :-1]) - 0.125 * width * np.diff(v, axis=1)
@@ -153,7 +153,7 @@ def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> Leg:
         bad = lost > LOST
         if bent is not None:
             bad |= (width > JUMP) & (_bent(solution, k, t, push) > bent)
-        if not bad.any():
+        if not bad.any() or not left:  # of what is no flight, as a guess, nothing is fine enough
             break
         t = np.union1d(t, middle[bad])
     return Leg(
@@ -169,7 +169,7 @@ def _ticking(leg: Leg, solution: Solution, k: int, begin: float, tick: float) ->
     inside = np.clip(wholes * tick - begin, 0.0, duration)
     beyond = wholes * tick - begin - inside
     r, v, push = solution.inertial(k, inside)
-    step = min(_NEAR, duration) * np.where(inside < 0.5 * duration, 1.0, -1.0)
+    step = min(_NEAR, 0.5 * duration) * np.where(inside < 0.5 * duration, 1.0, -1.0)  # within the shortest phase too
     pull = (solution.inertial(k, inside + step)[1] - v) / step
     return replace(
         leg, time=wholes * tick, position=r + beyond * v, velocity=v + beyond * pull, push=push,

@@ -22,7 +22,6 @@ from typing import Any
 
 from perilune.kernels.algebra.tables import with_tables
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import at_work
 
 #: Operations by CasADi's name for them (without ``OP_``), and ours.
 OPERATIONS = {
@@ -196,7 +195,6 @@ def trace(function: Any) -> Program:
     PeriluneError
         On an operation that the emitter does not know, by its name, or on a function that is not SX.
     """
-    at_work("compiling machine code")
     import casadi as ca
 
     if not function.is_a("SXFunction"):

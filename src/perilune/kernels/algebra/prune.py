@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import at_work
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +105,5 @@ def _wanted(outputs: Iterable[Any], z: Any, p: Any) -> set[int]:
         if isinstance(output, (int, np.integer)):
             wanted.add(int(output))
         else:
-            at_work("deriving the optimality conditions")
             wanted |= set(ca.jacobian(ca.vec(output(z, p)), z).sparsity().get_triplet()[1])
     return wanted

@@ -118,7 +118,6 @@ def compile_ir(text: str) -> bytes:
     passes = llvm.create_new_module_pass_manager()
     passes.add_sroa_pass()
     passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
-    at_work("compiling machine code")
     return machine.emit_object(module)
 
 

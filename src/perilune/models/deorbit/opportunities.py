@@ -3,13 +3,13 @@
 Three verdicts: *reachable*, where there is a tenth more than what a typical descent with the turn in its burn takes,
 and the problem allows this descent: engine off before the interface, and at the interface a speed within its bounds;
 *out of reach*, where no flight comes to the site on that pass, by the bound that also refuses to solve; *doubtful* in
-between. Which comparison is missed, and by how much, stands beside it.
+between.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
@@ -25,7 +25,6 @@ from perilune.models.deorbit.records import Aim, Manoeuvre, exhaust_speed, great
 from perilune.models.deorbit.secular import Drift, drift
 from perilune.models.deorbit.times import way_down
 from perilune.models.rotating import dot
-from perilune.problem.preflight import Finding
 from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand
 from perilune.words.maths import NUMERIC
@@ -55,8 +54,6 @@ class Opportunity(Pass):
         Time of ignition, where the problem has an epoch.
     settings
         Changes of the scenario, by key, with which the flight to this pass is solved.
-    reasons
-        Comparisons that are missed: of a doubtful pass those that make it so, of one out of reach that which does.
     """
 
     distance: float
@@ -64,7 +61,6 @@ class Opportunity(Pass):
     verdict: str
     utc: datetime | None
     settings: Mapping[str, str]
-    reasons: tuple[Finding, ...] = ()
 
 
 @called_in_words
@@ -154,11 +150,12 @@ def _entry(problem: Problem, p: Any) -> tuple[float, float]:
 def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[float, float]) -> Opportunity:
     available = velocity_change(p)
     start = max(found.ignition - 0.5 * getattr(p, "orbit_longest_coast", 0.0), 0.0)
-    verdict, reasons = REACHABLE, tuple(f for f in _conditions(problem, p, found, orbit, entry[0]) if not f.passed)
-    if reasons:
-        verdict, beyond = DOUBTFUL, _beyond(p, *nearest(p, orbit.later(start), entry, found.landing - start))
-        if not beyond.passed and not hasattr(p, "vehicle_lift_to_drag"):
-            verdict, reasons = OUT_OF_REACH, (beyond,)
+    if _SPARE * found.velocity_change <= available and _allowed(problem, p, found, orbit, entry[0]):
+        verdict = REACHABLE
+    else:
+        away, turned = nearest(p, orbit.later(start), entry, found.landing - start)
+        beyond = away > turned + OFF_PLANE and not hasattr(p, "vehicle_lift_to_drag")
+        verdict = OUT_OF_REACH if beyond else DOUBTFUL
     aim = next((record for record in problem.declared if isinstance(record, Aim)), Aim())
     utc = aim.instant()
     settings = _settings(problem, p, orbit, start)
@@ -166,54 +163,24 @@ def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[fl
         settings["problem.epoch"] = f"{utc + timedelta(seconds=start):%Y-%m-%dT%H:%M:%SZ}"
     return Opportunity(
         **vars(found), distance=abs(found.away) * float(p.body_radius), available=available, verdict=verdict,
-        utc=None if utc is None else utc + timedelta(seconds=found.ignition), settings=settings, reasons=reasons,
+        utc=None if utc is None else utc + timedelta(seconds=found.ignition), settings=settings,
     )  # fmt: skip
 
 
-def _beyond(p: Any, away: float, turned: float) -> Finding:
-    """Compare how far the site stays from the plane [rad] with what any flight turns it."""
-    return Finding(
-        name="site off the plane when it can be reached", value=math.degrees(away),
-        limit=math.degrees(turned + OFF_PLANE), at_least=False, unit="deg", binding=True,
-        meaning="the site stays further out of the plane than all propellant turns it",
-    )  # fmt: skip
-
-
-def _conditions(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) -> Iterator[Finding]:
-    """Yield what a typical descent needs: propellant to spare, a coast behind a short burn, a speed that is allowed.
-
-    All are met by a pass that is reachable.
-    """
-    yield Finding(
-        name=f"{_SPARE:g} times its delta-V", value=_SPARE * found.velocity_change, limit=velocity_change(p),
-        at_least=False, unit="m/s", binding=False,
-        meaning="a typical descent with the turn in its burn leaves no tenth of the propellant to spare",
-        advice="a nearer pass, or more propellant",
-    )  # fmt: skip
+def _allowed(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) -> bool:
+    """Whether the problem allows the typical descent: short a burn, a coast, and the speed at the interface it has."""
     exhaust, gate = exhaust_speed(p), p.body_radius + p.interface_altitude
     burn = p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-found.velocity_change / exhaust))
-    drifts, way = "drift_time" in problem.free_names, found.landing - found.ignition - entry
-    yield Finding(
-        name="share of the burn in the way down", value=100.0 * (burn / way if drifts else 1.0), limit=100.0 * _SHORT,
-        at_least=False, unit="%", binding=False,
-        meaning="the burn is no short one with a coast behind it, as that of a typical descent",
-        advice="more thrust" if drifts else "transition.longest_coast, for a coast behind the burn",
-    )  # fmt: skip
-    if not drifts:
-        return  # the speed is that behind a coast
+    if "drift_time" not in problem.free_names or burn > _SHORT * (found.landing - found.ignition - entry):
+        return False
     angle = float(orbit.at(found.ignition)[0]) - orbit.perigee_rate * found.ignition
     radius, rise, level = (float(v) for v in shape(angle, p, NUMERIC))
     left = math.hypot(rise, level) - way_down(p, angle, drifts=True).velocity_change
     fallen = 2 * p.body_gravitational_parameter * (1 / gate - 1 / radius)
     speed = math.sqrt(max(left * left + fallen, 0.0)) - carried(p, gate)
-    for side, away in (("lower", -_ROUGHLY), ("upper", _ROUGHLY)):
-        stated = getattr(p, f"interface_speed_{side}", getattr(p, "interface_speed", None))
-        if stated is not None:
-            yield Finding(
-                name="speed at the interface", value=speed, limit=stated + away, at_least=side == "lower", unit="m/s",
-                binding=False, meaning="a typical descent has another speed at the interface than is stated",
-                advice=f"another interface.speed_{side}",
-            )  # fmt: skip
+    stated = getattr(p, "interface_speed", None)
+    lower, upper = getattr(p, "interface_speed_lower", stated), getattr(p, "interface_speed_upper", stated)
+    return (lower is None or speed > lower - _ROUGHLY) and (upper is None or speed < upper + _ROUGHLY)
 
 
 def _settings(problem: Problem, p: Any, orbit: Drift, start: float) -> dict[str, str]:

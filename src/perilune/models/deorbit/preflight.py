@@ -92,7 +92,7 @@ def compare_return(
 
 
 def _like_standard(air: Air) -> list[Finding]:
-    """Compare the air of a file with the standard, where its density is most unlike."""
+    """By which factor the air of a file is denser or thinner than the standard, where this is most."""
     low, high = max(air.bottom, LOWEST), min(air.top, _COMPARED_TO)
     if low >= high:
         return []
