@@ -114,7 +114,8 @@ class Carried:
     def paired(self, solution: pl.Solution) -> None:
         """The same of a family that was not swept."""
         members = tuple(FamilyPoint(values=(value,), solution=solution) for value in (1.0, 2.0))
-        self.listed(Family(problem=solution.problem, parameters=("vehicle_mass",), points=members))
+        mass = next(name for name in solution.problem.given if name.endswith("_mass"))
+        self.listed(Family(problem=solution.problem, parameters=(mass,), points=members))
 
     def by_command(self) -> None:
         """All of it by the command line: solved with all files, proved again, exported, swept; no fault anywhere."""

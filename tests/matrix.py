@@ -273,7 +273,8 @@ def _return_is_possible(picked: Picked) -> bool:
     air, lift = picked["air"] != "none", picked["lift"] != "none"
     needs_air = (
         picked["site"] != "none" or picked["separation"] != "none" or picked["limits"] != "none"
-        or picked["parachute"] != "none" or picked["heat"] == "heating" or picked["minimise"] == "heat_load"
+        or picked["parachute"] != "none" or picked["heat"] in ("default", "heating")
+        or picked["minimise"] == "heat_load"
     )  # fmt: skip
     nose = picked["heat"] != "none" or picked["drag"] == "cone"
     moved = picked["minimise"] in ("flight_time", "heat_load", "left out") or picked["site"] == "place"

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import perilune as pl
+from carried import Carried
 from perilune.cli import run
 from perilune.io.made import made_document, read_made
 from perilune.models.kinds import KINDS
@@ -59,6 +60,18 @@ def test_a_file_may_state_a_kind_that_a_package_brings(tmp_path: Path) -> None:
     assert pl.verify(saved).level == 3 and saved.problem.name == "lunar_hop"
     document = json.loads((Path(out) / "solution.json").read_text(encoding="utf-8"))
     assert document["scenario"]
+
+
+@pytest.mark.usefixtures("at_hand")
+def test_it_is_carried_the_whole_way(tmp_path: Path) -> None:
+    """As all kinds of our own are: told, saved, exported, drawn, explored."""
+    carried = Carried(tmp_path / "hop", (PLACE / "hop.toml").read_text(encoding="utf-8"))
+    carried.check()
+    solution = carried.solved()
+    carried.told(solution)
+    carried.proved(carried.saved(solution))
+    for step in (carried.exported, carried.drawn, carried.explored, carried.paired):
+        step(solution)
 
 
 @pytest.mark.usefixtures("at_hand")
