@@ -238,7 +238,7 @@ def test_a_landing_below_the_dry_mass_is_infeasible(capsys: pytest.CaptureFixtur
     arguments = ["solve", HYBRID, "--set", "vehicle.dry_mass=161 kg", "--out", str(out), "--json"]
     assert run(arguments) == 3
     document = read_json(capsys.readouterr().out)
-    assert "m (mass) falls to 160.6" in document["error"]["got"]
+    assert "mass (m) falls to 160.6" in document["error"]["got"]
     assert snapshot(out).keys() == {"failure.json"}
     assert "PROVED" not in (out / "failure.json").read_text(encoding="utf-8")
 

@@ -364,7 +364,7 @@ def test_a_bound_of_the_throttle_is_a_parameter() -> None:
     assert full.objective < stated.objective - 0.1
     assert not list(breaches_of(full, 1e-8)) and not list(breaches_of(changed, 1e-8))
     (breach,) = breaches_of(replace(full, problem=changed.problem), 1e-8)
-    assert breach.text == "throttle rises to 0.9, above its bound of 0.7"
+    assert breach.text == "throttle rises to 0.9, above throttle.upper of 0.7"
 
 
 def reflown(problem: Problem, solution: Solution, x0: np.ndarray) -> np.ndarray:

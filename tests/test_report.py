@@ -106,6 +106,7 @@ def test_the_json_document_has_the_promised_shape(hybrid: Solution) -> None:
         "within",
         "results",
         "extremals",
+        "warnings",
         "verification",
         "statistics",
     ]

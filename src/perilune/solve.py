@@ -139,11 +139,16 @@ def _no_minimum(solution: Solution) -> bool:
 
 def _answered(method: Method, problem: Problem, guess: Solution | None, watch: Watch | None) -> Solution:
     """What a method says, made exact where it is one that asks for that."""
-    if not getattr(method, "polish", False):
-        return method.run(problem, guess, watch)
-    from perilune.methods.polished import polished  # and with it the direct method, and much of SciPy
+    try:
+        if not getattr(method, "polish", False):
+            return method.run(problem, guess, watch)
+        from perilune.methods.polished import polished  # and with it the direct method, and much of SciPy
 
-    return polished(cast("Pseudospectral", method), problem, guess, watch)
+        return polished(cast("Pseudospectral", method), problem, guess, watch)
+    except NotConvergedError as error:
+        from perilune.methods.infeasibility import with_binding_limit
+
+        raise with_binding_limit(problem, error, watch) from None
 
 
 def usable(method: Method | None) -> Method:

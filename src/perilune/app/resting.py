@@ -16,9 +16,9 @@ from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Verification
+from perilune.problem.wording import objective_text
 from perilune.solve import prove, solve
 from perilune.words.outcome import Outcome
-from perilune.words.units import told
 from perilune.words.watch import Watch
 
 LEVEL = 3
@@ -114,9 +114,7 @@ def proved(solution: Solution, watch: Watch) -> Proved:
 
 def cost(solution: Solution) -> str:
     """What is minimised or maximised, in words."""
-    problem = solution.problem
-    name, value = (problem.maximised, -solution.objective) if problem.maximised else ("J", solution.objective)
-    return f"{name.replace('_', ' ')} {told(value, problem.objective_unit)}"
+    return objective_text(solution).replace("J = ", "J ")
 
 
 def _own(followed: Solution) -> Extremal:

@@ -27,8 +27,14 @@ class Answer:
     exit_code: int = 0
 
 
-def deliver(as_json: bool, work: Callable[[], Answer]) -> int:
-    """Do the work of a command, say its answer or why there is none; the exit code."""
+def deliver(as_json: bool, work: Callable[[], Answer], verbose: bool = False) -> int:
+    """Do the work of a command, say its answer or why there is none, if verbose with all that was tried.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
     try:
         answer = work()
     except KeyboardInterrupt as error:
@@ -36,6 +42,8 @@ def deliver(as_json: bool, work: Callable[[], Answer]) -> int:
     except Exception as error:
         # Foreign code that is met by Ctrl-C may make an error of its own of it.
         answer = refusal(stopped(), INTERRUPTED) if STOPPED.is_set() else failed(error)
+        if verbose and (tried := getattr(error, "partial", {}).get("tried")):
+            answer = replace(answer, text="\n    ".join([answer.text, *(f"- {line}" for line in tried)]))
     return say(answer, as_json)
 
 

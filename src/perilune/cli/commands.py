@@ -36,7 +36,7 @@ def obey(arguments: Sequence[str]) -> int:
         return 2
     if getattr(typed, "no_cache", False):
         os.environ["PERILUNE_CACHE"] = "off"  # read by perilune.kernels.code.cache
-    return deliver(typed.as_json, lambda: COMMANDS[typed.command](typed))
+    return deliver(typed.as_json, lambda: COMMANDS[typed.command](typed), getattr(typed, "verbose", False))
 
 
 def _solve(typed: Namespace) -> Answer:

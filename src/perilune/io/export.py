@@ -90,6 +90,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
         "within": solution.verification.within,
         "results": results(solution),
         "extremals": extremals_document(solution),
+        "warnings": list(solution.warnings),
         "verification": _verification_document(solution.verification),
         "statistics": {
             "rung": statistics.rung,
@@ -137,7 +138,7 @@ def _check_document(check: Check) -> dict[str, Any]:
 def extremals_document(solution: Solution) -> list[dict[str, Any]]:
     """List the extremals, best first: what the parameters alone decide of the results, the objective, the nature.
 
-    Where J is the negative of a result, that result stands for it.
+    Where J is a result but for a constant, or the negative of one, that result stands for it.
     """
     problem = solution.problem
     first, last = ([math.nan] * len(problem.phases[k].states) for k in (0, -1))
@@ -146,6 +147,9 @@ def extremals_document(solution: Solution) -> list[dict[str, Any]]:
         found = results_between(problem, first, last, problem.parameters({**solution.free, **extremal.free}))
         known: dict[str, Any] = {name: r.value for name, r in found.items() if math.isfinite(r.value)}
         best = {problem.maximised: -extremal.objective} if problem.maximised else {"objective": extremal.objective}
+        if problem.minimised:  # J is this result but for a constant, which the solution tells
+            here = solution.results[problem.minimised].value - solution.objective
+            best = {problem.minimised: here + extremal.objective}
         rows.append({**known, **{k: float(v) for k, v in best.items()}, "nature": extremal.nature.value})
     return rows
 

@@ -48,6 +48,7 @@ def physics_document(problem: Problem) -> dict[str, Any]:
         "objective_scale": problem.objective_scale,
         "result_variables": plain(problem.result_variables),
         "maximised": problem.maximised,
+        **({"minimised": problem.minimised} if problem.minimised else {}),
         "views": plain(problem.views),
         "phases": [_phase_document(phase) for phase in problem.phases],
         "functions": {_written(key): e.tape.document() for key, e in expressions.items()},
@@ -96,6 +97,7 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Pro
         results=read("results", 0),
         result_variables=_rows(document, "result_variables", Variable),
         maximised=text(document, "maximised"),
+        minimised=text(document, "minimised") if "minimised" in document else "",
         views=_views(document),
         scales=record(Scales, document.get("scales"), "problem.scales"),
     )

@@ -13,6 +13,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Free, Variable
+from perilune.problem.wording import limit_name, quantity_name
 from perilune.structures.read import of_states
 from perilune.structures.structure import Structure, conditions_of, margins, moved_by
 from perilune.words.types import Matrix, Vector
@@ -36,6 +37,8 @@ class Breach:
         The same in canonical units, to compare breaches of different kinds.
     path
         Whether it is a path condition, which an extremal knows nothing of, and not a bound.
+    limit
+        What the limit is called in a message.
     """
 
     name: str
@@ -44,6 +47,7 @@ class Breach:
     unit: str
     canonical: float
     path: bool = False
+    limit: str = ""
 
 
 def broken_by_control(structure: Structure, whole: Solution) -> Breach | None:
@@ -80,9 +84,11 @@ def breaches_along(problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any,
     for condition, along in phase.path_along(x, u, p):
         least, scale = float(np.min(along)), problem.size_of(condition)
         if not least >= -slack * scale:
-            text = f"{_called(condition)} falls to {told(least, condition.unit)} on the way"
-            miss, unit = -least, condition.unit
-            yield Breach(name=condition.name, text=text, miss=miss, unit=unit, canonical=miss / scale, path=True)
+            called, miss, unit = quantity_name(condition), -least, condition.unit
+            text = f"{called} falls to {told(least, unit)} on the way"
+            yield Breach(
+                name=condition.name, text=text, miss=miss, unit=unit, canonical=miss / scale, path=True, limit=called
+            )
 
 
 def outside(
@@ -94,11 +100,7 @@ def outside(
     for side, limit, reached, miss in (("below", lower, least, lower - least), ("above", upper, most, most - upper)):
         if not miss <= slack * scale:
             way = "falls" if side == "below" else "rises"
-            text = f"{_called(named)} {way} to {told(reached, unit)}, {side} its bound of {told(limit, unit)}"
-            yield Breach(name=name, text=text, miss=miss, unit=unit, canonical=miss / scale)
-
-
-def _called(named: Variable | Free | Bounded) -> str:
-    """The name of a quantity, with what it is where that is said."""
-    about = getattr(named, "description", "")
-    return f"{named.name} ({about})" if about else named.name
+            bound = limit_name(problem, named, "lower" if side == "below" else "upper")
+            stated = "its bound" if bound.startswith("the ") else bound
+            text = f"{quantity_name(named)} {way} to {told(reached, unit)}, {side} {stated} of {told(limit, unit)}"
+            yield Breach(name=name, text=text, miss=miss, unit=unit, canonical=miss / scale, limit=bound)

@@ -179,7 +179,7 @@ class FirstMesh:
             told = [f"{name} is missed by {much}" for name, much in missed]
             raise NotConvergedError(
                 f"the best of {count} found misses {missed[0][0]} by {missed[0][1]}",
-                got="; ".join(told[1:4]),
+                got="; ".join(told[:4]),
                 expected="every condition met",
                 advice="relax the condition named first, or give a guess (a solution of a nearby problem)",
                 partial=self.partial(best, told) | {"least_miss": float(best.violation)},

@@ -14,16 +14,23 @@ import numpy as np
 from perilune.conditions.pontryagin import Conditions
 from perilune.methods.assemble import beyond_shooting, free_values, residual_scales
 from perilune.methods.breaches import Breach
+from perilune.methods.chattering import chattering
 from perilune.methods.coarse import Coarse, along_path
 from perilune.methods.undetermined import undetermined
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.wording import objective_text, quantity_name
 from perilune.shooting.continuum import nearly_open
 from perilune.shooting.function import Root
 from perilune.words.outcome import BEST_MISSES, InfeasibleError, NotConvergedError, PeriluneError
+from perilune.words.types import Vector
 from perilune.words.units import told
 
 _BROKEN = "every extremal breaks a condition"
+NO_EXTREMAL = "no extremal was found (a flight that meets every condition of an optimum)"
+CHATTERS = "no best flight was found: it chatters, or switches more often than any mesh follows"
+_STATIONARITY, _TRANSVERSALITY = "stationarity in ", ": transversality of "  # as `conditions.residuals` names them
+_ARRIVED = 1e-4  # canonical: an end that is missed by less is met, as far as messages go
 NOT_ISOLATED = "extremals are not isolated here: beside one lie others with the same J (spare time, a free angle)"
 
 
@@ -46,9 +53,9 @@ def best_misses(problem: Problem, bounds: list[Breach], count: int, direct: Any,
     """No flight was found: the best of so many extremals misses a bound, and the direct method misses something too."""
     best = min(bounds, key=lambda breach: breach.canonical)
     return InfeasibleError(
-        f"the best of {count} found misses {best.name} by {told(best.miss, best.unit)}",
-        got=f"{best.text}; the direct method found no flight either: {direct.partial['missed'][0]}",
-        expected=f"{best.name} within its bounds all along",
+        f"the best of {count} found misses {best.limit or best.name} by {told(best.miss, best.unit)}",
+        got=f"{best.text}; the direct method found no flight either",
+        expected=f"no miss of {best.limit or best.name} all along",
         advice=f"a wider bound; {_easier(problem)}",
         reason=BEST_MISSES,
         partial={**direct.partial, "tried": list(tried)},
@@ -57,11 +64,12 @@ def best_misses(problem: Problem, bounds: list[Breach], count: int, direct: Any,
 
 def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], tried: list[str]) -> NotConvergedError:
     """A flight that keeps every condition was found, but no extremal does."""
-    words = [f"J = {flight.objective:.6g} {problem.objective_unit}", f"mesh error {flight.statistics.residual:.1g}"]
+    words = [objective_text(flight), f"mesh error {flight.statistics.residual:.1g}"]
     for condition, values in along_path(problem, flight):
         broken = -float(values.min())
         if broken > 1e-6 * np.ptp(values):
-            words.append(f"{condition.name} broken by {broken:.2g} {condition.unit} between the points of the mesh")
+            called = quantity_name(condition)
+            words.append(f"{called} broken by {told(broken, condition.unit, 2)} between the points of the mesh")
     best = "direct method: " + ", ".join(words)
     ridden = ridden_condition(problem, flight)
     parts = [_mildest(problem, flight, breaches)] if breaches else []
@@ -70,9 +78,9 @@ def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], trie
     else:
         parts.append(f"a flight that keeps every condition is known ({best})")
     return NotConvergedError(
-        f"{_BROKEN} of the path" if breaches else "no extremal was found",
+        f"{_BROKEN} of the path" if breaches else NO_EXTREMAL,
         got="; ".join(parts),
-        expected="not negative, and not zero along the way" if breaches else "all residuals zero",
+        expected="an optimal flight that keeps every condition" if breaches else "a flight that no change improves",
         advice="the direct method (--method direct, Pseudospectral()) may ride it; " + _easier(problem),
         partial={"tried": list(tried)},
         flight=flight,
@@ -87,7 +95,7 @@ def _mildest(problem: Problem, flight: Solution, breaches: list[Breach]) -> str:
     least = min(breaches, key=lambda breach: breach.canonical)
     room = {condition.name: float(values.max()) for condition, values in along_path(problem, flight)}
     if least.path and least.miss > room.get(least.name, math.inf):
-        return f"what is optimal where {least.name} is left out does not come near to keeping it"
+        return f"what is optimal where {least.limit or least.name} is left out does not come near to keeping it"
     return least.text
 
 
@@ -100,13 +108,19 @@ def _easier(problem: Problem) -> str:
 
 def undecided(breaches: list[Breach], direct: PeriluneError | None, tried: list[str]) -> NotConvergedError:
     """Every extremal breaks something, and the direct method did not settle whether any flight keeps everything."""
-    known = "its flight is too rough to tell" if direct is None else "; ".join(filter(None, (direct.what, direct.got)))
+    what = f"{_BROKEN}, and whether any flight keeps them all is not settled"
+    known = "its flight is too rough to tell" if direct is None else direct.what
+    got = f"{breaches[0].text}; direct method: {known}"
+    if missed := getattr(direct, "partial", {}).get("missed"):
+        what = f"no flight was found that keeps every condition: {missed[0]} by the nearest"
+        got = "; ".join([*missed[:4], f"{_BROKEN} too, as {breaches[0].text}"])
     return NotConvergedError(
-        f"{_BROKEN}, and whether any flight keeps them all is not settled",
-        got=f"{breaches[0].text}; direct method: {known}",
-        expected="not negative" if breaches[0].path else "within its bounds all along",
+        what,
+        got=got,
+        expected="every condition kept",
         advice="the direct method on a finer mesh (Pseudospectral(nodes=8, segments=10)); a wider bound",
         partial={**getattr(direct, "partial", {}), "tried": list(tried)},
+        flight=getattr(direct, "flight", None),
     )
 
 
@@ -114,15 +128,15 @@ def ridden_condition(problem: Problem, flight: Solution) -> str | None:
     """Path condition along which a flight runs, away from its ends."""
     for condition, values in along_path(problem, flight, ends=0.05):
         if np.min(values) <= 1e-4 * problem.scales.of(condition.unit):
-            return condition.name
+            return quantity_name(condition)
     return None
 
 
 def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, nearest: Root | None) -> NotConvergedError:
-    """Every rung failed: the nearest approach, in physical units, and what to try."""
+    """Every rung failed: the nearest approach, in the words of who states the problem, and what to try."""
     problem, tried, flight = coarse.problem, coarse.tried, coarse.flight
     partial: dict[str, Any] = {"tried": list(tried), "iterations": iterations}
-    got = "no start could even be flown to its end"
+    what, got = NO_EXTREMAL, "no start could even be flown to its end"
     if nearest is not None:
         scaled = nearest.residual[: len(conditions.residuals)]
         values = scaled * residual_scales(problem, conditions)
@@ -131,9 +145,7 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
             for (name, unit), v in zip(conditions.residuals, values, strict=True)
         }
         partial["free"] = free_values(problem, conditions, nearest.y)
-        k = int(np.argmax(np.abs(scaled)))
-        name, unit = conditions.residuals[k]
-        got = f"nearest approach leaves {name} = {told(values[k], unit, 4)}"
+        got = _nearest_approach(conditions, scaled, values)
     advice = (
         "what physics says (perilune check, perilune.preflight); more starts (Indirect(starts=100)), a nearby guess"
     )
@@ -145,11 +157,37 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
         advice = "minimise what depends on it, as the time of flight; " + advice
     if flight is not None and (beyond := beyond_shooting(flight, conditions)) is not None:
         got, advice = beyond
+    elif flight is None and coarse.solution is not None and (found := chattering(coarse.solution)) is not None:
+        what, got, advice = CHATTERS, f"in the best flight found {found.text}", found.advice
     return NotConvergedError(
-        "no extremal was found",
+        what,
         got=got,
-        expected="all residuals zero; tried " + "; ".join(tried or ["nothing"]),
+        expected="a flight that meets every end condition, and that no change improves",
         advice=advice,
-        partial=partial,
-        flight=flight,
+        partial={**_missed(coarse), **partial},
+        flight=flight or getattr(coarse.refusal, "flight", None),
     )
+
+
+def _missed(coarse: Coarse) -> dict[str, Any]:
+    """What the direct method's flight misses, where it found none that misses nothing."""
+    known = getattr(coarse.refusal, "partial", {}) if coarse.flight is None else {}
+    return {name: known[name] for name in ("missed", "all_missed") if name in known}
+
+
+def _nearest_approach(conditions: Conditions, scaled: Vector, values: Vector) -> str:
+    """What the flight that came nearest to an optimum lacks: an end that it misses, else what would improve it."""
+    ends = conditions.transversality_at
+    worst = int(np.argmax(np.abs(scaled)))
+    if ends and (missed := float(np.abs(scaled[:ends]).max())) > max(_ARRIVED, 1e-2 * abs(float(scaled[worst]))):
+        k = int(np.argmax(np.abs(scaled[:ends]) >= missed))
+        name, unit = conditions.residuals[k]
+        return f"the nearest approach misses {name} by {told(abs(float(values[k])), unit, 4)}"
+    name, _ = conditions.residuals[worst]
+    if name.startswith(_STATIONARITY):
+        return f"the nearest approach arrives, but another {name.removeprefix(_STATIONARITY)} would be better"
+    if _TRANSVERSALITY in name:
+        phase, _, state = name.partition(_TRANSVERSALITY)
+        state = state.removesuffix(" at the end")
+        return f"the nearest approach arrives, but another {state} at the end of {phase} would be better"
+    return f"the nearest approach arrives, but is not optimal yet ({name})"

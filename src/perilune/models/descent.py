@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from perilune.models.bodies import MOON, Body, oblate, told_as
-from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing
+from perilune.models.budget import FLIGHT_TIME, LANDED_MASS, LANDING, SPENT, landing
 from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
 from perilune.models.descent_frames import AXIS, CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
 from perilune.models.landing import mass_state
@@ -366,6 +366,7 @@ def powered_descent(
         results=landing,
         result_variables=(*LANDING, COAST_TIME) if coasts else LANDING,
         maximised=LANDED_MASS.name if minimise == "propellant" else "",
+        minimised="" if minimise == "propellant" else FLIGHT_TIME.name,
         views=replace(_VIEWS, space=replace(_SPACE, body=told_as(body))),
         declared=(choices, *stated),
         ranges=_ranges,

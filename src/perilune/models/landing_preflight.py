@@ -50,16 +50,16 @@ def _geometry(p: Any) -> tuple[Finding, ...]:
     # A millimetre stands for "strictly above".
     return (
         at_least(
-            "perilune above the surface", perilune, 1e-3,
+            "height of the perilune above the surface", perilune, 1e-3,
             "the perilune lies below the surface: the orbit hits the ground", "raise orbit.perilune_altitude",
         ),
         at_least(
-            "perilune above the landing site", perilune - site, 1e-3,
+            "height of the perilune above the landing site", perilune - site, 1e-3,
             "the perilune lies below the landing site: the orbit hits the ground",
             "raise orbit.perilune_altitude or lower landing.altitude",
         ),
         at_least(
-            "perilune below the parking orbit", parking - perilune, 0.0,
+            "height of the parking orbit above the perilune", parking - perilune, 0.0,
             "the perilune lies above the parking orbit", "exchange the two, or look for km in place of m",
         ),
     )  # fmt: skip

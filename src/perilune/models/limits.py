@@ -156,6 +156,7 @@ def air_left_out(body: Body) -> tuple[Finding, ...]:
             binding=False,
             meaning=f"{body.spoken} has air, which is left out: the answer is that of an airless body",
             advice="take it for the last part, where the lander is slow, and know the drag to be missing",
+            lasting=True,
         ),
     )
 

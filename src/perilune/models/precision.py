@@ -42,7 +42,7 @@ from perilune.problem.declared import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Variable
-from perilune.problem.views import History, Space, Views
+from perilune.problem.views import History, Space, ValidRange, Views
 from perilune.words.asked import called_in_words, demand_records
 from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
@@ -256,10 +256,25 @@ def precision_landing(
     )
 
 
+_FAR = 10e3  # m
+# On the Moon the ground falls by d^2/(2 R) = 29 m over this distance, and gravity by 2 h/R = 1.1 % over this height.
+_FLAT = tuple(
+    ValidRange(
+        quantity=name,
+        lower=-math.inf if name == "up" else -_FAR,
+        upper=_FAR,
+        title="height" if name == "up" else f"distance {name}",
+        because="flat ground and uniform gravity, which hold for some 10 km from the site (on the Moon the ground "
+        "curves away by 29 m over them, and gravity falls by 1 % above them); state a round body instead",
+    )
+    for name in ("east", "north", "up")
+)
+
+
 def _seen(body: Body | UniformGravity) -> Views:
     """The views; flat ground is nowhere in space."""
     if isinstance(body, UniformGravity):
-        return replace(_VIEWS, radius="", frame="")
+        return replace(_VIEWS, radius="", frame="", meant_for=_FLAT)
     return replace(_VIEWS, space=Space(body=told_as(body), rotation="body_rotation_rate"))
 
 

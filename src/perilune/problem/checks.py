@@ -80,6 +80,15 @@ def check_structure(problem: Any) -> None:
     results = [v.name for v in problem.result_variables]
     if problem.maximised and problem.maximised not in results:
         raise unknown_name("result", problem.maximised, results)
+    also = [v.name for phase in problem.phases for v in (*phase.integral_variables, *phase.mark_variables)]
+    if problem.minimised and problem.minimised not in (*results, *also):
+        raise unknown_name("result", problem.minimised, [*results, *also])
+    if problem.minimised and problem.maximised:
+        raise PeriluneError(
+            "an objective is minimised or maximised",
+            got=f"minimised={problem.minimised!r} and maximised={problem.maximised!r}",
+            expected="one of the two",
+        )
     quantities = {
         name
         for phase in problem.phases

@@ -40,6 +40,7 @@ def opposite(problem: Problem) -> Problem:
         problem,
         objective=partial(_minus, of=problem.objective),
         maximised="",
+        minimised="",
         title=f"{problem.title}, the most of what is minimised",
     )
 

@@ -29,7 +29,8 @@ class Finding:
     """One comparison: ``value <= limit``, or ``value >= limit`` where `at_least`.
 
     `value` and `limit` are what the parameters were: numbers, arrays or symbols. Missing a binding one is fatal. All
-    else is the same whatever the parameters are.
+    else is the same whatever the parameters are. Of one that is `lasting` a miss stands beside the answer as well, as
+    air that a model leaves out; others tell of what is hard to solve.
     """
 
     name: str
@@ -40,11 +41,12 @@ class Finding:
     binding: bool
     meaning: str
     advice: str = ""
+    lasting: bool = False
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "meaning", "advice"):
             demand(getattr(self, text), str, f"the {text} of a comparison")
-        for side in ("at_least", "binding"):
+        for side in ("at_least", "binding", "lasting"):
             if not isinstance(stated := getattr(self, side), bool | np.bool_):
                 raise refused(
                     stated, "True or False, whatever the parameters are", f"what {side} of a comparison can be"

@@ -78,6 +78,8 @@ class Problem(ShownProblem, SimulatedProblem):
         of a solution (landed mass, flight time), beside the phases' `integrals`.
     maximised
         Name of the result that J is the negative of, or "".
+    minimised
+        Name of the result that J is but for a constant, or "": in its words the objective is shown.
     ranges
         ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
         range depends on what is given; it replaces what `free` says. What is typical may be a function
@@ -116,6 +118,7 @@ class Problem(ShownProblem, SimulatedProblem):
     results: Physics | None = None
     result_variables: tuple[Variable, ...] = ()
     maximised: str = ""
+    minimised: str = ""
     declared: tuple[Any, ...] = ()
     ranges: Physics | None = None
     preflight: Callable[[Any, Any], Sequence[Any]] | None = None

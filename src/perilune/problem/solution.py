@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from perilune.problem.cautions import warnings_of
 from perilune.problem.controls import normalised
 from perilune.problem.dispersion import dispersion
 from perilune.problem.extremal import Extremal
@@ -293,6 +294,14 @@ class Solution(ShownSolution):
                 so_far = found[name].value if name in found else 0.0
                 found[name] = replace(part, value=so_far + part.value)
         return found | _named(*peaks(self)) | _named(*dispersion(self))
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What a colleague would say beside the answer: bounds that hold it back, ground, limits, ranges of the model.
+
+        Each is a sentence; they change neither the outcome nor the proof, which are those of the problem as stated.
+        """
+        return warnings_of(self)
 
     @called_in_words
     def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:

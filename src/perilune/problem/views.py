@@ -6,17 +6,18 @@ which quantities are worth a figure. A problem that states no views gets each st
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from string import Formatter
 from typing import Any
 
-from perilune.words.asked import called_in_words, demand, demand_row
+from perilune.words.asked import called_in_words, demand, demand_row, demand_si
 from perilune.words.face import listed
 from perilune.words.instants import instant
 from perilune.words.outcome import unknown_name
 
-__all__ = ["Beside", "Corridor", "Dispersion", "Disturbance", "Ground", "History", "Space", "Views"]
+__all__ = ["Beside", "Corridor", "Dispersion", "Disturbance", "Ground", "History", "Space", "ValidRange", "Views"]
 
 
 def __dir__() -> list[str]:
@@ -165,6 +166,39 @@ class Space:
 
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
+class ValidRange:
+    """The range of a quantity that a model is meant for; beyond it an answer is given with a warning.
+
+    Parameters
+    ----------
+    quantity
+        Name of a state or an output.
+    because
+        What the range rests on, with its source.
+    lower, upper
+        Its ends [SI].
+    phases
+        Names of the phases in which it holds; all where there are none.
+    title
+        What the quantity is called in the warning; its name with blanks by default.
+    """
+
+    quantity: str
+    because: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    phases: tuple[str, ...] = ()
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        _demand_texts(self, "ValidRange", "quantity", "because", "title")
+        demand_row(self.phases, "phases", str)
+        for side in ("lower", "upper"):
+            demand_si(getattr(self, side), f"the {side} end of a range")
+
+
+@called_in_words
+@dataclass(frozen=True, kw_only=True)
 class Views:
     """How a problem is looked at.
 
@@ -197,6 +231,8 @@ class Views:
         Where in space the flight is, or None.
     inputs
         What was read of each file that the problem is made of, in a sentence: its rows, units and ranges.
+    meant_for
+        Ranges of quantities that the model is meant for.
     """
 
     histories: tuple[History, ...] = ()
@@ -212,11 +248,13 @@ class Views:
     dispersion: Dispersion | None = None
     space: Space | None = None
     inputs: tuple[str, ...] = ()
+    meant_for: tuple[ValidRange, ...] = ()
 
     def __post_init__(self) -> None:
         demand_row(self.histories, "figures", History)
         demand_row(self.peaks, "peaks", str)
         demand_row(self.inputs, "sentences on files", str)
+        demand_row(self.meant_for, "ranges", ValidRange)
         _demand_texts(self, "Views", "height", "radius", "frame", "label", "floor")
         for name, kind in _PARTS.items():
             if (part := getattr(self, name)) is not None:
@@ -252,9 +290,21 @@ def check_views(
     turning = views.space.rotation if views.space else ""
     disturbed = [name for d in by for name in (*d.without, *(share[0] for share in d.shares))]
     asked = (
-        ("quantity", [views.height, *views.peaks, *ground, *shown, *axes, *placed], quantities),
+        (
+            "quantity",
+            [views.height, *views.peaks, *ground, *shown, *axes, *placed, *(r.quantity for r in views.meant_for)],
+            quantities,
+        ),
         ("parameter", [views.radius, turning, *(name for name, _ in fixed), *disturbed], parameters),
-        ("phase", [*(d.begins for d in by), *([moved.track] if moved else [])], phases),
+        (
+            "phase",
+            [
+                *(d.begins for d in by),
+                *([moved.track] if moved else []),
+                *(n for r in views.meant_for for n in r.phases),
+            ],
+            phases,
+        ),
         ("result", [name for _, name, _, _ in Formatter().parse(views.label) if name], results),
     )
     for kind, names, known in asked:

@@ -19,7 +19,7 @@ from perilune.io.repeated import compared, is_table
 from perilune.problem.extremal import Nature
 from perilune.problem.solution import Solution
 from perilune.report import REPORT_FILE
-from perilune.report.summary import extremal_cells, spoken
+from perilune.report.summary import extremal_cells, quantity, spoken
 from perilune.solve import as_far_as, judged, prove
 from perilune.words.watch import Watch
 
@@ -83,6 +83,9 @@ def _report_slips(solution: Solution, text: str, whole: bool) -> Iterator[str]:
     listed = extremal_cells(solution)
     for number, cells in enumerate(rows, 1):
         known = listed[number - 1] if number <= len(listed) else {}
+        if number <= len(solution.extremals):  # as older reports have it, where a result stands for J today
+            unit, value = solution.problem.objective_unit, solution.extremals[number - 1].objective
+            known = {f"objective ({unit})".removesuffix(" (1)"): quantity(value, unit)[0], **known}
         for name, said in zip_longest(head, cells, fillvalue=""):
             right = known.get(name, "nothing")
             same = _same_nature(said, right, len(listed)) if name == "nature" else _same_cell(said, right)

@@ -38,6 +38,7 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
     found = [spoken(name, result) for name, result in solution.results.items()]
     width = max([16, *(len(told) for told, *_ in found)])
     lines += [f"  {told:{width}}{value:>16} {unit}".rstrip() for told, value, unit in found]
+    lines += ["", *(f"warning: {warning}" for warning in solution.warnings)] if solution.warnings else []
     if solution.structure and not solution.statistics.claimed:
         lines += ["", "structure", *(f"  {arc.text}" for arc in solution.structure)]
     rows = _extremal_rows(solution)
@@ -87,6 +88,8 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
             [[*spoken(name, result), result.description] for name, result in found.items()],
         )
     )
+    if solution.warnings:
+        parts += ["## Warnings", "\n".join(f"- {_sentence(warning)}" for warning in solution.warnings)]
     rows = _extremal_rows(solution)
     if len(rows) > 1:
         parts += [

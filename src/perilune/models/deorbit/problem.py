@@ -362,13 +362,9 @@ def deorbit_entry(
         objective_scale=_size_of(objective_unit, time),
         results=told_results,
         result_variables=told.of_flight(names),
+        minimised=minimise,
         views=told.views(
-            air=flown,
-            heat=nose,
-            coasts=_is_the_earth(body),
-            given=given,
-            body=told_as(body),
-            epoch=epoch or "",
+            air=flown, heat=nose, coasts=_is_the_earth(body), given=given, body=told_as(body), epoch=epoch or ""
         ),
         declared=stated,
         preflight=partial(

@@ -6,6 +6,7 @@ and latitude are those of the point below, geodetic above an ellipsoid.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -17,7 +18,7 @@ from perilune.models.deorbit.orbit import AXIS
 from perilune.models.deorbit.records import exhaust_speed, throttled
 from perilune.models.rotating import INERTIAL_AXES, Triple, combine, cross, dot, gravity, seen_inertially
 from perilune.problem.variables import Variable
-from perilune.problem.views import Corridor, Dispersion, Disturbance, Ground, History, Space, Views
+from perilune.problem.views import Corridor, Dispersion, Disturbance, Ground, History, Space, ValidRange, Views
 
 PLACED = (
     Variable(name="altitude", unit="m"),
@@ -43,6 +44,7 @@ AT_INTERFACE = (
     Variable(name="mass_at_interface", unit="kg"),
 )
 AT_OPENING = (Variable(name="opening_speed", unit="m/s", description="where the parachute opens, beside the body"),)
+_CONVECTIVE, _RADIATING = 1e6, 10e3  # W/m^2, m/s: up to which the heat of convection alone tells
 _TIMES = {
     "flight_time": "from ignition to the end",
     "transition_time": "from ignition to the interface",
@@ -169,9 +171,25 @@ def dispersion(given: Iterable[str]) -> Dispersion:
     )  # fmt: skip
 
 
+def meant_for(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
+    """Return the ranges in which the model of the air and of its heat hold."""
+    if air is None:
+        return ()
+    told_air = f"{air.name}, whose data go from {air.bottom / 1e3:g} to {air.top / 1e3:g} km"
+    known = ValidRange(quantity="altitude", lower=air.bottom, upper=air.top, phases=("entry",), because=told_air)
+    hot = "convection at a cold wall alone (Sutton and Graves 1971); beyond, heat shields ablate and the gas radiates "
+    hot += "too (Tauber and Sutton 1991)"
+    heats = (
+        ValidRange(quantity="heat_rate", upper=_CONVECTIVE, phases=("entry",), because=f"up to 1000 kW/m^2, {hot}"),
+        ValidRange(quantity="speed", upper=_RADIATING, phases=("entry",), because=f"up to 10 km/s, {hot}"),
+    )
+    return (*((known,) if math.isfinite(air.top) else ()), *(heats if heat else ()))
+
+
 def views(*, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], body: str = "", epoch: str = "") -> Views:
     """Figures of a return, with air or without, with heat or without, over a body whose coasts are known or not."""
-    peaks = (("dynamic_pressure", "load") if air else ()) + (("heat_rate",) if air and heat else ())
+    flown = air is not None
+    peaks = (("dynamic_pressure", "load") if flown else ()) + (("heat_rate",) if flown and heat else ())
     return Views(
         histories=(
             History(name="altitude", quantities=("altitude",), caption="Altitude"),
@@ -179,7 +197,7 @@ def views(*, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], bo
                 name="speed_and_angle", quantities=("speed", "path_angle"),
                 caption="Speed beside the turning body, and its angle above the horizon",
             ),
-            *((History(name="air", quantities=peaks, caption="What the air does"),) if air else ()),
+            *((History(name="air", quantities=peaks, caption="What the air does"),) if flown else ()),
             History(name="mass", quantities=("m",), caption="Mass"),
             History(
                 name="steering", quantities=("toward_x", "toward_y", "toward_z", "throttle", "lift_up", "lift_right"),
@@ -188,10 +206,11 @@ def views(*, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], bo
         ),
         height="altitude", radius="body_radius", frame=INERTIAL_AXES, peaks=peaks,
         ground=Ground(longitude="longitude", latitude="latitude", coasts=coasts),
+        meant_for=meant_for(air, heat=heat),
         corridor=Corridor(
             height="altitude", speed="speed", equal=peaks[1:], position=("x", "y", "z"), velocity=("vx", "vy", "vz")
-        ) if air else None,
-        dispersion=dispersion(given) if air else None,
+        ) if flown else None,
+        dispersion=dispersion(given) if flown else None,
         space=Space(
             body=body, rotation="body_rotation_rate", epoch=epoch,
             longitude="longitude", latitude="latitude", height="altitude",

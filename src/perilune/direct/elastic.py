@@ -1,0 +1,167 @@
+"""A problem with one limit made elastic: by how little it has to give so that everything else can be kept.
+
+Limits are the bounds of states and controls, and conditions of the path; where none of them helps, the end conditions
+of one unit. Each in turn is replaced by the same limit less a free, not negative parameter s, and s is minimised:
+
+    c(x, u, p) >= 0   becomes   c(x, u, p) + s >= 0,          min s,
+    e(x, p) = 0       becomes   e(x, p) + s+ - s- = 0,        min sum(s+ + s-).
+
+This is the elastic mode of nonlinear programming (Chinneck, Feasibility and Infeasibility in Optimization, 2008,
+chapter 6), with one elastic constraint at a time so that its optimum is the least relaxation that makes the rest
+feasible, as far as a local search tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from perilune.problem.controls import scalars
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.variables import Free, Variable
+
+_SLACK = "relaxation"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElasticLimit:
+    """A limit that may be relaxed; the same one in all phases that state it.
+
+    Parameters
+    ----------
+    kind
+        ``"state"``, ``"control"``, ``"path"`` or ``"end"``.
+    names
+        Of the state, control or path condition; of end conditions all of one unit.
+    side
+        ``"lower"`` or ``"upper"`` of a bound.
+    bounded
+        The record that states it, the first where there are several.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    side: str
+    bounded: Any
+
+
+def elastic_limits(problem: Problem) -> tuple[ElasticLimit, ...]:
+    """Return the limits of a problem in the order in which they are worth relaxing; ends come last, unit by unit."""
+    p, found, ends = problem.parameters({}), dict[tuple[str, ...], ElasticLimit](), dict[str, list[Variable]]()
+
+    def add(kind: str, side: str, bounded: Any) -> None:
+        limit = ElasticLimit(kind=kind, names=(bounded.name,), side=side, bounded=bounded)
+        found.setdefault((kind, bounded.name, side), limit)
+
+    bounds = [
+        (kind, one, side)
+        for phase in problem.phases
+        for kind, rows in (("state", phase.states), ("control", [c for _, c in scalars(phase.controls)]))
+        for one in rows
+        for side, limit in zip(("lower", "upper"), one.limits(p), strict=True)
+        if math.isfinite(limit)
+    ]
+    for phase in problem.phases:
+        for condition in phase.path_conditions:
+            add("path", "", condition)
+        for condition in phase.end_conditions:
+            ends.setdefault(condition.unit, []).append(condition)
+    for kind, one, side in bounds:
+        add(kind, side, one)
+    for same in ends.values():
+        names = tuple(dict.fromkeys(c.name for c in same))
+        found["end", *names] = ElasticLimit(kind="end", names=names, side="", bounded=same[0])
+    return tuple(found.values())
+
+
+def slack_names(limit: ElasticLimit) -> tuple[str, ...]:
+    """Return the names of the free parameters by which a limit is relaxed."""
+    if limit.kind != "end":
+        return (_SLACK,)
+    return tuple(f"{_SLACK}_{name}_{way}" for name in limit.names for way in ("over", "under"))
+
+
+def relaxed_problem(problem: Problem, limit: ElasticLimit) -> Problem:
+    """Return the problem with a limit made elastic, that minimises by how much it gives."""
+    size, slacks = problem.size_of(limit.bounded), slack_names(limit)
+    phases = tuple(_relaxed_phase(phase, limit) for phase in problem.phases)
+    new = (Free(name=name, unit=limit.bounded.unit, lower=0.0, typical=size) for name in slacks)
+
+    def least(x: Any, p: Any, m: Any) -> Any:
+        return sum(getattr(p, name) for name in slacks)
+
+    return problem.changed(
+        phases=phases, free=(*problem.free, *new), objective=least, objective_unit=limit.bounded.unit,
+        objective_scale=size, results=None, result_variables=(), maximised="", minimised="", ranges=None,
+        preflight=None, bookkeeping=None, declared=(), form=None,
+    )  # fmt: skip
+
+
+def _relaxed_phase(phase: Phase, limit: ElasticLimit) -> Phase:
+    """The phase with its own part of the limit relaxed."""
+    if limit.kind == "path":
+        return replace(phase, path=_with_slack(phase.path, phase.path_conditions, limit, _given_way))
+    if limit.kind == "end":
+        return replace(phase, end=_with_slack(phase.end, phase.end_conditions, limit, _given_either_way))
+    rows = phase.states if limit.kind == "state" else [c for _, c in scalars(phase.controls)]
+    (name,) = limit.names
+    bounded = next((row for row in rows if row.name == name), None)
+    return phase if bounded is None else _bound_as_condition(phase, limit, bounded)
+
+
+def _with_slack(function: Any, conditions: Sequence[Variable], limit: ElasticLimit, give: Callable[..., Any]) -> Any:
+    """A function of conditions that adds what those of the limit are relaxed by."""
+    if function is None or not any(c.name in limit.names for c in conditions):
+        return function
+
+    def relaxed(*arguments: Any) -> tuple[Any, ...]:
+        p = arguments[-2]
+        values = zip(conditions, function(*arguments), strict=True)
+        return tuple(give(value, c.name, p) if c.name in limit.names else value for c, value in values)
+
+    return relaxed
+
+
+def _given_way(value: Any, name: str, p: Any) -> Any:
+    return value + getattr(p, _SLACK)
+
+
+def _given_either_way(value: Any, name: str, p: Any) -> Any:
+    return value + getattr(p, f"{_SLACK}_{name}_under") - getattr(p, f"{_SLACK}_{name}_over")
+
+
+def _bound_as_condition(phase: Phase, limit: ElasticLimit, bounded: Any) -> Phase:
+    """A bound as a condition of the path, and of a state as one of the end too, that is relaxed."""
+    bound, side = getattr(bounded, limit.side), limit.side
+    sign, free = (1, -math.inf) if side == "lower" else (-1, math.inf)
+    room = Variable(name=f"room_of_{bounded.name}", unit=bounded.unit, scale=getattr(bounded, "scale", None))
+
+    def left(values: Any, p: Any) -> Any:
+        at = getattr(p, bound) if isinstance(bound, str) else bound
+        return sign * (getattr(values, bounded.name) - at) + getattr(p, _SLACK)
+
+    def path(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
+        own = () if phase.path is None else phase.path(x, u, p, m)
+        return *own, left(x if limit.kind == "state" else u, p)
+
+    def end(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
+        return *(() if phase.end is None else phase.end(x, p, m)), left(x, p)
+
+    loose = replace(bounded, **{side: free})
+    kept = {"path": path, "path_conditions": (*phase.path_conditions, room)}
+    if limit.kind == "control":
+        return replace(phase, controls=tuple(loose if c is bounded else c for c in phase.controls), **kept)
+    states = tuple(loose if s is bounded else s for s in phase.states)
+    last = replace(room, name=f"end_{room.name}", lower=0.0)
+    return replace(phase, states=states, end=end, end_conditions=(*phase.end_conditions, last), **kept)
+
+
+def relaxations(limit: ElasticLimit, free: Mapping[str, float]) -> dict[str, float]:
+    """Return by how much each condition of a limit gives [SI], the largest first, from the free parameters."""
+    if limit.kind != "end":
+        return {limit.names[0]: free[_SLACK]}
+    given = {name: free[f"{_SLACK}_{name}_over"] + free[f"{_SLACK}_{name}_under"] for name in limit.names}
+    return dict(sorted(given.items(), key=lambda pair: -pair[1]))

@@ -1,0 +1,229 @@
+"""Which limit stands in the way where no flight was found that keeps them all, and by how little it has to give.
+
+A least-squares miss spreads over whatever is held loosely, and so blames the wrong condition: a glide slope for a dry
+mass. Here each limit is relaxed alone (`perilune.direct.elastic`), from the flight that missed least; those whose
+relaxation lets all else be kept stand in the way, and the one that gives least, by its own size, is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from perilune.direct.elastic import ElasticLimit, elastic_limits, relaxations, relaxed_problem, slack_names
+from perilune.methods.pseudospectral import Pseudospectral
+from perilune.problem.problem import Problem
+from perilune.problem.solution import Solution
+from perilune.problem.wording import limit_name, parameter_key, quantity_name
+from perilune.words.outcome import NotConvergedError, PeriluneError
+from perilune.words.types import Vector
+from perilune.words.units import told
+from perilune.words.watch import Watch, silent
+
+_MOST = 320  # iterations of all limits together, of a problem of one phase; no seconds, so that it says the same again
+_PATIENT = 40  # iterations of each; what ends well takes 10 to 30
+_FINER = (16, 32)  # segments of the meshes on which the one that gives least is looked at again
+_LARGEST = 10.0  # of its own size: what has to give by more is not said to be in the way
+_LISTED = 4  # limits of which a message says by how much they would have to give
+_SHARE = 1e-3  # of the largest: end conditions that give by less are as good as met
+_SHOWN = ("outputs", "integrals", "marks", "inertial", "track", "typical_end")  # functions that decide nothing
+_LOOKS = 200  # times of a phase
+_OVERSHOT = 1.001  # of what a condition gives: what is broken by more, between nodes, is the mesh's
+_STEPS = (0.01, 10.0, 60)  # of a parameter, relative: the first, the largest, and how many
+_KEPT = 1e-9  # canonical: a condition that is broken by less is kept
+_SETTLED = 0.3  # of what a limit gives: by how much a finer mesh may change it
+
+
+class Relaxed(NamedTuple):
+    """A limit, by how much it gives [SI], that by its own size, and the flight that keeps all else."""
+
+    limit: ElasticLimit
+    amount: float
+    share: float
+    flight: Solution
+
+
+class Words(NamedTuple):
+    """What a limit is called, by how much it is missed, where everything else can be kept, and what was stated."""
+
+    name: str
+    much: str
+    enough: str
+    stated: str
+
+
+def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch | None = None) -> NotConvergedError:
+    """Return an error that names the limits which stand in the way, if the flight that it holds tells.
+
+    Parameters
+    ----------
+    problem
+        What was not solved.
+    error
+        Why, with the flight that misses least and what it misses, else it is returned as it is.
+    watch
+        Receives a line.
+    """
+    if error.flight is None or not error.partial.get("missed"):
+        return error
+    watch = watch or silent
+    watch("looking for the limit that stands in the way")
+    try:
+        found = sorted(_each_alone(problem, error.flight, watch), key=lambda one: one.share)
+    except (PeriluneError, ArithmeticError):  # what cannot be traced with a limit relaxed
+        return error
+    if not found:
+        return error
+    best, change = _on_finer_meshes(found[0])
+    if not change <= _SETTLED * best.amount:
+        return error  # meshes do not agree that anything is in the way
+    return _named(problem, error, [best, *found[1:]])
+
+
+def _each_alone(problem: Problem, nearest: Solution, watch: Watch) -> Iterator[Relaxed]:
+    """Flights with one limit relaxed each; ends only where no other limit helps."""
+    left, found = _MOST // len(problem.phases), 0
+    for limit in elastic_limits(problem):
+        if left <= 0 or (limit.kind == "end" and found):
+            return
+        relaxed = relaxed_problem(problem, limit)
+        size = problem.size_of(limit.bounded)
+        values = {**nearest.free, **dict.fromkeys(slack_names(limit), 0.1 * size)}
+        guess = replace(nearest, problem=relaxed, free=values, multipliers={})
+        try:
+            flight = Pseudospectral(nodes=5, segments=8, refine=0, iterations=_PATIENT).near(guess, watch)
+        except PeriluneError:
+            left -= _PATIENT
+            continue
+        left -= flight.statistics.iterations
+        one = Relaxed(limit, flight.objective, flight.objective / _own_size(problem, limit, flight), flight)
+        if one.share < _LARGEST:
+            found += 1
+            yield one
+
+
+def _on_finer_meshes(one: Relaxed) -> tuple[Relaxed, float]:
+    """The same on meshes that follow the flight better, and by how much the last of them changed what gives."""
+    change = one.amount
+    for segments in _FINER[: 2 if len(one.flight.trajectories) == 1 else 1]:
+        with suppress(PeriluneError):
+            method = Pseudospectral(nodes=5, segments=segments, refine=0, iterations=_PATIENT)
+            flight = method.near(one.flight)
+            change, one = abs(flight.objective - one.amount), one._replace(amount=flight.objective, flight=flight)
+    return one, change
+
+
+def _own_size(problem: Problem, limit: ElasticLimit, flight: Solution) -> float:
+    """How large what is limited is [SI]: its range along the flight, or the range of a control."""
+    if limit.kind == "control":
+        lower, upper = limit.bounded.limits(flight.parameters)
+        return upper - lower if np.isfinite(upper - lower) else abs(lower if limit.side == "lower" else upper)
+    least = 1e-3 * problem.size_of(limit.bounded)
+    if limit.kind == "end":
+        return 1e3 * least
+    return max([least, *(float(np.ptp(along)) for along in _along(problem, limit, flight, flight.parameters))])
+
+
+def _along(problem: Problem, limit: ElasticLimit, flight: Solution, p: Any) -> Iterator[Vector]:
+    """Values [SI] of a state or a condition of the path along each phase that has it, at any parameters."""
+    for k, phase in enumerate(problem.phases):
+        t = np.linspace(0.0, flight.trajectories[k].duration, _LOOKS)
+        x, u = flight.flown(k, t)
+        if limit.kind == "state" and limit.names[0] in phase.state_names:
+            yield x[phase.state_names.index(limit.names[0])]
+        elif limit.kind == "path":
+            yield from (v for c, v in phase.path_along(x, u, p) if c.name in limit.names)
+
+
+def _named(problem: Problem, error: NotConvergedError, found: list[Relaxed]) -> NotConvergedError:
+    """The error, with the limit that gives least first."""
+    parts = [_words(problem, one) for one in found]
+    first = parts[0]
+    easier = "more thrust, less mass or a higher start" if "vehicle_thrust" in problem.given else ""
+    ways = [] if found[0].limit.kind == "end" else list(dict.fromkeys(part.enough for part in parts[:_LISTED]))
+    several = "one of these, and a little more: " if len(ways) > 1 else ""
+    given = [
+        {"limit": part.name, "by": one.amount, "unit": one.limit.bounded.unit}
+        for part, one in zip(parts, found, strict=True)
+    ]
+    return NotConvergedError(
+        f"no flight was found that keeps every limit: the best misses {first.name} by about {first.much}",
+        got=f"everything else can be kept with {first.enough}",
+        expected=first.stated,
+        advice="; ".join(filter(None, (several + "; ".join(ways), easier))),
+        partial={**error.partial, "relaxations": given},
+        flight=error.flight,
+    )
+
+
+def _words(problem: Problem, one: Relaxed) -> Words:
+    """What is said of a limit."""
+    limit, unit, p = one.limit, one.limit.bounded.unit, one.flight.parameters
+    if limit.kind == "end":
+        given = relaxations(limit, one.flight.free)
+        name, largest = next(iter(given.items()))
+        missed = [
+            f"{n.replace('_', ' ')} missed by {told(v, unit, 3)}" for n, v in given.items() if v > _SHARE * largest
+        ]
+        called = name.replace("_", " ")
+        return Words(f"the end condition {called}", told(largest, unit, 3), ", ".join(missed), f"{called} met")
+    if limit.kind == "path":
+        if (found := _parameter_enough(problem, one)) is not None:
+            name, value = found
+            key, unit, stated = parameter_key(problem, name), problem.unit_of(name), getattr(p, name)
+            much, enough = told(abs(value - stated), unit, 2), f"{key} {told(value, unit, 3)}"
+            return Words(key, much, enough, f"{key} {told(stated, unit)}")
+        called = quantity_name(limit.bounded)
+        enough = f"{called} down to {told(-one.amount, unit, 3)}"
+        return Words(called, told(one.amount, unit, 2), enough, f"{called} never below 0")
+    lower, upper = limit.bounded.limits(p)
+    at, name = lower if limit.side == "lower" else upper, limit_name(problem, limit.bounded, limit.side)
+    reached = at - one.amount if limit.side == "lower" else at + one.amount
+    return Words(name, told(one.amount, unit, 2), f"{name} {told(reached, unit)}", f"{name} {told(at, unit)}")
+
+
+def _parameter_enough(problem: Problem, one: Relaxed) -> tuple[str, float] | None:
+    """A given parameter that states the limit alone, and its nearest value with which the flight keeps that."""
+    limit, p = one.limit, one.flight.parameters
+    least = -_KEPT * problem.size_of(limit.bounded)
+    stated_values = [*_along(problem, limit, one.flight, p)]
+    # Polynomials overshoot between the nodes of a mesh.
+    kept = [along >= -_OVERSHOT * one.amount for along in stated_values]
+
+    def room(name: str, value: float) -> float:
+        here = SimpleNamespace(**{**vars(p), name: value})
+        with np.errstate(all="ignore"):
+            values = zip(_along(problem, limit, one.flight, here), kept, strict=True)
+            return min(float(along[at].min(initial=np.inf)) for along, at in values) - least
+
+    found = list[tuple[float, str, float]]()
+    for name in _only_in_path(problem):
+        stated = getattr(p, name)
+        for way in (-1, 1):
+            before = stated
+            for value in stated * (1 + way * np.geomspace(*_STEPS)):
+                if room(name, value) >= 0:
+                    enough = float(np.asarray(brentq(partial(room, name), before, value)))
+                    found.append((abs(enough - stated), name, enough))
+                    break
+                before = value
+    return min(found)[1:] if found else None
+
+
+def _only_in_path(problem: Problem) -> list[str]:
+    """Given parameters that conditions of the path alone depend on."""
+    inside, elsewhere = set[str](), set[str]()
+    for key, expression in problem.form.expressions.items():
+        names = {name for name in problem.given if ("p", name) in expression.tape.instructions}
+        if isinstance(key, tuple) and key[1] == "path":
+            inside |= names
+        elif not (isinstance(key, tuple) and key[1] in _SHOWN) and key != "results":
+            elsewhere |= names
+    return [name for name in problem.given if name in inside - elsewhere]

@@ -1,0 +1,213 @@
+"""What a colleague would say beside an answer, however well it is proved: `Solution.warnings`.
+
+A proof holds for the problem as it is stated. Said here is what the statement may have got wrong: a free parameter that
+its bound holds back, a flight through the ground of its body, limits that are reached, and quantities that leave the
+range which the model is meant for (`Views.meant_for`). Nothing here changes an outcome.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from perilune.problem.wording import limit_name, parameter_key, quantity_name
+from perilune.words.maths import NUMERIC
+from perilune.words.types import Vector
+from perilune.words.units import told
+
+_AT_BOUND = 1e-7  # of its range: a parameter that is nearer to its bound is on it
+_CONTACT = 1e-6  # of its range along the flight: a condition with less room is reached
+_ENDS = 0.005  # of a phase at its ends, which conditions there decide
+_POINTS, _NEARER, _ROUNDS = 401, 9, 8  # looked at first; then, each time, four times closer about the least
+_DEEP = 1e-7  # of the radius, and at least a centimetre: a flight that is less deep touches the ground
+_RADII = ("R", "radius", "body_radius", "planet_radius")  # what a radius is called where no view says it
+_DISTANCES = ("r", "radius")  # and a state that is the distance from the centre
+
+
+def warnings_of(solution: Any) -> tuple[str, ...]:
+    """Return what should be said beside a solution, one sentence each; empty where there is nothing.
+
+    Parameters
+    ----------
+    solution
+        Of any method, with curves that are numbers.
+    """
+    with np.errstate(all="ignore"):
+        looks = (_left_out, _held_parameters, _below_ground, _outside, _reached)
+        found = [said for look in looks for said in look(solution)]
+    return tuple(dict.fromkeys(found))
+
+
+def _left_out(solution: Any) -> Iterator[str]:
+    """What the model leaves out, by its own comparisons."""
+    problem = solution.problem
+    stated = () if problem.preflight is None else problem.preflight(solution.parameters, NUMERIC)
+    yield from (finding.meaning for finding in stated if finding.lasting and not finding.passed)
+
+
+def _held_parameters(solution: Any) -> Iterator[str]:
+    for free in solution.problem.free:
+        value, size = solution.free[free.name], max(abs(free.typical), 1e-9)
+        both = free.upper - free.lower
+        for side, bound in (("lower", free.lower), ("upper", free.upper)):
+            near = _AT_BOUND * (both if math.isfinite(both) else max(abs(bound), size))
+            if math.isfinite(bound) and abs(value - bound) <= near:
+                name = parameter_key(solution.problem, free.name)
+                yield f"{name} is at its {side} bound of {told(bound, free.unit)}: with a wider one it may be better"
+
+
+def _below_ground(solution: Any) -> Iterator[str]:
+    """A flight that goes below the ground: the radius of the body, or what it starts from and ends on where lower."""
+    problem = solution.problem
+    heights = _heights(solution)
+    if heights is None:
+        return
+    called, of, radius = heights
+    last = len(problem.phases) - 1
+    ends = (0.0, float(of(0, np.zeros(1))[0]), float(of(last, np.array([solution.trajectories[last].duration]))[0]))
+    lowest, when, since = math.inf, 0.0, 0.0
+    for k, flown in enumerate(solution.trajectories):
+        least, at = _least(lambda t, k=k: of(k, t), flown.duration)
+        lowest, when = min((lowest, when), (least, since + at))
+        since += flown.duration
+    depth = min(ends) - lowest
+    if depth > max(_DEEP * radius, 0.01):
+        said = f"{called} {depth / 1e3:.3g} km below the ground at {when:.4g} s"
+        yield f"{said}: a path condition would keep it above"
+
+
+def _heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], float] | None:
+    """What is said of a low flight, the height [m] of each phase at times, and the body's radius; None without."""
+    problem, p = solution.problem, solution.parameters
+    seen = problem.views.height or any(phase.inertial is not None for phase in problem.phases)
+    if not (problem.views.radius and seen):
+        return _guessed_heights(solution)
+    name, radius = problem.views.height, float(getattr(p, problem.views.radius))
+
+    def of(k: int, t: Vector) -> Vector:
+        phase = problem.phases[k]
+        if name in (v.name for v in phase.output_variables):
+            return solution.outputs(k, t)[name]
+        x, u = solution.flown(k, t)
+        if name in (*phase.state_names, *phase.control_names):
+            return np.vstack([x, u])[[*phase.state_names, *phase.control_names].index(name)]
+        if phase.inertial is None:
+            return np.full(np.shape(t), math.inf)
+        return np.linalg.norm(solution.inertial(k, t)[0], axis=0) - radius
+
+    return "the flight goes", of, radius
+
+
+def _guessed_heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], float] | None:
+    """The same where no view says it, but names do: a distance r from a centre, and a radius R."""
+    problem = solution.problem
+    radii = [name for name in _RADII if name in problem.given and problem.given[name].unit == "m"]
+    names = [s.name for s in problem.phases[0].states if s.name in _DISTANCES and s.unit == "m"]
+    if not radii or not names or any(names[0] not in phase.state_names for phase in problem.phases):
+        return None
+    radius = problem.given[radii[0]].value
+
+    def of(k: int, t: Vector) -> Vector:
+        return solution.flown(k, t)[0][problem.phases[k].state_names.index(names[0])] - radius
+
+    return f"if {radii[0]} is the radius of the body, the flight goes", of, radius
+
+
+def _outside(solution: Any) -> Iterator[str]:
+    """Quantities beyond what the model is meant for."""
+    problem = solution.problem
+    for meant in problem.views.meant_for:
+        name, worst = meant.quantity, 0.0
+        reached, unit = math.nan, "1"
+        for k, phase in enumerate(problem.phases):
+            if meant.phases and phase.name not in meant.phases:
+                continue
+            known = {v.name: v for v in (*phase.states, *phase.output_variables)}
+            if name not in known:
+                continue
+
+            def of(t: Vector, sign: float, k: int = k, name: str = name) -> Vector:
+                names = problem.phases[k].state_names
+                values = solution.flown(k, t)[0][names.index(name)] if name in names else solution.outputs(k, t)[name]
+                return sign * values
+
+            unit, duration = known[name].unit, solution.trajectories[k].duration
+            for sign, limit in ((1.0, meant.lower), (-1.0, -meant.upper)):
+                least, _ = _least(lambda t, sign=sign: of(t, sign), duration)
+                if limit - least > max(worst, 1e-9 * abs(limit)):
+                    worst, reached = limit - least, sign * least
+        if worst > 0:
+            said = meant.title or name.replace("_", " ")
+            yield f"{said} reaches {told(reached, unit, 3)}, beyond what the model is meant for: {meant.because}"
+
+
+def _reached(solution: Any) -> Iterator[str]:
+    """Limits that the flight reaches: of the path, of states and of ends."""
+    problem, p, since = solution.problem, solution.parameters, 0.0
+    for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
+        t = np.linspace(_ENDS, 1.0 - _ENDS, _POINTS) * flown.duration
+        x, u = solution.flown(k, t)
+        rows = [(quantity_name(c), v, _room_of(solution, k, i)) for i, (c, v) in enumerate(phase.path_along(x, u, p))]
+        for name, values, of in rows:
+            yield from _contact(name, t, values, of, since)
+        for j, state in enumerate(phase.states):
+            for side, sign, bound in zip(("lower", "upper"), (1.0, -1.0), state.limits(p), strict=True):
+                last = sign * (float(flown.state.values[-1][j]) - bound)
+                if isinstance(getattr(state, side), str) and last <= _CONTACT * float(np.ptp(x[j])):
+                    yield f"{limit_name(problem, state, side)} of {told(bound, state.unit)} is reached"
+        yield from _ends_reached(solution, k)
+        since += flown.duration
+
+
+def _ends_reached(solution: Any, k: int) -> Iterator[str]:
+    problem, p, phase = solution.problem, solution.parameters, solution.problem.phases[k]
+    values = phase.evaluate("end", solution.trajectories[k].state.values[-1], (), p)
+    for condition, value in zip(phase.end_conditions, values, strict=True):
+        limits = condition.limits(p)
+        for side, bound in zip(("lower", "upper"), limits, strict=True):
+            wide = limits[1] - limits[0] if np.isfinite(limits).all() else abs(bound)
+            if condition.ranged and np.isfinite(bound) and abs(float(value) - bound) <= _CONTACT * max(wide, 1e-9):
+                yield f"{limit_name(problem, condition, side)} of {told(bound, condition.unit)} is reached"
+
+
+def _room_of(solution: Any, k: int, i: int) -> Callable[[Vector], Vector]:
+    """A condition of the path at any times of a phase."""
+
+    def of(t: Vector) -> Vector:
+        x, u = solution.flown(k, t)
+        return [v for _, v in solution.problem.phases[k].path_along(x, u, solution.parameters)][i]
+
+    return of
+
+
+def _contact(name: str, t: Vector, values: Vector, of: Callable[[Vector], Vector], since: float) -> Iterator[str]:
+    """Where a condition has no room away from the ends of its phase."""
+    reach, i = float(np.ptp(values)), int(np.argmin(values))
+    if not reach > 0 or i in (0, len(t) - 1):
+        if reach > 0 and np.count_nonzero(values <= _CONTACT * reach) > 1:
+            i = 1
+        else:
+            return
+    low, high = float(t[max(i - 1, 0)]), float(t[min(i + 1, len(t) - 1)])
+    least, when = _least(lambda s: of(low + s), high - low, _NEARER)
+    on = t[values <= _CONTACT * reach]
+    if len(on) > 1:
+        yield f"{name} is at its limit between {since + on[0]:.4g} and {since + on[-1]:.4g} s"
+    elif least <= _CONTACT * reach:
+        yield f"{name} is at its limit at {since + low + when:.4g} s"
+
+
+def _least(of: Callable[[Vector], Vector], duration: float, first: int = _POINTS) -> tuple[float, float]:
+    """The least value of a quantity along a duration, and when."""
+    low, high, least, when = 0.0, duration, math.inf, 0.0
+    for count in (first, *(_NEARER,) * _ROUNDS):
+        t = np.linspace(low, high, count)
+        values = np.asarray(of(t), dtype=float)
+        i = int(np.argmin(values))
+        if values[i] < least:
+            least, when = float(values[i]), float(t[i])
+        low, high = float(t[max(i - 1, 0)]), float(t[min(i + 1, count - 1)])
+    return least, when

@@ -1,0 +1,48 @@
+"""Names of quantities and limits as messages say them: in the words of the kind that states a problem, not of its code.
+
+A state, condition or control is called by what it is (``mass``), with its name where that says something else; a limit
+by the key that states it (``vehicle.dry_mass``), where it is a parameter of a record.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from perilune.problem.problem import Problem
+from perilune.words.declared import keys_of, section_of
+from perilune.words.units import told
+
+
+def quantity_name(named: Any) -> str:
+    """Return what a variable, a control or a parameter is called in a sentence: ``mass (m)``."""
+    name, about = named.name.replace("_", " "), getattr(named, "description", "")
+    return f"{about} ({named.name})" if about and about != name else name
+
+
+def parameter_key(problem: Problem, name: str) -> str:
+    """Return the key that states a parameter, as ``vehicle.dry_mass``; its name where no record of the problem does."""
+    for record in problem.declared:
+        section = section_of(type(record))
+        key = name.removeprefix(f"{section}_")
+        if key != name and key in keys_of(type(record)):
+            return f"{section}.{key}"
+    return name
+
+
+def limit_name(problem: Problem, bounded: Any, side: str) -> str:
+    """Return what a limit of a state, an end or a control is called: its key, or the lower (upper) bound of what."""
+    limit = getattr(bounded, side)
+    if isinstance(limit, str):
+        return parameter_key(problem, limit)
+    return f"the {side} bound of {quantity_name(bounded)}"
+
+
+def objective_text(solution: Any, digits: int = 6) -> str:
+    """Return the objective of a flight in the words of its problem: ``landed mass 1201.5 kg``, or J with its unit."""
+    problem = solution.problem
+    name = problem.maximised or problem.minimised
+    result = solution.results.get(name) if name else None
+    if result is not None and math.isfinite(result.value):
+        return f"{result.label or name.replace('_', ' ')} {told(result.value, result.unit, digits)}"
+    return f"J = {told(solution.objective, problem.objective_unit, digits)}"
