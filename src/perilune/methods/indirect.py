@@ -20,6 +20,7 @@ and every extremal on it found (`perilune.shooting.extremals`).
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from perilune.methods.answer import Curves
@@ -34,6 +35,8 @@ from perilune.structures.carry import Joined
 from perilune.words.asked import called_in_words
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.watch import TimeLimitReached, Watch, best_so_far, silent
+
+_ALIKE = 1e-9  # relative difference of J: extremals that differ by less are the same
 
 
 @called_in_words
@@ -103,9 +106,16 @@ class Indirect(Ladder):
         NotConvergedError, InfeasibleError
             As `run`.
         """
+        drawn = [] if guess is not None or base is not None else self._of_known_arcs(search)
+        search.answered = bool(drawn)
+        for one in drawn:
+            told = f"J = {one.objective:.9g} {search.problem.objective_unit}, of arcs that the model knows"
+            best_so_far(search.problem, one.objective, told, lambda one=one: one, extremal=True)
         try:
             solution = search.solve(guess, base)
         except (NotConvergedError, InfeasibleError) as error:
+            if drawn:
+                return _best(drawn, search)
             # What no single arc keeps, a structure of arcs may.
             rough = search.coarse.solution if guess is None else None
             if rough is not None and (found := self._structured(search, rough)) is not None:
@@ -119,9 +129,12 @@ class Indirect(Ladder):
         except TimeLimitReached as end:
             end.tried = (*search.tried, *end.tried)
             raise
+        if drawn:
+            solution = _best([solution, *drawn], search)
         told = f"J = {solution.objective:.9g} {search.problem.objective_unit}, and whether another is better is open"
         best_so_far(search.problem, solution.objective, told, lambda: solution, extremal=True)
-        for rough in search.outdoing():
+        outdoing = () if any(solution.objective == one.objective for one in drawn) else search.outdoing()
+        for rough in outdoing:
             if not rough.objective < solution.objective:
                 continue
             found = self._structured(search, rough)
@@ -159,6 +172,26 @@ class Indirect(Ladder):
             statistics=replace(found.statistics, rung=TRANSCRIBED, tried=tried),
         )
 
+    def _of_known_arcs(self, search: Search) -> list[Solution]:
+        """Return the extremals that the problem's own guesses of known arcs lead to."""
+        if search.problem.switching_guesses is None or is_neighbour(search.problem):
+            return []
+        from perilune.methods.structured import Polish
+
+        search.watch("start: arcs that the problem's model knows")
+        found = list[Solution]()
+        try:
+            for rough, structure in search.problem.switching_guesses(search.problem):
+                polish = Polish(
+                    settings=self, problem=search.problem, watch=search.watch, tried=search.tried, brief=True
+                )  # fmt: skip
+                found += filter(None, [polish.followed(rough, structure, set())])
+                if found:
+                    break
+        except (PeriluneError, ArithmeticError, ValueError) as error:  # a guess of numbers that nobody would fly
+            search.tried.append(f"arcs that the problem's model knows: {error}".partition("\n")[0])
+        return found
+
     def _structured(
         self, search: Search, rough: Solution, *, guessed: bool = False, brief: bool = False
     ) -> Solution | None:
@@ -172,6 +205,17 @@ class Indirect(Ladder):
             return None
         took = time.perf_counter() - search.began
         return replace(found, statistics=replace(found.statistics, wall_time=took))
+
+
+def _best(found: Sequence[Solution], search: Search) -> Solution:
+    """Return the best of several answers, with the extremals of the others behind its own."""
+    best = min(found, key=lambda one: one.objective)  # of equals the first
+    alike = _ALIKE * abs(best.objective)
+    others = (one for one in found if one is not best and one.objective - best.objective > alike)
+    outdone = (replace(e, nature=e.nature.outdone) for one in others for e in one.extremals)
+    took = time.perf_counter() - search.began
+    statistics = replace(best.statistics, tried=tuple(search.tried), wall_time=took)
+    return replace(best, extremals=(*best.extremals, *outdone), statistics=statistics)
 
 
 def _may_be_structured(guess: Solution) -> bool:

@@ -73,6 +73,7 @@ class Search:
         self.broken: list[Breach] = []
         self.breaking: list[Root] = []
         self.answering: Search = self
+        self.answered: bool = False  # by an extremal of known arcs: what takes long is left out
         self.outdone: list[Root] = []
         self.coarse: Coarse = Coarse(self.settings, self.problem, self.tried, self.watch)
 
@@ -133,6 +134,8 @@ class Search:
         ]
         for i, rung in enumerate(rungs):
             if last and i < 3:
+                continue
+            if i == 3 and self.answered:
                 continue
             if self._answers(found) and (i == 3 or (i == 2 and (base is not None or ways.agreed))):
                 continue  # the last rung is for those that the others left without an answer

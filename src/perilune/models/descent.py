@@ -38,6 +38,7 @@ from perilune.models.limits import (
     velocity_change,
 )
 from perilune.models.rotating import INERTIAL_AXES, dot, local_axes
+from perilune.models.rough_landing import rough_landing
 from perilune.models.vehicle import THROTTLE, Throttle, Vehicle
 from perilune.problem.controls import Bounded, Control, Direction
 from perilune.problem.declared import given_of
@@ -353,6 +354,7 @@ def powered_descent(
     controls = _controls(coordinates, throttle is not None)
     burn = _phase(coordinates, target, steering, controls, dry="vehicle_dry_mass" in given)
     coasts = start.longest_coast is not None
+    free_flight = coordinates == "cartesian" and target == "anywhere" and not coasts and steering is None
     return Problem(
         name="powered_descent",
         title=f"{vehicle.mass:g} kg lander from {start.altitude / 1e3:g} km over {body.titled}",
@@ -369,6 +371,7 @@ def powered_descent(
         minimised="" if minimise == "propellant" else FLIGHT_TIME.name,
         views=replace(_VIEWS, space=replace(_SPACE, body=told_as(body))),
         declared=(choices, *stated),
+        switching_guesses=rough_landing if free_flight and throttle is not None and minimise == "propellant" else None,
         ranges=_ranges,
         preflight=partial(_preflight, to_site=target == "site", body=body),
         scales=_scales(start, vehicle, _at(given, _ranges)),

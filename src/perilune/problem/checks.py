@@ -23,7 +23,7 @@ from perilune.words.declared import check_values
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import Scales, unit
 
-HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight")  # functions that are no formulas
+HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight", "switching_guesses")  # functions that are no formulas
 
 
 def check_parts(problem: Any) -> None:

@@ -41,6 +41,7 @@ def opposite(problem: Problem) -> Problem:
         objective=partial(_minus, of=problem.objective),
         maximised="",
         minimised="",
+        switching_guesses=None,
         title=f"{problem.title}, the most of what is minimised",
     )
 

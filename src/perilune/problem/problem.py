@@ -53,8 +53,9 @@ class Problem(ShownProblem, SimulatedProblem):
     """Phases, links, parameters and the objective.
 
     Problems are equal when their forms (`perilune.problem.form`) and all their numbers are. A copy in another process
-    (pickle) carries its formulas as expressions; `ranges`, `preflight`, `bookkeeping` and `rough_flight` go along where
-    they are found by name, as functions of a module are, and are left behind otherwise.
+    (pickle) carries its formulas as expressions; `ranges`, `preflight`, `bookkeeping`, `rough_flight` and
+    `switching_guesses` go along where they are found by name, as functions of a module are, and are left behind
+    otherwise.
 
     Parameters
     ----------
@@ -98,6 +99,10 @@ class Problem(ShownProblem, SimulatedProblem):
         ``rough_flight(p)`` of all parameters, durations included, returns a picture of the flight where straight lines
         are none: for each phase rough states in SI at times evenly apart, shape (times, states). A direct method starts
         there in place of `Phase.typical_end`.
+    switching_guesses
+        ``switching_guesses(problem)`` returns rough flights whose arcs are known, each with its
+        `perilune.structures.structure.Structure`: the indirect method looks for their extremals beside those that it
+        finds by itself.
     views
         What figures show of it.
     scales
@@ -124,6 +129,7 @@ class Problem(ShownProblem, SimulatedProblem):
     preflight: Callable[[Any, Any], Sequence[Any]] | None = None
     bookkeeping: Callable[[Any], Sequence[Check]] | None = None
     rough_flight: Callable[[Any], Sequence[Matrix]] | None = None
+    switching_guesses: Callable[[Any], Sequence[tuple[Any, Any]]] | None = None
     views: Views = field(default_factory=Views)
     scales: Scales = field(default_factory=Scales)
     title: str = ""

@@ -36,7 +36,8 @@ Kaya (2005) and Osmolovskii and Maurer (2012), chapters 5-7, for switching times
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,9 @@ CURVATURE_LIMIT = -1e-4
 KAPPA_LIMIT = 0.999
 # Of J. What the steps leave of a first variation that is 0 gains 3e-8 at most on good answers.
 GAIN_LIMIT = 1e-6
-_FINER, _BY_STEPS = (2, 4), 1e-2  # times as many steps, where they may be what leaves it
+_FINER, _BY_STEPS = (2, 4), 5e-2  # times as many steps, where they may be what leaves it
+# Times as many steps for kappa, where it is between its limit and this; how near to 1 rounding leaves it open.
+_LEVELS, _DOUBTFUL, _ROUNDED = (2, 3, 4), 1.01, 1e-8
 _SAID_TWICE = 1e-7  # of a linearised condition: by so much others that say the same may differ
 
 
@@ -91,7 +94,8 @@ def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None)
         yield from strictness(arc)
         yield from strict_conditions(arc, [(*piece.span, piece.held) for piece in pieces if piece.arc is arc])
     regular = all(piece.regular for piece in pieces) and not any(_tangled(arc) for arc in arcs)
-    forms = _form(pieces) if regular else None
+    form_of = cache(lambda finer: _form(pieces if finer == 1 else pieces_of(arcs, inner, kept or {}, finer)))
+    forms = form_of if regular else None
     others = [name for name in inner if name not in durations]
     yield _positive(forms, [inner.index(name) for name in others], name="conjugate_point",
         meaning="how far the arc reaches towards a conjugate point: 1 means there is one at its start, beyond 1 a "
@@ -103,10 +107,10 @@ def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None)
             "is near",
         )  # fmt: skip
     if forms is not None:
-        gain = gain_beside(forms)
+        gain = gain_beside(forms(1))
         for finer in _FINER:  # what the steps owe falls with the fourth power of their number
             if GAIN_LIMIT < gain < _BY_STEPS:
-                gain = gain_beside(_form(pieces_of(arcs, inner, kept or {}, finer)))
+                gain = gain_beside(forms(finer))
         yield Check(
             name="nothing_gained", level=3, value=gain, limit=GAIN_LIMIT, unit="1",
             meaning="by how much a step of Newton's method on the second variation lowers J, over its size: what is "
@@ -114,8 +118,8 @@ def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None)
         )  # fmt: skip
 
 
-def _positive(forms: Form | None, fixed: Sequence[int], *, name: str, meaning: str) -> Check:
-    value = float("nan")
+def _positive(forms: Callable[[int], Form] | None, fixed: Sequence[int], *, name: str, meaning: str) -> Check:
+    value, limit = float("nan"), KAPPA_LIMIT
     if forms is None:
         meaning += (
             "; not available: H is not strictly convex in a control between its bounds, a scalar reaches its bound "
@@ -123,13 +127,35 @@ def _positive(forms: Form | None, fixed: Sequence[int], *, name: str, meaning: s
             "jumps there is not one scalar that crosses its switch"
         )
     else:
-        form = np.delete(np.delete(forms.form, fixed, axis=0), fixed, axis=1)
-        value, variations = kappa(form, np.delete(forms.constraints, fixed, axis=1), forms.m - len(fixed))
+        value, variations = _kappa(forms(1), fixed)
+        if KAPPA_LIMIT < value < _DOUBTFUL:
+            value, limit = _extrapolated(lambda finer: _kappa(forms(finer), fixed)[0])
+            meaning += "; extrapolated to steps of no length, the limit being 1 less what that leaves open"
         if np.isnan(value):
             meaning += "; not available: a free parameter alone, or an impulse as a singular arc ends, costs nothing"
         if not variations:
             meaning += "; the end conditions leave nothing to vary, so that strict switching suffices for a minimum"
-    return Check(name=name, level=3, value=value, limit=KAPPA_LIMIT, unit="1", meaning=meaning)
+    return Check(name=name, level=3, value=value, limit=limit, unit="1", meaning=meaning)
+
+
+def _kappa(form: Form, fixed: Sequence[int]) -> tuple[float, int]:
+    """Return `kappa` of a form with some of its parameters fixed."""
+    without = np.delete(np.delete(form.form, fixed, axis=0), fixed, axis=1)
+    return kappa(without, np.delete(form.constraints, fixed, axis=1), form.m - len(fixed))
+
+
+def _extrapolated(kappa_of: Callable[[int], float]) -> tuple[float, float]:
+    """Return kappa of steps of no length, and the limit below which it is said to be less than 1.
+
+    Its error falls with the square of the number of steps: Richardson's extrapolation takes that out, and what two of
+    these differ by is many times what the better one leaves.
+    """
+    coarse, middle, fine = (kappa_of(finer) for finer in _LEVELS)
+    rough, value = (
+        (after * n**2 - before * k**2) / (n**2 - k**2)
+        for before, after, k, n in ((coarse, middle, *_LEVELS[:2]), (middle, fine, *_LEVELS[1:]))
+    )
+    return value, min(1.0 - abs(value - rough), 1.0 - _ROUNDED)
 
 
 def _tangled(arc: Arc) -> bool:
@@ -202,7 +228,7 @@ def _form(pieces: Sequence[Piece]) -> Form:
             begun = _vanishing(piece, piece.kept.holds, dx, parameters, 0.0)
             constraints += [_tied(piece, parameters), _beyond(begun, known)]
         n, _, k = piece.sizes
-        identity, step = np.eye(n), 1.0 / piece.steps
+        identity, step = np.eye(n), piece.lengths[:, None, None]
         half = 0.5 * step * piece.F[:, :n].transpose(2, 0, 1)
         inverse = np.linalg.inv(identity - half)
         through = inverse @ (identity + half)
@@ -222,7 +248,7 @@ def _form(pieces: Sequence[Piece]) -> Form:
         weighted = step * piece.W.transpose(2, 0, 1) @ path
         flat = (piece.steps * (n + m + k), columns)  # which may be none
         form += path.reshape(flat).T @ weighted.reshape(flat)
-        slope -= step * piece.yields.T.ravel() @ path.reshape(flat)
+        slope -= (piece.lengths * piece.yields).T.ravel() @ path.reshape(flat)
         if piece.leap is not None:
             dx, curved = _left(piece.leap, dx, parameters)
             form += curved

@@ -27,6 +27,7 @@ from perilune.structures.regimes import (
     LEVELS,
     Stay,
     bounds_beside,
+    brief_stays,
     gain_along,
     linear_scalars,
     read_stays,
@@ -80,7 +81,8 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Struct
 def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
     """Every structure that a solution may have: as exact tables tell, with singular arcs (few arcs first), without.
 
-    Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds.
+    Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds; so
+    where a burn or a coast lasts but for an instant of its phase.
     Beside a touch a mesh wavers where nothing is singular: there singular arcs are read off exact tables alone.
     """
     met, nothing = _met(problem, solution, least), [list[Stay]() for _ in problem.phases]
@@ -90,6 +92,9 @@ def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> li
     by_level = {level: [own[level] for own in stays] for level in ((EXACT,) if touched else (EXACT, *LEVELS))}
     structures = {level: _structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing}
     different = dict[str, Structure]()
+    if (brief := [brief_stays(solution, k) for k in range(len(met))]) != nothing:
+        structure = _structure(problem, solution, met, brief)
+        different[structure.text] = structure
     if (switched := [_switched(problem, solution, k, met[k]) for k in range(len(met))]) != nothing:
         structure = _structure(problem, solution, met, switched)
         different[structure.text] = structure

@@ -90,6 +90,32 @@ def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]
     return found
 
 
+def brief_stays(solution: Solution, k: int) -> list[Stay]:
+    """Return the bounds that the one scalar of phase k is on, where one of these arcs is a mere instant of the phase.
+
+    Exact tables break at each switch. A control law that looks for its switches within a flight that is a thousand
+    times as long leaps over such an arc or loses it; where it begins and ends are unknowns of its own then.
+    """
+    flown, known = solution.trajectories[k], linear_scalars(solution.problem, k)
+    if len(known) != 1 or flown.costate is None:
+        return []
+    (at, control), nodes = known[0], flown.control.time
+    edges = np.unique([0.0, *nodes[1:][np.diff(nodes) == 0], flown.duration])
+    if len(edges) < 3 or np.diff(edges).min() > BURST * flown.duration:
+        return []
+    share = control.share(flown.control(0.5 * (edges[1:] + edges[:-1]))[:, at], solution.parameters)
+    if np.minimum(np.abs(share), np.abs(share - 1.0)).max() > WRONG:
+        return []
+    names = ["upper" if high else "lower" for high in share > 0.5]
+    found = list[Stay]()
+    for regime, (begin, end) in zip(names, pairwise(edges.tolist()), strict=True):
+        if found and found[-1].regime == regime:
+            found[-1] = replace(found[-1], end=end)
+        else:
+            found.append(Stay(control=control.name, regime=regime, begin=begin, end=end))
+    return found
+
+
 def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[Vector, Vector, Vector]:
     """Times of phase k, H at the upper less H at the lower bound there [J/s], and the place in the range, 0 to 1."""
     phase, flown = solution.problem.phases[k], solution.trajectories[k]

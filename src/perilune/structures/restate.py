@@ -211,6 +211,7 @@ class _Restated:
             free=tuple(self.free()),
             bookkeeping=None,
             rough_flight=None,
+            switching_guesses=None,
             form=None,
         )
 

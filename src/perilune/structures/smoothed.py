@@ -75,6 +75,7 @@ def smoothed(problem: Problem, share: float) -> Problem | None:
         ),
         objective=_less(own["objective"]),
         given=MappingProxyType({**problem.given, **given}),
+        switching_guesses=None,
         rough_flight=None if problem.rough_flight is None else partial(_nothing_gained, problem.rough_flight),
         results=None, result_variables=(), maximised="", minimised="", preflight=None, bookkeeping=None, form=None,
     )  # fmt: skip

@@ -1,0 +1,188 @@
+"""A landing by two impulses from a bound orbit: the least velocity change that burn-coast-burn comes near to.
+
+From a bound orbit that clears the ground: coast for a time tau, one impulse against the velocity onto the ellipse that
+grazes the radius r_s of the site, half a turn or so of free fall to its lowest point, one impulse that leaves the
+velocity of the ground there,
+
+    dv(tau) = |v - v_1| + |v_2 - omega x r_2|,      r_p(v_1) = r_s.
+
+By the vis-viva equation v_2^2 = v_1^2 + 2 mu (1/r_s - 1/r), so that d(dv)/d|v_1| = -1 + |v_1|/|v_2| < 0: the less the
+first impulse lowers the orbit the better, and the ground decides. tau is where dv is least over one turn.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from perilune.words.types import Vector
+
+_LOOKS = 48  # times of one turn at which the first impulse is tried
+_SAME = 1e-9  # relative difference of velocity changes that are the same
+_BISECTIONS = 60
+_KEPLER_STEPS = 60  # of Newton's method for Kepler's equation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Around:
+    """Where a landing begins, in axes that do not turn and agree with the body's at that instant.
+
+    Parameters
+    ----------
+    position, velocity
+        At the start [m, m/s].
+    mu, radius
+        Gravitational parameter [m^3/s^2], and distance of the ground from the centre [m].
+    turning
+        Angular velocity of the body [rad/s].
+    """
+
+    position: Vector
+    velocity: Vector
+    mu: float
+    radius: float
+    turning: Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoImpulses:
+    """A landing by two impulses.
+
+    Parameters
+    ----------
+    wait, fall
+        How long the orbit is kept, and from the first impulse to the lowest point [s].
+    before, after
+        Place and velocity at the first impulse [m, m/s], and the velocity behind it.
+    lowest
+        Place and velocity before the second impulse.
+    ground
+        Velocity of the ground there [m/s].
+    """
+
+    wait: float
+    fall: float
+    before: tuple[Vector, Vector]
+    after: Vector
+    lowest: tuple[Vector, Vector]
+    ground: Vector
+
+    @property
+    def first(self) -> float:
+        """Size of the first impulse [m/s]."""
+        return float(np.linalg.norm(self.before[1] - self.after))
+
+    @property
+    def second(self) -> float:
+        """Size of the second impulse [m/s]."""
+        return float(np.linalg.norm(self.lowest[1] - self.ground))
+
+    @property
+    def velocity_change(self) -> float:
+        """Both [m/s]."""
+        return self.first + self.second
+
+
+def fallen(position: Vector, velocity: Vector, mu: float, time: float) -> tuple[Vector, Vector]:
+    """Return place and velocity after free fall on an ellipse, by Lagrange's f and g (Battin 1999, section 4.3)."""
+    r = float(np.linalg.norm(position))
+    semi = 1 / (2 / r - float(velocity @ velocity) / mu)
+    rate, rising, beside = math.sqrt(mu / semi**3), float(position @ velocity) / math.sqrt(mu * semi), 1 - r / semi
+    x = rate * time
+    for _ in range(_KEPLER_STEPS):
+        miss = x - beside * math.sin(x) + rising * (1 - math.cos(x)) - rate * time
+        step = miss / (1 - beside * math.cos(x) + rising * math.sin(x))
+        x -= step
+        if abs(step) < 1e-14 * (1 + abs(x)):
+            break
+    f, g = 1 - semi / r * (1 - math.cos(x)), time - (x - math.sin(x)) / rate
+    there = f * position + g * velocity
+    far = float(np.linalg.norm(there))
+    f_rate, g_rate = -math.sqrt(mu * semi) / (r * far) * math.sin(x), 1 - semi / far * (1 - math.cos(x))
+    return there, f_rate * position + g_rate * velocity
+
+
+def orbit_shape(position: Vector, velocity: Vector, mu: float) -> tuple[float, float]:
+    """Return half the great axis [m] and the eccentricity of an orbit."""
+    r, speed = float(np.linalg.norm(position)), float(velocity @ velocity)
+    eccentric = ((speed - mu / r) * position - float(position @ velocity) * velocity) / mu
+    return 1 / (2 / r - speed / mu), float(np.linalg.norm(eccentric))
+
+
+def _lowest(position: Vector, velocity: Vector, mu: float) -> float:
+    semi, eccentricity = orbit_shape(position, velocity, mu)
+    return semi * (1 - eccentricity)
+
+
+def _time_down(position: Vector, velocity: Vector, mu: float) -> float:
+    """Return the time [s] to the lowest point of an ellipse, less than one turn."""
+    semi, _ = orbit_shape(position, velocity, mu)
+    sine, cosine = float(position @ velocity) / math.sqrt(mu * semi), 1 - float(np.linalg.norm(position)) / semi
+    mean = math.atan2(sine, cosine) - sine
+    return (-mean % (2 * math.pi)) * math.sqrt(semi**3 / mu)
+
+
+def _landing(around: Around, wait: float) -> TwoImpulses:
+    """Return the landing that begins after a wait [s]."""
+    mu, before = around.mu, fallen(around.position, around.velocity, around.mu, wait)
+    position, velocity = before
+    low, high = 0.0, 1.0  # shares of the velocity that is left
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _lowest(position, middle * velocity, mu) > around.radius else (middle, high)
+    after = low * velocity
+    fall = _time_down(position, after, mu)
+    lowest = fallen(position, after, mu, fall)
+    ground = np.cross(around.turning, lowest[0])
+    return TwoImpulses(wait=wait, fall=fall, before=before, after=after, lowest=lowest, ground=ground)
+
+
+def two_impulses(around: Around) -> TwoImpulses | None:
+    """Return the landing by two impulses that needs the least velocity change within one turn.
+
+    Parameters
+    ----------
+    around
+        Where it begins.
+
+    Returns
+    -------
+    TwoImpulses
+        None where the start is on no ellipse, or on one that does not clear the ground.
+    """
+    from scipy.optimize import minimize_scalar
+
+    semi, _ = orbit_shape(around.position, around.velocity, around.mu)
+    if not (semi > 0 and _lowest(around.position, around.velocity, around.mu) > around.radius):
+        return None
+    turn = 2 * math.pi * math.sqrt(semi**3 / around.mu)
+    waits = np.linspace(0.0, turn, _LOOKS + 1)
+    spent = np.array([_landing(around, wait).velocity_change for wait in waits])
+    best = int(np.argmin(spent))
+    if best in (0, _LOOKS) or spent[0] <= spent[best] * (1 + _SAME):
+        return _landing(around, 0.0)
+    nearest = minimize_scalar(
+        lambda wait: _landing(around, wait).velocity_change, method="bounded", bounds=(waits[best - 1], waits[best + 1])
+    )
+    return _landing(around, float(nearest.x))
+
+
+def around_body(p: Any, state: Any) -> Around:
+    """Return where a flight begins.
+
+    Parameters
+    ----------
+    p
+        Parameters of a descent.
+    state
+        x, y, z, vx, vy, vz in axes that turn with the body.
+    """
+    position, seen = (np.array(state[a : a + 3], dtype=float) for a in (0, 3))
+    turning = np.array([0.0, 0.0, p.body_rotation_rate])
+    return Around(
+        position=position, velocity=seen + np.cross(turning, position), mu=p.body_gravitational_parameter,
+        radius=p.body_radius + p.site_altitude, turning=turning,
+    )  # fmt: skip

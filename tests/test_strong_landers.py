@@ -1,0 +1,150 @@
+"""Landings of strong landers: burn, coast that grazes the ground, burn; against IPOPT, Kepler and closed forms."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from burn_coast_burn import landed_mass
+from perilune.models.bodies import Body
+from perilune.models.descent import Ignition, Site, powered_descent
+from perilune.models.landing import Vehicle
+from perilune.models.rough_landing import rough_landing
+from perilune.models.two_impulses import Around, around_body, fallen, two_impulses
+from perilune.problem.problem import Problem
+from perilune.solve import solve
+from perilune.words.maths import NUMERIC
+from perilune.words.outcome import Outcome
+
+MU, RADIUS, ALTITUDE, SPEED = 4902.8e9, 1737.4e3, 94e3, 1635.9
+STILL = Body(name="moon", gravitational_parameter=MU, radius=RADIUS, rotation_rate=0.0)
+
+
+def strong(
+    speed: float = SPEED,
+    up: float = 0.0,
+    throttle: tuple[float, float] | None = (0.0, 1.0),
+    coast: float | None = None,
+    **stated: Any,
+) -> Problem:
+    """Return ten tons of nearly ten times their weight in thrust, from 94 km over a Moon that does not turn."""
+    return powered_descent(
+        Vehicle(mass=1e4, thrust=160e3, specific_impulse=320.0),
+        Ignition(altitude=ALTITUDE, longitude=0.0, latitude=0.0, heading=math.pi / 2, forward_speed=speed,
+                 vertical_speed=up, longest_coast=coast),
+        Site(longitude=0.2, latitude=0.0),
+        STILL,
+        **{"target": "anywhere", "throttle": throttle, **stated},
+    )  # fmt: skip
+
+
+def around(problem: Problem) -> Around:
+    """Return where a descent begins."""
+    p = problem.parameters({})
+    return around_body(p, problem.start(p, NUMERIC))
+
+
+@pytest.fixture(scope="module")
+def landed() -> Any:
+    """Return the answer without a guess."""
+    return solve(strong())
+
+
+def test_burn_coast_burn_is_found_without_a_guess_and_proved(landed: Any) -> None:
+    """IPOPT's collocation, which knows the three arcs and the touch, gives the same mass and the same lengths."""
+    mass, (first, fall, beside, last) = landed_mass(MU, RADIUS, 1e4, 160e3, 320.0, ALTITUDE, SPEED)
+    assert (landed.outcome, landed.verification.level) == (Outcome.PROVED, 3)
+    assert landed.objective == pytest.approx(-mass, abs=1e-4)
+    ends = [arc.until for arc in landed.trajectories.structure.phases[0]]
+    assert np.diff([0.0, *ends]) == pytest.approx([first, fall, beside, last], abs=1.0)
+    assert ends[-1] == pytest.approx(first + fall + beside + last, abs=1.0)
+
+
+def test_the_coast_grazes_the_ground_and_never_dips_below_it(landed: Any) -> None:
+    """Between the nodes too, which collocation that asks at its points alone gets wrong by 80 m."""
+    t = np.linspace(0.0, landed.free["flight_time"], 200_001)
+    altitude = landed.outputs(0, t)["altitude"]
+    touch = landed.trajectories.structure.phases[0][1].until
+    assert altitude.min() > -1e-4
+    assert landed.outputs(0, np.array([touch]))["altitude"][0] == pytest.approx(0.0, abs=1e-4)
+    assert 30.0 < landed.trajectories.structure.phases[0][2].until - touch < 60.0
+
+
+def test_two_impulses_bound_it(landed: Any) -> None:
+    """No flight needs less than two impulses; full throttle all the way needs nearly twice as much."""
+    impulses, exhaust = two_impulses(around(strong())), 320.0 * 9.80665
+    assert impulses is not None
+    spent = exhaust * math.log(1e4 / -landed.objective)
+    assert impulses.velocity_change < spent < 1.01 * impulses.velocity_change
+
+
+def test_a_second_variation_that_almost_vanishes_is_extrapolated(landed: Any) -> None:
+    """The start is its orbit's apocentre by 0.27 m/s: waiting there costs almost nothing, but it costs."""
+    check = next(c for c in landed.verification.checks if c.name == "conjugate_point")
+    assert 0.999 < check.value < check.limit < 1.0
+    assert "extrapolated" in check.meaning
+
+
+def test_free_fall_is_that_of_an_integrator() -> None:
+    """Lagrange's f and g against DOP853, over more than a turn and backwards."""
+    position, velocity = np.array([1.9e6, 2e5, -3e5]), np.array([-150.0, 1500.0, 300.0])
+
+    def rates(_: float, y: Any) -> Any:
+        return np.concatenate([y[3:], -MU * y[:3] / np.linalg.norm(y[:3]) ** 3])
+
+    for time in (9000.0, -4000.0):
+        there = solve_ivp(
+            rates, (0.0, time), np.concatenate([position, velocity]), method="DOP853", rtol=1e-13, atol=1e-7
+        ).y[:, -1]
+        found = fallen(position, velocity, MU, time)
+        assert found[0] == pytest.approx(there[:3], abs=1e-2)
+        assert found[1] == pytest.approx(there[3:], abs=1e-5)
+
+
+def test_two_impulses_from_a_circle_are_hohmann_s() -> None:
+    """Half a turn of the ellipse between both radii, begun at once as one place is as good as another."""
+    r = RADIUS + ALTITUDE
+    found = two_impulses(around(strong(math.sqrt(MU / r))))
+    semi = 0.5 * (r + RADIUS)
+    assert found is not None
+    assert found.wait == 0.0
+    assert found.first == pytest.approx(math.sqrt(MU / r) - math.sqrt(MU * (2 / r - 1 / semi)), rel=1e-6)
+    assert found.second == pytest.approx(math.sqrt(MU * (2 / RADIUS - 1 / semi)), rel=1e-9)
+    assert found.fall == pytest.approx(math.pi * math.sqrt(semi**3 / MU), rel=1e-4)
+
+
+def test_two_impulses_from_an_ellipse_begin_at_its_apocentre() -> None:
+    """Half a turn later, from a start at the pericentre."""
+    speed, r = 1700.0, RADIUS + ALTITUDE
+    found, semi = two_impulses(around(strong(speed))), 1 / (2 / r - speed**2 / MU)
+    assert found is not None
+    assert found.wait == pytest.approx(math.pi * math.sqrt(semi**3 / MU), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        strong(2500.0),  # a hyperbola
+        strong(1000.0),  # an ellipse into the ground
+        strong(1500.0, -400.0),
+    ],
+)
+def test_no_two_impulses_where_the_orbit_is_none_that_clears_the_ground(problem: Problem) -> None:
+    assert two_impulses(around(problem)) is None
+    assert rough_landing(problem) == []
+
+
+def test_an_engine_that_cannot_be_off_coasts_nowhere() -> None:
+    assert rough_landing(strong(throttle=(0.1, 1.0))) == []
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [{"throttle": None}, {"target": "site"}, {"target": "downrange"}, {"minimise": "flight_time"}, {"coast": 900.0}],
+)
+def test_other_descents_are_looked_for_as_before(stated: dict[str, Any]) -> None:
+    assert strong(**stated).switching_guesses is None
