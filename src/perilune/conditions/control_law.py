@@ -28,12 +28,14 @@ import numpy as np
 from perilune.conditions.directions import directions_eliminated
 from perilune.conditions.held import Held, demand_held, together, turns
 from perilune.conditions.riding import riding_control
-from perilune.conditions.scalars import FREE, Scalar, combinations, keeps, least_between, no_law
+from perilune.conditions.scalars import FREE, Bend, Scalar, Terms, combinations, keeps, least_between, no_law
 from perilune.conditions.singular import Motion, singular_control
 from perilune.conditions.transitions import Mode, Transition, Ways
 from perilune.problem.controls import Regime, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
+
+_UNKNOWN = Terms(size=ca.SX(0.0), positive=ca.SX(0, 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +78,7 @@ def minimising_control(
     kept: Mapping[str, ca.SX] = MappingProxyType({}),
     always: Mapping[str, ca.SX] = MappingProxyType({}),
     motion: Motion | None = None,
+    terms: Terms = _UNKNOWN,
 ) -> ControlLaw:
     """The control that minimises H.
 
@@ -93,6 +96,8 @@ def minimising_control(
         Expressions of u by name that vanish all along the phase: linear in a direction, or of scalars alone.
     motion
         How state and costate move, which a singular scalar has to know.
+    terms
+        What is known of the terms of H: what bends H by no more than rounding of them does not bend it.
 
     Raises
     ------
@@ -110,7 +115,7 @@ def minimising_control(
         reduced, law, room = directions_eliminated(phase, hamiltonian, u, limits, turning)
         kinds = [
             Scalar(phase, at, control, reduced, u, limits[control.name],
-                   acts=any(ca.depends_on(c, u[at]) for c in own.values()))
+                   acts=any(ca.depends_on(c, u[at]) for c in own.values()), positive=terms.positive)
             for at, control in scalars(phase.controls)
         ]  # fmt: skip
         for regimes in combinations(kinds, [*own.values()]):
@@ -124,14 +129,14 @@ def minimising_control(
             rooms.append(ca.substitute(room, u, mode.control) if ridden is None else ridden[1])
             solved.append(step if step[1].numel() else None)
             others = [c for name, c in kept.items() if name not in held]
-            values.append(_value(hamiltonian, u, mode, [*others, *elements(rooms[-1])]))
+            values.append(_value(hamiltonian, u, mode, [*others, *elements(rooms[-1])], terms.size))
     return ControlLaw(
         regimes=tuple(mode.regimes for mode in modes),
         held=tuple(mode.held for mode in modes),
         control=tuple(mode.control for mode in modes),
         room=tuple(rooms),
         solved=tuple(solved),
-        transitions=tuple(Ways(phase=phase, u=u, modes=modes, kept=kept).transitions()),
+        transitions=tuple(Ways(phase=phase, u=u, modes=modes, kept=kept, size=terms.size).transitions()),
         mode=_least(values),
     )
 
@@ -180,13 +185,16 @@ def _put(expression: ca.SX, u: ca.SX, places: list[int], values: list[ca.SX]) ->
     return ca.substitute(expression, symbols, ca.vertcat(ca.SX(0, 1), *values))
 
 
-def _value(hamiltonian: ca.SX, u: ca.SX, mode: Mode, others: Sequence[ca.SX]) -> ca.SX:
+def _value(hamiltonian: ca.SX, u: ca.SX, mode: Mode, others: Sequence[ca.SX], size: ca.SX) -> ca.SX:
     """H in a mode; infinite where its control is not between its bounds, or does not keep a condition of the path."""
     value = ca.substitute(hamiltonian, u, mode.control)
     for kind, regime in zip(mode.kinds, mode.regimes, strict=True):
         if regime in FREE:
             here = mode.control[kind.at]
             value = ca.if_else(ca.logic_and(kind.limits[0] <= here, here <= kind.limits[1]), value, np.inf)
+            if regime == "interior" and kind.weighed:
+                bend = Bend(kind=kind, H=mode.H, u=u, control=mode.control, size=size)
+                value = ca.if_else(bend.none, np.inf, value)
     if mode.own:
         told = [kind.symbol for kind, regime in zip(mode.kinds, mode.regimes, strict=True) if regime == "held"]
         kept = keeps(ca.vertcat(*told), ca.vertcat(*mode.own.values()), u, mode.control)

@@ -41,6 +41,7 @@ from perilune.problem.symbolic import (
     trace_at_end,
     trace_parameters,
 )
+from perilune.problem.unpriced import cost_states, unpriced_states
 from perilune.words.units import quotient
 from perilune.words.watch import Watch, silent
 
@@ -152,8 +153,10 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
     offset = ca.SX.sym("offset", len(problem.phases[0].states))
     numbers = ca.vertcat(p.given, symbols, offset)
     phases = [
-        canonical_equations(phase, p, pairs, numbers, problem.free_names, keep)
-        for phase, pairs in zip(problem.phases, limits, strict=True)
+        canonical_equations(phase, p, pairs, numbers, problem.free_names, keep, *known)
+        for phase, pairs, *known in zip(
+            problem.phases, limits, unpriced_states(problem), cost_states(problem), strict=True
+        )
     ]
     lam0 = [ca.SX.sym(f"lam0_{k}", e.half) for k, e in enumerate(phases)]
     nu = [ca.SX.sym(f"nu_{k}", len(phase.end_conditions)) for k, phase in enumerate(problem.phases)]

@@ -12,12 +12,13 @@ the conditions.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise, product
 
 import casadi as ca
 import numpy as np
 
-from perilune.problem.controls import Bounded, Regime, Settled
+from perilune.problem.controls import Bounded, Regime, Settled, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
 from perilune.words.outcome import PeriluneError
@@ -27,9 +28,27 @@ _GRID = {1: 17, 2: 9}
 _STEPS = 7  # from a grid point the error squares each time; one more step is taken where it is differentiated
 _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
 _BEYOND = 0.1  # of a step of the grid: so far beyond the bounds conditions are looked for
+_SHARES, _STRAIGHT = (0.21, 0.5, 0.83), 1e-9  # of a range; of the terms of H: it bends less in what does not bend it
 _MET = 1e-6  # canonical: a control so near to a held condition holds it, and Newton's method has found it
 
 FREE: tuple[Regime, ...] = ("interior", "held")  # not on a bound
+_NONE = ca.SX(0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terms:
+    """What is known of the terms of H.
+
+    Attributes
+    ----------
+    size
+        The sum of their amounts, an expression of the controls.
+    positive
+        Costates that are a positive number on every extremal, a column of symbols.
+    """
+
+    size: ca.SX
+    positive: ca.SX
 
 
 class Scalar:
@@ -41,14 +60,24 @@ class Scalar:
         That it may have; those of one that `acts` in what is held are not all of a mode's (`combinations`).
     linear
         Whether H is linear in it.
+    weighed
+        Whether its bounds are compared by the value of H: it has two, H bends in it alone, and in which way the
+        costates say. Of those that bend H together the slopes alone are asked.
     """
 
     def __init__(
-        self, phase: Phase, at: int, control: Bounded, H: ca.SX, u: ca.SX, limits: tuple[ca.SX, ca.SX], *, acts: bool
-    ) -> None:
+        self, phase: Phase, at: int, control: Bounded, H: ca.SX, u: ca.SX, limits: tuple[ca.SX, ca.SX],
+        *, acts: bool, positive: ca.SX = _NONE,
+    ) -> None:  # fmt: skip
         self.at, self.control, self.limits, self.symbol = at, control, limits, u[at]
         self.slope = ca.gradient(H, u[at])
         self.linear = not ca.depends_on(self.slope, u[at])
+        bend = ca.gradient(self.slope, u[at])
+        known = ca.substitute(bend, positive, ca.SX.ones(positive.numel()))
+        convex = known.is_constant() and float(known) > 0
+        others = ca.vertcat(ca.SX(0, 1), *(u[i] for i, _ in scalars(phase.controls) if i != at))
+        alone = not (others.numel() and ca.depends_on(self.slope, others))
+        self.weighed = control.bounded and alone and not (self.linear or convex)
         if isinstance(control, Settled):
             if control.regime == "singular" and not self.linear:
                 raise no_law(phase, control.names, "a Hamiltonian that bends in it, and so no singular arc")
@@ -72,6 +101,34 @@ class Scalar:
         if self.control.unit == "rad":
             return [ca.SX(value) for value in np.linspace(-np.pi, np.pi, count)]
         return [ca.SX(value) for value in np.sinh(np.linspace(-_WIDEST, _WIDEST, count))]
+
+
+class Bend:
+    """How H bends in a scalar from bound to bound, the others as a mode has them.
+
+    Attributes
+    ----------
+    gain
+        H at the upper less H at the lower bound.
+    none
+        Whether it is a straight line, but for rounding: then nothing between the bounds is a minimum.
+    hollow
+        Whether it is less somewhere between than at either bound.
+    """
+
+    def __init__(self, *, kind: Scalar, H: ca.SX, u: ca.SX, control: ca.SX, size: ca.SX) -> None:
+        def at(value: ca.SX, of: ca.SX = H) -> ca.SX:
+            moved = ca.SX(control)
+            moved[kind.at] = value
+            return ca.substitute(of, u, moved)
+
+        (low, high), rounding = (at(limit) for limit in kind.limits), _STRAIGHT * ca.substitute(size, u, control)
+        self.gain, least = high - low, ca.fmin(low, high)
+        self.none, self.hollow = ca.SX(1.0), ca.SX(0.0)
+        for share in _SHARES:
+            here = at(kind.limits[0] + share * (kind.limits[1] - kind.limits[0]))
+            self.none = ca.logic_and(self.none, ca.fabs(here - low - share * self.gain) <= rounding)
+            self.hollow = ca.logic_or(self.hollow, here < least - rounding)
 
 
 def combinations(kinds: Sequence[Scalar], held: Sequence[ca.SX]) -> Iterator[tuple[Regime, ...]]:

@@ -2,6 +2,8 @@
 
 - a scalar on a bound leaves it where the slope of H changes its sign: to the other bound where H is linear in it, or to
   what a condition of the path leaves of that;
+- one in which H bends leaves a bound so for what lies between, or jumps to the other bound where H is as small there,
+  whichever comes first: the one where H is convex, the other where it is concave, as a costate may make it either;
 - one that is between its bounds comes to one of them;
 - a condition of the path that the control leaves out is broken from here on: it is held;
 - what a held condition costs, its multiplier, falls to zero: it is let go.
@@ -18,7 +20,7 @@ from functools import cached_property
 import casadi as ca
 
 from perilune.conditions.held import Held, turns
-from perilune.conditions.scalars import FREE, Scalar, multipliers
+from perilune.conditions.scalars import FREE, Bend, Scalar, multipliers
 from perilune.problem.controls import Regime
 from perilune.problem.phase import Phase
 
@@ -90,6 +92,7 @@ class Ways:
     u: ca.SX
     modes: Sequence[Mode]
     kept: Mapping[str, ca.SX]
+    size: ca.SX
 
     @cached_property
     def places(self) -> dict[Named, int]:
@@ -143,12 +146,16 @@ class Ways:
         kind, regime = mode.kinds[i], mode.regimes[i]
         slope, direction = ca.substitute(mode.slope(kind), self.u, mode.control), 1 if regime == "upper" else -1
         bent: tuple[Regime, ...] = ("held", "interior")
-        for between in bent:
-            if (after := (mode.held, mode.turned(i, between))) in self.places:
-                yield after, slope, direction, True
-                return
         other: Regime = "lower" if regime == "upper" else "upper"
         after = mode.held, mode.turned(i, other)
+        for between in bent:
+            if (inside := (mode.held, mode.turned(i, between))) in self.places:
+                if between == "held" or not kind.weighed or after not in self.places:
+                    yield inside, slope, direction, True
+                    return
+                bend = Bend(kind=kind, H=mode.H, u=self.u, control=mode.control, size=self.size)
+                yield inside, ca.if_else(bend.none, -direction, slope), direction, True
+                slope = ca.if_else(bend.hollow, -direction, bend.gain)
         if after not in self.places:
             return
         there, free = self.modes[self.places[after]].control, ca.SX(1.0)

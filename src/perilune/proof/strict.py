@@ -9,6 +9,10 @@ There f+, H_x+ belong to the control after the jump, f-, H_x- to the one before 
 
     D = -d(H+ - H-)/dt = f+.H_x- - f-.H_x+ = -dS/dt (u+ - u-) > 0.
 
+**H that bends in u.** Where it is concave u jumps without passing S = 0: H is the same at both bounds, and so is the
+chord [H(other) - H]/|other - u| what vanishes there and nowhere else. No control between them makes H rise by less
+than its share of that, so that the chord has the place of |S| wherever it is less.
+
 **Ends of the flight.** S vanishes where the flight ends if nothing there says what u moves, as a lift does the velocity
 of a flight that may arrive at any. That is a switch at the end: beyond it u is on its other bound, for no time. A
 flight that switches tau before the end costs D tau^2/2 as one beside any other switch, and moves its end as far. So an
@@ -28,7 +32,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.problem.controls import scalars
+from perilune.problem.controls import Bounded, scalars
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc
 from perilune.proof.pieces import just_before
@@ -36,6 +40,7 @@ from perilune.proof.singular import Singular, slopes_beside
 from perilune.proof.switching import (
     HAMILTONIAN_LIMIT,
     SLOPE_LIMIT,
+    chords,
     control_gradient,
     gradient_along,
     on_bounds,
@@ -45,6 +50,7 @@ from perilune.words.derivatives import jacobian
 from perilune.words.types import Matrix, Vector
 
 STRICT_LIMIT = -1e-4
+_BENT = 1e-6  # of the slope: where H is a straight line in u its chord differs by rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +90,8 @@ def _vanishing(arc: Arc, time: float) -> Iterator[EndSwitch]:
     gradient, _ = control_gradient(arc, x, u, lam)
     for at, control in scalars(arc.phase.controls):
         lower, upper = on_bounds(arc, at, control, u)
-        if not (lower | upper).any() or not np.abs(gradient[row_of(arc, control)]).max() <= SLOPE_LIMIT:
+        S = np.abs(gradient[row_of(arc, control)])
+        if not (lower | upper).any() or not _steepness(arc, at, control, t, S).max() <= SLOPE_LIMIT:
             continue
         across = np.array(u)
         across[at] = control.limits(arc.p)[1 if lower.any() else 0]
@@ -108,7 +115,7 @@ def strictness(arc: Arc) -> Iterator[Check]:
         held = np.logical_or(*on_bounds(arc, at, control, u)) & (apart > 1e-6 * arc.duration)
         if not held.any():
             continue
-        S = np.abs(gradient[row_of(arc, control)])
+        S = _steepness(arc, at, control, t, np.abs(gradient[row_of(arc, control)]))
         jumps = (arc.jumps[at] != 0) & ~Singular.of(arc).junctions
         steps = [np.abs(arc.jumps[at, jumps]), [_step(arc, end) for end in own]]
         crossing = np.concatenate([crossings(arc)[jumps], [end.slope for end in own]]) / np.concatenate(steps)
@@ -124,6 +131,26 @@ def strictness(arc: Arc) -> Iterator[Check]:
             + "".join(f"; that it vanishes where the flight {'ends' if end.time else 'begins'} is a switch there"
                       for end in own),
         )  # fmt: skip
+
+
+def _steepness(arc: Arc, at: int, control: Bounded, t: Vector, S: Vector) -> Vector:
+    """Return |dH/du| of a scalar at times, or by how much H rises to its other bound over the range where that is less.
+
+    Parameters
+    ----------
+    arc, at, control
+        The phase; the place of the scalar among the components of the control, and itself.
+    t, S
+        Times, and |dH/du| there, scaled.
+    """
+    low, high = (float(limit) for limit in control.limits(arc.p))
+    if arc.allowed or not (math.isfinite(high - low) and low < high):
+        return S
+    x, lam = arc.state(t), arc.costate(t)
+    sides = arc.control(t), arc.control(t)
+    sides[0][at], sides[1][at] = low, high
+    chord = np.abs(chords(arc, at, control, x, sides, lam))
+    return np.where(chord < (1 - _BENT) * S, chord, S)
 
 
 def _step(arc: Arc, end: EndSwitch) -> float:

@@ -21,6 +21,7 @@ from perilune.problem.controls import Bounded, Settled, scalars
 from perilune.problem.problem import Problem
 from perilune.problem.rates import acts_linearly
 from perilune.problem.solution import Solution
+from perilune.problem.unpriced import priced_rates
 from perilune.structures.structure import Regimes, Structure
 from perilune.words.types import Vector
 
@@ -49,14 +50,18 @@ class Stay:
 
 
 def linear_scalars(problem: Problem, k: int) -> list[tuple[int, Bounded]]:
-    """Scalars of phase k with two bounds that enter the dynamics linearly and no condition of the path."""
+    """Scalars of phase k with two bounds that enter the dynamics linearly and no condition of the path.
+
+    In rates of states whose costates vanish identically they may stand in any way.
+    """
     phase = problem.phases[k]
     functions = [problem.form.expressions.get((k, name)) for name in ("path", "held")]
+    dynamics = problem.form.expressions[k, "dynamics"]
     return [
         (at, control)
         for at, control in scalars(phase.controls)
         if control.bounded
-        and acts_linearly(problem.form.expressions[k, "dynamics"], control.name)
+        and any(acts_linearly(rates, control.name) for rates in (dynamics, priced_rates(problem, k)))
         and not any(f is not None and ("u", control.name) in f.tape.instructions for f in functions)
     ]
 
