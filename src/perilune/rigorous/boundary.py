@@ -378,9 +378,13 @@ class _Stating:
 
     def _switching(self, i: int, scalar: Scalar) -> Expression:
         """What vanishes where a scalar leaves its regime: dH/du on a bound, between them the distance to the bound."""
+        follows = self.pieces[i + 1].regimes[scalar.control.name]
         if scalar.regime != "interior":
+            if follows != "interior" and not scalar.curvature.vanishes():
+                what = f"H bends in {scalar.control.name}, which jumps from bound to bound"
+                raise Unsupported(f"{what}: level 5 knows such jumps only where H is linear in it")
             return scalar.slope
-        limit = scalar.limits[self.pieces[i + 1].regimes[scalar.control.name] == "upper"]
+        limit = scalar.limits[follows == "upper"]
         assert limit is not None  # else it would not be on it
         return scalar.value - limit
 

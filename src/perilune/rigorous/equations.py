@@ -8,7 +8,8 @@ scalars that are on no bound, these are states w behind the costate: dH/dw = 0 w
 
     w' = -(H_ww)^-1 (dH/dw)_z z'
 
-keeps it so, all along.
+keeps it so, all along. A state that nothing asks for has no costate, lambda = 0 being what lambda' = -dH/dx and
+lambda(T) = 0 say: where its rate bends H in controls on their bounds these are chosen by H without it.
 """
 
 from __future__ import annotations
@@ -193,8 +194,12 @@ class Reader:
             f = [lasting * rate for rate in f]
         f = graph.substitute(f, known)
         limits = {name: (_put(graph, low, known), _put(graph, high, known)) for name, (low, high) in limits.items()}
-        H = sum((z[half + i] * rate for i, rate in enumerate(f)), graph.constant(0))
-        control, strengths, reduced, joint, implicit = _control(graph, phase, H, regimes, limits, 2 * half)
+        terms = [z[half + i] * rate for i, rate in enumerate(f)]
+        H, idle = sum(terms, graph.constant(0)), self._unpriced(k, f, z)
+        # For the control, which is on a bound in each of these rates, H is what it is with their costates zero.
+        bent = {i for i in idle if _bends(graph, f[i], phase, regimes)}
+        told = H if not bent else sum((term for i, term in enumerate(terms) if i not in bent), graph.constant(0))
+        control, strengths, reduced, joint, implicit = _control(graph, phase, told, regimes, limits, 2 * half)
         # A free parameter moves what is on a bound that it holds; what is not moves by the minimum, without effect.
         held = {
             ("u", c.name): control["u", c.name] for _, c in scalars(phase.controls) if regimes[c.name] != "interior"
@@ -207,7 +212,7 @@ class Reader:
         rates += _kept(graph, stationary, rates)
         found = []
         for _, one in scalars(phase.controls):
-            slope = graph.gradient(H, [("u", one.name)])[0]
+            slope = graph.gradient(told, [("u", one.name)])[0]
             curvature = graph.gradient(slope, [("u", one.name)])[0]
             slope, curvature = graph.substitute([slope, curvature], control)
             found.append(Scalar(control=one, regime=regimes[one.name], value=control["u", one.name],
@@ -217,6 +222,23 @@ class Reader:
             implicit=implicit, stationary=tuple(stationary), reduced=reduced, rates=tuple(rates),
             hamiltonian=graph.substitute([H], control)[0], control=control, scalars=tuple(found), strengths=strengths,
         )  # fmt: skip
+
+    def _unpriced(self, k: int, f: Sequence[Expression], z: Sequence[Expression]) -> set[int]:
+        """Return the places of states that nothing asks for, whose costates vanish: lambda' = -H_x, lambda(T) = 0.
+
+        No condition and no bound has them, nor what follows the phase, nor the rate of a state that something asks for.
+        """
+        problem, phase = self.problem, self.problem.phases[k]
+        x, free = z[: len(f)], {name: self.graph.input(("p", name)) for name in problem.free_names}
+        u = [self.graph.input(("u", name)) for name in phase.control_names]
+        behind = "objective" if k + 1 == len(problem.phases) else ("links", k)
+        asking = [behind, *(key for name in ("end", "path") if (key := (k, name)) in problem.form.expressions)]
+        asked = [e for key in asking for e in self.function(key, x, u, free, phase)]
+        read = set[Any]().union(*(e.inputs() for e in asked))
+        read |= {("z", i) for i, state in enumerate(phase.states) if state.ranged}
+        while more := set[Any]().union(*(rate.inputs() for i, rate in enumerate(f) if ("z", i) in read)) - read:
+            read |= more
+        return {i for i in range(len(f)) if ("z", i) not in read}
 
     def _limits(self, control: Bounded, free: Mapping[str, Expression]) -> tuple[Expression | None, Expression | None]:
         if isinstance(control, Settled):
@@ -228,6 +250,13 @@ class Reader:
             return None if abs(stated) == float("inf") else self.graph.constant(stated)
 
         return limit(control.lower), limit(control.upper)
+
+
+def _bends(graph: Graph, rate: Expression, phase: Phase, regimes: Regimes) -> bool:
+    """Whether a rate is not linear in the controls together, and all that are in it are on their bounds."""
+    keys = {("u", name) for name in phase.control_names} & rate.inputs()
+    held = all(regimes.get(name, "interior") != "interior" for _, name in keys)
+    return held and any(keys & slope.inputs() for slope in graph.gradient(rate, [*keys]))
 
 
 def _put(graph: Graph, limit: Expression | None, known: Mapping[Any, Expression]) -> Expression | None:

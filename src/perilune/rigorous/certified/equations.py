@@ -226,18 +226,21 @@ class Equations:
         moved = dict(zip(self.stay[k], z[n:half], strict=True))
         f = self.traced(f"dynamics {k}", k, z, u, moved)
         demand(len(f) == n, f"{phase['name']} has not as many rates as states")
+        idle = self.unpriced(k, f, z, u)  # their costates vanish, as lambda' = -H_x and lambda(T) = 0 say
+        bent = {j for j in idle if self.bends(f[j], u, regimes)}  # so that the control is chosen by H without them
         H = dot(z[half : half + n], f)
+        told = H if not bent else dot(z[half : half + n], [ZERO if j in bent else rate for j, rate in enumerate(f)])
         scalars = {c["name"]: c for c in phase["controls"] if c["kind"] != "direction"}
         directions, found = [c for c in phase["controls"] if c["kind"] == "direction"], dict[str, Any]()
-        curved, factors, joint = self.curved(H, u, scalars, directions)
+        curved, factors, joint = self.curved(told, u, scalars, directions)
 
         def at(values: dict[str, Any], *outputs: Any) -> list[Any]:
             return put(outputs, {u[name]: value for name, value in values.items()})
 
         for c in directions:  # a scalar that multiplies it does not turn it
-            g = at(dict.fromkeys(scalars, 1), *gradient(H, [u[name] for name in c["names"]]))
+            g = at(dict.fromkeys(scalars, 1), *gradient(told, [u[name] for name in c["names"]]))
             found |= {name: -own / made("sqrt", dot(g, g)) for name, own in zip(c["names"], g, strict=True)}
-        of_scalars, *pulls = at(found, H, *gradient(H, [u[name] for name in scalars]))
+        of_scalars, *pulls = at(found, told, *gradient(told, [u[name] for name in scalars]))
         held = {name: self.limit(c[regimes[name]], moved) for name, c in scalars.items() if regimes[name] != "interior"}
         w = {name: symbol() for name in scalars if joint and name not in held}
         known = {**held, **w}
@@ -265,6 +268,29 @@ class Equations:
             "signed": [*signs], "signs": [*signs.values()], "limits": limits, "H": at(found, H)[0],
             "joint": (of_scalars, {name: u[name] for name in scalars}, self.ranges(scalars, moved)) if joint else None,
         }  # fmt: skip
+
+    def bends(self, rate: Expression, u: dict[str, Any], regimes: dict[str, str]) -> bool:
+        """Whether a rate is not linear in the controls together, and all that are in it are on their bounds."""
+        slopes = dict(zip(u, gradient(rate, [*u.values()]), strict=True))
+        held = all(slope is ZERO or regimes.get(name, "interior") != "interior" for name, slope in slopes.items())
+        return held and any(d is not ZERO for slope in slopes.values() for d in gradient(slope, [*u.values()]))
+
+    def unpriced(self, k: int, f: Expressions, z: Expressions, u: dict[str, Any]) -> set[int]:
+        """States of a phase in no condition, no bound, nothing behind it, and no rate of a state that is in one."""
+        behind = f"links {k}" if k + 1 < len(self.phases) else "objective"
+        asked = [e for name in (f"end {k}", behind) for e in self.traced(name, k, z, {}, self.q)]
+        asked += self.traced(f"path {k}", k, z, u, self.q)
+        told = self.phases[k]["states"]
+        bounded = {j for j, own in enumerate(told) if own["lower"] is not None or own["upper"] is not None}
+
+        def read(outputs: Expressions) -> set[int]:
+            slopes = [gradient(e, z[: len(f)]) for e in outputs]
+            return {j for own in slopes for j, slope in enumerate(own) if slope is not ZERO}
+
+        priced = bounded | read(asked)
+        while more := read([f[j] for j in priced]) - priced:
+            priced |= more
+        return {*range(len(f))} - priced
 
     def ranges(self, scalars: dict[str, Any], moved: dict[str, Any]) -> list[Expression]:
         """Both bounds of each scalar."""
