@@ -19,8 +19,8 @@ import numpy as np
 
 from perilune.conditions.control_law import ControlLaw, minimising_control
 from perilune.conditions.held import Held, held_back, held_multipliers, keepable
-from perilune.conditions.scalars import Terms
 from perilune.conditions.singular import Motion
+from perilune.conditions.weighing import terms_of, weighing
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
 from perilune.problem.neighbours import offsets, unmoved
@@ -187,7 +187,7 @@ def canonical_equations(
         return ca.Function(name, [symbol, numbers], ca.cse([ca.substitute(e, z, symbol) for e in expressions]))
 
     laws, flows, solved, sides, reports, multipliers = [], [], [], [], [], []
-    weights = _weights(phase, dynamics, u, lam[:n], unpriced)
+    weights = weighing(phase, dynamics, u, lam[:n], unpriced)
     for f in dynamics.rates:
         hamiltonian = ca.dot(weights, f)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
@@ -211,7 +211,8 @@ def canonical_equations(
         motion = Motion(
             z=z, rate=lambda control, *mode, moving=moving: ca.substitute(moving(control, *mode), u, control)
         )
-        law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion, _terms(phase, weights, f, costs))
+        terms = terms_of(phase, weights, f, costs)
+        law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion, terms)
         sides += [ca.Function("rates", [x, u, p.given, p.free], [f])] * len(law.control)
         each = zip(law.control, law.room, law.solved, law.held, law.regimes, strict=True)
         for control, room, found, held, regimes in each:
@@ -248,30 +249,6 @@ def canonical_equations(
         state_count=n,
         constants=constants,
     )
-
-
-def _weights(phase: Phase, dynamics: Kinked, u: ca.SX, lam: ca.SX, unpriced: frozenset[str]) -> ca.SX:
-    """Return the costates, with zero for unpriced states that alone bend H in some control, or in a pair of them.
-
-    What they leave is linear there, as it is on every extremal; elsewhere a factor that vanishes does no harm.
-    """
-    idle = [i for i, name in enumerate(phase.state_names) if name in unpriced]
-    if not idle or not u.numel():
-        return lam
-
-    def bends(states: list[int]) -> set[tuple[int, int]]:
-        rates = ca.vertcat(ca.SX(0, 1), *(f[i] for f in dynamics.rates for i in states))
-        slopes = ca.jacobian(rates, u)
-        return {(i, j) for i in range(u.numel()) for j in ca.jacobian_sparsity(slopes[:, i], u).get_triplet()[1]}
-
-    others = bends([i for i in range(lam.numel()) if i not in idle])
-    dropped = [i for i in idle if bends([i]) - others]
-    return ca.vertcat(*(ca.SX(0) if i in dropped else lam[i] for i in range(lam.numel())))
-
-
-def _terms(phase: Phase, weights: ca.SX, f: ca.SX, costs: frozenset[str]) -> Terms:
-    positive = ca.vertcat(ca.SX(0, 1), *(weights[i] for i, name in enumerate(phase.state_names) if name in costs))
-    return Terms(size=ca.sum1(ca.fabs(weights * f)), positive=positive)
 
 
 def _loses(flows: list[ca.SX], z: ca.SX) -> bool:

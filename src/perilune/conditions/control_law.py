@@ -35,7 +35,7 @@ from perilune.problem.controls import Regime, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
 
-_UNKNOWN = Terms(size=ca.SX(0.0), positive=ca.SX(0, 1))
+_UNKNOWN_TERMS = Terms(size=ca.SX(0.0), positive=ca.SX(0, 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ def minimising_control(
     kept: Mapping[str, ca.SX] = MappingProxyType({}),
     always: Mapping[str, ca.SX] = MappingProxyType({}),
     motion: Motion | None = None,
-    terms: Terms = _UNKNOWN,
+    terms: Terms = _UNKNOWN_TERMS,
 ) -> ControlLaw:
     """The control that minimises H.
 

@@ -28,11 +28,12 @@ _GRID = {1: 17, 2: 9}
 _STEPS = 7  # from a grid point the error squares each time; one more step is taken where it is differentiated
 _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
 _BEYOND = 0.1  # of a step of the grid: so far beyond the bounds conditions are looked for
-_SHARES, _STRAIGHT = (0.21, 0.5, 0.83), 1e-9  # of a range; of the terms of H: it bends less in what does not bend it
+_BETWEEN_BOUNDS = (0.21, 0.5, 0.83)  # of a range: where it is seen how H bends
+_ROUNDED_BEND = 1e-9  # of the terms of H: what bends it by less does not bend it
 _MET = 1e-6  # canonical: a control so near to a held condition holds it, and Newton's method has found it
 
 FREE: tuple[Regime, ...] = ("interior", "held")  # not on a bound
-_NONE = ca.SX(0, 1)
+_NO_COSTATES = ca.SX(0, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +68,7 @@ class Scalar:
 
     def __init__(
         self, phase: Phase, at: int, control: Bounded, H: ca.SX, u: ca.SX, limits: tuple[ca.SX, ca.SX],
-        *, acts: bool, positive: ca.SX = _NONE,
+        *, acts: bool, positive: ca.SX = _NO_COSTATES,
     ) -> None:  # fmt: skip
         self.at, self.control, self.limits, self.symbol = at, control, limits, u[at]
         self.slope = ca.gradient(H, u[at])
@@ -122,10 +123,10 @@ class Bend:
             moved[kind.at] = value
             return ca.substitute(of, u, moved)
 
-        (low, high), rounding = (at(limit) for limit in kind.limits), _STRAIGHT * ca.substitute(size, u, control)
+        (low, high), rounding = (at(limit) for limit in kind.limits), _ROUNDED_BEND * ca.substitute(size, u, control)
         self.gain, least = high - low, ca.fmin(low, high)
         self.none, self.hollow = ca.SX(1.0), ca.SX(0.0)
-        for share in _SHARES:
+        for share in _BETWEEN_BOUNDS:
             here = at(kind.limits[0] + share * (kind.limits[1] - kind.limits[0]))
             self.none = ca.logic_and(self.none, ca.fabs(here - low - share * self.gain) <= rounding)
             self.hollow = ca.logic_or(self.hollow, here < least - rounding)

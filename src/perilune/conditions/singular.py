@@ -59,10 +59,12 @@ def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -
         switches (Fuller), which no list of arcs holds.
     """
     by_control = ca.jacobian(rate, s)
-    if ca.depends_on(by_control, s):
-        raise _no_arc(name, "the rates are not linear in it")
+    bent = [i for i in range(rate.numel()) if ca.depends_on(by_control[i], s)]
+    by_control[bent] = 0  # of what only counts: where it has an effect the arc is refused
     without = ca.substitute(rate, s, 0)
     for order in range(1, MOST + 1):
+        if any(ca.depends_on(slope, z[i]) for i in bent):
+            raise _no_arc(name, "the rates are not linear in it")
         terms = ca.gradient(slope, z) * by_control
         slope = ca.dot(ca.gradient(slope, z), without)
         if not _vanishes(terms):

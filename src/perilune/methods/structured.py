@@ -35,6 +35,7 @@ from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.structures.carry import Joined, joined, split, timed
+from perilune.structures.chattering import chattering
 from perilune.structures.leaving import worth_riding
 from perilune.structures.read import (
     NEAR,
@@ -59,6 +60,7 @@ _EXACT = 1e-7  # the same of what a neighbour begins with, which is on it or is 
 _BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
 _ROUGH = 1e-2  # relative mesh error from which on a finer mesh is asked first
 _FINE = 1e-3  # relative mesh error up to which a finer one tells no more
+_WITHOUT_NEWTON = 1e-8  # relative mesh error up to which a flight of a structure is one without Newton's method
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
 
@@ -84,12 +86,13 @@ class Polish:
     tried: list[str]
     guessed: bool = False
     brief: bool = False
+    chattering: Solution | None = None  # along a structure of which no flight is the best
 
     def run(self, rough: Solution) -> Solution | None:
         """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
         found = self._first(rough)
         alone = self.guessed or self.brief or is_neighbour(self.problem) or not bounded_parameters(self.problem)
-        return found if found is None or alone else self._best_along_families(found)
+        return found if found is None or alone or self.chattering is not None else self._best_along_families(found)
 
     def _first(self, rough: Solution) -> Solution | None:
         if (found := self._known_by_arcs(rough)) is not None:
@@ -168,6 +171,8 @@ class Polish:
                     if answer is not None:
                         return answer
             except PeriluneError as error:
+                if self.chattering is not None:
+                    return self._composed(joined(self.problem, self.chattering, structure))
                 self.tried.append(f"structure {structure.text}: {error.what}")
                 return None
             rough, structure = whole, revised
@@ -250,6 +255,7 @@ class Polish:
             meshes.insert(0, partial(Pseudospectral(segments=4, nodes=5, refine=0).near, close=True))
         # Most answers are near enough as they are; from others it leaps to an extremal of another structure.
         for mesh in (None,) if self.brief else (None, *meshes):
+            start = guess
             try:
                 search = Search(self.settings, guess.problem, self.watch)  # which says where there is no control law
                 start = guess if mesh is None else mesh(guess, self.watch)
@@ -257,11 +263,20 @@ class Polish:
                 solved = search.solve(start)
             except PeriluneError as error:
                 failure = error
+            else:
+                yield solved
+                found = True
+                if mesh is not None or self.guessed:
+                    return
                 continue
-            yield solved
-            found = True
-            if mesh is not None or self.guessed:
-                return
+            exact = mesh is not None and start.statistics.residual < _WITHOUT_NEWTON
+            if exact and (name := chattering(start)) is not None:
+                self._say(
+                    f"structure {structure.text}: no best flight exists (chattering), as {name} switching to and fro "
+                    "between its bounds along it lowers J, the faster the more: a flight along it, which is no extremal"
+                )
+                self.chattering = start
+                break
         if failure is not None and not found:
             raise failure
 

@@ -22,7 +22,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.rates import rate, run
 from perilune.problem.tape import ROLES, Expression, Recorder, operands
 
-_CONDITIONS = ("end", "path", "held")  # functions of a phase that say what a flight has to do
+_ASKING = ("end", "path", "held")  # functions of a phase that say what a flight has to do
 
 
 def unpriced_states(problem: Problem) -> tuple[frozenset[str], ...]:
@@ -37,13 +37,13 @@ def unpriced_states(problem: Problem) -> tuple[frozenset[str], ...]:
     found = list[frozenset[str]]()
     for k in reversed(range(len(problem.phases))):
         phase = problem.phases[k]
-        priced = set[str]().union(*(_read(expressions.get((k, name))) for name in _CONDITIONS))
+        priced = set[str]().union(*(_states_read(expressions.get((k, name))) for name in _ASKING))
         if k + 1 == len(problem.phases):
-            priced |= _read(expressions["objective"])
+            priced |= _states_read(expressions["objective"])
         else:
             after = [s.name not in found[-1] for s in problem.phases[k + 1].states]
-            priced |= _read(expressions["links", k], after)
-        rates = _inputs(expressions[k, "dynamics"])
+            priced |= _states_read(expressions["links", k], after)
+        rates = _states_by_value(expressions[k, "dynamics"])
         while True:
             more = {x for s, own in zip(phase.state_names, rates, strict=True) if s in priced for x in own} - priced
             if not more:
@@ -59,16 +59,16 @@ def cost_states(problem: Problem) -> tuple[frozenset[str], ...]:
     found = list[frozenset[str]]()
     for k in reversed(range(len(problem.phases))):
         phase = problem.phases[k]
-        rates = zip(phase.state_names, _inputs(expressions[k, "dynamics"]), strict=True)
+        rates = zip(phase.state_names, _states_by_value(expressions[k, "dynamics"]), strict=True)
         read = set[str]().union(*(own for name, own in rates if name not in idle[k]))
-        read = read.union(*(_read(expressions.get((k, name))) for name in _CONDITIONS))
+        read = read.union(*(_states_read(expressions.get((k, name))) for name in _ASKING))
         last = k + 1 == len(problem.phases)
         after = [True] if last else [s not in idle[k + 1] for s in problem.phases[k + 1].state_names]
         onto = [True] if last else [s in found[-1] for s in problem.phases[k + 1].state_names]
         ahead = expressions["objective"] if last else expressions["links", k]
         own = set[str]()
         for name in {*phase.state_names} - read - idle[k]:
-            slopes = [slope for slope, priced in zip(_slopes(ahead, name), after, strict=True) if priced]
+            slopes = [slope for slope, priced in zip(_numeric_slopes(ahead, name), after, strict=True) if priced]
             costs = [cost for cost, priced in zip(onto, after, strict=True) if priced]
             if all(
                 slope == 0 or (slope is not None and slope > 0 and cost)
@@ -82,18 +82,20 @@ def cost_states(problem: Problem) -> tuple[frozenset[str], ...]:
 def priced_rates(problem: Problem, k: int) -> Expression:
     """Return the rates of the states of phase k whose costates do not vanish identically."""
     dynamics, idle = problem.form.expressions[k, "dynamics"], unpriced_states(problem)[k]
-    return dynamics if not idle else _without(dynamics, tuple(s not in idle for s in problem.phases[k].state_names))
+    return (
+        dynamics if not idle else _rates_without(dynamics, tuple(s not in idle for s in problem.phases[k].state_names))
+    )
 
 
 @lru_cache(maxsize=64)
-def _without(dynamics: Expression, priced: tuple[bool, ...]) -> Expression:
+def _rates_without(dynamics: Expression, priced: tuple[bool, ...]) -> Expression:
     recorder = Recorder()
     values = [rate for rate, own in zip(run(dynamics, recorder), priced, strict=True) if own]
     return Expression(recorder.tape(values), dynamics.roles, origin=dynamics.origin)
 
 
 @lru_cache(maxsize=256)
-def _slopes(expression: Expression, state: str) -> tuple[float | None, ...]:
+def _numeric_slopes(expression: Expression, state: str) -> tuple[float | None, ...]:
     """Derivatives of the values of an expression by a state, as far as they are numbers."""
     names = sorted({op[1] for op in expression.tape.instructions if op[0] == "x"} | {state})
     recorder = Recorder()
@@ -103,16 +105,16 @@ def _slopes(expression: Expression, state: str) -> tuple[float | None, ...]:
     return tuple(float(op[1]) if op[0] == "const" else None for op in found)
 
 
-def _read(expression: Expression | None, wanted: list[bool] | None = None) -> set[str]:
+def _states_read(expression: Expression | None, wanted: list[bool] | None = None) -> set[str]:
     """Names of the states that an expression reads, for its `wanted` values."""
     if expression is None:
         return set()
-    each = _inputs(expression)
+    each = _states_by_value(expression)
     return set().union(*(own for i, own in enumerate(each) if wanted is None or wanted[i]))
 
 
 @lru_cache(maxsize=256)
-def _inputs(expression: Expression) -> tuple[frozenset[str], ...]:
+def _states_by_value(expression: Expression) -> tuple[frozenset[str], ...]:
     """Names of the states that each value of an expression reads."""
     found = list[frozenset[str]]()
     for operation in expression.tape.instructions:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 
 from perilune.problem.controls import Bounded
+from perilune.problem.unpriced import unpriced_states
 from perilune.proof.arc import Arc
 from perilune.structures.structure import Condition
 from perilune.words.derivatives import COMPLEX, jacobian, stacked
@@ -107,7 +108,10 @@ class Ridden:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether S is of order 1, and the phase's one control, a scalar, is linear in the equations of motion."""
+        """Whether S is of order 1, and the phase's one control, a scalar, is linear in the equations of motion.
+
+        But for states that only count: nothing of the flight is another without them.
+        """
         part, controls = self.part, self.part.phase.controls
         if self.condition.order != 1 or len(controls) != 1 or not isinstance(controls[0], Bounded):
             return False
@@ -117,6 +121,8 @@ class Ridden:
         ]
         tried = np.array([ends[0], 0.5 * (ends[0] + ends[1]), ends[1]])[None, :, None] + 0 * inside.t
         f = part.rates(inside.x[:, None], tried).real
+        idle = unpriced_states(part.problem)[part.index]
+        f = f[[name not in idle for name in part.phase.state_names]]
         bent = np.abs(f[:, 0] - 2 * f[:, 1] + f[:, 2]).max(axis=1)
         return bool((bent <= _STRAIGHT * np.abs(f).max(axis=(1, 2))).all())
 

@@ -39,7 +39,7 @@ from functools import cached_property
 
 import numpy as np
 
-from perilune.problem.controls import placed
+from perilune.problem.controls import placed, scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.arc import Arc, end_slopes, free_size, slopes_at_end
@@ -186,10 +186,14 @@ class Rides:
             for ridden in along:
                 yield from _signs(self, ridden, f"_{ridden.condition.variable.name}" if len(along) > 1 else "")
             if along:
+                value, why = _lowered(along), ""
+                if value > _LEAST and (name := _concave(along[0].part)):
+                    why = f"; H is concave in {name} there: to switch to and fro between its bounds lowers J, the "
+                    why += "faster the more, so that no best flight exists (chattering)"
                 yield Check(
-                    name=f"{along[0].part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=_lowered(along),
+                    name=f"{along[0].part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=value,
                     meaning="most that a control which leaves the arc lowers the Hamiltonian of the multiplier of "
-                    f"{' and '.join(r.condition.name for r in along)} itself (scaled)",
+                    f"{' and '.join(r.condition.name for r in along)} itself (scaled){why}",
                 )  # fmt: skip
 
     def strictly(self, ridden: Ridden, s: float) -> bool:
@@ -320,6 +324,25 @@ def _met(rides: Rides, ridden: Ridden, of: str) -> Check:
         name=f"{part.prefix}met{of}", level=2, unit="1", limit=MET, value=worst,
         meaning=f"{condition.name} and its rates where the flight is said to ride along it (scaled): they vanish",
     )  # fmt: skip
+
+
+def _concave(part: Arc) -> str:
+    """Return the name of a scalar inside its bounds in which H is concave all along, and what is held linear; or ""."""
+    inside = part.sampled
+    x, u, lam = inside.x, inside.u, inside.lam
+    for at, control in scalars(part.phase.controls):
+        lower, upper = (float(limit) for limit in control.limits(part.p))
+        if not (np.isfinite(upper - lower) and ((u[at] > lower) & (u[at] < upper)).all()):
+            continue
+        share, sides = (u[at] - lower) / (upper - lower), [np.array(u), np.array(u)]
+        sides[0][at], sides[1][at] = lower, upper
+        H, S = ([of(value) for value in (u, *sides)] for of in (
+            lambda value: part.hamiltonian(x, value, lam), lambda value: part.held(x, value)))  # fmt: skip
+        drop, bend = (own[0] - (1 - share) * own[1] - share * own[2] for own in (H, S))
+        straight = np.abs(bend) <= _STEADY * (np.abs(S[1]) + np.abs(S[2]))
+        if (drop > _LEAST * part.rate_scale).all() and straight.all():
+            return control.name
+    return ""
 
 
 def _lowered(along: Sequence[Ridden]) -> float:

@@ -50,7 +50,7 @@ from perilune.words.derivatives import jacobian
 from perilune.words.types import Matrix, Vector
 
 STRICT_LIMIT = -1e-4
-_BENT = 1e-6  # of the slope: where H is a straight line in u its chord differs by rounding
+_CHORD_ROUNDING = 1e-6  # of the slope: where H is a straight line in u its chord differs by rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +150,7 @@ def _steepness(arc: Arc, at: int, control: Bounded, t: Vector, S: Vector) -> Vec
     sides = arc.control(t), arc.control(t)
     sides[0][at], sides[1][at] = low, high
     chord = np.abs(chords(arc, at, control, x, sides, lam))
-    return np.where(chord < (1 - _BENT) * S, chord, S)
+    return np.where(chord < (1 - _CHORD_ROUNDING) * S, chord, S)
 
 
 def _step(arc: Arc, end: EndSwitch) -> float:

@@ -197,7 +197,7 @@ class Reader:
         terms = [z[half + i] * rate for i, rate in enumerate(f)]
         H, idle = sum(terms, graph.constant(0)), self._unpriced(k, f, z)
         # For the control, which is on a bound in each of these rates, H is what it is with their costates zero.
-        bent = {i for i in idle if _bends(graph, f[i], phase, regimes)}
+        bent = {i for i in idle if _bends_on_bounds(graph, f[i], phase, regimes)}
         told = H if not bent else sum((term for i, term in enumerate(terms) if i not in bent), graph.constant(0))
         control, strengths, reduced, joint, implicit = _control(graph, phase, told, regimes, limits, 2 * half)
         # A free parameter moves what is on a bound that it holds; what is not moves by the minimum, without effect.
@@ -252,7 +252,7 @@ class Reader:
         return limit(control.lower), limit(control.upper)
 
 
-def _bends(graph: Graph, rate: Expression, phase: Phase, regimes: Regimes) -> bool:
+def _bends_on_bounds(graph: Graph, rate: Expression, phase: Phase, regimes: Regimes) -> bool:
     """Whether a rate is not linear in the controls together, and all that are in it are on their bounds."""
     keys = {("u", name) for name in phase.control_names} & rate.inputs()
     held = all(regimes.get(name, "interior") != "interior" for _, name in keys)
