@@ -269,7 +269,7 @@ def interface(rng: np.random.Generator) -> Change | None:
     if not -3.4 < math.degrees(angle) < -0.55:
         return None
     return Change(
-        value=angle, open_side=-1, objective=free.objective, words=problem.title,
+        value=angle, open_side=1, objective=free.objective, words=problem.title,
         problem_at=lambda value: problem.with_given(interface_angle_upper=value),
     )  # fmt: skip
 

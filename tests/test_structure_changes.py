@@ -148,3 +148,26 @@ def test_closer_looks_end_where_there_is_nothing_to_see() -> None:
     both = closer(t, (t - 0.2012) ** 2 * (t - 0.7013) ** 2, 1e-12)
     assert np.ptp(both) > 0.4 and len(both) == 66  # two places, each its own looks
     assert len(closer(t, t * (t - 1e-3), 1e-12)) == 33  # from the limit down and up again between the first two looks
+
+
+def test_an_atlas_answers_where_a_tilt_begins_to_bind_beside_a_touch(tmp_path: Path) -> None:
+    """Each was refused for a touch that broke the tilt: no point solved by the survey has both, so no touch kept it.
+
+    The masses are those of `perilune.solve` there, each PROVED 3.
+    """
+    region = {"approach_east": (-3000.0, -1000.0), "corridor_slope": (0.2, 0.55)}
+    directory = pl.atlas.build(load_file(str(EXAMPLE)).problem, region, tmp_path / "slopes", bricks=2, sample=0)
+    atlas = pl.atlas.open(directory)
+    landed = {
+        (-2944.881773513863, 0.2879436523598786): 1901.009571222,  # the tilt alone
+        (-2788.157526585351, 0.32228452560523346): 1903.531052518,  # both
+        (-2274.6062858843034, 0.33440539647195844): 1912.124072936,
+    }
+    for (east, slope), mass in landed.items():
+        assert -atlas.query(approach_east=east, corridor_slope=slope).objective == pytest.approx(mass, abs=1e-7)
+    solved = pl.solve(load_file(str(EXAMPLE), ("approach.east=-2788.157526585351 m",)).problem.with_given(
+        corridor_slope=0.32228452560523346
+    ))  # fmt: skip
+    assert -solved.objective == pytest.approx(1903.531052518, abs=1e-7) and solved.verification.level == 3
+    with pytest.raises(pl.InfeasibleError, match="begins below the glide slope"):
+        atlas.query(approach_east=-2711.68, corridor_slope=0.47708)

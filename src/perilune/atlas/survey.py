@@ -29,6 +29,7 @@ from perilune.atlas.sheets import Borders, Sheet, held_at
 from perilune.atlas.solving import Solved, Solving
 from perilune.atlas.walking import MOST, carried, carried_on, from_one, reached_at, walked
 from perilune.atlas.wells import other_wells, wells_around
+from perilune.conditions.pontryagin import keepable_conditions
 from perilune.methods.indirect import Indirect
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
@@ -116,8 +117,8 @@ class Survey:
         """
         solving = Solving(self.problem, self.region, self.method, self.watch, self._widths, self.notes)
         solved, (_, corners) = solving.run(), self.region.corners()
-        charts = [found for course, own in _courses(solved) if (found := self._found(course, own, corners)).sheets]
-        if not charts:
+        courses = _courses(self.problem, self.region.names, solved)
+        if not (charts := [found for one in courses if (found := self._found(*one, corners)).sheets]):
             raise PeriluneError(
                 "there is nothing to map",
                 got="; ".join(self.notes)[:300] or "extremals that Newton's method does not follow from where they are",
@@ -294,16 +295,19 @@ class Survey:
         return None
 
 
-def _courses(solved: Sequence[Solved]) -> Iterator[tuple[Course, list[Solved]]]:
-    """What is gone through, and who does.
+def _courses(
+    problem: Problem, varied: Sequence[str], solved: Sequence[Solved]
+) -> Iterator[tuple[Course, list[Solved]]]:
+    """Yield each course, and the answers that go through it.
 
     A control that keeps a condition flies as one that does not wherever that is not in its way, so that what some keep
-    all do.
+    all do, of other arcs too.
     """
+    every = dict.fromkeys(name for one in solved for name in one.course.keep)
     for text in dict.fromkeys(one.course.text for one in sorted(solved, key=lambda one: bool(one.course.text))):
         alike = [one for one in solved if one.course.text == text]
-        keep = tuple(dict.fromkeys(name for one in alike for name in one.course.keep))
-        yield replace(alike[0].course, keep=keep), alike
+        keepable = keepable_conditions(alike[0].course.restated(problem, varied)) if every else ()
+        yield replace(alike[0].course, keep=tuple(name for name in every if name in keepable)), alike
 
 
 def _backwards(borders: Borders, corners: Matrix, there: Matrix, values: Vector, y: Vector) -> bool:
@@ -330,10 +334,7 @@ def _at_ends(
 
 
 def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
-    """Whether an extremal has no side of folds: a switch exactly at a joint is there or not as rounding has it.
-
-    So it is where a control rides whose slope of H vanishes as the next arc begins, and that arc says of no bound.
-    """
+    """Whether an extremal has no side of folds: a switch exactly at a joint is there or not as rounding has it."""
     rng, again = np.random.default_rng(0), np.zeros(_AGAIN, dtype=np.int64)
     y = found.y[again] * (1.0 + _ROUNDING * rng.uniform(-1.0, 1.0, (_AGAIN, found.y.shape[1])))
     choice = found.roots.choice[again]
