@@ -7,10 +7,15 @@ import sys
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import numpy as np
 import pytest
 
 from perilune.cli import run
+from perilune.scenario import load_file
+from perilune.shooting.newton import Columns, newton, rows
+from perilune.words.outcome import PeriluneError
 
 ROOT = Path(__file__).parent.parent
 CAPSULE = str(ROOT / "examples" / "maps" / "capsule.toml")
@@ -49,6 +54,10 @@ def test_what_is_a_failure_is_seen(fuzz: ModuleType) -> None:
         # Beyond where the ground turns as fast as it flies, there is no speed at the interface.
         (["interface.altitude=1e6 km"], 3, "the orbit comes down into the air by itself"),
         (["interface.altitude=1e15 m"], 3, "the orbit comes down into the air by itself"),
+        # Of air that grows by e with each scale height down there is no end of it.
+        (["site.altitude=-92617097280162.69 km"], 2, "site.altitude is deeper than any valley"),
+        (["site.altitude=-6300 km"], 2, "site.altitude is deeper than any valley"),
+        (["site.altitude=-600 km", "atmosphere.scale_height=100 m"], 0, ""),
         # No air is left where the entry ends: a steady fall has no speed.
         (["atmosphere.scale_height=4e-7 m"], 3, "no entry without lift arrives as slowly"),
         (["atmosphere.density=1e-30 kg/m^3"], 3, "no entry without lift arrives as slowly"),
@@ -62,3 +71,26 @@ def test_numbers_that_no_fall_bears_are_refused_in_words(
     assert said in told.err
     assert "Warning" not in told.err
     assert not recwarn.list
+
+
+def test_a_problem_whose_flight_ends_below_the_centre_is_refused_without_a_file_too(
+    recwarn: pytest.WarningsRecorder,
+) -> None:
+    problem = load_file(Path(CAPSULE)).problem
+    with pytest.raises(PeriluneError, match="below the centre of the body"):
+        problem.with_given(site_altitude=-6.5e6)
+    assert not recwarn.list
+
+
+def test_newton_gives_up_a_step_that_no_damping_makes_useful() -> None:
+    """Each flight from so far away takes all the steps that it may, and 19 of them took a third of a minute."""
+    asked = list[float]()
+
+    def nearly_singular(lanes: Any, y: Any, accuracy: Any, old: Any) -> Any:
+        asked.append(float(y[0, 0]))
+        slope = 1e-9  # of a function whose root is far from being next to this start
+        return rows(y, np.ones((1, 1)), np.full((1, 1, 1), slope), old, np.zeros((1, 0)))
+
+    ends = newton(nearly_singular, np.zeros((1, 1)), Columns(n=1))
+    assert not ends.converged[0]
+    assert asked == [0.0]

@@ -27,6 +27,8 @@ from functools import cached_property
 from types import MappingProxyType, SimpleNamespace
 from typing import Any, get_args
 
+import numpy as np
+
 from perilune.problem.checks import HOOKS, check_free, check_given, check_homogeneous, check_parts, check_structure
 from perilune.problem.controls import Control, scalars
 from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_expressions, trace
@@ -146,7 +148,9 @@ class Problem(ShownProblem, SimulatedProblem):
 
     def take_ranges(self) -> None:
         """Let the free parameters have the ranges that follow from the given ones; of one that is being made."""
-        if self.ranges is not None:
+        if self.ranges is None:
+            return
+        with np.errstate(all="ignore"):  # what is no number is refused by name, where the free parameter is made
             found = self.ranges(self.parameters({}), NUMERIC)
             free = (
                 replace(f, lower=r[0], upper=r[1], typical=r[2]() if callable(r[2]) else r[2])

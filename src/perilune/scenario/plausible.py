@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from perilune.models.bodies import Body, UniformGravity, known_like
-from perilune.models.deorbit.records import Interface, Returner
-from perilune.models.descent import Ignition
+from perilune.models.deorbit.records import Interface, Landing, Returner
+from perilune.models.descent import Ignition, Site
 from perilune.models.landing import LandingSite, Orbit
 from perilune.models.precision import Approach
 from perilune.models.vehicle import Vehicle
@@ -39,8 +39,10 @@ def refuse_slips(records: Mapping[str, Any]) -> None:
     if isinstance(approach := records.get("approach"), Approach):
         for name in ("east", "north", "up"):
             _check_away(f"approach.{name}", getattr(approach, name), body)
-    if isinstance(landing := records.get("landing"), LandingSite):
-        _check_site(landing, body)
+    for name, kinds in (("landing", LandingSite), ("site", Site | Landing)):
+        place: Any = records.get(name)
+        if isinstance(place, kinds) and isinstance(body, Body):
+            _check_site(f"{name}.altitude", place.altitude, body)
     if isinstance(interface := records.get("interface"), Interface):
         _check_interface(interface, body)
     if isinstance(vehicle := records.get("vehicle"), Vehicle | Returner):
@@ -110,11 +112,11 @@ def _check_away(key: str, way: float, body: Body | UniformGravity) -> None:
         )
 
 
-def _check_site(landing: LandingSite, body: Body) -> None:
-    if landing.altitude < -DEEPEST_SITE * body.radius:
+def _check_site(key: str, altitude: float, body: Body) -> None:
+    if altitude < -DEEPEST_SITE * body.radius:
         _refuse(
-            "landing.altitude is deeper than any valley",
-            got=f"{landing.altitude / 1e3:g} km",
+            f"{key} is deeper than any valley",
+            got=f"{altitude / 1e3:g} km",
             expected=f"at least {-DEEPEST_SITE * body.radius / 1e3:.3g} km",
             advice="altitudes are above the radius of the body; look for km in place of m",
         )

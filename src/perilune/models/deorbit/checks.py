@@ -88,6 +88,15 @@ def refuse_out_of_order(interface: Interface, site: Landing | None, parachute: P
             )  # fmt: skip
 
 
+def refuse_below_centre(altitude: float, radius: float) -> None:
+    """Refuse a flight that would end below the centre of the body, altitude and radius in m."""
+    if not altitude > -radius:
+        raise PeriluneError(
+            "an altitude lies below the centre of the body", got=f"{altitude / 1e3:g} km",
+            expected=f"above {-radius / 1e3:g} km", advice="altitudes are above the radius of the body",
+        )  # fmt: skip
+
+
 def refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | None) -> None:
     """Refuse air of which nothing is known somewhere on the way: a table goes on beyond its ends, but says nothing."""
     if air is None or site is None:

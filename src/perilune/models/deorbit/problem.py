@@ -22,7 +22,7 @@ from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
 from perilune.models.deorbit import checks, flight, orbit, parachute as parachutes, times, told
 from perilune.models.deorbit.along import rough_air
-from perilune.models.deorbit.fall import fall
+from perilune.models.deorbit.fall import fall, lowest
 from perilune.models.deorbit.passes import extremes
 from perilune.models.deorbit.preflight import compare_return
 from perilune.models.deorbit.records import (
@@ -196,6 +196,7 @@ def _ranges(
     p: Any, m: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
 ) -> dict[str, tuple[float, float, Callable[[], float]]]:
     """Bounds and orders of magnitude of the times; refuses a manoeuvre where the orbit never comes."""
+    checks.refuse_below_centre(p.interface_altitude if air is None else lowest(p), p.body_radius)
     highest = math.asin(math.sin(p.orbit_inclination))
     low, _ = extremes(p)
     low = m.fmax(low, p.body_radius)  # what is lower is refused as such
