@@ -144,3 +144,9 @@ def test_a_value_is_told_as_people_say_it() -> None:
     assert told(math.radians(30.0), "rad") == "30 deg"
     assert told(-0.6, "1") == "-0.6"
     assert told(1234.5678, "m", 4) == "1235 m"
+
+
+def test_a_decimal_comma_is_called_by_its_name() -> None:
+    """8,5 kN is 8.5 kN to half of the world, and no unit is misspelt there."""
+    with pytest.raises(PeriluneError, match="a decimal point in place of the comma"):
+        parse_quantity("8,5 kN", "N")

@@ -1,7 +1,8 @@
 """A problem with one limit made elastic: by how little it has to give so that everything else can be kept.
 
-Limits are the bounds of states and controls, and conditions of the path; where none of them helps, the end conditions
-of one unit. Each in turn is replaced by the same limit less a free, not negative parameter s, and s is minimised:
+Limits are the bounds of states, controls and free parameters, and conditions of the path; where none of them helps, the
+end conditions of one unit. Each in turn is replaced by the same limit less a free, not negative parameter s, which is
+minimised:
 
     c(x, u, p) >= 0   becomes   c(x, u, p) + s >= 0,          min s,
     e(x, p) = 0       becomes   e(x, p) + s+ - s- = 0,        min sum(s+ + s-).
@@ -33,7 +34,7 @@ class ElasticLimit:
     Parameters
     ----------
     kind
-        ``"state"``, ``"control"``, ``"path"`` or ``"end"``.
+        ``"state"``, ``"control"``, ``"path"``, ``"free"`` (a parameter) or ``"end"``.
     names
         Of the state, control or path condition; of end conditions all of one unit.
     side
@@ -69,6 +70,10 @@ def elastic_limits(problem: Problem) -> tuple[ElasticLimit, ...]:
             add("path", "", condition)
         for condition in phase.end_conditions:
             ends.setdefault(condition.unit, []).append(condition)
+    for f in problem.free:
+        for side in ("upper",) if f.name in problem.duration_names else ("lower", "upper"):
+            if math.isfinite(getattr(f, side)):
+                add("free", side, f)
     for kind, one, side in bounds:
         add(kind, side, one)
     for same in ends.values():
@@ -87,14 +92,18 @@ def slack_names(limit: ElasticLimit) -> tuple[str, ...]:
 def relaxed_problem(problem: Problem, limit: ElasticLimit) -> Problem:
     """Return the problem with a limit made elastic, that minimises by how much it gives."""
     size, slacks = problem.size_of(limit.bounded), slack_names(limit)
-    phases = tuple(_relaxed_phase(phase, limit) for phase in problem.phases)
+    phases, free = tuple(_relaxed_phase(phase, limit) for phase in problem.phases), problem.free
+    if limit.kind == "free":
+        none = {limit.side: -math.inf if limit.side == "lower" else math.inf}
+        free = tuple(replace(f, **none) if f.name in limit.names else f for f in free)
+        phases = (*phases[:-1], _with_end(phases[-1], limit))
     new = (Free(name=name, unit=limit.bounded.unit, lower=0.0, typical=size) for name in slacks)
 
     def least(x: Any, p: Any, m: Any) -> Any:
         return sum(getattr(p, name) for name in slacks)
 
     return problem.changed(
-        phases=phases, free=(*problem.free, *new), objective=least, objective_unit=limit.bounded.unit,
+        phases=phases, free=(*free, *new), objective=least, objective_unit=limit.bounded.unit,
         objective_scale=size, results=None, result_variables=(), maximised="", minimised="", ranges=None,
         preflight=None, bookkeeping=None, declared=(), form=None,
     )  # fmt: skip
@@ -106,10 +115,24 @@ def _relaxed_phase(phase: Phase, limit: ElasticLimit) -> Phase:
         return replace(phase, path=_with_slack(phase.path, phase.path_conditions, limit, _given_way))
     if limit.kind == "end":
         return replace(phase, end=_with_slack(phase.end, phase.end_conditions, limit, _given_either_way))
+    if limit.kind == "free":
+        return phase
     rows = phase.states if limit.kind == "state" else [c for _, c in scalars(phase.controls)]
     (name,) = limit.names
     bounded = next((row for row in rows if row.name == name), None)
     return phase if bounded is None else _bound_as_condition(phase, limit, bounded)
+
+
+def _with_end(phase: Phase, limit: ElasticLimit) -> Phase:
+    """The last phase with the bound of a free parameter as a condition of its end, that is relaxed."""
+    (name,), bound, sign = limit.names, getattr(limit.bounded, limit.side), 1 if limit.side == "lower" else -1
+
+    def end(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
+        own = () if phase.end is None else phase.end(x, p, m)
+        return *own, sign * (getattr(p, name) - bound) + getattr(p, _SLACK)
+
+    room = Variable(name=f"room_of_{name}", unit=limit.bounded.unit, lower=0.0)
+    return replace(phase, end=end, end_conditions=(*phase.end_conditions, room))
 
 
 def _with_slack(function: Any, conditions: Sequence[Variable], limit: ElasticLimit, give: Callable[..., Any]) -> Any:

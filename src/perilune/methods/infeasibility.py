@@ -122,13 +122,19 @@ def _on_finer_meshes(one: Relaxed) -> tuple[Relaxed, float]:
 
 def _own_size(problem: Problem, limit: ElasticLimit, flight: Solution) -> float:
     """How large what is limited is [SI]: its range along the flight, or the range of a control."""
-    if limit.kind == "control":
-        lower, upper = limit.bounded.limits(flight.parameters)
+    if limit.kind in ("control", "free"):
+        lower, upper = _bounds(limit, flight.parameters)
         return upper - lower if np.isfinite(upper - lower) else abs(lower if limit.side == "lower" else upper)
     least = 1e-3 * problem.size_of(limit.bounded)
     if limit.kind == "end":
         return 1e3 * least
     return max([least, *(float(np.ptp(along)) for along in _along(problem, limit, flight, flight.parameters))])
+
+
+def _bounds(limit: ElasticLimit, p: Any) -> tuple[float, float]:
+    """The bounds [SI] of what is limited."""
+    bounded = limit.bounded
+    return (bounded.lower, bounded.upper) if limit.kind == "free" else bounded.limits(p)
 
 
 def _along(problem: Problem, limit: ElasticLimit, flight: Solution, p: Any) -> Iterator[Vector]:
@@ -183,7 +189,7 @@ def _words(problem: Problem, one: Relaxed) -> Words:
         called = quantity_name(limit.bounded)
         enough = f"{called} down to {told(-one.amount, unit, 3)}"
         return Words(called, told(one.amount, unit, 2), enough, f"{called} never below 0")
-    lower, upper = limit.bounded.limits(p)
+    lower, upper = _bounds(limit, p)
     at, name = lower if limit.side == "lower" else upper, limit_name(problem, limit.bounded, limit.side)
     reached = at - one.amount if limit.side == "lower" else at + one.amount
     return Words(name, told(one.amount, unit, 2), f"{name} {told(reached, unit)}", f"{name} {told(at, unit)}")

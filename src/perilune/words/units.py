@@ -122,6 +122,8 @@ def _nearest(name: str) -> str:
     """The advice of the unit that is spelt most like a name, if any is."""
     import difflib  # which nothing needs that is right
 
+    if name.startswith(","):
+        return "a decimal point in place of the comma"
     found = {known.lower(): known for known in _UNITS}
     near = [known for known in found if len(known) > 2 and name.lower().startswith(known)]  # of degrees, deg
     near = near or difflib.get_close_matches(name.lower(), found, n=1, cutoff=0.75)  # of short ones few are meant
