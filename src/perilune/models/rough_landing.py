@@ -31,7 +31,7 @@ from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
 _GROUND = "height_above_site"  # the condition that the coast touches
-_BESIDE = 0.45  # of the length of the second burn: how long after the lowest point it begins
+_BESIDE = (0.45, 0.7, 0.2)  # of the length of the second burn: how long after the lowest point it begins
 _WAIT, _COAST, _BURN, _BRIEF = 40, 60, 25, 5  # rows of the arcs
 _SHORT = 1e-3  # of a turn: a wait that is shorter is none
 _DIFFERENCE = 1e-4  # of a distance: how far neighbouring falls begin apart
@@ -80,25 +80,32 @@ def rough_landing(problem: Problem) -> list[tuple[Solution, Structure]]:
     Returns
     -------
     list
-        A rough flight with its arcs, the ground touched where the fall is lowest, and the same without a touch; none
-        where there is no landing by two impulses, or the engine cannot be off.
+        Rough flights with their arcs, which touch the ground where the fall is lowest and brake sooner or later behind
+        that, and the first of them without a touch; none where there is no landing by two impulses, or the engine
+        cannot be off.
     """
     p = problem.parameters({f.name: f.typical for f in problem.free})
     start = np.array(problem.start(p, NUMERIC), dtype=float)
     if p.throttle_lower > 0.0 or (landing := two_impulses(around := around_body(p, start))) is None:
         return []
-    flight = _Flight(around=around, landing=landing, mass=float(start[6]), force=greatest_thrust(p),
-                     exhaust=exhaust_speed(p))  # fmt: skip
+    about: Any = {"around": around, "landing": landing, "mass": float(start[6]), "force": greatest_thrust(p),
+                  "exhaust": exhaust_speed(p)}  # fmt: skip
+    drawn = [_drawn(problem, p, _Flight(**about, beside=beside)) for beside in _BESIDE]
+    rough, structure = drawn[0]
+    clear = Structure((tuple(arc for arc in structure.phases[0] if not arc.touches),))
+    return [*drawn, (rough, clear)]
+
+
+def _drawn(problem: Problem, p: Any, flight: _Flight) -> tuple[Solution, Structure]:
+    """Return a flight as a guess, with its arcs."""
     rows, low, high = _Rows(), p.throttle_lower, p.throttle_upper
     if flight.waits:
         rows.fly(_WAIT, flight.begin, flight.waiting, low, "lower")
     rows.fly(_BRIEF, flight.burns, flight.burning, high, "upper")
-    rows.fly(_COAST, landing.fall - flight.late, flight.falling, low, "lower", _GROUND)
+    rows.fly(_COAST, flight.landing.fall - flight.late, flight.falling, low, "lower", _GROUND)
     rows.fly(_BRIEF, flight.rest, flight.rising, low, "lower")
     rows.fly(_BURN, flight.second.lasts, flight.braking, high, "upper")
-    rough = _seen(problem, rows, p.body_rotation_rate, flight.exhaust)
-    clear = [arc for arc in rows.arcs if not arc.touches]
-    return [(rough, Structure((tuple(arcs),))) for arcs in (rows.arcs, clear)]
+    return _seen(problem, rows, p.body_rotation_rate, flight.exhaust), Structure((tuple(rows.arcs),))
 
 
 @dataclass(kw_only=True)
@@ -111,6 +118,8 @@ class _Flight:
         Where it begins, and its two impulses.
     mass, force, exhaust
         At the start [kg]; thrust [N] and exhaust speed [m/s].
+    beside
+        How long after the lowest point the second burn begins, as a share of its length.
     """
 
     around: Around
@@ -118,6 +127,7 @@ class _Flight:
     mass: float
     force: float
     exhaust: float
+    beside: float
 
     def __post_init__(self) -> None:
         landing, (position, velocity) = self.landing, self.landing.before
@@ -130,8 +140,8 @@ class _Flight:
         self.waits = early > _SHORT * 2 * math.pi * math.sqrt(semi**3 / self.around.mu)
         self.begin = early if self.waits else 0.0
         self.late = 0.5 * self.burns if self.waits else 0.0  # of the fall
-        self.second = _second_burn(self.around, landing, self.left, self.force, self.exhaust)
-        self.rest = _BESIDE * self.second.lasts
+        self.second = _second_burn(self.around, landing, self.left, self.force, self.exhaust, self.beside)
+        self.rest = self.beside * self.second.lasts
         self.instant = _INSTANT * self.second.lasts
         self.last = -self.second(0.0)[3]
         self.turning = (-self.second(self.instant)[3] - self.last) / self.instant
@@ -234,13 +244,15 @@ class _Braking:
         return r * up, upwards * up + ahead * along, float(mass), (slope * up - along) / math.hypot(slope, 1.0)
 
 
-def _second_burn(around: Around, landing: TwoImpulses, mass: float, force: float, exhaust: float) -> _Braking:
+def _second_burn(
+    around: Around, landing: TwoImpulses, mass: float, force: float, exhaust: float, beside: float
+) -> _Braking:
     """Return the burn from the lowest point, or a little behind it, to rest on the ground in the plane of the fall."""
     from scipy.optimize import root
 
     mu, flow = around.mu, force / exhaust
     usual = mass * (1 - math.exp(-landing.second / exhaust)) / flow
-    place, flown = fallen(*landing.lowest, mu, _BESIDE * usual)
+    place, flown = fallen(*landing.lowest, mu, beside * usual)
     up = place / np.linalg.norm(place)
     along = flown - (flown @ up) * up
     along = along / np.linalg.norm(along)
