@@ -12,9 +12,11 @@ from scipy.integrate import solve_ivp
 from burn_coast_burn import landed_mass
 from perilune.models.bodies import Body
 from perilune.models.descent import Ignition, Site, powered_descent
-from perilune.models.landing import Vehicle
+from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.landing_preflight import coasting_first, one_burn
 from perilune.models.rough_landing import rough_landing
 from perilune.models.two_impulses import Around, around_body, fallen, two_impulses
+from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
@@ -148,3 +150,37 @@ def test_an_engine_that_cannot_be_off_coasts_nowhere() -> None:
 )
 def test_other_descents_are_looked_for_as_before(stated: dict[str, Any]) -> None:
     assert strong(**stated).switching_guesses is None
+
+
+MINMUS = Body(name="minmus", gravitational_parameter=1.7658e9, radius=60e3, rotation_rate=1.5552e-4)
+ONE_BURN = [  # vehicle, orbit, body; the velocity change [m/s] of the flight that is solved, and of two impulses
+    (Vehicle(mass=1e4, thrust=160e3, specific_impulse=320.0), Orbit(parking_altitude=94e3, perilune_altitude=94e3),
+     STILL, 3334.45, 1723.52),
+    (Vehicle(mass=3e3, thrust=60e3, specific_impulse=345.0), Orbit(parking_altitude=20e3, perilune_altitude=6e3),
+     MINMUS, 739.72, 177.8),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("vehicle", "orbit", "body", "flown", "impulses"), ONE_BURN)
+def test_one_burn_that_wastes_is_warned_of(
+    vehicle: Vehicle, orbit: Orbit, body: Body, flown: float, impulses: float
+) -> None:
+    """With the figure of two impulses; what full throttle spends is known roughly before it is solved."""
+    problem = hybrid_landing(vehicle, Retro(specific_impulse=320.0, delta_v=0.0), orbit, body)
+    p = problem.parameters({f.name: f.typical for f in problem.free})
+    found = next(f for f in preflight(problem) if f.name == "velocity change of two impulses")
+    assert not found.passed
+    assert not found.binding
+    assert found.value == pytest.approx(impulses, abs=0.1)
+    assert one_burn(p, NUMERIC) == pytest.approx(flown, rel=0.01)
+    assert coasting_first(p, NUMERIC) == found.value
+
+
+def test_an_ordinary_landing_is_not_warned_of() -> None:
+    """From 15 km at twice the weight, where one burn is all that braking needs."""
+    vehicle, orbit = (
+        Vehicle(mass=300.0, thrust=1200.0, specific_impulse=320.0),
+        Orbit(parking_altitude=100e3, perilune_altitude=15e3),
+    )
+    problem = hybrid_landing(vehicle, Retro(specific_impulse=310.0), orbit, STILL)
+    assert next(f for f in preflight(problem) if f.name == "velocity change of two impulses").passed

@@ -24,6 +24,8 @@ from perilune.models.limits import (
 from perilune.problem.preflight import Finding
 
 LEAST_LANDED_SHARE = 0.1
+_SPENDS = 1.5  # times the velocity change of two impulses: more of one burn is worth a word
+_ROUNDS = 12  # of the mean acceleration
 
 
 def perilune_speed(p: Any, m: Any) -> Any:
@@ -167,4 +169,49 @@ def _warnings(p: Any, m: Any) -> tuple[Finding, ...]:
             "the perilune is very high for a landing",
             "altitudes are above the surface, not distances from the centre",
         ),
+        Finding(
+            name="velocity change of two impulses", value=coasting_first(p, m), limit=one_burn(p, m) / _SPENDS,
+            at_least=True, unit="m/s", binding=False,
+            meaning="coasting first, until the fall grazes the ground, would need so little: full throttle from the"
+            f" perilune to the ground is one burn and spends more than {_SPENDS:g} times as much",
+            advice="a perilune next to the ground; or the kind powered_descent with throttle.lower = 0, which coasts",
+        ),
     )  # fmt: skip
+
+
+def one_burn(p: Any, m: Any) -> Any:
+    """Return roughly the velocity change [m/s] of full thrust from the perilune to rest on the ground.
+
+    Thrust acceleration a takes away the speed v evenly, and falls the height h by pushing down for half of the time t
+    and up for the other: (a t)^2 = v^2 + (4 h/t)^2, gravity apart; a is the mean that the rocket equation gives.
+
+    Parameters
+    ----------
+    p, m
+        As in `hybrid_landing`, and the maths namespace.
+    """
+    speed = m.fmax(perilune_speed(p, m) - getattr(p, "retro_delta_v", 0.0), 1.0)
+    height, exhaust = p.orbit_perilune_altitude - p.landing_altitude, exhaust_speed(p)
+    spent = speed
+    for _ in range(_ROUNDS):
+        lasts = p.vehicle_mass * exhaust / p.vehicle_thrust * (1 - m.exp(-spent / exhaust))
+        a = spent / lasts
+        square = speed * speed
+        spent = m.sqrt(0.5 * (square + m.sqrt(square * square + 64 * a * a * height * height)))
+    return spent
+
+
+def coasting_first(p: Any, m: Any) -> Any:
+    """Return the velocity change [m/s] of two impulses from the orbit of the perilune.
+
+    The first where it is highest, so that the fall grazes the ground half a turn later; the second stops there.
+
+    Parameters
+    ----------
+    p, m
+        As in `hybrid_landing`, and the maths namespace.
+    """
+    mu, ground = p.body_gravitational_parameter, p.body_radius + p.landing_altitude
+    high, low = p.body_radius + p.orbit_parking_altitude, p.body_radius + p.orbit_perilune_altitude
+    before, after = (m.sqrt(mu * m.fmax(2 / high - 2 / (high + r), 0.0)) for r in (low, ground))
+    return before - after + m.sqrt(mu * m.fmax(2 / ground - 2 / (high + ground), 0.0)) - speed_of_ground(ground, p, m)
