@@ -170,6 +170,13 @@ REFUSED: dict[str, tuple[str, str]] = {
     "joined suffix": (text(PLAIN, "altitudeft,density"), "is its altitude[\\s\\S]*altitudeft"),
     "unknown unit in a comment": (text(PLAIN, "# altitude (furlong), density"), "no altitude that can be read"),
     "a unit in prose": (text(PLAIN, "# altitudes are in feet", "altitude,density"), "line 1 .* names ft, and no"),
+    "units listed": (text(PLAIN, "# units: km, kg/m^3", "altitude,density"), "line 1 .* names km, and no"),
+    "a column said": (text(PLAIN, "# column 1: altitude, km", "# column 2: density"), "line 1 .* names km, and no"),
+    "an equation": (text(PLAIN, "# alt = km; rho = kg/m3"), "line 1 .* names km, and no"),
+    "a unit as": (text(PLAIN, "# altitude given as kilometers.", "altitude,density"), "line 1 .* names km, and no"),
+    "columns numbered": (text(PLAIN, "# 1:alt_km 2:rho"), "line 1 .* names km, and no"),
+    "a unit far above": (text(PLAIN, "# altitudes are in km", *["# and so on"] * 30), "line 1 .* names km, and no"),
+    "long comments": (text(PLAIN, "#" + " " * 60_000 + "x"), "comments above the numbers .* are too long"),
     "a unit in brackets": (text(PLAIN, "# mine", "# density (g/cm^3)", "altitude [m],density"), "line 2 .* names g/cm"),
     "multiples": (text(PLAIN, "altitude (1000 ft),density"), "no altitude that can be read[\\s\\S]*1000 ft"),
     "powers of ten": (text(PLAIN, "altitude,density (10^-3 kg/m^3)"), "no density that can be read"),
@@ -193,6 +200,8 @@ REFUSED: dict[str, tuple[str, str]] = {
     "short": (text([*PLAIN[:3], ("6500",), *PLAIN[4:]], "altitude,density"), "line 5 of the table of air has 1 cells"),
     "thousands": (text([("0", "1.225"), ("10,000", "0.41"), ("20,000", "0.09")], "altitude;density", by=";"),
                   "commas and points stand in the numbers of the table of air: line 3"),
+    "thousands alone": (text([("0", "1225"), ("10,000", "414"), ("20,000", "89")], "z [ft];density [g/m^3]", by=";"),
+                        "may part thousands or decimals: line 3[\\s\\S]*10000 or 10.000"),
     "open quotes": (text([*PLAIN[:3], ('"6500', "0.4")], "altitude,density"), "line 5 of the table of air is no row"),
     "underscores": (text([("1_000", "0.4"), *PLAIN[1:]], "altitude,density"), "neither units nor numbers"),
     "no rows": ("altitude,density\n", "needs rows"),
@@ -237,6 +246,15 @@ def test_a_large_file_and_another_encoding_are_refused(tmp_path: Path) -> None:
         read_air_table(in_file(tmp_path, "1,1\n" * (LARGEST_FILE // 4 + 1)))
     with pytest.raises(PeriluneError, match="not text in UTF-8"):
         read_air_table(in_file(tmp_path, SHAPES["heading"], encoding="utf-16"))
+
+
+def test_headings_stand_far_above_too_and_decimals_of_three_digits_are_no_thousands(tmp_path: Path) -> None:
+    far = text(FEET, "# altitude [ft], density [kg/m^3]", *["# and so on"] * 30)
+    assert read_air_table(in_file(tmp_path, far)).altitude == pytest.approx([float(a) for a, _ in PLAIN])
+    rows = [("1,500", "1,058"), ("3,000", "0,909"), ("4,500", "0,777")]  # 0,909 has no thousands
+    read = read_air_table(in_file(tmp_path, text(rows, "altitude (km);density", by=";")))
+    assert read.altitude.tolist() == [1500.0, 3000.0, 4500.0]
+    assert read.density.tolist() == [1.058, 0.909, 0.777]
 
 
 def test_whatever_stands_in_a_file_is_read_or_refused(tmp_path: Path) -> None:

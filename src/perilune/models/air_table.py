@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,9 @@ _CALLED = {
 _FURTHER = "geometric geodetic mass total air atmosphere atmospheric neutral mean sea level above msl asl amsl".split()
 _KNOWN = {*_CALLED["altitude"], *_CALLED["density"], *_FURTHER, "in", "of", "the"}
 _EXPECTED = 'headings such as "altitude [km]" and "density [kg/m^3]", or none for m and kg/m^3'
-_IN_PROSE = re.compile(r"[(\[]([^()\[\]]{1,20})[)\]]|\bin ([A-Za-z/^*\d³-]{1,20})")  # (ft), in feet
+# What may be a unit in a comment; one behind a number is of that number: "from 0 to 86 km" states no column's.
+_IN_PROSE = re.compile(r"[^\s_,;:=()\[\]{}<>\"'|]+")
+_BRACKETED = re.compile(r"[(\[]([^()\[\]]{1,20})[)\]]")
 _MOST_NAMED = 6  # columns in a message
 
 
@@ -251,14 +254,21 @@ def _with_units(name: str, column: _AirColumn, units: list[str] | None) -> _AirC
 def _refuse_said_elsewhere(name: str, comments: list[TextLine]) -> None:
     """Refuse a comment that names another unit for a column whose heading states none."""
     for line in comments:
-        for written in _IN_PROSE.findall(line.text):
-            stated = unit_as_written(next(filter(None, written)))
+        for written in _perhaps_units(line.text):
+            stated = unit_as_written(written)
             if stated is not None and unit(stated)[1] == unit(_SI[name])[1] and unit(stated) != unit(_SI[name]):
                 raise PeriluneError(
                     f"line {line.number} of the table of air names {stated}, and no heading the unit of the {name}",
                     got=line.text[:60], expected=f"a heading such as {name} [{stated}]",
                     advice="state the units in headings, or change the comment where it means something else",
                 )  # fmt: skip
+
+
+def _perhaps_units(comment: str) -> list[str]:
+    """Parts of a comment that may be the unit of a column."""
+    parts = [part.strip(".-–—") for part in _IN_PROSE.findall(comment)]
+    return [*_BRACKETED.findall(comment),
+            *(part for before, part in pairwise(["", *parts]) if not before[-1:].isdigit())]  # fmt: skip
 
 
 # -- what is said ---------------------------------------------------------------------------------------------------

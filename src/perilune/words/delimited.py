@@ -22,7 +22,9 @@ _NUMBER = re.compile(
 _OF_EXCEL = re.compile(r'"?sep=.?"?')  # its first line, which names the delimiter
 _LONGEST = 60  # characters of a line that a message shows
 _LOOKED_AT = 1000  # lines, for the delimiter
-_LAST_COMMENTS = 20  # above the numbers, where headings may stand
+_MOST_COMMENTED = 50_000  # characters of comments above the numbers, where headings and units may stand
+# A comma before three digits, of a number above 1: it may part thousands as well as decimals.
+_OF_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
 
 
 class TextLine(NamedTuple):
@@ -48,7 +50,7 @@ class DelimitedTable:
     body
         Rows from the first that is made of numbers to the end.
     above, comments
-        Lines above it, of text and the last of comments without their sign.
+        Lines above it, of text and of comments without their sign.
     delimiter
         What lies between cells.
     decimal_comma
@@ -106,7 +108,7 @@ def delimited_table(text: str, what: str) -> DelimitedTable:
     Raises
     ------
     PeriluneError
-        If a line is no row of cells, or both commas and points stand in numbers.
+        If a line is no row of cells, both commas and points stand in numbers, or commas may part thousands.
     """
     lines = [TextLine(k, line.strip(" ")) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), 1) if line.strip()]
     if lines and lines[0].number == 1 and _OF_EXCEL.fullmatch(lines[0].text.strip()):
@@ -120,10 +122,11 @@ def delimited_table(text: str, what: str) -> DelimitedTable:
     begin = body[0].line if body else lines[-1].number + 1 if lines else 1
     filled = {row.line for row in rows[:first]}
     comments = [line for line in lines if line.number < begin and _is_comment(line)]
+    _refuse_long(comments, what)
     return DelimitedTable(
         body=body,
         above=[line for line in plain if line.number in filled],
-        comments=[TextLine(k, line.strip().lstrip("#%").strip(" ")) for k, line in comments[-_LAST_COMMENTS:]],
+        comments=[TextLine(k, line.strip().lstrip("#%").strip(" ")) for k, line in comments],
         delimiter=delimiter,
         decimal_comma=_has_decimal_comma(body, what),
         what=what,
@@ -132,6 +135,16 @@ def delimited_table(text: str, what: str) -> DelimitedTable:
 
 def _is_comment(line: TextLine) -> bool:
     return line.text.lstrip().startswith(("#", "%"))
+
+
+def _refuse_long(comments: list[TextLine], what: str) -> None:
+    """Refuse comments of which a unit could be lost, as nobody looks through so many."""
+    count = sum(len(line.text) for line in comments)
+    if count > _MOST_COMMENTED:
+        raise PeriluneError(
+            f"the comments above the numbers of the {what} are too long", got=f"{count} characters",
+            expected=f"at most {_MOST_COMMENTED}, which are searched for units", advice="leave out what says no unit",
+        )  # fmt: skip
 
 
 def _split(text: str, delimiter: str) -> list[str] | None:
@@ -183,13 +196,14 @@ def _with_brackets(cells: list[str]) -> list[str]:
 
 def _has_decimal_comma(body: list[CellRow], what: str) -> bool:
     """Whether numbers have a decimal comma; with points as well, commas may part thousands."""
-    found = {}
+    found, plain = dict[str, tuple[int, str]](), False
     for row in body:
         for cell in row.cells:
             if _NUMBER.fullmatch(cell):
                 for sign in ".,":
                     if sign in cell:
                         found.setdefault(sign, (row.line, cell))
+                plain = plain or ("," in cell and not _OF_THOUSANDS.fullmatch(cell))
     if len(found) > 1:
         line = max(number for number, _ in found.values())
         raise PeriluneError(
@@ -198,4 +212,10 @@ def _has_decimal_comma(body: list[CellRow], what: str) -> bool:
             expected="a decimal point, or a decimal comma, in every row",
             advice="leave out what parts thousands",
         )
+    if "," in found and not plain:
+        line, cell = found[","]
+        raise PeriluneError(
+            f"commas in the numbers of the {what} may part thousands or decimals: line {line}", got=cell,
+            expected=f"{cell.replace(',', '')} or {cell.replace(',', '.')}", advice="write it as one of these",
+        )  # fmt: skip
     return "," in found

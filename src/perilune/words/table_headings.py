@@ -100,6 +100,8 @@ def unit_as_written(text: str) -> str | None:
     with capitals (``KM``), and units one after another: one with a negative power is a factor (``kg m-3``), another a
     divisor (``slug_ft3``).
     """
+    if len(text) > _LONGEST:
+        return None
     bare = text.strip(" ()[]{}<>").translate(_SIGNS).replace("**", "^")
     bare = re.sub(r"(?<=[A-Za-z0-9])\.(?=[A-Za-z])", "*", re.sub(r"[\s_]+per[\s_]+", "/", bare))
     bare = re.sub(r"\s*([*/^])\s*", r"\1", bare)
