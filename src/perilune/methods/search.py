@@ -47,6 +47,7 @@ from perilune.words.watch import Watch
 
 _MOST_FOLLOWED = 24  # extremals from which families along other parameters are followed
 _MOST_OUTDOING = 6  # extremals that break the path, in whose wells what keeps it is looked for
+_LITTLE = 1e-2  # canonical: what is broken by more a mesh has seen, and its flight tells the arcs that keep it
 _ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported
 
 
@@ -197,9 +198,11 @@ class Search:
             yield from filter(None, [Coarse(self.settings, self.problem, self.tried, self.watch).solve(guess)])
 
     def breaking_path(self) -> Iterator[Solution]:
-        """Return the extremals that outdo every answer and break nothing but the path, as solutions."""
-        for root in self.answering.outdone:
-            yield self.answering._compose([Found(root=root, minimum=True)], "")
+        """Yield as solutions the extremals that outdo every answer and break the path alone, by little."""
+        search = self.answering
+        for root in search.outdone:
+            if all(breach.canonical <= _LITTLE for breach in search.judge.breaches(root)):
+                yield search._compose([Found(root=root, minimum=True)], "")
 
     def _keeping(self, more: Held) -> Search:
         """The same search with a control that keeps more conditions of the path."""
