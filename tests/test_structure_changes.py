@@ -120,7 +120,7 @@ def test_a_dry_mass_that_is_just_landed_is_answered(offset: float) -> None:
 @pytest.mark.parametrize("offset", [1e-6, 1e-3])
 def test_a_dry_mass_that_is_just_not_landed_is_named(offset: float) -> None:
     landed = 15070.989266540137
-    with pytest.raises(pl.InfeasibleError, match="misses vehicle.dry_mass by") as caught:
+    with pytest.raises(pl.InfeasibleError, match=r"misses vehicle\.dry_mass by") as caught:
         pl.solve(heavy(landed * (1.0 + offset)))
     assert caught.value.exit_code == 3
     assert float(caught.value.what.split(" by ")[1].split()[0]) == pytest.approx(landed * offset, rel=1e-4)
