@@ -267,8 +267,8 @@ def test_along_the_speed_limit_the_cart_would_better_chatter(method: Any) -> Non
     assert (solution.outcome, solution.verification.level) == (pl.Outcome.NOT_PROVED, 1)
     assert solution.objective == pytest.approx(times["along"], abs=2e-9)
     failed = [c.meaning for c in solution.verification.checks if not c.passed]
-    assert any("no best flight exists (chattering)" in meaning for meaning in failed)
-    assert any("no best flight exists (chattering)" in line for line in solution.statistics.tried)
+    assert any("no best flight follows it (chattering)" in meaning for meaning in failed)
+    assert any("no best flight follows it (chattering)" in line for line in solution.statistics.tried)
 
 
 def test_a_flight_along_a_limit_that_is_best_does_not_chatter() -> None:

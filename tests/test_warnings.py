@@ -186,3 +186,17 @@ def test_json_lists_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["solve", str(EXAMPLES / "mars_pinpoint.toml"), "--level", "1", "--json"]) == 0
     (said,) = json.loads(capsys.readouterr().out)["warnings"]
     assert said.startswith("height above glide slope is at its limit")
+
+
+@pytest.mark.parametrize(
+    ("up", "said"),
+    [
+        ("1 km", "coast_time is at its lower bound of 0.001 s: the best flight leaves out the phase coast"),
+        ("2 km", "coast_time is at its upper bound of 10 s, approach.longest_coast: with a wider one it may be better"),
+    ],
+)
+def test_a_coast_on_its_bound_names_the_key_that_states_it_or_that_none_is_best(up: str, said: str) -> None:
+    problem = load_file(
+        EXAMPLES / "precision_landing.toml", ["approach.longest_coast=10 s", f"approach.up={up}"]
+    ).problem
+    assert said in pl.solve(problem, level=0).warnings

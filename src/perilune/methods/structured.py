@@ -272,8 +272,8 @@ class Polish:
             exact = mesh is not None and start.statistics.residual < _WITHOUT_NEWTON
             if exact and (name := chattering(start)) is not None:
                 self._say(
-                    f"structure {structure.text}: no best flight exists (chattering), as {name} switching to and fro "
-                    "between its bounds along it lowers J, the faster the more: a flight along it, which is no extremal"
+                    f"structure {structure.text}: no best flight follows it (chattering), as {name} switching to and "
+                    "fro between its bounds along it lowers J, the faster the more: a flight along it, no extremal"
                 )
                 self.chattering = start
                 break

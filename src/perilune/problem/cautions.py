@@ -19,6 +19,7 @@ from perilune.words.types import Vector
 from perilune.words.units import told
 
 _AT_BOUND = 1e-7  # of its range: a parameter that is nearer to its bound is on it
+_NO_LENGTH = 1e-3  # of a flight: a phase that is bounded to last so long at least may be as good as none
 _CONTACT = 1e-6  # of its range along the flight: a condition with less room is reached
 _ENDS = 0.005  # of a phase at its ends, which conditions there decide
 _POINTS, _NEARER, _ROUNDS = 401, 9, 8  # looked at first; then, each time, four times closer about the least
@@ -55,8 +56,21 @@ def _held_parameters(solution: Any) -> Iterator[str]:
         for side, bound in (("lower", free.lower), ("upper", free.upper)):
             near = _AT_BOUND * (both if math.isfinite(both) else max(abs(bound), size))
             if math.isfinite(bound) and abs(value - bound) <= near:
-                name = parameter_key(solution.problem, free.name)
-                yield f"{name} is at its {side} bound of {told(bound, free.unit)}: with a wider one it may be better"
+                name, limit = parameter_key(solution.problem, free.name), told(bound, free.unit)
+                phase = next((x.name for x in solution.problem.phases if x.duration == free.name), None)
+                if phase is not None and side == "lower" and 0 <= bound <= _NO_LENGTH * solution.duration:
+                    yield f"{name} is at its lower bound of {limit}: the best flight leaves out the phase {phase}"
+                    continue
+                key = _stated_by(solution.problem, bound, free.unit) if name == free.name else None
+                of = f", {key}" if key else ""
+                yield f"{name} is at its {side} bound of {limit}{of}: with a wider one it may be better"
+
+
+def _stated_by(problem: Any, bound: float, unit: str) -> str | None:
+    """Key of the file that states a bound of a free parameter: the only one with that value."""
+    keys = {parameter_key(problem, name) for name, q in problem.given.items() if (q.value, q.unit) == (bound, unit)}
+    found = [key for key in keys if "." in key]
+    return found[0] if len(found) == 1 else None
 
 
 def _below_ground(solution: Any) -> Iterator[str]:

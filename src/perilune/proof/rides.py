@@ -189,7 +189,7 @@ class Rides:
                 value, why = _lowered(along), ""
                 if value > _LEAST and (name := _concave(along[0].part)):
                     why = f"; H is concave in {name} there: to switch to and fro between its bounds lowers J, the "
-                    why += "faster the more, so that no best flight exists (chattering)"
+                    why += "faster the more, so that no best flight follows it (chattering)"
                 yield Check(
                     name=f"{along[0].part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=value,
                     meaning="most that a control which leaves the arc lowers the Hamiltonian of the multiplier of "
