@@ -242,6 +242,7 @@ def test_air_that_ends_before_the_flight_does_is_refused(low: float, high: float
     with pytest.raises(PeriluneError, match="air of mine ends before the flight does") as error:
         returning(air=table, site=SITE)
     assert said in error.value.got
+    assert "rows" not in error.value.advice  # of a file there are none
 
 
 def test_air_of_a_day_and_a_place() -> None:

@@ -118,6 +118,8 @@ def test_rates_are_those_of_the_formula() -> None:
         (([1.0, 2.0], [0.3]), {"phase": "rise"}, "depend on the free parameter push[\\s\\S]*free=solution.free"),
         (([1.0, 2.0], [0.3]), {"phase": "rise", "free": {"g": 2.0}}, "no free parameter of this name"),
         (([1.0, 2.0], [0.3]), {"phase": "rise", "free": 3}, "free"),
+        (([1.0, 2.0],), {"phase": "fall", "free": {"pusch": 2.0}}, "no free parameter of this name[\\s\\S]*push"),
+        ((np.zeros((3, 2)),), {"phase": "fall"}, "an array of shape \\(3, 2\\)"),
         (([1.0, 2.0], [0.3], "now"), {"phase": "fall"}, "control of fall|a time"),
         (([1.0, 2.0], (), "now"), {"phase": "fall"}, "a time"),
         ((), {"phase": "fall"}, "rates"),

@@ -197,6 +197,25 @@ def test_what_takes_long_says_so_on_stderr(monkeypatch: pytest.MonkeyPatch, caps
     assert told.err.replace("\n", "").isprintable()
 
 
+def test_what_is_at_work_says_of_how_many_and_no_word_on_what_is_over() -> None:
+    """Once an answer is proved and written, and once the next member begins, no flight is "not proved yet"."""
+    clock = shown.WorkClock(began=time.monotonic() - 9.0, printed=time.monotonic() - 9.0)
+    for line in ("start: random costates", "best so far: J = 3 s, which is not proved yet", "proof: level 1"):
+        clock.hear(line)
+    assert clock.text().endswith("proof: level 1; best so far: J = 3 s, which is not proved yet")
+    clock.hear(shown.WRITING)
+    assert clock.text() == "9 s: writing figures and the report"
+
+
+def test_lines_of_a_sweep_say_how_many_are_done(capsys: pytest.CaptureFixture[str]) -> None:
+    clock = shown.WorkClock(began=time.monotonic() - 9.0, printed=time.monotonic() - 9.0)
+    clock.hear("best so far: J = 3 s, which is not proved yet")
+    clock.hear("thrust = 6000 N (7 of 401): PROVED")
+    clock.hear("round 8: 0 of 24 converged")
+    clock.print_line()
+    assert capsys.readouterr().err == "perilune: at work for 9 s, 7 of 401: round 8: 0 of 24 converged\n"
+
+
 def test_what_is_quick_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     with progress(False, deque()) as watch:
         watch("start: random costates")

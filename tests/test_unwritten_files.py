@@ -17,7 +17,7 @@ from command_line import ORDINARY, read_json, snapshot
 from perilune.cli import run
 from perilune.families.family import Family, FamilyPoint
 from perilune.io import export
-from perilune.io.files import NotWrittenError
+from perilune.io.files import NotWrittenError, fresh_directory
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.report import write_all
@@ -208,3 +208,22 @@ def test_a_certificate_that_is_there_already_is_refused_before_the_proof(
     (tmp_path / "c.json").write_text("mine")
     assert run(["verify", str(tmp_path / "flight"), "--level", "1", "--certificate", str(tmp_path / "c.json")]) == 2
     assert "there already" in capsys.readouterr().err and (tmp_path / "c.json").read_text() == "mine"
+
+
+def test_a_folder_in_the_place_of_a_file_takes_no_other_file_with_it(tmp_path: Path) -> None:
+    """The place that could not be filled is named, and not the folder beside it in which files are written first."""
+    target = tmp_path / "out"
+    (target / "report.md").mkdir(parents=True)
+    (target / "figures").write_text("mine")
+    with pytest.raises(OSError) as error, fresh_directory(target, force=True) as work:
+        (work / "figures").mkdir()
+        for name in ("figures/mass.svg", "report.md", "solution.json"):
+            (work / name).write_text(name)
+    assert Path(error.value.filename) == target / "figures"
+    assert (target / "solution.json").read_text() == "solution.json"
+    assert (target / "figures").read_text() == "mine"
+    (target / "figures").unlink()
+    with pytest.raises(OSError) as error, fresh_directory(target, force=True) as work:
+        (work / "report.md").write_text("report")
+    assert Path(error.value.filename) == target / "report.md"
+    assert {path.name for path in tmp_path.iterdir()} == {"out"}

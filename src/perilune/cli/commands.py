@@ -14,7 +14,7 @@ from perilune.cli.answer import Answer, Files, aside, deliver, failed, refusal, 
 from perilune.cli.arguments import Told, help_text, parsed, settings
 from perilune.cli.doctor import diagnosis
 from perilune.cli.options import seconds
-from perilune.cli.progress import LONGEST_LOG, failure_kept, progress, refuse_used, warn
+from perilune.cli.progress import LONGEST_LOG, WRITING, failure_kept, progress, refuse_used, warn
 from perilune.cli.stopping import advised, heed, put_off
 from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.units import told
@@ -68,7 +68,7 @@ def _solve(typed: Namespace) -> Answer:
                     save(solution, out, scenario.text, force=typed.force)
                     kept = f"the solution is in {out}; its figures and the report may be missing"
         if out is not None:
-            watch("writing figures and the report")
+            watch(WRITING)
             ordinary = None
             with files.written():
                 ordinary = _beside(solution)

@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 LONGEST_LOG = 1000  # lines of progress that a failure keeps
 _FIRST_WORD, _NEXT_WORD = 2.0, 5.0  # s: until the first word on what is at work, and between two of them
 _BEST_SO_FAR = "best so far: "  # how `perilune.words.watch.best_so_far` begins
+WRITING = "writing figures and the report"  # of an answer: no flight is the best so far any more
 _COUNT = re.compile(r"\d+ of \d+")  # members that are done, of all
-_COUNTED = re.compile(r" \(\d+ of \d+\).*")
+_COUNTED = re.compile(r" \((\d+ of \d+)\).*")  # behind the name of a member
 
 
 def _iteration_line(i: Iteration) -> str:
@@ -77,6 +78,7 @@ class WorkClock:
     printed: float = field(default_factory=time.monotonic)
     line: str = ""
     best: str = ""
+    count: str = ""
 
     def hear(self, line: str, *, printed: bool = False) -> None:
         """Remember a line, and whether it was printed."""
@@ -84,6 +86,10 @@ class WorkClock:
             self.best = f"; {line}"
         elif line:
             self.line = line
+            if counted := _COUNTED.search(line):
+                self.count = f", {counted[1]}"
+            if counted or line == WRITING:
+                self.best = ""
         self.printed = time.monotonic() if printed else self.printed
 
     def text(self, line: str = "") -> str:
@@ -96,8 +102,8 @@ class WorkClock:
         now = time.monotonic()
         if now - self.printed > (_FIRST_WORD if self.printed == self.began else _NEXT_WORD):
             self.printed = now
-            on = ": " * bool(self.line) + self.line + self.best
-            aside(f"perilune: at work for {now - self.began:.0f} s{on}")
+            on = ": " * bool(self.line) + _COUNTED.sub("", self.line) + self.best
+            aside(f"perilune: at work for {now - self.began:.0f} s{self.count}{on}")
 
     @contextmanager
     def ticking(self, tick: Callable[[], object]) -> Iterator[None]:

@@ -245,13 +245,21 @@ def _locked(directory: Path) -> int | None:
 
 
 def _move(work: Path, target: Path) -> None:
-    """Move every file of `work` to the same place in `target`, each at once; then remove what an older run left."""
-    moved = set()
+    """Move every file of `work` to the same place in `target`, each at once; then remove what an older run left.
+
+    One that has no place there, as where a folder has its name, takes no other with it; the first is raised at the end.
+    """
+    moved, failed = set[Path](), list[OSError]()
     for source in sorted(path for path in work.rglob("*") if path.is_file()):
         place = target / source.relative_to(work)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        os.replace(source, place)
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(source, place)
+        except OSError as error:  # which is to name the place, and not what is moved there
+            failed.append(OSError(error.errno, error.strerror, error.filename2 or error.filename))
         moved.add(place)
+    if failed:
+        raise failed[0]
     if moved:
         for left in _results_in(target) - moved:
             left.unlink(missing_ok=True)

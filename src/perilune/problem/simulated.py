@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.words.asked import called_in_words, demand_numbers, refused
+from perilune.words.asked import called_in_words, demand_numbers
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
 
@@ -49,13 +49,16 @@ class SimulatedProblem:
         Raises
         ------
         PeriluneError
-            If there is no such phase, x or u has another number of components, or the dynamics need a free parameter
-            that is not passed.
+            If there is no such phase or free parameter, x or u has another number of components, or the dynamics need
+            a free parameter that is not passed.
         """
         stated = self.phases[_number_of(self, phase)]
         state = _components(x, stated.state_names, f"the state of {stated.name}")
         control = _components(u, stated.control_names, f"the control of {stated.name}")
         demand_numbers(t, "a time [s]")
+        passed = {} if free is None else free
+        if isinstance(passed, Mapping) and (strange := set(passed) - set(self.free_names)):
+            raise unknown_name("free parameter", min(strange, key=str), list(self.free_names))
         try:
             shape = np.broadcast_shapes(state.shape[1:], control.shape[1:])
         except ValueError:
@@ -63,7 +66,7 @@ class SimulatedProblem:
             expected = "one control for each state, or one for all"
             raise PeriluneError("states and controls are not equally many", got=got, expected=expected) from None
         try:
-            found = stated.rates(list(state), list(control), self.parameters({} if free is None else free))
+            found = stated.rates(list(state), list(control), self.parameters(passed))
         except AttributeError as error:
             if error.name not in self.free_names:
                 raise
@@ -100,5 +103,8 @@ def _components(values: Any, names: Sequence[str], what: str) -> Matrix:
     found = demand_numbers(values, what, most=2) if len(names) or np.size(values) else np.empty(0)
     found = np.asarray(found, dtype=float)
     if found.ndim == 0 or len(found) != len(names):
-        raise refused(values, f"{len(names)} components: {', '.join(names) or 'none'}", what)
+        raise PeriluneError(
+            f"this is not {what}", got=f"an array of shape {found.shape}" if found.ndim else "one number",
+            expected=f"{len(names)} components: {', '.join(names) or 'none'}",
+        )  # fmt: skip
     return found

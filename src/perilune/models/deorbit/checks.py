@@ -104,11 +104,12 @@ def refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | No
     reached = {"interface.altitude": interface.altitude, "site.altitude": site.altitude}
     for name, altitude in reached.items():
         if not air.bottom <= altitude <= air.top:
+            read = f"more rows, or another {name}; its file was read as {air.said}"
             raise PeriluneError(
                 f"{air.name} ends before the flight does",
                 got=f"data from {air.bottom / 1e3:g} to {air.top / 1e3:g} km, and {name} = {altitude / 1e3:g} km",
                 expected="data from the site up to the interface",
-                advice=f"more rows, or another {name}" + (f"; its file was read as {air.said}" if air.said else ""),
+                advice=read if air.said else f"another {name}",
             )
 
 
