@@ -69,6 +69,7 @@ def test_the_limit_of_the_whole_holds_for_its_parts() -> None:
 def test_of_two_flights_the_better_is_kept_and_an_extremal_before_a_rough_one() -> None:
     problem, other, lines = object(), object(), list[object]()
     with progressing(lines.append, problem) as work:
+        work("start")
         assert work.flight() is None
         best_so_far(other, -9.0, "another problem", lambda: "other", extremal=True)
         best_so_far(problem, -1.0, "rough", lambda: "rough", extremal=False)
@@ -77,7 +78,8 @@ def test_of_two_flights_the_better_is_kept_and_an_extremal_before_a_rough_one() 
         best_so_far(problem, 2.0, "exact", lambda: "exact", extremal=True)
         best_so_far(problem, -3.0, "rough again", lambda: "rough again", extremal=False)
         assert work.flight() == ("exact", True)
-    assert lines == ["best so far: rough", "best so far: exact"]
+        assert work.stage == "start"
+    assert lines == ["start", "best so far: rough", "best so far: exact"]
 
 
 # -- the verb

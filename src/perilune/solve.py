@@ -15,6 +15,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, THEOREM, Verification
+from perilune.problem.wording import objective_text
 from perilune.words.asked import called_in_words, demand, demand_callable, demand_level, demand_si, refused
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 from perilune.words.units import told
@@ -94,7 +95,7 @@ def _solved_and_proved(
 ) -> Solution:
     """Return the answer of a method with its proof, or the better one that lies beyond an extremal that is none."""
     solution = _answered(method, problem, guess, work)
-    best = f"J = {solution.objective:.9g} {problem.objective_unit}, which is not proved yet"
+    best = f"{objective_text(solution, 9)}, which is not proved yet"
     best_so_far(problem, solution.objective, best, lambda: solution, extremal=True)
     solution = prove(solution, level, tolerance, work)
     if guess is None and isinstance(method, Indirect) and _no_minimum(solution):
@@ -120,10 +121,10 @@ def _out_of_time(problem: Problem, work: Progress, limit: float, end: TimeLimitR
     if found is not None:
         flight, extremal = found
         kind = "an extremal" if extremal else "a rough flight of the direct method"
-        known = f"best so far: {kind} with J = {told(flight.objective, problem.objective_unit, 9)}, which is not proved"
+        known = f"best so far: {kind} with {objective_text(flight, 9)}, which is not proved"
     return NotConvergedError(
         f"the time limit of {told(limit, 's')} is over",
-        got=f"{known}; at work on: {work.stage or 'the begin'}",
+        got=f"{known}; at work on: {work.stage or 'the start'}",
         expected="an answer and its proof",
         advice='more time (--time-limit "20 min", or time_limit=1200.0), a guess, or a lower --level; with --out DIR '
         "the best flight is kept",

@@ -15,6 +15,7 @@ from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Variable
+from perilune.problem.wording import objective_text
 from perilune.structures.read import contacts, of_states
 from perilune.structures.regimes import wavering
 from perilune.words.outcome import PeriluneError
@@ -185,8 +186,8 @@ class Coarse:
 
 def _tell_of_rough(problem: Problem, rough: Solution) -> None:
     """Tell of a rough flight, which is what a time limit would leave."""
-    told = f"J = {rough.objective:.6g} {problem.objective_unit}, mesh error {rough.statistics.residual:.1g}"
-    best_so_far(problem, rough.objective, f"a rough flight with {told}", lambda: rough, extremal=False)
+    best = f"a rough flight with {objective_text(rough)}, mesh error {rough.statistics.residual:.1g}"
+    best_so_far(problem, rough.objective, best, lambda: rough, extremal=False)
 
 
 def touched(flight: Solution) -> set[str]:

@@ -30,6 +30,7 @@ from perilune.problem.guess import fitting_guess
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.problem.wording import objective_text
 from perilune.shooting.continuation import Member
 from perilune.structures.carry import Joined
 from perilune.words.asked import called_in_words
@@ -109,8 +110,8 @@ class Indirect(Ladder):
         drawn = [] if guess is not None or base is not None else self._of_known_arcs(search)
         search.answered = bool(drawn)
         for one in drawn:
-            told = f"J = {one.objective:.9g} {search.problem.objective_unit}, of arcs that the model knows"
-            best_so_far(search.problem, one.objective, told, lambda one=one: one, extremal=True)
+            known = f"{objective_text(one, 9)}, of arcs that the model knows"
+            best_so_far(search.problem, one.objective, known, lambda one=one: one, extremal=True)
         try:
             solution = search.solve(guess, base)
         except (NotConvergedError, InfeasibleError) as error:
@@ -131,8 +132,8 @@ class Indirect(Ladder):
             raise
         if drawn:
             solution = _best([solution, *drawn], search)
-        told = f"J = {solution.objective:.9g} {search.problem.objective_unit}, and whether another is better is open"
-        best_so_far(search.problem, solution.objective, told, lambda: solution, extremal=True)
+        best = f"{objective_text(solution, 9)}, and whether another is better is open"
+        best_so_far(search.problem, solution.objective, best, lambda: solution, extremal=True)
         outdoing = () if any(solution.objective == one.objective for one in drawn) else search.outdoing()
         for rough in outdoing:
             if not rough.objective < solution.objective:

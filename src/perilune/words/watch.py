@@ -166,4 +166,6 @@ def best_so_far(subject: Any, objective: float, told: str, flight: Callable[[], 
         return
     if now.best is None or (extremal, -objective) >= (now.best[0], -now.best[1]):
         now.best = extremal, objective, flight
+        stage = now.stage
         now(f"best so far: {told}")
+        now.stage = stage  # a flight that is known is no stage of the work
