@@ -205,3 +205,11 @@ def test_a_name_that_is_no_result_is_no_objective() -> None:
 
 def test_a_failure_says_what_an_extremal_is() -> None:
     assert NO_EXTREMAL.startswith("no extremal was found") and "optimum" in NO_EXTREMAL
+
+
+def test_a_limit_that_the_relaxed_flight_keeps_already_has_no_parameter_to_name() -> None:
+    """The slope gives by 0.18 m beside the dry mass: less than its slack between the nodes; it was a fault of a root."""
+    changes = ["vehicle.mass=1901.19 kg", "corridor.slope=3.88 deg"]
+    with pytest.raises(NotConvergedError, match="misses vehicle.dry_mass by about") as caught:
+        pl.solve(load_file(EXAMPLES / "mars_pinpoint.toml", changes).problem, level=1)
+    assert "vehicle.dry_mass 1504.9" in str(caught.value)

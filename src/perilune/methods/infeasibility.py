@@ -212,10 +212,15 @@ def _parameter_enough(problem: Problem, one: Relaxed) -> tuple[str, float] | Non
     found = list[tuple[float, str, float]]()
     for name in _only_in_path(problem):
         stated = getattr(p, name)
+        if not room(name, stated) < 0:
+            continue  # the flight keeps it as stated: what gave by little was no more than rounding, or a node's
         for way in (-1, 1):
             before = stated
             for value in stated * (1 + way * np.geomspace(*_STEPS)):
-                if room(name, value) >= 0:
+                left = room(name, value)
+                if not np.isfinite(left):
+                    break  # where the condition says nothing, a tangent beyond a right angle
+                if left >= 0:
                     enough = float(np.asarray(brentq(partial(room, name), before, value)))
                     found.append((abs(enough - stated), name, enough))
                     break
