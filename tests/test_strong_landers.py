@@ -184,3 +184,43 @@ def test_an_ordinary_landing_is_not_warned_of() -> None:
     )
     problem = hybrid_landing(vehicle, Retro(specific_impulse=310.0), orbit, STILL)
     assert next(f for f in preflight(problem) if f.name == "velocity change of two impulses").passed
+
+
+@pytest.mark.parametrize("rate", [0.0, 2.6617e-6])
+@pytest.mark.parametrize(("weights", "floor"), [(2.0, 0.3), (8.0, 0.1)])
+def test_a_switch_as_the_flight_begins_on_a_circle_is_proved(rate: float, weights: float, floor: float) -> None:
+    """H = S there, as any place is as good as another, and H = 0: the throttle switches at once, or almost."""
+    problem = of_a_circle(rate, weights, floor)
+    landed = solve(problem)
+    assert (landed.outcome, landed.verification.level) == (Outcome.PROVED, 3)
+    assert not [said for said in landed.warnings if "ignite later" in said]
+
+
+def of_a_circle(rate: float, weights: float, floor: float) -> Problem:
+    """Return a landing from a circular orbit at 6 km, with so many times its weight in thrust."""
+    body = Body(name="moon", gravitational_parameter=MU, radius=RADIUS, rotation_rate=rate)
+    r, mass = RADIUS + 6e3, 1e4
+    return powered_descent(
+        Vehicle(mass=mass, thrust=weights * mass * MU / RADIUS**2, specific_impulse=320.0),
+        Ignition(altitude=6e3, longitude=0.0, latitude=0.3, heading=1.0,
+                 forward_speed=math.sqrt(MU / r) - rate * r * math.cos(0.3) * math.sin(1.0),
+                 sideways_speed=rate * r * math.cos(0.3) * math.cos(1.0)),
+        Site(longitude=0.2, latitude=0.0),
+        body, target="anywhere", throttle=(floor, 1.0),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("problem", "free"),
+    [
+        (of_a_circle(0.0, 3.0, 0.0), True),
+        (of_a_circle(0.0, 3.0, 0.1), False),  # waiting burns
+        (of_a_circle(2.6617e-6, 3.0, 0.0), False),  # the ground moves, and faster elsewhere
+        (strong(), False),  # an ellipse, by 0.27 m/s
+    ],
+)
+def test_where_a_later_ignition_costs_nothing_it_is_said(problem: Problem, free: bool) -> None:
+    found = next(f for f in preflight(problem) if f.name == "cost of a later ignition")
+    assert found.passed != free
+    assert found.lasting and not found.binding
+    assert "equally good flights ignite later" in found.meaning

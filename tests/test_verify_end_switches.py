@@ -142,16 +142,37 @@ def test_one_that_vanishes_at_the_end_from_the_wrong_side_is_no_extremal() -> No
 @pytest.mark.parametrize("off", [1e-7, 1e-5])
 def test_one_that_is_small_at_the_end_and_not_zero_is_no_switch(off: float) -> None:
     """y(2) = -off leaves S = off/10 at the end, of the wrong sign."""
-    solution = flown("end", 0.1)
-    given = {**solution.problem.given, "begun": Given(value=-LENGTH - off)}
+    assert "switching_u" in {check.name for check in verify(beside_the_end(0.1, -off), level=2).failed}
+
+
+@pytest.mark.parametrize("pull", [-0.4, 0.1, 0.49, 0.51, 0.8])
+def test_one_that_almost_vanishes_at_the_end_is_judged_as_if_it_did(pull: float) -> None:
+    """y(2) = off leaves |S| = |pull| off: what is a switch beyond it, if it paid, would pay next to it as well."""
+    checks = level_3(beside_the_end(pull, math.copysign(1e-5, pull)))
+    strict, conjugate = checks["strict_u"], checks["conjugate_point"]
+    assert strict.passed and strict.value == pytest.approx(-1.0, rel=1e-4)
+    assert conjugate.value == pytest.approx(2 * pull, abs=1e-4)
+    assert conjugate.passed == (pull < 0.5)
+
+
+def test_one_that_is_well_above_zero_at_the_end_is_no_switch() -> None:
+    """|S| = 2e-3 is a thousandth of its largest value, which strictness sees."""
+    strict = level_3(beside_the_end(0.1, 2e-2))["strict_u"]
+    assert strict.passed and strict.value == pytest.approx(-1e-3, rel=1e-2)
+    assert "is a switch there" not in strict.meaning
+
+
+def beside_the_end(pull: float, off: float) -> Solution:
+    """Return the flight of `flown` to y(2) = off, where S = -pull off."""
+    solution = flown("end", pull)
+    given = {**solution.problem.given, "begun": Given(value=-LENGTH + off)}
     path = solution.trajectories[0]
     assert path.costate is not None
-    values, costates = path.state.values - [0.0, off, 0.0], path.costate.values + np.array([0.0, 0.1 * off, 0.0])
+    values = path.state.values + np.array([0.0, off, 0.0])
+    costates = path.costate.values - np.array([0.0, pull * off, 0.0])
     moved = replace(path, state=replace(path.state, values=values), costate=replace(path.costate, values=costates))
-    checks = verify(
-        replace(solution, problem=replace(solution.problem, given=given), trajectories=(moved,)), level=2
-    ).failed  # fmt: skip
-    assert "switching_u" in {check.name for check in checks}
+    objective = solution.objective - 0.5 * pull * off**2
+    return replace(solution, problem=replace(solution.problem, given=given), trajectories=(moved,), objective=objective)
 
 
 def test_the_solvers_own_answer_is_proved() -> None:

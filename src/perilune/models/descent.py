@@ -28,6 +28,7 @@ from perilune.models.limits import (
     air_left_out,
     braking,
     engine_holds_dry_mass,
+    late_ignition_costs,
     longest_burn,
     mass_held,
     propellant_stops,
@@ -181,7 +182,7 @@ def _flight_time(x: Any, p: Any, m: Any) -> Any:
     return p.flight_time
 
 
-def _preflight(p: Any, m: Any, *, to_site: bool, body: Body = MOON) -> tuple[Finding, ...]:
+def _preflight(p: Any, m: Any, *, to_site: bool, waits: bool = False, body: Body = MOON) -> tuple[Finding, ...]:
     """Bounds of `perilune.models.limits`, and how far the propellant reaches."""
     r_site = p.body_radius + p.site_altitude
     position, velocity = CARTESIAN.start(p, m)[:3], CARTESIAN.start(p, m)[3:6]
@@ -192,6 +193,8 @@ def _preflight(p: Any, m: Any, *, to_site: bool, body: Body = MOON) -> tuple[Fin
         found.append(propellant_stops(position, velocity, AXIS, r_site, p, m))
         if to_site and not hasattr(p, "throttle_lower") and not hasattr(p, "start_longest_coast"):
             found.append(_reach(position, velocity, r_site, p, m))
+    if waits:
+        found.append(late_ignition_costs(position, velocity, p, m))
     return (*found, *air_left_out(body))
 
 
@@ -355,6 +358,7 @@ def powered_descent(
     burn = _phase(coordinates, target, steering, controls, dry="vehicle_dry_mass" in given)
     coasts = start.longest_coast is not None
     free_flight = coordinates == "cartesian" and target == "anywhere" and not coasts and steering is None
+    waits = free_flight and throttle is not None and minimise == "propellant"
     return Problem(
         name="powered_descent",
         title=f"{vehicle.mass:g} kg lander from {start.altitude / 1e3:g} km over {body.titled}",
@@ -371,8 +375,8 @@ def powered_descent(
         minimised="" if minimise == "propellant" else FLIGHT_TIME.name,
         views=replace(_VIEWS, space=replace(_SPACE, body=told_as(body))),
         declared=(choices, *stated),
-        switching_guesses=rough_landing if free_flight and throttle is not None and minimise == "propellant" else None,
+        switching_guesses=rough_landing if waits else None,
         ranges=_ranges,
-        preflight=partial(_preflight, to_site=target == "site", body=body),
+        preflight=partial(_preflight, to_site=target == "site", waits=waits, body=body),
         scales=_scales(start, vehicle, _at(given, _ranges)),
     )

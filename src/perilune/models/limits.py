@@ -38,6 +38,7 @@ from perilune.models.rotating import combine, cross, dot
 from perilune.problem.preflight import Finding
 
 SLACK = 1.02  # of what the rocket equation allows, for J2, which the speed w leaves out
+_SAME_ORBIT = 1e-6  # of the speed: what changes an orbit by less does not choose a place on it
 
 
 def is_flat(p: Any) -> bool:
@@ -236,4 +237,40 @@ def stopping_distance(
         binding=True,
         meaning="the descent is too fast: even full thrust straight up cannot stop it above the site",
         advice="a slower or higher start, or more thrust",
+    )
+
+
+def late_ignition_costs(position: Any, velocity: Any, p: Any, m: Any) -> Finding:
+    """Compare what the place and the time of the first burn change with nothing, for a landing anywhere.
+
+    On a circular orbit over a sphere that does not turn every place is as good as every other, so that a flight that
+    may coast first may do so for any time at no cost: the best flights are a continuum, and none is strictly the best.
+
+    Parameters
+    ----------
+    position, velocity
+        Where the flight begins, relative to the body [m, m/s].
+    p, m
+        Parameters of a descent whose throttle has bounds, and the maths namespace.
+
+    Returns
+    -------
+    Finding
+        The eccentricity, the speed of the ground over that of the orbit, and the least throttle, added up.
+    """
+    mu, square = p.body_gravitational_parameter, dot(velocity, velocity)
+    r, rising = m.sqrt(dot(position, position)), dot(position, velocity)
+    apse = [((square - mu / r) * place - rising * rate) / mu for place, rate in zip(position, velocity, strict=True)]
+    ground = m.fabs(p.body_rotation_rate) * r / m.sqrt(mu / r)
+    return Finding(
+        name="cost of a later ignition",
+        value=m.sqrt(dot(apse, apse)) + ground + m.fabs(p.throttle_lower) + m.fabs(getattr(p, "body_j2", 0.0)),
+        limit=_SAME_ORBIT,
+        at_least=True,
+        unit="1",
+        binding=False,
+        meaning="the orbit is circular, the body does not turn, and any place will do: equally good flights"
+        " ignite later, so that none is strictly the best, and local optimality (level 3) cannot be proved",
+        advice="any of them may be flown; a site, a body that turns, or an orbit that is not circular chooses one",
+        lasting=True,
     )

@@ -18,7 +18,8 @@ of a flight that may arrive at any. That is a switch at the end: beyond it u is 
 flight that switches tau before the end costs D tau^2/2 as one beside any other switch, and moves its end as far. So an
 end with S = 0 is strict where dS/dt != 0, and its arc of length 0 belongs to the second variation (`variations`), which
 must be positive whatever the sign of tau: that is more than is needed, as tau cannot be negative. A jump to any other
-value between the bounds moves less at the same price. The same holds at a free start.
+value between the bounds moves less at the same price. The same holds at the start, and where |S| is almost 0 at an
+end: what it adds to the price of tau is positive.
 
 Source: Maurer and Osmolovskii (2004), Second order sufficient conditions for time-optimal bang-bang control;
 Osmolovskii and Maurer (2012), chapter 6, for the problem in switching times that this is.
@@ -50,6 +51,8 @@ from perilune.words.derivatives import jacobian
 from perilune.words.types import Matrix, Vector
 
 STRICT_LIMIT = -1e-4
+_BRIEF = 1e-6  # of the flight: beside a switch by so little |S| says nothing
+_LOOKS = 101  # times at which |S| is sized
 _CHORD_ROUNDING = 1e-6  # of the slope: where H is a straight line in u its chord differs by rounding
 
 
@@ -90,17 +93,36 @@ def _vanishing(arc: Arc, time: float) -> Iterator[EndSwitch]:
     gradient, _ = control_gradient(arc, x, u, lam)
     for at, control in scalars(arc.phase.controls):
         lower, upper = on_bounds(arc, at, control, u)
-        S = np.abs(gradient[row_of(arc, control)])
-        if not (lower | upper).any() or not _steepness(arc, at, control, t, S).max() <= SLOPE_LIMIT:
+        S = _steepness(arc, at, control, t, np.abs(gradient[row_of(arc, control)]))
+        if not (lower | upper).any() or not S.max() <= _unseen(arc, at, control, time):
             continue
         across = np.array(u)
         across[at] = control.limits(arc.p)[1 if lower.any() else 0]
         if not math.isfinite(across[at, 0]) or (arc.allowed and arc.allowed.active(x, u).any()):
             continue
         change = arc.hamiltonian(x, across, lam) - arc.hamiltonian(x, u, lam)
-        if np.abs(change).max() <= HAMILTONIAN_LIMIT * arc.rate_scale:
+        if np.abs(change).max() <= HAMILTONIAN_LIMIT * arc.rate_scale or S.max() > SLOPE_LIMIT:
             sides = (across, u) if time == 0.0 else (u, across)
             yield EndSwitch(time=time, at=at, across=float(across[at, 0]), slope=float(_bend(arc, t, *sides)[0]))
+
+
+def _unseen(arc: Arc, at: int, control: Bounded, time: float) -> float:
+    """Return the |S| at an end of the flight below which `strictness` would take it for 0; below 0 beside a switch.
+
+    Parameters
+    ----------
+    arc, at, control
+        The phase; the place of the scalar among the components of the control, and itself.
+    time
+        Of the end [s].
+    """
+    apart = float(from_switches(arc, np.array([time]))[0])
+    if apart <= _BRIEF * arc.duration:
+        return -1.0
+    t = np.linspace(0.0, arc.duration, _LOOKS)
+    gradient, _ = control_gradient(arc, arc.state(t), arc.control(t), arc.costate(t))
+    S = _steepness(arc, at, control, t, np.abs(gradient[row_of(arc, control)]))
+    return max(SLOPE_LIMIT, -STRICT_LIMIT * float(S.max()) * apart / arc.duration)
 
 
 def strictness(arc: Arc) -> Iterator[Check]:
@@ -112,7 +134,7 @@ def strictness(arc: Arc) -> Iterator[Check]:
     for at, control in scalars(arc.phase.controls):
         own = [end for end in ends if end.at == at]
         apart = from_switches(arc, t, [end.time for end in own])
-        held = np.logical_or(*on_bounds(arc, at, control, u)) & (apart > 1e-6 * arc.duration)
+        held = np.logical_or(*on_bounds(arc, at, control, u)) & (apart > _BRIEF * arc.duration)
         if not held.any():
             continue
         S = _steepness(arc, at, control, t, np.abs(gradient[row_of(arc, control)]))
