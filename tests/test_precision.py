@@ -419,7 +419,7 @@ def test_a_family_of_landings_touches_its_slope() -> None:
 
 
 def test_a_touch_that_a_rough_mesh_does_not_lead_to_is_found_by_a_finer_one() -> None:
-    """Solved from 40 points of a mesh it was refused: every extremal breaks the glide slope."""
+    """Solved from 40 points of a mesh it was refused: every extremal found breaks the glide slope."""
     approach = {"approach_east": -1843.0, "approach_up": 1045.0, "approach_up_speed": -32.4}
     problem = load_file(PRECISION).problem
     found = solve(problem.with_given(corridor_slope=0.42, **approach), level=1)

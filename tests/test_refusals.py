@@ -141,7 +141,7 @@ def test_where_a_flight_keeps_everything_it_is_kept(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(Polish, "run", lambda self, rough: None)
     tight = load_file(EXAMPLES / "precision_landing.toml", ("corridor.slope=25 deg",)).problem
     with pytest.raises(
-        NotConvergedError, match=r"every extremal breaks[\s\S]*direct method: landed mass \d+.* kg, mesh error"
+        NotConvergedError, match=r"every extremal found breaks[\s\S]*direct method: landed mass \d+.* kg, mesh error"
     ) as e:
         solve(tight)
     flight = e.value.flight
@@ -191,7 +191,7 @@ def test_the_flight_that_keeps_everything_is_on_disk(capsys: pytest.CaptureFixtu
     """Every extremal would go through the ground; the direct method's flight is kept beside the refusal, unproved."""
     out, weak = tmp_path / "out", ["--set", "vehicle.thrust=200 N", "--set", "retro.delta_v=0 m/s"]
     assert run(["solve", HYBRID, *weak, "--out", str(out)]) == 4
-    assert "every extremal breaks a condition" in capsys.readouterr().err
+    assert "every extremal found breaks a condition" in capsys.readouterr().err
     kept = read_json((out / "failure.json").read_text(encoding="utf-8"))
     assert snapshot(out).keys() == {"failure.json"} and "PROVED" not in json.dumps(kept["flight"])
     height = [state[0] - 1738140.0 for state in kept["flight"]["phases"][0]["state"]["values"]]
@@ -203,7 +203,7 @@ def test_the_flight_that_keeps_everything_is_on_disk(capsys: pytest.CaptureFixtu
 
 def test_a_broken_path_is_named_and_no_round_off(landing: Problem) -> None:
     """With 50 N no burn's size makes an extremal, but each burn has one, which dives: not its residual of 1e-16."""
-    with pytest.raises(NotConvergedError, match=r"every extremal breaks[\s\S]*height above site falls to -"):
+    with pytest.raises(NotConvergedError, match=r"every extremal found breaks[\s\S]*height above site falls to -"):
         solve(landing.with_given(vehicle_thrust=50.0))
 
 

@@ -157,7 +157,7 @@ def test_arcs_that_break_a_bound_of_the_control_are_no_answer() -> None:
     Its steering between the bounds chatters the more the finer a mesh is, so that nothing of few arcs is best.
     """
     problem = load_file("examples/polar_descent.toml", ("vehicle.mass=12375 kg",)).problem
-    with pytest.raises(pl.NotConvergedError, match="every extremal breaks a condition") as caught:
+    with pytest.raises(pl.NotConvergedError, match="every extremal found breaks a condition") as caught:
         pl.solve(problem)
     said = "structure free and touches height_above_site, free: an extremal, but azimuth above lower falls to -117.061"
     assert any(line.startswith(said) for line in caught.value.partial["tried"])

@@ -1,7 +1,7 @@
 """Why a search has no answer: refused because nothing can fly it, or not converged, with what was found kept.
 
-That every extremal breaks something is an answer of the method, not of physics. A refusal needs a bound that holds for
-every flight, or a direct method that found no flight from any of its starts.
+That every extremal found breaks something is an answer of the method, not of physics. A refusal needs a bound that
+holds for every flight, or a direct method that found no flight from any of its starts.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from perilune.words.outcome import BEST_MISSES, InfeasibleError, NotConvergedErr
 from perilune.words.types import Vector
 from perilune.words.units import told
 
-_BROKEN = "every extremal breaks a condition"
+_BROKEN = "every extremal found breaks a condition"
 NO_EXTREMAL = "no extremal was found (a flight that meets every condition of an optimum)"
 CHATTERS = "no best flight was found: it chatters, or switches more often than any mesh follows"
 _STATIONARITY, _TRANSVERSALITY = "stationarity in ", ": transversality of "  # as `conditions.residuals` names them
