@@ -398,6 +398,8 @@ def test_comparisons_of_another_hand_are_refused(change: dict[str, Any]) -> None
     problem = replace(cho_landing(), preflight=away)
     document = comparisons_document(problem, [{}])
     assert len(pl.preflight(problem.changed(preflight=read_comparisons(document, problem)))) == 2
+    older = {**document, "stated": [{n: v for n, v in f.items() if n != "lasting"} for f in document["stated"]]}
+    assert read_comparisons(older, problem).found == read_comparisons(document, problem).found
     with pytest.raises(PeriluneError, match="comparisons"):
         read_comparisons({**document, **change}, problem)
 

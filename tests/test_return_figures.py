@@ -139,7 +139,7 @@ def test_names_in_views_are_checked(flown: Solution) -> None:
     ):
         with pytest.raises(PeriluneError, match=r"lon|weight"):
             replace(flown.problem, views=spoilt)
-    assert views(air=False, heat=False, coasts=True, given=()).corridor is None
+    assert views(air=None, heat=False, coasts=True, given=()).corridor is None
 
 
 # -- against time ---------------------------------------------------------------------------------------------------

@@ -20,7 +20,8 @@ from perilune.problem.problem import Problem
 from perilune.problem.tape import Expression, NotAFormula, Recorder
 from perilune.words.outcome import PeriluneError
 
-_NUMBERS, _FLAGS = ("value", "limit"), ("at_least", "binding")
+_NUMBERS, _FLAGS = ("value", "limit"), ("at_least", "binding", "lasting")
+_UNSTATED = {"lasting": False}  # in files that are older than the flag
 _TEXTS = tuple(f.name for f in fields(Finding) if f.name not in (*_NUMBERS, *_FLAGS))
 
 
@@ -94,6 +95,7 @@ def read_comparisons(document: Any, problem: Problem) -> Comparisons:
     stated = document.get("stated") if isinstance(document, dict) else None
     if not isinstance(stated, list) or len(stated) > MOST_ENTRIES or not all(isinstance(f, dict) for f in stated):
         refuse("comparisons", str(stated)[:40], "a list of records")
+    stated = [{**_UNSTATED, **f} for f in stated]
     if not all(isinstance(f.get(name), bool) for f in stated for name in _FLAGS):
         refuse("comparisons", "a side that is not stated", "true or false")
     tape = tape_of(document.get("values"), {"p": tuple(problem.given)}, "comparisons")
