@@ -65,7 +65,7 @@ CURVATURE_LIMIT = -1e-4
 KAPPA_LIMIT = 0.999
 # Of J. What the steps leave of a first variation that is 0 gains 3e-8 at most on good answers.
 GAIN_LIMIT = 1e-6
-_FINER, _BY_STEPS = (2, 4), 5e-2  # times as many steps, where they may be what leaves it
+_FINER, _BY_STEPS = (2, 4), 1.0  # times as many steps, where they may be what leaves it
 # Times as many steps for kappa, where it is between its limit and this; how near to 1 rounding leaves it open.
 _LEVELS, _DOUBTFUL, _ROUNDED = (2, 3, 4), 1.01, 1e-8
 _SAID_TWICE = 1e-7  # of a linearised condition: by so much others that say the same may differ
