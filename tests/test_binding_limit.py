@@ -156,7 +156,7 @@ def floored(floor: float) -> pl.Problem:
 
 
 def test_a_control_that_chatters_is_said_with_its_usual_cause() -> None:
-    """The throttle floor lifts 1.38 times the weight, and the thrust is turned to and fro to lift less."""
+    """The throttle floor lifts 1.38 times the weight, and the thrust is turned back and forth to lift less."""
     assert 0.4 * FLIP["thrust"][0] > FLIP["mass"][0] * FLIP["g"][0]
     with pytest.raises(NotConvergedError, match="it chatters") as caught:
         pl.solve(floored(0.4), level=0)

@@ -254,7 +254,7 @@ def test_propellant_by_the_square_of_the_thrust_makes_h_concave() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_along_the_speed_limit_the_cart_would_better_chatter(method: Any) -> None:
-    """No best flight: to and fro at full thrust it loses mass sooner. The flight along the limit is feasible, no more.
+    """No best flight: at full thrust, back and forth, it loses mass sooner. That along the limit is only feasible.
 
     Both figures by SciPy: 7.418990902 s along the limit, 7.392669885 s approached by ever faster switching.
     """

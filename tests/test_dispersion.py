@@ -54,7 +54,7 @@ def returning(vehicle: Returner = CAPSULE, **more: Any) -> pl.Problem:
 
 
 def steering(phase: Any, t: float, x: Any, p: Any) -> Any:
-    """Against the velocity and a little sideways, swinging to and fro; a bank that turns."""
+    """Against the velocity and a little sideways, swinging back and forth; a bank that turns."""
     if phase.name == "burn":
         back = backwards(x, p)
         sideways = np.cross(x[:3], back)

@@ -1,4 +1,4 @@
-"""A control that jumps to and fro, and that no mesh follows: chattering, said with its usual cause.
+"""A control that jumps back and forth, and that no mesh follows: chattering, said with its usual cause.
 
 Where the set of admissible rates is not convex, as that of a thrust that cannot fall below a floor, the infimum of J
 may be reached by no control: the best are sequences that switch ever faster between far values, whose mean is what
@@ -72,7 +72,7 @@ def _chatter(flight: Solution, phase: Phase, name: str, jumps: Vector, u: Vector
             floor = limit_name(flight.problem, control, "lower")
             return Chatter(
                 text=f"{text}, while {quantity_name(control)} is at its floor ({told(float(lower), control.unit)}): "
-                "the engine pushes more than the flight needs, and turning it to and fro wastes the rest",
+                "the engine pushes more than the flight needs, and turning it back and forth wastes the rest",
                 advice=f"lower {floor}, or free the time of ignition (a coast before the burn), so that it burns "
                 "later; a narrower limit of the thrust direction",
             )

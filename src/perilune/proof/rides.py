@@ -188,7 +188,7 @@ class Rides:
             if along:
                 value, why = _lowered(along), ""
                 if value > _LEAST and (name := _concave(along[0].part)):
-                    why = f"; H is concave in {name} there: to switch to and fro between its bounds lowers J, the "
+                    why = f"; H is concave in {name} there: to switch back and forth between its bounds lowers J, the "
                     why += "faster the more, so that no best flight follows it (chattering)"
                 yield Check(
                     name=f"{along[0].part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=value,

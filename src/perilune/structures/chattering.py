@@ -1,4 +1,4 @@
-"""Flights along a condition on states that no best flight follows, as switching to and fro beside it is always better.
+"""Boundary arcs that no optimal flight follows, since chattering next to the boundary always lowers J.
 
 Along S = 0 a control keeps S^(q) = 0. Where H is concave in a scalar u that does so, a flight that switches between
 both bounds of u and keeps S^(q) = 0 in the mean stays as near to the arc as it switches fast, and has
@@ -21,7 +21,7 @@ _CONCAVE_BY, _HELD_STRAIGHT = 1e-6, 1e-6  # of the terms of H, and of those of w
 
 
 def chattering(solution: Solution) -> str | None:
-    """Return the name of a scalar that would better switch to and fro along an arc; None where there is none.
+    """Return the name of a scalar that would better switch back and forth along an arc; None where there is none.
 
     Parameters
     ----------

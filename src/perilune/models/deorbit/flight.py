@@ -23,7 +23,7 @@ from perilune.problem.variables import Variable
 STEERING = Direction(names=("toward_x", "toward_y", "toward_z"))
 BANKS: dict[str, Direction | Bounded] = {
     "free": Direction(names=("lift_up", "lift_right")),
-    # Turned to and fro until nothing is left of it sideways.
+    # Bank reversals cancel its lateral part.
     "reversed": Bounded(name="lift_up", lower=-1.0, upper=1.0),
 }
 STATES = (

@@ -150,8 +150,8 @@ class Returner:
     )
     bank: str | None = words(
         "reversed", *BANKS, default=None,
-        about="free, as where it is left out: all of the lift, to any side; reversed: to and fro, which leaves a share"
-        " of it up or down",
+        about="free, as where it is left out: all of the lift, to any side; reversed: bank reversals cancel what acts"
+        " sideways, and leave a share of the lift up or down",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
