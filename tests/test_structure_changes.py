@@ -15,6 +15,8 @@ import pytest
 
 import perilune as pl
 from perilune.methods.breaches import breaches_of
+from perilune.methods.indirect import Indirect
+from perilune.methods.search import Search
 from perilune.models.bodies import MARS, MOON
 from perilune.models.descent import Site
 from perilune.models.precision import Approach, Corridor, precision_landing
@@ -171,3 +173,14 @@ def test_an_atlas_answers_where_a_tilt_begins_to_bind_beside_a_touch(tmp_path: P
     assert -solved.objective == pytest.approx(1903.531052518, abs=1e-7) and solved.verification.level == 3
     with pytest.raises(pl.InfeasibleError, match="begins below the glide slope"):
         atlas.query(approach_east=-2711.68, corridor_slope=0.47708)
+
+
+@pytest.mark.parametrize(("slope", "little"), [("0.5367892139328801 rad", True), ("0.8 rad", False)])
+def test_arcs_are_looked_for_from_extremals_that_break_a_limit_by_little(slope: str, little: bool) -> None:
+    """Those that break the slope by a quarter of the way cost a refusal seconds, and lead to no arcs."""
+    problem = load_file(EXAMPLE, ["approach.east=-1416.2094665883978 m", f"corridor.slope={slope}"]).problem
+    search = Search(Indirect(), problem, lambda _: None)
+    with pytest.raises(pl.PeriluneError):
+        search.solve()
+    assert search.answering.outdone
+    assert bool(list(search.breaking_path())) == little

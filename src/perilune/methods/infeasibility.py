@@ -8,7 +8,6 @@ relaxation lets all else be kept stand in the way, and the one that gives least,
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -113,10 +112,12 @@ def _on_finer_meshes(one: Relaxed) -> tuple[Relaxed, float]:
     """The same on meshes that follow the flight better, and by how much the last of them changed what gives."""
     change = one.amount
     for segments in _FINER[: 2 if len(one.flight.trajectories) == 1 else 1]:
-        with suppress(PeriluneError):
-            method = Pseudospectral(nodes=5, segments=segments, refine=0, iterations=_PATIENT)
+        method = Pseudospectral(nodes=5, segments=segments, refine=0, iterations=_PATIENT)
+        try:
             flight = method.near(one.flight)
-            change, one = abs(flight.objective - one.amount), one._replace(amount=flight.objective, flight=flight)
+        except PeriluneError:  # and a mesh that is finer still begins from no better flight
+            break
+        change, one = abs(flight.objective - one.amount), one._replace(amount=flight.objective, flight=flight)
     return one, change
 
 
