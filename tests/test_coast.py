@@ -42,6 +42,7 @@ def falls() -> Solution:
 
 def fallen(time: float) -> Approach:
     """The approach after a fall, by SciPy in inertial axes with the Moon's point mass alone."""
+    assert SITE.latitude is not None and SITE.longitude is not None
     mu, omega, R = MOON.gravitational_parameter, MOON.rotation_rate, MOON.radius
     sine, cosine = np.sin(SITE.latitude), np.cos(SITE.latitude)
     # Rows: east, north, up of the site at the first moment; the axis is z.

@@ -259,8 +259,9 @@ def test_a_guess_of_a_landing_anywhere_lies_ahead() -> None:
     start = replace(INCLINED, longitude=radians(179.9), heading=radians(90.0), latitude=0.1, sideways_speed=0.0)
     for coordinates in ("cartesian", "spherical"):
         problem = peng(site=Site(), start=start, target="anywhere", coordinates=coordinates)
-        p = problem.parameters({"flight_time": 400.0})
-        end = np.array(problem.phases[0].typical_end(p, NUMERIC), dtype=float)
+        p, typical_end = problem.parameters({"flight_time": 400.0}), problem.phases[0].typical_end
+        assert typical_end is not None
+        end = np.array(typical_end(p, NUMERIC), dtype=float)
         if coordinates == "cartesian":
             end = spherical_of(end, start.heading)
             end[1] = end[1] % (2 * math.pi)
@@ -272,6 +273,7 @@ def test_a_guess_of_a_landing_anywhere_lies_ahead() -> None:
 def test_symmetries(optimum: Solution) -> None:
     """Turned about the axis, and mirrored together with the rotation: the same flight time."""
     turn = radians(37.0)
+    assert SITE.longitude is not None
     turned = peng(
         start=replace(POLE, longitude=POLE.longitude + turn),
         site=replace(SITE, longitude=SITE.longitude + turn),

@@ -193,6 +193,7 @@ def test_path_over_the_pole(made: Reproduction) -> None:
     """From the origin along the heading; to the site by the sides of its spherical triangle; alike in both frames."""
     along, across, height = path(made.indirect)[1]
     radius, site = CASE.body.radius, CASE.site
+    assert site.latitude is not None and site.longitude is not None
     assert (along[0], across[0], height[0]) == pytest.approx((0.0, 0.0, 15e3), abs=1e-6)
     # Right-angled at the foot: colatitude 14 deg, angle at the pole 5 deg.
     colatitude = math.pi / 2 - site.latitude

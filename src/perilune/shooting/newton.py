@@ -42,9 +42,6 @@ _NOISE = 100.0  # residuals below this multiple of the accuracy say nothing
 _FORCING = 1e-3  # accuracy of the next evaluation, in units of the residual squared
 _LEAST_DAMPING = 1e-4
 _ASTRAY = 1e100  # a step beyond this is of a lost iterate; a NaN compares as lost too
-# A step so many times as long as 1 + |y| is that of a Jacobian next to singular: its shortest damped part still moves y
-# a hundredfold, and each flight from there takes all the steps it may. The longest of one that led to a root was 1.4.
-_HOPELESS = 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,7 +268,7 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
     row = evaluate(lanes, y, np.array([flown]), np.zeros((1, columns.n**2)))
     head = row[0, :4].tolist()
     alpha = _limited(1.0, row, columns, max_step)
-    while head[2] < _HOPELESS * (1.0 + head[3]) and alpha > _LEAST_DAMPING and number < limit and not root and not lost:
+    while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root and not lost:
         trial = y if again else y + alpha * row[:, columns.step]
         led, away = settings.led(trial, start, lanes, away)
         if not np.all(led):
