@@ -7,14 +7,11 @@ import sys
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
-import numpy as np
 import pytest
 
 from perilune.cli import run
 from perilune.scenario import load_file
-from perilune.shooting.newton import Columns, newton, rows
 from perilune.words.outcome import PeriluneError
 
 ROOT = Path(__file__).parent.parent
@@ -80,17 +77,3 @@ def test_a_problem_whose_flight_ends_below_the_centre_is_refused_without_a_file_
     with pytest.raises(PeriluneError, match="below the centre of the body"):
         problem.with_given(site_altitude=-6.5e6)
     assert not recwarn.list
-
-
-def test_newton_gives_up_a_step_that_no_damping_makes_useful() -> None:
-    """Each flight from so far away takes all the steps that it may, and 19 of them took a third of a minute."""
-    asked = list[float]()
-
-    def nearly_singular(lanes: Any, y: Any, accuracy: Any, old: Any) -> Any:
-        asked.append(float(y[0, 0]))
-        slope = 1e-9  # of a function whose root is far from being next to this start
-        return rows(y, np.ones((1, 1)), np.full((1, 1, 1), slope), old, np.zeros((1, 0)))
-
-    ends = newton(nearly_singular, np.zeros((1, 1)), Columns(n=1))
-    assert not ends.converged[0]
-    assert asked == [0.0]
