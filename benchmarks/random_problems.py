@@ -204,6 +204,20 @@ def ending(problem: Problem) -> dict[str, Any]:
         return {"class": "failed", "why": f"{error.what}: {error.got}", "feasible": None}
 
 
+def timed_ending(problem: Problem, limit: float) -> dict[str, Any]:
+    """Return how the default call ends within `limit` [s], with its times [s]; a fault is an outcome as well."""
+    row: dict[str, Any] = {}
+    wall, cpu = time.perf_counter(), time.process_time()
+    try:
+        with at_most(limit):
+            row |= ending(problem)
+    except OutOfTime:
+        row |= {"class": "slow", "why": f"not finished after {limit:g} s"}
+    except Exception as error:  # what is no word of ours is what this looks for
+        row |= {"class": "error", "why": f"{type(error).__name__}: {error}"}
+    return row | {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
+
+
 def told_of(solution: Solution) -> dict[str, Any]:
     """Class and reason of an answer, with what it touches."""
     proof = solution.verification

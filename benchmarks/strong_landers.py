@@ -14,7 +14,6 @@ alone.
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -27,7 +26,7 @@ from perilune.models.descent import Ignition, Site, powered_descent
 from perilune.models.vehicle import Vehicle
 from perilune.problem.preflight import possible, preflight
 from perilune.problem.problem import Problem
-from random_problems import DRAWS, PROVED, OutOfTime, at_most, ending, logarithmic, measured, surface_gravity
+from random_problems import DRAWS, PROVED, logarithmic, measured, surface_gravity, timed_ending
 
 # A made-up body with the gravity of Minmus, a moon of the game Kerbal Space Program.
 MINMUS = Body(name="minmus", gravitational_parameter=1.7658e9, radius=60e3, rotation_rate=1.5552e-4)
@@ -93,15 +92,7 @@ def judge(seed: int, number: int, limit: float) -> dict[str, Any]:
     start, problem = draw(seed, number)
     row: dict[str, Any] = {"number": number, "start": start, "body": problem.title}
     row["given"] = {name: given.value for name, given in problem.given.items()}
-    wall, cpu = time.perf_counter(), time.process_time()
-    try:
-        with at_most(limit):
-            row |= ending(problem)
-    except OutOfTime:
-        row |= {"class": "slow", "why": f"not finished after {limit:g} s"}
-    except Exception as error:  # what is no word of ours is what this looks for
-        row |= {"class": "error", "why": f"{type(error).__name__}: {error}"}
-    return row | {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
+    return row | timed_ending(problem, limit)
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
