@@ -149,6 +149,25 @@ def test_the_usual_limit_is_five_times_what_the_hardest_answers_take() -> None:
     assert TIME_LIMIT == 600.0
 
 
+@pytest.mark.parametrize("others", [{}, {"vehicle.thrust": [440.0]}])  # continued from a neighbour, or by itself
+def test_each_member_of_a_sweep_has_a_time_limit(
+    others: dict[str, list[float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An hour goes by at each line of the second member: it is not found, and the others are."""
+    now, member = [0.0], [""]
+    monkeypatch.setattr("perilune.words.watch.time", SimpleNamespace(monotonic=lambda: now[0]))
+
+    def watch(event: object) -> None:
+        if isinstance(event, str) and event.endswith(" of 3)"):
+            member[0] = event
+        now[0] += 3600.0 * ("(2 of 3)" in member[0])
+
+    over = {"vehicle.mass": [290.0, 300.0, 310.0], **others}
+    points = pl.sweep(cho_landing().with_given(retro_delta_v=0.0), over, watch=watch).points
+    assert [point.outcome.name for point in points] == ["SOLVED", "NOT_CONVERGED", "SOLVED"]
+    assert points[1].message.startswith("the time limit of 600 s is over")
+
+
 # -- the command line
 
 
@@ -175,9 +194,12 @@ def test_the_command_line_ends_with_exit_4_and_keeps_the_flight(
         assert kept["flight"]["objective"]["value"] == pytest.approx(-1920.260735, rel=1e-6)
 
 
+@pytest.mark.parametrize("command", [["solve", PRECISION], ["sweep", PRECISION, "--vary", "vehicle.mass=2000,2001 kg"]])
 @pytest.mark.parametrize("limit", ["60", "5 kg", "0 s", "-3 s", "soon", "inf s"])
-def test_a_time_limit_of_the_command_line_has_a_unit_of_time(limit: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["solve", PRECISION, "--time-limit", limit]) == 2
+def test_a_time_limit_of_the_command_line_has_a_unit_of_time(
+    command: list[str], limit: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*command, "--time-limit", limit]) == 2
     said = capsys.readouterr().err
     assert "time" in said
     assert said.count("\n") >= 2

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
@@ -81,11 +82,17 @@ def solve(
         _theorem()  # what is not installed is said before the work
     demand_callable(watch, "a watch")
     demand_tolerance(tolerance)
-    limit = _demand_limit(time_limit, level)
+    with ended_in_time(problem, watch, demand_limit(time_limit, level)) as work:
+        refuse_impossible(preflight(problem))
+        return _solved_and_proved(usable(method), problem, guess, level, tolerance, work)
+
+
+@contextmanager
+def ended_in_time(problem: Problem, watch: Watch | None, limit: float) -> Iterator[Progress]:
+    """Enter the search for a problem, which ends with `NotConvergedError` where its time [s] is over."""
     with progressing(watch, problem, limit) as work:
         try:
-            refuse_impossible(preflight(problem))
-            return _solved_and_proved(usable(method), problem, guess, level, tolerance, work)
+            yield work
         except TimeLimitReached as end:
             raise _out_of_time(problem, work, limit, end) from None
 
@@ -105,7 +112,7 @@ def _solved_and_proved(
     return solution
 
 
-def _demand_limit(stated: float | None, level: int) -> float:
+def demand_limit(stated: float | None, level: int) -> float:
     """Return the time limit [s] that holds."""
     if stated is None:
         return math.inf if level == THEOREM else TIME_LIMIT

@@ -159,6 +159,7 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
         level(0, 1),
         METHOD,
         *SETTINGS,
+        SOLVED_WITHIN,
         option(
             "--workers",
             metavar="N",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from perilune.cli.answer import Answer, Files, aside, deliver, failed, refusal, say, tell
 from perilune.cli.arguments import Told, help_text, parsed, settings
 from perilune.cli.doctor import diagnosis
-from perilune.cli.options import seconds
+from perilune.cli.options import time_limit
 from perilune.cli.progress import LONGEST_LOG, WRITING, failure_kept, progress, refuse_used, warn
 from perilune.cli.stopping import advised, heed, put_off
 from perilune.words.outcome import InfeasibleError, PeriluneError
@@ -44,8 +44,7 @@ def _solve(typed: Namespace) -> Answer:
     from perilune.problem.preflight import preflight
     from perilune.scenario import load_file
 
-    chosen, out = method_of(typed.method, settings(typed)), typed.out
-    limit = None if typed.time_limit is None else seconds(typed.time_limit, "--time-limit")
+    chosen, out, limit = method_of(typed.method, settings(typed)), typed.out, time_limit(typed)
     log: deque[str] = deque(maxlen=LONGEST_LOG)
     with progress(False, log):
         scenario = load_file(typed.file, typed.changes)

@@ -28,21 +28,23 @@ def real(text: str) -> float:
     return float(text)
 
 
-def seconds(text: str, flag: str) -> float:
-    """Read a time with its unit, in s; `flag` names it in a refusal.
+def time_limit(typed: argparse.Namespace) -> float | None:
+    """Return the time limit that was typed [s], if any.
 
     Raises
     ------
     PeriluneError
-        If it is none.
+        If it is no time with its unit.
     """
     from perilune.words.declared import named
     from perilune.words.units import parse_quantity
 
+    if typed.time_limit is None:
+        return None
     try:
-        return parse_quantity(text, "s", "60 s")
+        return parse_quantity(typed.time_limit, "s", "60 s")
     except PeriluneError as error:
-        raise named(flag, error) from None
+        raise named("--time-limit", error) from None
 
 
 real.__name__ = "number"  # what argparse calls it
@@ -97,7 +99,8 @@ NO_CACHE = switch("--no-cache", "Compile anew and keep no machine code on disk."
 SOLVED_WITHIN = option(
     "--time-limit",
     metavar="TIME",
-    help='When to end with the best flight so far, e.g. "60 s". Usually "10 min", never for a theorem.',
+    help='Longest time for one flight, e.g. "60 s", after which the best so far is told. Usually "10 min", for a '
+    "theorem none.",
 )
 METHOD = option(
     "--method",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from perilune.cli.answer import INTERRUPTED, Answer, Files
 from perilune.cli.arguments import settings
 from perilune.cli.methods import method_of
+from perilune.cli.options import time_limit
 from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
 from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 
@@ -31,7 +32,7 @@ def sweep_answer(order: Namespace) -> Answer:
     """Solve the family and show it."""
     if order.resume and order.out is None:
         raise PeriluneError("--resume goes on with what is in a directory", expected="--out DIR", advice="name it")
-    method = method_of(order.method, settings(order))
+    method, limit = method_of(order.method, settings(order)), time_limit(order)
     from perilune.scenario import values_of
 
     over = ranges(order, values_of)
@@ -63,6 +64,7 @@ def sweep_answer(order: Namespace) -> Answer:
             watch=watch,
             executor=executor,
             tolerance=scenario.tolerance,
+            time_limit=limit,
             **options,
         )
     for outcome, error in ((Outcome.INFEASIBLE, InfeasibleError), (Outcome.REFUSED, PeriluneError)):

@@ -23,8 +23,8 @@ from perilune.words.watch import Watch
 class Continuation:
     """What is known of the member before."""
 
-    def __init__(self, settings: Indirect, name: str, watch: Watch) -> None:
-        self.settings, self.name, self.watch = settings, name, watch
+    def __init__(self, settings: Indirect, name: str) -> None:
+        self.settings, self.name = settings, name
         self.forget()
 
     def forget(self) -> None:
@@ -33,9 +33,9 @@ class Continuation:
         self.before = 0.0
         self.limits: Limits | None = None
 
-    def solve(self, problem: Problem) -> Solution:
+    def solve(self, problem: Problem, watch: Watch) -> Solution:
         """The member of a problem, by continuation where there is a base, else by the whole ladder; unverified."""
-        search = Search(self.settings, problem, self.watch)
+        search = Search(self.settings, problem, watch)
         base = None if self.base is None else self._continued(problem, self.base, search)
         solution = self.settings.answer(search, base=base)
         self.base, self.before = search.base, problem.given[self.name].value

@@ -22,7 +22,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import Verification
-from perilune.solve import judged, prove, solve, verify
+from perilune.solve import ended_in_time, judged, prove, solve, verify
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.watch import Watch
 
@@ -41,6 +41,8 @@ class Members:
         How each is solved, to which verification level it is proved, and what differences do not matter to that.
     watch
         Receives a line of text for each member, and the iterations of those that are solved here.
+    time_limit
+        Of each [s].
     """
 
     problem: Problem
@@ -50,6 +52,7 @@ class Members:
     level: int
     tolerance: Tolerance
     watch: Watch
+    time_limit: float
 
     def solved(self, todo: Sequence[int], executor: Submits | None) -> Found:
         """Each of the members `todo` with its number, as soon as it is there."""
@@ -125,18 +128,21 @@ class Members:
             self._say(i)
             try:
                 solution = solve(
-                    self._gate(i), self.method, level=self.level, tolerance=self.tolerance, watch=self.watch
-                )
+                    self._gate(i), self.method, level=self.level, tolerance=self.tolerance, watch=self.watch,
+                    time_limit=self.time_limit,
+                )  # fmt: skip
                 yield i, FamilyPoint(values=self.values[i], solution=solution)
             except PeriluneError as error:
                 yield i, failed_point(self.values[i], error)
 
     def _continued(self, todo: Sequence[int], settings: Indirect) -> Found:
-        walk = Continuation(settings, self.names[0], self.watch)
+        walk = Continuation(settings, self.names[0])
         for i in todo:
             self._say(i)
             try:
-                solution = prove(walk.solve(self._gate(i)), self.level, self.tolerance)
+                problem = self._gate(i)
+                with ended_in_time(problem, self.watch, self.time_limit) as work:
+                    solution = prove(walk.solve(problem, work), self.level, self.tolerance, work)
                 yield i, FamilyPoint(values=self.values[i], solution=solution)
             except PeriluneError as error:
                 walk.forget()
@@ -145,11 +151,12 @@ class Members:
     def _elsewhere(self, todo: Sequence[int], executor: Submits) -> Found:
         """By an executor, in the order in which they come back."""
         done, refused = len(self.values) - len(todo), list[tuple[int, FamilyPoint]]()
+        how = self.method, self.level, self.tolerance, self.time_limit
 
         def calls() -> Iterator[tuple[int, Call]]:
             for i in todo:
                 try:
-                    yield i, (solved_member, self._gate(i), self.method, self.level, self.tolerance, self.values[i])
+                    yield i, (solved_member, self._gate(i), *how, self.values[i])
                 except PeriluneError as error:
                     refused.append((i, failed_point(self.values[i], error)))
 
@@ -170,11 +177,12 @@ class Members:
 
 
 def solved_member(
-    problem: Problem, method: Method, level: int, tolerance: Tolerance, values: tuple[float, ...]
+    problem: Problem, method: Method, level: int, tolerance: Tolerance, time_limit: float, values: tuple[float, ...]
 ) -> FamilyPoint:
     """One member, in whichever process; what is refused comes back as a member with its reason."""
     try:
-        return FamilyPoint(values=values, solution=solve(problem, method, level=level, tolerance=tolerance))
+        solution = solve(problem, method, level=level, tolerance=tolerance, time_limit=time_limit)
+        return FamilyPoint(values=values, solution=solution)
     except PeriluneError as error:
         return failed_point(values, error)
 

@@ -12,7 +12,7 @@ from perilune.methods.method import Method
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS
-from perilune.solve import demand_tolerance, usable
+from perilune.solve import demand_limit, demand_tolerance, usable
 from perilune.words.asked import called_in_words, demand, demand_callable, demand_level, demand_path, refused
 from perilune.words.watch import Watch, silent
 
@@ -28,6 +28,7 @@ def sweep(
     executor: Submits | None = None,
     store: str | Path | None = None,
     watch: Watch | None = None,
+    time_limit: float | None = None,
 ) -> Family:
     """Solve along parameters.
 
@@ -55,6 +56,8 @@ def sweep(
         where that fails. At level 0, and of a member that was not found, the message begins with "as stored".
     watch
         Receives lines of text, ``... (n of N)`` for each member, and each iteration that is made here.
+    time_limit
+        Of each member [s], as of `perilune.solve.solve`; one whose time is over is not found, and says so.
 
     Returns
     -------
@@ -77,7 +80,7 @@ def sweep(
     say = watch or silent
     members = Members(
         problem=problem, names=names, values=values, method=usable(method), level=level,
-        tolerance=tolerance or Tolerance(), watch=say,
+        tolerance=tolerance or Tolerance(), watch=say, time_limit=demand_limit(time_limit, level),
     )  # fmt: skip
     notes: list[str] = []
 
