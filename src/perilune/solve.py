@@ -17,6 +17,7 @@ from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, THEOREM, Verification
 from perilune.problem.wording import objective_text
+from perilune.structures.budgets import with_budgets
 from perilune.words.asked import called_in_words, demand, demand_callable, demand_level, demand_si, refused
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 from perilune.words.units import told
@@ -84,7 +85,8 @@ def solve(
     demand_tolerance(tolerance)
     with ended_in_time(problem, watch, demand_limit(time_limit, level)) as work:
         refuse_impossible(preflight(problem))
-        return _solved_and_proved(usable(method), problem, guess, level, tolerance, work)
+        stated = with_budgets(problem, linear=False)
+        return _solved_and_proved(usable(method), stated, guess, level, tolerance, work)
 
 
 @contextmanager
@@ -154,6 +156,8 @@ def _answered(method: Method, problem: Problem, guess: Solution | None, watch: W
 
         return polished(cast("Pseudospectral", method), problem, guess, watch)
     except NotConvergedError as error:
+        if (stated := with_budgets(problem, linear=True)) is not problem:
+            return _answered(method, stated, guess, watch)
         from perilune.methods.infeasibility import with_binding_limit
 
         raise with_binding_limit(problem, error, watch) from None

@@ -1,0 +1,135 @@
+"""Limits that can only be used up, as of energy or propellant: stated on the way, they bind at the end alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scipy.optimize import brentq
+
+import perilune as pl
+from perilune.structures.budgets import with_budgets
+from test_control_law import given, variables
+
+METHODS = (pl.Indirect(), pl.Pseudospectral())
+ENERGY, SPEED = "m^2/s^3", "m/s"
+Rate = Callable[[Any], Any]
+
+
+def cart(
+    limit: float, rate: Rate = lambda u: u * u, unit: str = ENERGY, *, most: float = math.inf, stated: str = "path"
+) -> pl.Problem:
+    """Least time over 10 m from rest to rest with |u| <= most, and int rate(u) dt at most `limit`."""
+    used = pl.Variable(name="E", unit=unit, upper=limit if stated == "bound" else math.inf)
+    path: dict[str, Any] = {}
+    if stated == "path":
+        path = {"path": lambda x, u, p, m: (p.budget - x.E,), "path_conditions": variables(left=unit)}
+    phase = pl.Phase(
+        name="run",
+        states=(*variables(s="m", v="m/s"), used),
+        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-most, upper=most),),
+        dynamics=lambda x, u, p, m: (x.v, u.u, rate(u.u)),
+        duration="T",
+        end=lambda x, p, m: (x.s - p.L, x.v),
+        end_conditions=variables(place="m", speed="m/s"),
+        **path,
+    )
+    return pl.Problem(
+        name="budget",
+        phases=(phase,),
+        start=lambda p, m: (0.0, 0.0, 0.0),
+        given=given(L=(10.0, "m"), **({"budget": (limit, unit)} if stated == "path" else {})),
+        free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
+        objective=lambda x, p, m: p.T,
+        objective_unit="s",
+        scales=pl.Scales(length=1.0, time=1.0, mass=1.0),
+    )
+
+
+def thrusters(budget: float, stated: str) -> pl.Problem:
+    """The cart with two thrusters of 1.1 m/s^2, whose velocity gain together is limited: bang, coast, bang."""
+    used = pl.Variable(name="gain", unit=SPEED, upper=budget if stated == "bound" else math.inf)
+    path: dict[str, Any] = {}
+    if stated == "path":
+        path = {"path": lambda x, u, p, m: (p.budget - x.gain,), "path_conditions": variables(left=SPEED)}
+    phase = pl.Phase(
+        name="run",
+        states=(*variables(s="m", v="m/s"), used),
+        controls=tuple(pl.Bounded(name=name, unit="m/s^2", lower=0.0, upper=1.1) for name in ("ahead", "astern")),
+        dynamics=lambda x, u, p, m: (x.v, u.ahead - u.astern, u.ahead + u.astern),
+        duration="T",
+        end=lambda x, p, m: (x.s - p.L, x.v),
+        end_conditions=variables(place="m", speed="m/s"),
+        **path,
+    )
+    own = {"budget": (budget, SPEED)} if stated == "path" else {}
+    problem = cart(1.0)
+    return problem.changed(name="thrusters", phases=(phase,), given=given(L=(10.0, "m"), **own), form=None)
+
+
+def least_time(energy: float, most: float) -> float:
+    """T with u = most until w before the middle, then linear through 0 there: int u^2 and the way in closed form."""
+
+    def way(w: float) -> tuple[float, float]:
+        """Half the time, and twice the way of the first half, where the energy is used up."""
+        half = (energy / 2 - most**2 * w / 3) / most**2 + w
+        full = half - w  # at u = most
+        speed = most * full
+        return half, 2 * (speed * full / 2 + speed * w + most * w * w / 3)
+
+    w: Any = brentq(lambda w: way(w)[1] - 10.0, 1e-3, 1.5 * energy / most**2, xtol=1e-15)
+    return 2 * way(w)[0]
+
+
+@pytest.mark.parametrize(("method", "stated"), [(METHODS[0], "path"), (METHODS[1], "bound")])
+@pytest.mark.parametrize(
+    ("limit", "most", "truth"),
+    [
+        (5.0, math.inf, (12 * 10**2 / 5.0) ** (1 / 3)),  # u falls linearly from first to last
+        (5.0, 1.1, least_time(5.0, 1.1)),
+        (9.0, 1.1, 2 * math.sqrt(10 / 1.1)),  # more than is ever used
+    ],
+)
+def test_an_energy_budget(method: Any, stated: str, limit: float, most: float, truth: float) -> None:
+    solution = pl.solve(cart(limit, most=most, stated=stated), method)
+    assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 3)
+    assert solution.objective == pytest.approx(truth, rel=1e-10)
+
+
+@pytest.mark.parametrize(("method", "stated"), [(METHODS[0], "path"), (METHODS[0], "bound"), (METHODS[1], "path")])
+def test_a_budget_of_velocity(method: Any, stated: str) -> None:
+    """Half of it to speed up, half to brake, and a coast between: T = L/v + v/u."""
+    solution = pl.solve(thrusters(4.0, stated), method)
+    assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 3)
+    assert solution.objective == pytest.approx(10 / 2 + 2 / 1.1, rel=1e-9)
+
+
+def test_the_multiplier_of_a_budget_is_what_more_of_it_gains() -> None:
+    """T = (12 L^2/E)^(1/3) and dT/dE = -T/(3 E)."""
+    solution = pl.solve(cart(5.0), level=2)
+    assert solution.multipliers["run.left_at_end"] == pytest.approx(-solution.objective / 15.0, rel=1e-9)
+
+
+def test_a_solution_with_a_budget_is_saved_and_proved_again(tmp_path: Path) -> None:
+    pl.save(pl.solve(cart(5.0, most=1.1)), tmp_path)
+    found = pl.load(tmp_path)
+    assert pl.verify(found).level == 3
+    again = pl.solve(cart(4.0, most=1.1), guess=found, level=2)
+    assert again.objective == pytest.approx(least_time(4.0, 1.1), rel=1e-10)
+
+
+def test_what_is_no_budget_stays_as_it_is() -> None:
+    """Limits on what may rise again, on what the end says, on what is asked for least, or linear ones unless asked."""
+    assert len(with_budgets(cart(5.0), linear=False).phases[0].end_conditions) == 3
+    rising = cart(5.0, lambda u: u, SPEED)
+    assert with_budgets(rising, linear=True) is rising
+    linear = thrusters(4.0, "bound")
+    assert with_budgets(linear, linear=False) is linear
+    assert with_budgets(linear, linear=True).phases[0].end_conditions[-1].name == "gain_at_end"
+    least = cart(5.0).changed(objective=lambda x, p, m: x.E, objective_unit=ENERGY, form=None)
+    assert with_budgets(least, linear=True) is least
+    told = with_budgets(cart(5.0), linear=False)
+    assert with_budgets(told, linear=False) is told
