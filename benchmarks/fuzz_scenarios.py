@@ -325,6 +325,7 @@ def main() -> int:
     parser.add_argument("--check", type=int, default=10000)
     parser.add_argument("--solve", type=int, default=1000)
     parser.add_argument("--limit", type=float, default=20.0, help="time limit of one solve, s")
+    parser.add_argument("--first", type=int, default=0, help="number of the first scenario, to go on with a seed")
     parser.add_argument("--only", type=int, help="one scenario, printed with what it says")
     parser.add_argument("--minutes", type=float, default=math.inf, help="end after so long")
     parser.add_argument("--out", type=Path, help="folder for scenarios that failed")
@@ -334,7 +335,7 @@ def main() -> int:
     known, began = bases(), time.monotonic()
     failures, codes = list[Failure](), {command: Counter[int]() for command in CODES}
     slowest = dict.fromkeys(CODES, 0.0)
-    numbers = range(max(asked.check, asked.solve)) if asked.only is None else [asked.only]
+    numbers = range(asked.first, max(asked.check, asked.solve)) if asked.only is None else [asked.only]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.toml"
         for number in numbers:
@@ -358,7 +359,7 @@ def main() -> int:
                 if asked.only is not None:
                     print(text, found.said, found.trace, sep="\n")
             if time.monotonic() - began > 60.0 * asked.minutes:
-                print(f"ended after {number + 1} scenarios")
+                print(f"ended: go on with --first {number + 1}")
                 break
     for command, counted in codes.items():
         print(f"{command}: {counted.total()} scenarios, exit codes {dict(sorted(counted.items()))}, "

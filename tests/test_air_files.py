@@ -95,6 +95,10 @@ SHAPES: dict[str, str] = {
     "heading of numpy": text(FEET, "# alt (ft),rho (kg/m^3)"),
     "heading of numpy by hand": text(FEET, "# alt (ft), rho (kg/m^3)", by=" "),
     "heading of MATLAB": text(KILOMETRES, "% altitude km, density kg/m3"),
+    "negative power joined": text(KILOMETRES, "z [km],rho [kgm-3]"),
+    "geopotential beside": text([(a, a, b) for a, b in PLAIN], "Z (m),H (m),rho (kg/m3)"),
+    "capital": text(KILOMETRES, "H [km],rho"),
+    "prose below": text([*PLAIN, ("# of the standard atmosphere to 140 km",)], "altitude,density"),
     "prose with units": text(FEET, "# altitudes in feet, densities in kg/m^3"),
     "prose beside units": text(FEET, "# of a table in km (to 140 km), density (g/cm3) changed", "alt (ft),rho [kg/m3]"),
     "prose of no unit": text(PLAIN, "# US 1976 to 80 km, then (as said in text) in steps of 2 km", "altitude,density"),
@@ -115,7 +119,7 @@ def in_file(folder: Path, content: str, name: str = "own.csv", encoding: str = "
 
 
 @pytest.mark.parametrize("content", SHAPES.values(), ids=SHAPES)
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_every_shape_is_the_table_in_metres(tmp_path: Path, content: str, encoding: str) -> None:
     found = read_air_table(in_file(tmp_path, content, encoding=encoding))
     np.testing.assert_allclose(found.altitude, ALTITUDE, rtol=1e-15, atol=0.0)
@@ -141,11 +145,15 @@ def test_what_was_read_is_said(tmp_path: Path) -> None:
     more = read_air_table(in_file(tmp_path, SHAPES["further columns"])).said
     assert more.endswith("; not used: temperature (K), layer")
     assert read_air_table(in_file(tmp_path, SHAPES["index"])).said.endswith("; not used: column 1")
+    capital = read_air_table(in_file(tmp_path, SHAPES["capital"])).said
+    assert "(H is read as geometric, not geopotential); density" in capital
+    assert read_air_table(in_file(tmp_path, SHAPES["geopotential beside"])).said.endswith("; not used: H (m)")
 
 
 @pytest.mark.parametrize(
     ("written", "meant"),
-    [("kg/m3", "kg/m^3"), ("kg/m**3", "kg/m^3"), ("kg m^-3", "kg*m^-3"), ("kg.m-3", "kg*m^-3"), ("KM", "km"),
+    [("kg/m3", "kg/m^3"), ("kg/m**3", "kg/m^3"), ("kg m^-3", "kg*m^-3"), ("kg.m-3", "kg*m^-3"), ("kgm-3", "kg/m^3"), ("kgm^-3", "kg/m^3"),
+     ("kg*m^-3", "kg*m^-3"), ("gcm-3", "g/cm^3"), ("KM", "km"),
      ("feet", "ft"), ("kgm3", "kg/m^3"), ("slug_ft3", "slug/ft^3"), ("(kg / m3)", "kg/m^3"), ("Mm", None), ("MM", None),
      ("furlong", None), ("", None), ("kg//m3", None), ("m3/", None), ("9**9**9", None), ("1/m^3", None)],
 )  # fmt: skip
@@ -175,8 +183,9 @@ REFUSED: dict[str, tuple[str, str]] = {
     "an equation": (text(PLAIN, "# alt = km; rho = kg/m3"), "line 1 .* names km, and no"),
     "a unit as": (text(PLAIN, "# altitude given as kilometers.", "altitude,density"), "line 1 .* names km, and no"),
     "columns numbered": (text(PLAIN, "# 1:alt_km 2:rho"), "line 1 .* names km, and no"),
+    "a unit below": (text([*PLAIN, ("# altitudes are in km",)], "altitude,density"), "line 73 .* names km, and no"),
     "a unit far above": (text(PLAIN, "# altitudes are in km", *["# and so on"] * 30), "line 1 .* names km, and no"),
-    "long comments": (text(PLAIN, "#" + " " * 60_000 + "x"), "comments above the numbers .* are too long"),
+    "long comments": (text(PLAIN, "#" + " " * 60_000 + "x"), "comments of the table of air are too long"),
     "a unit in brackets": (text(PLAIN, "# mine", "# density (g/cm^3)", "altitude [m],density"), "line 2 .* names g/cm"),
     "multiples": (text(PLAIN, "altitude (1000 ft),density"), "no altitude that can be read[\\s\\S]*1000 ft"),
     "powers of ten": (text(PLAIN, "altitude,density (10^-3 kg/m^3)"), "no density that can be read"),
@@ -202,6 +211,10 @@ REFUSED: dict[str, tuple[str, str]] = {
                   "commas and points stand in the numbers of the table of air: line 3"),
     "thousands alone": (text([("0", "1225"), ("10,000", "414"), ("20,000", "89")], "z [ft];density [g/m^3]", by=";"),
                         "may part thousands or decimals: line 3[\\s\\S]*10000 or 10.000"),
+    "thousands by points": (text([("0", "1.225"), ("1.000", "1.112"), ("2.000", "1")], "z;rho", by=";"),
+                            "points in the numbers .* may part thousands or decimals: line 2[\\s\\S]*1225 or 1.2250"),
+    "thousands by points alone": (text([("500", "9e-1"), ("1.000", "8e-1"), ("2.000", "7e-1")], "z [m];rho", by=";"),
+                                  "may part thousands or decimals: line 3[\\s\\S]*1000 or 1.0000"),
     "open quotes": (text([*PLAIN[:3], ('"6500', "0.4")], "altitude,density"), "line 5 of the table of air is no row"),
     "underscores": (text([("1_000", "0.4"), *PLAIN[1:]], "altitude,density"), "neither units nor numbers"),
     "no rows": ("altitude,density\n", "needs rows"),
@@ -245,7 +258,16 @@ def test_a_large_file_and_another_encoding_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PeriluneError, match="too large"):
         read_air_table(in_file(tmp_path, "1,1\n" * (LARGEST_FILE // 4 + 1)))
     with pytest.raises(PeriluneError, match="not text in UTF-8"):
-        read_air_table(in_file(tmp_path, SHAPES["heading"], encoding="utf-16"))
+        read_air_table(in_file(tmp_path, f"{SHAPES['division']}# é", encoding="latin-1"))
+    in_file(tmp_path, "").write_bytes(SHAPES["heading"].encode("utf-16")[:-1])  # ends within a character
+    with pytest.raises(PeriluneError, match="not text in UTF-8"):
+        read_air_table(tmp_path / "own.csv")
+
+
+def test_points_before_three_digits_are_decimals_between_commas(tmp_path: Path) -> None:
+    rows = [("1.500", "1.058"), ("3.000", "1.009"), ("4.500", "1.007")]
+    read = read_air_table(in_file(tmp_path, text(rows, "altitude (km),density")))
+    assert read.altitude.tolist() == [1500.0, 3000.0, 4500.0]
 
 
 def test_headings_stand_far_above_too_and_decimals_of_three_digits_are_no_thousands(tmp_path: Path) -> None:

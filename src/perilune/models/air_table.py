@@ -7,7 +7,7 @@ unit, are altitudes in m and densities in kg/m^3.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -58,10 +58,14 @@ class AirTable:
 
 @dataclass(frozen=True, kw_only=True)
 class _AirColumn:
-    """A column of altitudes or densities and its unit, "" where none is stated."""
+    """A column of altitudes or densities and its unit, "" where none is stated.
+
+    `unclear` altitudes may be geopotential as well.
+    """
 
     place: int
     unit: str
+    unclear: bool = False
 
 
 def read_air_table(path: Path) -> AirTable:
@@ -92,7 +96,7 @@ def read_air_table(path: Path) -> AirTable:
     columns = {name: _with_units(name, column, units) for name, column in columns.items()}
     for name, column in columns.items():
         if not column.unit:
-            _refuse_said_elsewhere(name, table.comments)
+            _refuse_said_elsewhere(name, [*table.comments, *table.below])
     values = {
         name: np.array([table.number(row, column.place) for row in table.body]) for name, column in columns.items()
     }
@@ -205,10 +209,20 @@ def _columns(table: DelimitedTable, headings: list[TableHeading], count: int) ->
             )  # fmt: skip
         return {name: _AirColumn(place=k, unit="") for k, name in enumerate(_SI)}
     roles = [_role(heading) for heading in headings]
+    if roles.count("altitude") > 1:  # beside geometric ones H is geopotential, as in the US Standard Atmosphere 1976
+        roles = ["" if _is_capital(heading) else role for role, heading in zip(roles, headings, strict=True)]
     for name in _SI:
         if roles.count(name) != 1:
             _refuse_role(name, headings, roles.count(name))
-    return {name: _AirColumn(place=(k := roles.index(name)), unit=headings[k].unit) for name in _SI}
+    return {
+        name: _AirColumn(place=(k := roles.index(name)), unit=headings[k].unit, unclear=_is_capital(headings[k]))
+        for name in _SI
+    }
+
+
+def _is_capital(heading: TableHeading) -> bool:
+    """Tell whether a heading is ``H``, by which geopotential altitudes are meant as well."""
+    return heading.words == ("h",) and heading.text.lstrip(" ([").startswith("H")
 
 
 def _refuse_role(name: str, headings: list[TableHeading], count: int) -> None:
@@ -248,7 +262,7 @@ def _with_units(name: str, column: _AirColumn, units: list[str] | None) -> _AirC
             expected=f"{column.unit or _SI[name]}, or another unit of that dimension" if not column.unit else
             f"{column.unit}, as its heading says", advice=_EXPECTED,
         )  # fmt: skip
-    return _AirColumn(place=column.place, unit=stated)
+    return replace(column, unit=stated)
 
 
 def _refuse_said_elsewhere(name: str, comments: list[TextLine]) -> None:
@@ -285,7 +299,7 @@ def _said(
         if column.unit and unit(column.unit)[0] != 1.0:
             low, high = (f"{_spaced(end(found[name]))}" for end in (np.min, np.max))
             said += f" ({low} to {high} {_SI[name]})"
-        parts.append(said)
+        parts.append(said + " (H is read as geometric, not geopotential)" * column.unclear)
     if ignored:
         named = ", ".join(ignored[:_MOST_NAMED]) + (", …" if len(ignored) > _MOST_NAMED else "")
         parts.append(f"not used: {named}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from pathlib import Path
 
@@ -55,10 +56,10 @@ def bounded_bytes(path: Path, what: str, largest: int, *, expected: str, advice:
 
 
 def bounded_text(path: Path, what: str, largest: int, *, expected: str, advice: str) -> str:
-    """The same as text in UTF-8, which it must be."""
+    """Content as text in UTF-8, or in UTF-16 that begins with its mark, as PowerShell and spreadsheets write it."""
     raw = bounded_bytes(path, what, largest, expected=expected, advice=advice)
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode("utf-16" if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError as error:
         raise PeriluneError(
             f"the {what} is not text in UTF-8",

@@ -20,11 +20,12 @@ _NUMBER = re.compile(
     r"[+-]?(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:[ed][+-]?\d{1,3})?|[+-]?(?:nan|inf)", re.ASCII | re.IGNORECASE
 )
 _OF_EXCEL = re.compile(r'"?sep=.?"?')  # its first line, which names the delimiter
+_CALLED = {",": "commas", ".": "points"}
 _LONGEST = 60  # characters of a line that a message shows
 _LOOKED_AT = 1000  # lines, for the delimiter
-_MOST_COMMENTED = 50_000  # characters of comments above the numbers, where headings and units may stand
-# A comma before three digits, of a number above 1: it may part thousands as well as decimals.
-_OF_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
+_MOST_COMMENTED = 50_000  # characters of comments, where headings and units may stand
+# A comma or point before three digits, of a number above 1: it may part thousands as well as decimals.
+_OF_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
 
 
 class TextLine(NamedTuple):
@@ -49,8 +50,10 @@ class DelimitedTable:
     ----------
     body
         Rows from the first that is made of numbers to the end.
-    above, comments
-        Lines above it, of text and of comments without their sign.
+    above
+        Lines of text above it.
+    comments, below
+        Comments above it and further down, without their sign.
     delimiter
         What lies between cells.
     decimal_comma
@@ -62,6 +65,7 @@ class DelimitedTable:
     body: list[CellRow]
     above: list[TextLine]
     comments: list[TextLine]
+    below: list[TextLine]
     delimiter: str
     decimal_comma: bool
     what: str
@@ -121,14 +125,16 @@ def delimited_table(text: str, what: str) -> DelimitedTable:
     body = rows[first:]
     begin = body[0].line if body else lines[-1].number + 1 if lines else 1
     filled = {row.line for row in rows[:first]}
-    comments = [line for line in lines if line.number < begin and _is_comment(line)]
+    comments = [line for line in lines if _is_comment(line)]
     _refuse_long(comments, what)
+    comments = [TextLine(k, line.strip().lstrip("#%").strip(" ")) for k, line in comments]
     return DelimitedTable(
         body=body,
         above=[line for line in plain if line.number in filled],
-        comments=[TextLine(k, line.strip().lstrip("#%").strip(" ")) for k, line in comments],
+        comments=[line for line in comments if line.number < begin],
+        below=[line for line in comments if line.number > begin],
         delimiter=delimiter,
-        decimal_comma=_has_decimal_comma(body, what),
+        decimal_comma=_has_decimal_comma(body, delimiter, what),
         what=what,
     )
 
@@ -142,7 +148,7 @@ def _refuse_long(comments: list[TextLine], what: str) -> None:
     count = sum(len(line.text) for line in comments)
     if count > _MOST_COMMENTED:
         raise PeriluneError(
-            f"the comments above the numbers of the {what} are too long", got=f"{count} characters",
+            f"the comments of the {what} are too long", got=f"{count} characters",
             expected=f"at most {_MOST_COMMENTED}, which are searched for units", advice="leave out what says no unit",
         )  # fmt: skip
 
@@ -194,8 +200,8 @@ def _with_brackets(cells: list[str]) -> list[str]:
     return joined
 
 
-def _has_decimal_comma(body: list[CellRow], what: str) -> bool:
-    """Whether numbers have a decimal comma; with points as well, commas may part thousands."""
+def _has_decimal_comma(body: list[CellRow], delimiter: str, what: str) -> bool:
+    """Tell whether numbers have a decimal comma; one of both signs must be seen to part decimals, not thousands."""
     found, plain = dict[str, tuple[int, str]](), False
     for row in body:
         for cell in row.cells:
@@ -203,7 +209,7 @@ def _has_decimal_comma(body: list[CellRow], what: str) -> bool:
                 for sign in ".,":
                     if sign in cell:
                         found.setdefault(sign, (row.line, cell))
-                plain = plain or ("," in cell and not _OF_THOUSANDS.fullmatch(cell))
+                plain = plain or (("," in cell or "." in cell) and not _OF_THOUSANDS.fullmatch(cell))
     if len(found) > 1:
         line = max(number for number, _ in found.values())
         raise PeriluneError(
@@ -212,10 +218,12 @@ def _has_decimal_comma(body: list[CellRow], what: str) -> bool:
             expected="a decimal point, or a decimal comma, in every row",
             advice="leave out what parts thousands",
         )
-    if "," in found and not plain:
-        line, cell = found[","]
+    if plain or (delimiter == "," and "." in found):  # nobody parts thousands by points between commas
+        return "," in found
+    for sign, (line, cell) in found.items():
+        bare, decimal = cell.replace(sign, ""), cell.replace(",", ".")
         raise PeriluneError(
-            f"commas in the numbers of the {what} may part thousands or decimals: line {line}", got=cell,
-            expected=f"{cell.replace(',', '')} or {cell.replace(',', '.')}", advice="write it as one of these",
+            f"{_CALLED[sign]} in the numbers of the {what} may part thousands or decimals: line {line}", got=cell,
+            expected=f"{bare} or {decimal}{'' if sign == ',' else '0'}", advice="write it as one of these",
         )  # fmt: skip
     return "," in found

@@ -18,6 +18,7 @@ _LONGEST = 80  # characters of a heading
 _BRACKETS = re.compile(r"[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _APART = re.compile(r"[\s_,:]+")
 _FACTOR = re.compile(r"([A-Za-z]+)\^?([+-]?\d(?:\.5)?)?", re.ASCII)
+_JOINED = re.compile(r"(kg|g|lbm?|slug)(m|cm|km|ft)\^?-?3", re.ASCII | re.IGNORECASE)  # kgm-3, gcm3
 # Signs of powers and products that other programs write, as the parser of units takes them.
 _SIGNS = str.maketrans(
     {"⁰": "0", "¹": "1", "²": "2", "³": "3", "⁴": "4", "⁻": "-", "−": "-", "·": "*", "⋅": "*", "×": "*"}
@@ -27,7 +28,7 @@ _SPELT = {
     "foot": "ft", "feet": "ft", "metre": "m", "metres": "m", "meter": "m", "meters": "m",
     "kilometre": "km", "kilometres": "km", "kilometer": "km", "kilometers": "km", "slugs": "slug",
     "gram": "g", "grams": "g", "kilogram": "kg", "kilograms": "kg", "lbm": "lb", "lbs": "lb", "pound": "lb",
-    "pounds": "lb", "cc": "cm^3", "kgm": "kg/m",
+    "pounds": "lb", "cc": "cm^3",
     **{name: name for name in ("m", "km", "cm", "ft", "g", "kg", "lb", "slug")},
 }  # fmt: skip
 
@@ -98,13 +99,13 @@ def unit_as_written(text: str) -> str | None:
 
     Beyond that grammar: powers without ``^`` (``kg/m3``), ``per``, brackets around it, units spelt out (``feet``) or
     with capitals (``KM``), and units one after another: one with a negative power is a factor (``kg m-3``), another a
-    divisor (``slug_ft3``).
+    divisor (``slug_ft3``), also without anything between them (``kgm-3``).
     """
     if len(text) > _LONGEST:
         return None
     bare = text.strip(" ()[]{}<>").translate(_SIGNS).replace("**", "^")
     bare = re.sub(r"(?<=[A-Za-z0-9])\.(?=[A-Za-z])", "*", re.sub(r"[\s_]+per[\s_]+", "/", bare))
-    bare = re.sub(r"\s*([*/^])\s*", r"\1", bare)
+    bare = _JOINED.sub(r"\1/\2^3", re.sub(r"\s*([*/^])\s*", r"\1", bare))
     parts = re.split(r"([*/\s_]+)", bare)
     found = ""
     for operator, part in zip(["", *parts[1::2]], parts[::2], strict=True):
