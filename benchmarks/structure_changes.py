@@ -2,15 +2,17 @@
 
 Drawn on purpose. Of most sorts the change is read off the flight without the limit, which is the answer up to it: the
 flattest elevation seen from the site (`slope`), the largest tilt of the thrust (`tilt`), the landed mass (`dry_mass`),
-the length of the free fall before ignition (`coast`), the path angle at the interface (`interface`), the largest load
-(`load`). Of others a sweep is bisected until the structure changes between neighbours: how often the throttle switches
-(`throttle`), what of a glide slope is touched or flown along (`arcs`). There, and from 1e-12 to 1e-3 of it beside it on
-both sides, the problem is solved without a guess and proved:
+the length of the free fall before ignition (`coast`), speed and path angle at the interface (`interface`), the largest
+load (`load`). Of others a sweep is bisected until the structure changes between neighbours: how often the throttle
+switches (`throttle`), what of a glide slope is touched or flown along (`arcs`), whether there is a free fall at all
+(`coast` too). There, and at a drawn distance of 1e-12 to 1e-3 of it on both sides, the problem is solved without a
+guess and proved:
 
     python benchmarks/structure_changes.py [--count 300] [--seed 41] [--jobs 1] [--limit 60] [--only 17] [--out FILE]
 
 ``--limit`` is the processor time [s] of one solution, ``--only`` draws these points alone. The draw depends on the seed
-alone. J on the open side of a limit is compared with that without it, and on the closed side is no better.
+alone. J on the open side of a limit is compared with that without it, on the closed side is no better, and beside the
+point is near that at the point.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,15 +34,16 @@ from perilune.models.descent import Site
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
+from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import PeriluneError
 from random_problems import AIRLESS, PROVED, OutOfTime, at_most, ending, logarithmic, measured, surface_gravity, vehicle
-from random_returns import draw as drawn_return
 
-OFFSETS = (0.0, *(sign * size for size in (1e-3, 1e-6, 1e-9, 1e-12) for sign in (1.0, -1.0)))  # relative
+CAPSULE = Path(__file__).parent.parent / "examples" / "maps" / "capsule.toml"
+NEAREST, FARTHEST = 1e-12, 1e-3  # relative: the distances between which one is drawn
 DRAWS = 60  # of one point, until the flight without the limit has one
 SAME = 1e-8  # of J: what does not matter
-CLOSE = 1e-12  # of a value: so far a sweep is bisected
+STEEPEST = 100.0  # by how much more than the parameter J changes at most, both relative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,11 +103,23 @@ def landing(
 def best(problem: Problem) -> Solution | None:
     """The proved answer, or None."""
     try:
-        with at_most(60.0):
-            found = solve(problem)
-    except (PeriluneError, OutOfTime):
+        found = solve(problem)
+    except PeriluneError:
         return None
     return found if found.verification.level == 3 else None
+
+
+def near(problem: Problem, known: Solution | None) -> Solution | None:
+    """An extremal, first from a known one close by; None where there seems to be none."""
+    level = 1 if any(phase.path_conditions for phase in problem.phases) else 0  # whether it keeps those it is to say
+    for guess in (known, None) if known is not None else (None,):
+        try:
+            found = solve(problem, guess=guess, level=level)
+        except PeriluneError:
+            continue
+        if level == 0 or found.verification.level == level:
+            return found
+    return None
 
 
 def _along(solution: Solution, value: Callable[[Any, Any], Any], *, ends: bool) -> tuple[float, float] | None:
@@ -179,9 +195,14 @@ def dry_mass(rng: np.random.Generator) -> Change | None:
 
 
 def coast(rng: np.random.Generator) -> Change | None:
-    """The length of the free fall before ignition, which is chosen."""
+    """The length of the free fall before ignition, which is chosen; or the approach from which there is one."""
     problem, stated = landing(rng)
-    free = best(problem(longest_coast=10 * stated["up"] / abs(stated["up_speed"] - 1.0)))
+    longest = 10 * stated["up"] / abs(stated["up_speed"] - 1.0)
+    if rng.random() < 0.3:
+        along = ("up_speed", "up", "east", "north")[rng.integers(4)]
+        low, high = sorted(stated[along] * factor for factor in (0.1, 3.0))
+        return _bisected(lambda value: problem(longest_coast=longest, **{along: value}), low, high, falls, along)
+    free = best(problem(longest_coast=longest))
     if free is None or free.free["coast_time"] < 0.5:
         return None
     return Change(
@@ -195,7 +216,7 @@ def throttle(rng: np.random.Generator) -> Change | None:
     problem, stated = landing(rng)
     along = ("up_speed", "up", "floor")[rng.integers(3)]
     low, high = (0.02, 0.7) if along == "floor" else sorted(stated[along] * factor for factor in (0.5, 2.0))
-    return _bisected(lambda value: problem(**{along: value}), low, high, switches, f"along {along}")
+    return _bisected(lambda value: problem(**{along: value}), low, high, switches, along)
 
 
 def arcs(rng: np.random.Generator) -> Change | None:
@@ -207,7 +228,7 @@ def arcs(rng: np.random.Generator) -> Change | None:
     def at(value: float) -> Problem:
         return problem(Corridor(slope=value, pad_radius=pad))
 
-    return _bisected(at, 0.3 * start, 0.98 * start, contacts, "along slope")
+    return _bisected(at, 0.3 * start, 0.98 * start, contacts, "slope")
 
 
 def switches(solution: Solution) -> str:
@@ -216,12 +237,17 @@ def switches(solution: Solution) -> str:
     for k, flown in enumerate(solution.trajectories):
         names = solution.problem.phases[k].control_names
         if "throttle" in names:
-            _, u = solution.flown(k, np.linspace(0.0, 1.0, 100_001) * flown.duration)
-            throttle = u[names.index("throttle")]
+            throttle = flown.control.values[:, names.index("throttle")]  # a jump has a node on either side
             high = throttle > 0.5 * (throttle.min() + throttle.max())
             found += "".join("-+"[int(high[i])] for i in (0, *(np.nonzero(high[1:] != high[:-1])[0] + 1)))
             found += "" if np.ptp(throttle) > 1e-6 else " all along"
     return found
+
+
+def falls(solution: Solution) -> str:
+    """Whether it falls before ignition."""
+    shortest = next(free.lower for free in solution.problem.free if free.name == "coast_time")
+    return "a fall" if solution.free["coast_time"] > 2 * shortest else "none"
 
 
 def contacts(solution: Solution) -> str:
@@ -230,47 +256,69 @@ def contacts(solution: Solution) -> str:
 
 
 def _bisected(
-    problem_at: Callable[[float], Problem], low: float, high: float, read: Callable[[Solution], str], words: str
+    problem_at: Callable[[float], Problem], low: float, high: float, read: Callable[[Solution], str], along: str
 ) -> Change | None:
-    """The first change between values, of a sweep of five."""
-    known = list[tuple[float, str]]()
-    for value in np.linspace(low, high, 5).tolist():
-        if (found := best(problem_at(value))) is not None:
-            known.append((value, read(found)))
-            title = found.problem.title
-    pair = next(((a, b) for a, b in pairwise(known) if a[1] != b[1]), None)
+    """The first change between values, of a sweep of three."""
+    known = list[tuple[float, Solution, str]]()
+    for value in (low, 0.5 * (low + high), high):
+        if (found := near(problem_at(value), None)) is not None:
+            known.append((value, found, read(found)))
+    pair = next(((a, b) for a, b in pairwise(known) if a[2] != b[2]), None)
     if pair is None:
         return None
-    (low, before), (high, after) = pair
-    for _ in range(45):
-        if high - low <= CLOSE * abs(low):
-            break
-        middle = 0.5 * (low + high)
-        found = best(problem_at(middle))
+    (low, nearest, before), (high, _, after) = pair
+    while abs(high - low) > NEAREST * abs(low) and (middle := 0.5 * (low + high)) not in (low, high):
+        found = near(problem_at(middle), nearest)
         if found is None:  # this is such a point, too
-            words = f"{title} {words}"
-            return Change(value=middle, problem_at=problem_at, open_side=0, objective=math.nan, words=words)
+            high = middle
+            break
         low, high = (middle, high) if read(found) == before else (low, middle)
+        nearest = found
     return Change(
         value=high, problem_at=problem_at, open_side=0, objective=math.nan,
-        words=f"{title} {words} from {before!r} to {after!r}",
+        words=f"{nearest.problem.title} along {along} from {before!r} to {after!r}",
     )  # fmt: skip
 
 
+def capsule(rng: np.random.Generator, *limits: str) -> Problem:
+    """A return of the example's capsule, of a drawn drag and thrust, from a drawn point of ignition."""
+    drag, thrust, mass = logarithmic(rng, 200.0, 600.0), rng.uniform(2500.0, 4500.0), rng.uniform(6600.0, 7400.0)
+    given = (
+        f"vehicle.ballistic_coefficient={drag:.17g} kg/m^2", f"vehicle.thrust={thrust:.17g} N",
+        f"vehicle.mass={mass:.17g} kg", f"manoeuvre.longitude={rng.uniform(43.0, 48.0):.17g} deg",
+        f"manoeuvre.latitude={rng.uniform(49.8, 50.4):.17g} deg",
+    )  # fmt: skip
+    return load_file(CAPSULE, (*given, *limits)).problem
+
+
 def interface(rng: np.random.Generator) -> Change | None:
-    """The path angle at the interface that the best return has, where it may be any."""
-    problem = drawn_return(int(rng.integers(1000)), 4 * int(rng.integers(50)) + int(rng.integers(4))).problem
-    if "interface_angle_upper" not in problem.given:
-        return None
-    free = best(problem.with_given(interface_angle_upper=math.radians(-0.5)))
+    """The speed or path angle at the interface that the best return has, where it may be any."""
+    name, side = ("angle", "speed")[rng.integers(2)], ("lower", "upper")[rng.integers(2)]
+    loose = {"speed": ("interface.speed_lower=7 km/s", "interface.speed_upper=9 km/s")}.get(name, ())
+    problem = capsule(rng, "interface.angle_lower=-4 deg", "interface.angle_upper=-0.6 deg", *loose)
+    free = best(problem)
     if free is None:
         return None
-    angle = free.results["interface_angle"].value
-    if not -3.4 < math.degrees(angle) < -0.55:
+    reached, bound = free.results[f"interface_{name}"].value, f"interface_{name}_{side}"
+    if name == "angle" and not -3.9 < math.degrees(reached) < -0.7:
+        return None
+    sign = 1 if side == "upper" else -1
+    return Change(
+        value=reached, open_side=sign, objective=free.objective, words=f"{problem.title} {bound}",
+        problem_at=lambda value: problem.with_given(**{bound: value}),
+    )  # fmt: skip
+
+
+def load(rng: np.random.Generator) -> Change | None:
+    """The largest load of the best return."""
+    problem = capsule(rng, "limits.load=1000 g0")
+    free = best(problem)
+    if free is None:
         return None
     return Change(
-        value=angle, open_side=1, objective=free.objective, words=problem.title,
-        problem_at=lambda value: problem.with_given(interface_angle_upper=value),
+        value=free.results["peak_load"].value * problem.given["standard_gravity"].value, open_side=1,
+        objective=free.objective, words=problem.title,
+        problem_at=lambda value: problem.with_given(limits_load=value),
     )  # fmt: skip
 
 
@@ -282,11 +330,12 @@ SORTS: dict[str, Callable[[np.random.Generator], Change | None]] = {
     "throttle": throttle,
     "arcs": arcs,
     "interface": interface,
+    "load": load,
 }
-# In turns: the bisected ones and the returns cost ten times as much as the others.
+# In turns: the bisected ones and the returns cost more than the others.
 TURNS = (
     "slope", "tilt", "dry_mass", "coast", "throttle", "slope", "tilt", "dry_mass", "coast", "arcs",
-    "slope", "tilt", "dry_mass", "coast", "throttle", "slope", "tilt", "dry_mass", "coast", "interface",
+    "slope", "tilt", "dry_mass", "coast", "throttle", "slope", "load", "interface", "throttle", "slope",
 )  # fmt: skip
 
 
@@ -299,11 +348,16 @@ def judge(seed: int, number: int, limit: float) -> dict[str, Any]:
     row: dict[str, Any] = {"number": number, "sort": sort}
     if change is None:
         return row | {"class": "not drawn", "solved": [], "words": ""}
-    row |= {"words": change.words, "value": change.value, "drawn": time.process_time() - cpu, "solved": []}
-    for offset in OFFSETS:
-        row["solved"].append({"offset": offset, **_ending_at(change, offset, limit)})
-    classes = [one["class"] for one in row["solved"]]
-    row["class"] = next((c for c in ("failed", "off", "refused") if c in classes), min(classes))
+    size = logarithmic(rng, NEAREST, FARTHEST)
+    row |= {"words": change.words, "value": change.value, "drawn": time.process_time() - cpu}
+    solved = [{"offset": offset, **_ending_at(change, offset, limit)} for offset in (0.0, size, -size)]
+    for one in solved[1:]:
+        if "objective" in one and "objective" in solved[0] and one["class"] != "off":
+            jump = abs(one["objective"] - solved[0]["objective"]) / abs(solved[0]["objective"])
+            if jump > SAME + STEEPEST * size:
+                one |= {"class": "off", "why": f"J differs by {jump:.3g} of it from that at the point"}
+    classes = [one["class"] for one in solved]
+    row |= {"solved": solved, "class": next((c for c in ("failed", "off", "refused") if c in classes), min(classes))}
     return row | {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
 
 
@@ -337,10 +391,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     for row in rows:
         for one in row["solved"]:
             if not _honest(row, one) or one["class"] == "level 0":
-                yield (
-                    f"{row['number']:4d} {row['sort']} {row['value']:.17g} x (1 {one['offset']:+.0e}), {one['class']}: "
-                    f"{one['why'][:200]} [{row['words']}]"
-                )
+                at = f"{row['value']:.17g} x (1 {one['offset']:+.17g})"
+                yield f"{row['number']:4d} {row['sort']} {at}, {one['class']}: {one['why'][:200]} [{row['words']}]"
     for sort in SORTS:
         here = [row for row in rows if row["sort"] == sort and row["solved"]]
         ends = Counter(one["class"] for row in here for one in row["solved"])

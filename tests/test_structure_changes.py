@@ -7,6 +7,8 @@ that without it; on the closed side it is no better, and by how much it is worse
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +16,23 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.breaches import breaches_of
+from perilune.methods.breaches import Breach, breaches_of
+from perilune.methods.coarse import Coarse
 from perilune.methods.indirect import Indirect
+from perilune.methods.refusals import better_within, refusal
 from perilune.methods.search import Search
-from perilune.models.bodies import MARS, MOON
+from perilune.models.bodies import EUROPA, MARS, MOON
 from perilune.models.descent import Site
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Vehicle
 from perilune.scenario import load_file
 from perilune.structures.read import CLOSEST, closer
+from perilune.structures.restate import restate
+from perilune.structures.structure import Arc, Structure
 from problems.constrained import bryson_denham, bryson_denham_truth
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "precision_landing.toml"
+CAPSULE = EXAMPLE.parent / "maps" / "capsule.toml"
 
 
 def on_mars(slope: float | None, pad: float = 16.11334209455876) -> pl.Problem:
@@ -57,6 +64,23 @@ def heavy(dry: float | None) -> pl.Problem:
         Corridor(),
         (0.15348108354062415, 0.8055220394822586),
         MOON,
+    )  # fmt: skip
+
+
+def on_europa(dry: float) -> pl.Problem:
+    """Number 27 of these: 2838.8906350965 kg can be landed, and a mesh of an error of 0.9 % lands 2838.92 kg."""
+    return precision_landing(
+        Vehicle(
+            mass=3071.157863960569, thrust=11415.83599533059, specific_impulse=314.1856678500278, dry_mass=dry
+        ),
+        Approach(
+            east=-4085.281411942996, north=-3401.472078351617, up=3121.283464784284,
+            east_speed=-19.064266898368583, north_speed=34.46748325602054, up_speed=-42.11849377820856,
+        ),
+        Site(altitude=0.0, longitude=0.0, latitude=1.0158488023067789),
+        Corridor(),
+        (0.38648358880075145, 0.914902465195474),
+        EUROPA,
     )  # fmt: skip
 
 
@@ -126,6 +150,50 @@ def test_a_dry_mass_that_is_just_not_landed_is_named(offset: float) -> None:
         pl.solve(heavy(landed * (1.0 + offset)))
     assert caught.value.exit_code == 3
     assert float(caught.value.what.split(" by ")[1].split()[0]) == pytest.approx(landed * offset, rel=1e-4)
+
+
+@pytest.mark.parametrize("offset", [1e-6, 1e-9])
+def test_a_dry_mass_that_a_mesh_lands_by_its_own_error_is_named(offset: float) -> None:
+    """The first was said to be flown by the direct method; the second was an answer of level 0."""
+    landed = 2838.8906350965017
+    with pytest.raises(pl.InfeasibleError, match=r"misses vehicle\.dry_mass by") as caught:
+        pl.solve(on_europa(landed * (1.0 + offset)))
+    assert float(caught.value.what.split(" by ")[1].split()[0]) == pytest.approx(landed * offset, rel=1e-4)
+    told = re.search(r"falls to ([\d.]+) kg, below vehicle\.dry_mass of ([\d.]+) kg", caught.value.got)
+    assert told and float(told[1]) < float(told[2])  # told with as many digits as it takes
+
+
+def test_a_flight_that_finer_meshes_bear_out_is_no_error_of_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then a better extremal is missing, and that nothing can be flown is not said."""
+    free = pl.solve(heavy(None), level=0)
+    bound = -free.objective + 1.0
+    missed = Breach(
+        name="m", text="mass falls", miss=1.0, unit="kg", canonical=1e-4, limit="vehicle.dry_mass",
+    )  # fmt: skip
+
+    def refused(finer: float | None) -> pl.PeriluneError | None:
+        coarse = Coarse(Indirect(), heavy(bound), [])
+        vars(coarse)["flight"] = replace(free, objective=-(bound + 30.0))
+        found = None if finer is None else replace(free, objective=-(bound + finer))
+        monkeypatch.setattr(Coarse, "without_bounds", lambda *_: found)
+        return refusal(coarse, [missed])
+
+    assert isinstance(refused(-1.0), pl.InfeasibleError)  # lands less than is asked for
+    assert isinstance(refused(1.0), pl.InfeasibleError)  # more, by less than it changed
+    assert isinstance(refused(29.0), pl.NotConvergedError)
+    assert isinstance(refused(None), pl.NotConvergedError)
+    assert better_within(heavy(bound), replace(missed, limit="the upper bound of m")) is None
+    assert better_within(heavy(bound), replace(missed, name="up")) is None
+
+
+def test_what_is_told_of_a_flight_whose_phases_have_parts_names_none_of_them() -> None:
+    """Its neighbours were asked for the track of the entry, which begins in the first of them: an error, exit 1."""
+    problem = load_file(CAPSULE, ["limits.load=7 g0"]).problem
+    structure = Structure(((Arc(),), (Arc(),), (Arc(touches=("load_left",)), Arc())))
+    restated = restate(problem, structure)
+    names = {phase.name for phase in restated.phases}
+    assert problem.views.dispersion is not None and problem.views.dispersion.track not in names
+    assert restated.views.dispersion is None
 
 
 @pytest.mark.parametrize(("depth", "seen"), [(-1e-12, False), (1e-9, False), (1e-7, True), (1e-4, True)])

@@ -47,7 +47,7 @@ def test_signs_of_life_are_told_once_a_second(monkeypatch: pytest.MonkeyPatch) -
 
 def test_without_a_computation_there_is_nobody_to_tell() -> None:
     at_work("nothing")
-    best_so_far(None, 0.0, "nothing", lambda: None, extremal=True)
+    best_so_far(None, 0.0, lambda: pytest.fail("words that nobody reads"), lambda: None, extremal=True)
 
 
 @pytest.mark.usefixtures("steps")
@@ -71,12 +71,12 @@ def test_of_two_flights_the_better_is_kept_and_an_extremal_before_a_rough_one() 
     with progressing(lines.append, problem) as work:
         work("start")
         assert work.flight() is None
-        best_so_far(other, -9.0, "another problem", lambda: "other", extremal=True)
-        best_so_far(problem, -1.0, "rough", lambda: "rough", extremal=False)
-        best_so_far(problem, -0.5, "rougher", lambda: "rougher", extremal=False)
+        best_so_far(other, -9.0, lambda: "another problem", lambda: "other", extremal=True)
+        best_so_far(problem, -1.0, lambda: "rough", lambda: "rough", extremal=False)
+        best_so_far(problem, -0.5, lambda: "rougher", lambda: "rougher", extremal=False)
         assert work.flight() == ("rough", False)
-        best_so_far(problem, 2.0, "exact", lambda: "exact", extremal=True)
-        best_so_far(problem, -3.0, "rough again", lambda: "rough again", extremal=False)
+        best_so_far(problem, 2.0, lambda: "exact", lambda: "exact", extremal=True)
+        best_so_far(problem, -3.0, lambda: "rough again", lambda: "rough again", extremal=False)
         assert work.flight() == ("exact", True)
         assert work.stage == "start"
     assert lines == ["start", "best so far: rough", "best so far: exact"]

@@ -104,8 +104,11 @@ def _solved_and_proved(
 ) -> Solution:
     """Return the answer of a method with its proof, or the better one that lies beyond an extremal that is none."""
     solution = _answered(method, problem, guess, work)
-    best = f"{objective_text(solution, 9)}, which is not proved yet"
-    best_so_far(problem, solution.objective, best, lambda: solution, extremal=True)
+
+    def told_of() -> str:
+        return f"{objective_text(solution, 9)}, which is not proved yet"
+
+    best_so_far(problem, solution.objective, told_of, lambda: solution, extremal=True)
     solution = prove(solution, level, tolerance, work)
     if guess is None and isinstance(method, Indirect) and _no_minimum(solution):
         further = method.beyond(problem, solution, work)

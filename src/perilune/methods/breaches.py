@@ -102,5 +102,12 @@ def outside(
             way = "falls" if side == "below" else "rises"
             bound = limit_name(problem, named, "lower" if side == "below" else "upper")
             stated = "its bound" if bound.startswith("the ") else bound
-            text = f"{quantity_name(named)} {way} to {told(reached, unit)}, {side} {stated} of {told(limit, unit)}"
+            here, there = _told_apart(reached, limit, unit)
+            text = f"{quantity_name(named)} {way} to {here}, {side} {stated} of {there}"
             yield Breach(name=name, text=text, miss=miss, unit=unit, canonical=miss / scale, limit=bound)
+
+
+def _told_apart(one: float, other: float, unit: str) -> tuple[str, str]:
+    """Two values with as many digits as it takes to tell them apart, but six at least."""
+    texts = ((told(one, unit, digits), told(other, unit, digits)) for digits in range(6, 18))
+    return next((pair for pair in texts if pair[0] != pair[1]), (told(one, unit), told(other, unit)))

@@ -150,6 +150,18 @@ class Coarse:
         known = Coarse(self.settings, self.problem.changed(phases=phases, form=None), self.tried, self.watch).solve()
         return None if known is None else replace(known, problem=self.problem)
 
+    def without_bounds(self, name: str, guess: Solution) -> Solution | None:
+        """Return its answer on a finer mesh, from a flight, where nothing bounds one state; None where it has none."""
+        free = {"lower": -np.inf, "upper": np.inf}
+        phases = tuple(
+            replace(phase, states=tuple(replace(s, **free) if s.name == name else s for s in phase.states))
+            for phase in self.problem.phases
+        )
+        loose = Coarse(self.settings, self.problem.changed(phases=phases, form=None), self.tried, self.watch)
+        with suppress(PeriluneError):
+            return loose._run(segments=2 * _SEGMENTS, iterations=_FINER, guess=guess)
+        return None
+
     @cached_property
     def flight(self) -> Solution | None:
         """Its answer if that is good enough to keep; what is rough is solved again on a finer mesh, within bounds."""
@@ -186,8 +198,11 @@ class Coarse:
 
 def _tell_of_rough(problem: Problem, rough: Solution) -> None:
     """Tell of a rough flight, which is what a time limit would leave."""
-    best = f"a rough flight with {objective_text(rough)}, mesh error {rough.statistics.residual:.1g}"
-    best_so_far(problem, rough.objective, best, lambda: rough, extremal=False)
+
+    def told_of() -> str:
+        return f"a rough flight with {objective_text(rough)}, mesh error {rough.statistics.residual:.1g}"
+
+    best_so_far(problem, rough.objective, told_of, lambda: rough, extremal=False)
 
 
 def touched(flight: Solution) -> set[str]:

@@ -110,8 +110,7 @@ class Indirect(Ladder):
         drawn = [] if guess is not None or base is not None else self._of_known_arcs(search)
         search.answered = bool(drawn)
         for one in drawn:
-            known = f"{objective_text(one, 9)}, of arcs that the model knows"
-            best_so_far(search.problem, one.objective, known, lambda one=one: one, extremal=True)
+            _tell(search, one, "of arcs that the model knows")
         try:
             solution = search.solve(guess, base)
         except (NotConvergedError, InfeasibleError) as error:
@@ -132,8 +131,7 @@ class Indirect(Ladder):
             raise
         if drawn:
             solution = _best([solution, *drawn], search)
-        best = f"{objective_text(solution, 9)}, and whether another is better is open"
-        best_so_far(search.problem, solution.objective, best, lambda: solution, extremal=True)
+        _tell(search, solution, "and whether another is better is open")
         outdoing = () if any(solution.objective == one.objective for one in drawn) else search.outdoing()
         for rough in outdoing:
             if not rough.objective < solution.objective:
@@ -150,6 +148,8 @@ class Indirect(Ladder):
         if not isinstance(known, Curves) or not search.answering.judge.grazed(known.root):
             return solution
         found = self._structured(search, solution, brief=True)
+        if found is None:
+            search.refuse_if_missed(known.root)
         return solution if found is None else replace(found, extremals=(*found.extremals, *solution.extremals[1:]))
 
     def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:
@@ -206,6 +206,13 @@ class Indirect(Ladder):
             return None
         took = time.perf_counter() - search.began
         return replace(found, statistics=replace(found.statistics, wall_time=took))
+
+
+def _tell(search: Search, one: Solution, beside: str) -> None:
+    """Tell of an extremal that is the best so far."""
+    best_so_far(
+        search.problem, one.objective, lambda: f"{objective_text(one, 9)}, {beside}", lambda: one, extremal=True
+    )
 
 
 def _best(found: Sequence[Solution], search: Search) -> Solution:

@@ -53,7 +53,11 @@ class Judge:
 
     def grazed(self, root: Root) -> set[str]:
         """Return the names of what the flight breaks by so little that it may be an answer, and the proof objects."""
-        return {breach.name for breach in self._all(root) if breach.canonical <= _SLACK}
+        return {breach.name for breach in self.grazing(root)}
+
+    def grazing(self, root: Root) -> tuple[Breach, ...]:
+        """All that the flight breaks by so little."""
+        return tuple(breach for breach in self._all(root) if breach.canonical <= _SLACK)
 
     def _all(self, root: Root) -> tuple[Breach, ...]:
         key = root.y.tobytes()

@@ -7,6 +7,7 @@ holds for every flight, or a direct method that found no flight from any of its 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,10 @@ from perilune.methods.coarse import Coarse, along_path
 from perilune.methods.undetermined import undetermined
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.problem.wording import objective_text, quantity_name
+from perilune.problem.wording import limit_name, objective_text, quantity_name
 from perilune.shooting.continuum import nearly_open
 from perilune.shooting.function import Root
+from perilune.words.maths import NUMERIC
 from perilune.words.outcome import BEST_MISSES, InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.types import Vector
 from perilune.words.units import told
@@ -42,23 +44,68 @@ def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
         known["tried"] = list(coarse.tried)
         return direct
     if bounds and known.get("all_missed"):
-        return best_misses(coarse.problem, bounds, len(breaches), direct, coarse.tried)
+        got = "the direct method found no flight either"
+        return best_misses(coarse.problem, bounds, len(breaches), got, {**known, "tried": list(coarse.tried)})
     flight = coarse.flight
+    if flight is not None and (priced := [b for b in bounds if better_within(coarse.problem, b) is not None]):
+        if _by_the_mesh_alone(coarse, flight, priced[0]):
+            got = "the direct method's flight keeps it by less than the error of its mesh"
+            return best_misses(coarse.problem, priced, len(breaches), got, {"tried": list(coarse.tried)})
     if flight is not None and (breaches or ridden_condition(coarse.problem, flight)):
         return kept_flight(coarse.problem, flight, breaches, coarse.tried)
     return undecided(breaches, coarse.refusal, coarse.tried) if breaches else None
 
 
-def best_misses(problem: Problem, bounds: list[Breach], count: int, direct: Any, tried: list[str]) -> InfeasibleError:
-    """No flight was found: the best of so many extremals misses a bound, and the direct method misses something too."""
+def better_within(problem: Problem, breach: Breach) -> float | None:
+    """Return J on a broken bound where each flight that keeps it is better than that, else None.
+
+    So it is where J is the end of one state alone, as the mass that is landed: an optimum that misses the bound says
+    that nothing keeps it.
+    """
+    expression, last = problem.form.expressions["objective"], problem.phases[-1]
+    if {op[:2] for op in expression.tape.instructions if op[0] in ("x", "p")} != {("x", breach.name)}:
+        return None
+    state = next(state for state in last.states if state.name == breach.name)
+
+    def J(value: float) -> float:
+        ends = (value if other is state else problem.size_of(other) for other in last.states)
+        return float(problem.objective(last.state_record(*ends), problem.parameters({}), NUMERIC))
+
+    lower, upper = state.limits(problem.parameters({}))
+    for side, bound, way in (("lower", lower, 1.0), ("upper", upper, -1.0)):
+        if breach.limit == limit_name(problem, state, side) and J(bound + way * problem.size_of(state)) < J(bound):
+            return J(bound)
+    return None
+
+
+def _by_the_mesh_alone(coarse: Coarse, flight: Solution, breach: Breach) -> bool:
+    """Whether a rough flight keeps a bound, on which alone J depends, by no more than a finer mesh changes its J."""
+    bound, finer = better_within(coarse.problem, breach), coarse.without_bounds(breach.name, flight)
+    if bound is None or finer is None:
+        return False
+    return bound - finer.objective <= abs(finer.objective - flight.objective)
+
+
+def best_misses(
+    problem: Problem, bounds: Sequence[Breach], count: int, direct: str, partial: dict[str, Any]
+) -> InfeasibleError:
+    """No flight was found: the best of so many extremals misses a bound, and the direct method has none to set against.
+
+    Parameters
+    ----------
+    problem, bounds, count
+        What is refused, the bounds that were missed, and how many extremals there are.
+    direct, partial
+        What the direct method found, and what is kept of the search.
+    """
     best = min(bounds, key=lambda breach: breach.canonical)
     return InfeasibleError(
         f"the best of {count} found misses {best.limit or best.name} by {told(best.miss, best.unit)}",
-        got=f"{best.text}; the direct method found no flight either",
+        got=f"{best.text}; {direct}",
         expected=f"no miss of {best.limit or best.name} all along",
         advice=f"a wider bound; {_easier(problem)}",
         reason=BEST_MISSES,
-        partial={**direct.partial, "tried": list(tried)},
+        partial=partial,
     )
 
 

@@ -22,7 +22,7 @@ from perilune.methods.coarse import Coarse, touched
 from perilune.methods.flown import may_be_cut, mended
 from perilune.methods.judge import Judge
 from perilune.methods.ladder import Ladder
-from perilune.methods.refusals import NOT_ISOLATED, not_converged, refusal
+from perilune.methods.refusals import NOT_ISOLATED, best_misses, better_within, not_converged, refusal
 from perilune.methods.rungs import Met, Rungs
 from perilune.methods.smoothing import SMOOTH, Smoothing
 from perilune.methods.starts import (
@@ -429,6 +429,13 @@ class Search:
     def _refusal(self, found: list[Found]) -> PeriluneError:
         breaches = [breach for f in found if (breach := self.judge.breach(f.root)) is not None]
         return refusal(self.coarse, breaches or self.broken) or self._failure()
+
+    def refuse_if_missed(self, root: Root) -> None:
+        """Raise `InfeasibleError` for an optimum that misses a bound, by however little, where no other can keep it."""
+        missed = [b for b in self.answering.judge.grazing(root) if better_within(self.problem, b) is not None]
+        if missed:
+            told = "each flight that keeps it would be better than this optimum"
+            raise best_misses(self.problem, missed, 1, told, {"tried": list(self.tried)})
 
     def _failure(self) -> NotConvergedError:
         trials = self.trials

@@ -209,6 +209,7 @@ class _Restated:
             results=own.get("results"),
             given=MappingProxyType({**user.given, **bounds}),
             free=tuple(self.free()),
+            views=replace(user.views, dispersion=None),  # which names phases
             bookkeeping=None,
             rough_flight=None,
             switching_guesses=None,

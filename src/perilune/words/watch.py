@@ -147,7 +147,9 @@ def at_work(text: Iteration | str) -> None:
         now.at_work(text if isinstance(text, str) else now.stage)
 
 
-def best_so_far(subject: Any, objective: float, told: str, flight: Callable[[], Any], *, extremal: bool) -> None:
+def best_so_far(
+    subject: Any, objective: float, told: Callable[[], str], flight: Callable[[], Any], *, extremal: bool
+) -> None:
     """Remember the best flight of what is computed, and tell of it, unless a better one is known.
 
     Parameters
@@ -155,7 +157,7 @@ def best_so_far(subject: Any, objective: float, told: str, flight: Callable[[], 
     subject
         The problem of the flight; of another than that which is computed nothing is remembered.
     objective, told
-        J, and what is told of it.
+        J, and what makes the words that are told of it: of what nobody is told they are not asked for.
     flight
         Makes it.
     extremal
@@ -167,5 +169,5 @@ def best_so_far(subject: Any, objective: float, told: str, flight: Callable[[], 
     if now.best is None or (extremal, -objective) >= (now.best[0], -now.best[1]):
         now.best = extremal, objective, flight
         stage = now.stage
-        now(f"best so far: {told}")
+        now(f"best so far: {told()}")
         now.stage = stage  # a flight that is known is no stage of the work
