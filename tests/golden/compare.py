@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-#: What hangs on rounding: how long a search took, errors that are left, digests of tables.
-ROUNDING = {"effort", "files", "residual", "error_bound", "guess_error", "steps", "drift", "path", "minimum"}
+#: What hangs on rounding: how long a search took, errors that are left, digests and sizes of files.
+ROUNDING = {"effort", "files", "bytes", "residual", "error_bound", "guess_error", "steps", "drift", "path", "minimum"}
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _RELATIVE, _ABSOLUTE = 1e-6, 1e-9
 _NOISE = 1e-6  # below it a number in a sentence may be an error of rounding
