@@ -16,6 +16,7 @@ from perilune.models.descent import Ignition, Site, powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.landing_preflight import coasting_first, one_burn
 from perilune.models.rough_landing import rough_landing
+from perilune.models.two_burns import Burning, TwoBurns, two_burns
 from perilune.models.two_impulses import Around, around_body, fallen, two_impulses
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
@@ -79,8 +80,7 @@ def test_the_coast_grazes_the_ground_and_never_dips_below_it(landed: Any) -> Non
 
 def test_two_impulses_bound_it(landed: Any) -> None:
     """No flight needs less than two impulses; full throttle all the way needs nearly twice as much."""
-    impulses, exhaust = two_impulses(around(strong())), 320.0 * 9.80665
-    assert impulses is not None
+    (impulses,), exhaust = two_impulses(around(strong())), 320.0 * 9.80665
     spent = exhaust * math.log(1e4 / -landed.objective)
     assert impulses.velocity_change < spent < 1.01 * impulses.velocity_change
 
@@ -111,9 +111,8 @@ def test_free_fall_is_that_of_an_integrator() -> None:
 def test_two_impulses_from_a_circle_are_hohmann_s() -> None:
     """Half a turn of the ellipse between both radii, begun at once as one place is as good as another."""
     r = RADIUS + ALTITUDE
-    found = two_impulses(around(strong(math.sqrt(MU / r))))
+    (found,) = two_impulses(around(strong(math.sqrt(MU / r))))
     semi = 0.5 * (r + RADIUS)
-    assert found is not None
     assert found.wait == 0.0
     assert found.first == pytest.approx(math.sqrt(MU / r) - math.sqrt(MU * (2 / r - 1 / semi)), rel=1e-6)
     assert found.second == pytest.approx(math.sqrt(MU * (2 / RADIUS - 1 / semi)), rel=1e-9)
@@ -123,9 +122,73 @@ def test_two_impulses_from_a_circle_are_hohmann_s() -> None:
 def test_two_impulses_from_an_ellipse_begin_at_its_apocentre() -> None:
     """Half a turn later, from a start at the pericentre."""
     speed, r = 1700.0, RADIUS + ALTITUDE
-    found, semi = two_impulses(around(strong(speed))), 1 / (2 / r - speed**2 / MU)
-    assert found is not None
+    found, semi = two_impulses(around(strong(speed)))[0], 1 / (2 / r - speed**2 / MU)
     assert found.wait == pytest.approx(math.pi * math.sqrt(semi**3 / MU), rel=1e-3)
+
+
+def turning(rate: float = 3e-4) -> Around:
+    """Return a start at 12 km over a body like the Moon that turns fast, inclined by half a radian."""
+    r = RADIUS + 12e3
+    speed, tilt = 1.001 * math.sqrt(MU / r), 0.5
+    return Around(
+        position=np.array([r, 0.0, 0.0]), velocity=speed * np.array([0.0, math.cos(tilt), math.sin(tilt)]),
+        mu=MU, radius=RADIUS, turning=np.array([0.0, 0.0, rate]),
+    )  # fmt: skip
+
+
+def test_over_a_body_that_turns_every_wait_that_is_least_is_found() -> None:
+    """Against waits 30 s shorter and longer, by vis-viva and the eccentricity vector."""
+    found, start = two_impulses(turning()), turning()
+    assert len(found) > 1
+    assert [one.velocity_change for one in found] == sorted(one.velocity_change for one in found)
+    for one in found:
+        beside = [_impulses_after(start, one.wait + late) for late in (-30.0, 30.0) if one.wait + late > 0]
+        assert _impulses_after(start, one.wait) == pytest.approx(one.velocity_change, rel=1e-6)
+        assert min(beside) > one.velocity_change
+
+
+def _impulses_after(start: Around, wait: float) -> float:
+    """Return the velocity change [m/s] of two impulses by vis-viva and the eccentricity vector."""
+    r, v = fallen(start.position, start.velocity, start.mu, wait)
+    distance, normal = float(np.linalg.norm(r)), np.cross(r, v) / np.linalg.norm(np.cross(r, v))
+    ahead, up = float(np.cross(normal, r) @ v) / distance, float(r @ v) / distance
+    square = 2 * MU * (1 / RADIUS - 1 / distance) / ((ahead * distance / RADIUS) ** 2 - ahead**2 - up**2)
+    share = math.sqrt(square)
+    momentum, slow = share * ahead * distance, np.array(share * v)
+    lowest = np.cross(slow, np.cross(r, slow)) / MU - r / distance
+    place = RADIUS * lowest / np.linalg.norm(lowest)
+    arriving = momentum / RADIUS * np.cross(normal, place) / RADIUS
+    return float(np.linalg.norm(v - slow) + np.linalg.norm(arriving - np.cross(start.turning, place)))
+
+
+BURNING = Burning(mass=1e4, force=160e3, exhaust=320.0 * 9.80665)
+
+
+def landed_by_two_burns(start: Around, *, at_once: bool = False) -> TwoBurns:
+    """Return the best of them."""
+    found = (two_burns(start, one, BURNING, at_once=at_once) for one in two_impulses(start))
+    return max(filter(None, found), key=lambda one: one.landed)
+
+
+def test_two_burns_of_the_program_are_those_of_a_collocation() -> None:
+    mass, (first, fall, beside, last) = landed_mass(MU, RADIUS, 1e4, 160e3, 320.0, ALTITUDE, SPEED)
+    found = landed_by_two_burns(around(strong()), at_once=True)
+    assert found.landed == pytest.approx(mass, abs=1e-3)
+    assert found.lengths == pytest.approx([0.0, first, fall, beside, last], abs=1.0)
+
+
+def test_costates_of_the_program_are_what_a_moved_start_changes() -> None:
+    """From the pericentre of an ellipse, half a turn before the first burn, by solving again."""
+    start = around(strong(1700.0))
+    found = landed_by_two_burns(start)
+    assert found.lengths[0] > 3000.0
+    for name, at, size in (("position", 0, 20.0), ("velocity", 3, 0.02)):
+        step = size * np.array([0.6, 0.8, 0.0])
+        ahead, behind = (
+            landed_by_two_burns(replace(start, **{name: getattr(start, name) + side * step})).landed
+            for side in (1.0, -1.0)
+        )
+        assert behind - ahead == pytest.approx(2 * float(found.costates[0][at : at + 3] @ step), rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +200,7 @@ def test_two_impulses_from_an_ellipse_begin_at_its_apocentre() -> None:
     ],
 )
 def test_no_two_impulses_where_the_orbit_is_none_that_clears_the_ground(problem: Problem) -> None:
-    assert two_impulses(around(problem)) is None
+    assert two_impulses(around(problem)) == []
     assert rough_landing(problem) == []
 
 

@@ -22,6 +22,7 @@ from perilune.words.types import Vector
 
 _LOOKS = 48  # times of one turn at which the first impulse is tried
 _SAME = 1e-9  # relative difference of velocity changes that are the same
+_SHORT = 1e-3  # of a turn: what is left of it is none
 _BISECTIONS = 60
 _KEPLER_STEPS = 60  # of Newton's method for Kepler's equation
 
@@ -117,7 +118,7 @@ def _lowest(position: Vector, velocity: Vector, mu: float) -> float:
     return semi * (1 - eccentricity)
 
 
-def _time_down(position: Vector, velocity: Vector, mu: float) -> float:
+def time_down(position: Vector, velocity: Vector, mu: float) -> float:
     """Return the time [s] to the lowest point of an ellipse, less than one turn."""
     semi, _ = orbit_shape(position, velocity, mu)
     sine, cosine = float(position @ velocity) / math.sqrt(mu * semi), 1 - float(np.linalg.norm(position)) / semi
@@ -134,14 +135,16 @@ def _landing(around: Around, wait: float) -> TwoImpulses:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _lowest(position, middle * velocity, mu) > around.radius else (middle, high)
     after = low * velocity
-    fall = _time_down(position, after, mu)
+    fall = time_down(position, after, mu)
     lowest = fallen(position, after, mu, fall)
     ground = np.cross(around.turning, lowest[0])
     return TwoImpulses(wait=wait, fall=fall, before=before, after=after, lowest=lowest, ground=ground)
 
 
-def two_impulses(around: Around) -> TwoImpulses | None:
-    """Return the landing by two impulses that needs the least velocity change within one turn.
+def two_impulses(around: Around) -> list[TwoImpulses]:
+    """Return the landings by two impulses whose velocity change is least among those that begin sooner or later.
+
+    Over a body that turns these are several within one turn of the orbit.
 
     Parameters
     ----------
@@ -150,24 +153,32 @@ def two_impulses(around: Around) -> TwoImpulses | None:
 
     Returns
     -------
-    TwoImpulses
-        None where the start is on no ellipse, or on one that does not clear the ground.
+    list
+        The least first; the one that begins at once where waiting changes nothing. None where the start is on no
+        ellipse, or on one that does not clear the ground.
     """
     from scipy.optimize import minimize_scalar
 
     semi, _ = orbit_shape(around.position, around.velocity, around.mu)
     if not (semi > 0 and _lowest(around.position, around.velocity, around.mu) > around.radius):
-        return None
+        return []
     turn = 2 * math.pi * math.sqrt(semi**3 / around.mu)
     waits = np.linspace(0.0, turn, _LOOKS + 1)
-    spent = np.array([_landing(around, wait).velocity_change for wait in waits])
-    best = int(np.argmin(spent))
-    if best in (0, _LOOKS) or spent[0] <= spent[best] * (1 + _SAME):
-        return _landing(around, 0.0)
-    nearest = minimize_scalar(
-        lambda wait: _landing(around, wait).velocity_change, method="bounded", bounds=(waits[best - 1], waits[best + 1])
-    )
-    return _landing(around, float(nearest.x))
+
+    def spent(wait: float) -> float:
+        return _landing(around, wait).velocity_change
+
+    changes = np.array([spent(wait) for wait in waits])
+    if changes.max() <= changes.min() * (1 + _SAME):
+        return [_landing(around, 0.0)]
+    ahead, behind = (np.append(changes[1:], np.inf), np.append(np.inf, changes[:-1]))
+    found = list[TwoImpulses]()
+    for k in np.nonzero((changes <= ahead) & (changes <= behind))[0].tolist():
+        near = waits[max(k - 1, 0)], waits[min(k + 1, _LOOKS)]
+        nearest: Any = minimize_scalar(spent, method="bounded", bounds=near)
+        best = min((float(waits[k]), float(nearest.x)), key=spent)
+        found += [_landing(around, best)] if best < (1 - _SHORT) * turn else []  # else that of no wait, a turn later
+    return sorted(found, key=lambda one: one.velocity_change)
 
 
 def around_body(p: Any, state: Any) -> Around:
