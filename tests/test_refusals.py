@@ -28,6 +28,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Statistics, Trajectory
 from perilune.problem.variables import Given, Variable
+from perilune.problem.wording import stating_keys
 from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import (
@@ -36,6 +37,7 @@ from perilune.words.outcome import (
     Outcome,
     PeriluneError,
 )
+from perilune.words.units import told_outwards
 from problems.ascents import tangent_steering
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -59,6 +61,30 @@ def test_what_is_no_number_keeps_no_bounds() -> None:
     anywhere = (-math.inf, math.inf)
     assert not list(outside(problem, state, np.array([0.0, 1e9]), anywhere, 0.0))
     assert list(outside(problem, state, np.array([0.0, math.nan]), anywhere, 0.0))
+
+
+def test_what_would_be_wide_enough_is_rounded_outwards() -> None:
+    """Away from the side that is allowed, also of negative values; nothing and infinity stay as they are."""
+    assert [told_outwards(0.999956, "1", side) for side in ("lower", "upper")] == ["0.99995", "0.99996"]
+    assert [told_outwards(-1234.567, "kg", side) for side in ("lower", "upper")] == ["-1234.6 kg", "-1234.5 kg"]
+    assert told_outwards(math.pi / 180, "rad", "upper", 3) == "1 deg"
+    assert [told_outwards(value, "m", "upper") for value in (0.0, math.inf)] == ["0 m", "inf m"]
+
+
+def test_a_condition_of_the_path_is_named_with_the_key_that_states_it() -> None:
+    """The slope and the tilt by what stands in the file; a bound of an end by its key; a bare end by nothing."""
+    problem = load_file(EXAMPLES / "precision_landing.toml").problem
+    keys = {c.name: stating_keys(problem, 0, "path", i) for i, c in enumerate(problem.phases[0].path_conditions)}
+    assert keys == {
+        "height_above_glide_slope": ["corridor.slope", "corridor.pad_radius"],
+        "pointing_margin": ["corridor.tilt"],
+    }
+    problem = load_file(EXAMPLES / "capsule_return.toml").problem
+    k = len(problem.phases) - 1
+    ends = {c.name: stating_keys(problem, k, "end", i) for i, c in enumerate(problem.phases[k].end_conditions)}
+    assert ends["landing_speed"] == ["site.speed_upper"] and ends["site_up"] == []
+    limited = {c.name: stating_keys(problem, k, "path", i) for i, c in enumerate(problem.phases[k].path_conditions)}
+    assert limited["load_left"] == ["limits.load"]
 
 
 def test_the_best_of_those_that_miss_is_named() -> None:
@@ -185,6 +211,8 @@ def test_what_must_land_is_more_than_the_best_that_lands(dry: float, missed: flo
     ) as caught:
         solve(heavy)
     assert caught.value.reason == "the best found misses it" and caught.value.exit_code == 3
+    assert caught.value.expected == f"mass (m) at least {dry:g} kg"
+    assert caught.value.advice.startswith("lower vehicle.dry_mass to 160.61 kg; or ")  # 160.618584 is not less
 
 
 def test_the_flight_that_keeps_everything_is_on_disk(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

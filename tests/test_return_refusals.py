@@ -281,3 +281,19 @@ def test_an_orbit_within_the_body_and_air_like_a_wall_are_refused_in_words(
     path = Path(__file__).parent.parent / "examples" / f"{example}.toml"
     assert run(["check", str(path), "--set", change]) == 3
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("orbit", "radii"), [(CIRCLE, (6778e3, 6778e3)), (ELLIPSE, (6671e3, 7271e3))])
+def test_a_burn_of_more_than_a_turn_is_warned_of(orbit: Orbit, radii: tuple[float, float]) -> None:
+    """By Hohmann's impulse at the apogee to 120 km, Tsiolkovsky's burn for it, and Kepler's period."""
+    low, high = radii
+    gate, mu = 6371e3 + 120e3, 3.986005e14
+    change = math.sqrt(mu * (2 / high - 2 / (low + high))) - math.sqrt(mu * (2 / high - 2 / (gate + high)))
+    period = 2 * math.pi * math.sqrt(((low + high) / 2) ** 3 / mu)
+    burn = (1 - math.exp(-change / 3000.0)) * 500.0 * 3000.0  # seconds, for a newton
+    for turns in (0.99, 1.01, 4.0):
+        weak = replace(VEHICLE, thrust=burn / (turns * period))
+        found = [f for f in preflight(returning(-1.5, weak, orbit)) if f.name.startswith("turns of the orbit")]
+        assert [f.verdict for f in found] == ["warning"] * (turns > 1)
+        assert all(float(f.value) == pytest.approx(turns, rel=1e-9) for f in found)
+        assert all(f"{change:.0f} m/s or more" in f.meaning for f in found)

@@ -15,7 +15,6 @@ import numpy as np
 
 from perilune.direct.nlp import Answer, Program
 from perilune.problem.controls import scalars
-from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
@@ -27,6 +26,7 @@ from perilune.problem.symbolic import (
     trace_parameters,
 )
 from perilune.problem.variables import Variable
+from perilune.problem.wording import stating_keys
 from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.types import Vector
 from perilune.words.units import told
@@ -135,7 +135,7 @@ def missed_conditions(program: Program, answer: Answer, slack: float) -> list[tu
     """Every condition that an iterate misses and by how much in SI, the worst (in canonical units) first."""
     found: list[tuple[float, tuple[str, str]]] = []
     for (k, kind), residual in answer.residuals.items():
-        names, scales = _row_names(program.problem, program.problem.phases[k], kind)
+        names, scales = _row_names(program.problem, k, kind)
         if not len(residual):
             continue
         worst = residual.reshape(-1, len(names)).max(axis=0)
@@ -145,13 +145,18 @@ def missed_conditions(program: Program, answer: Answer, slack: float) -> list[tu
     return [pair for _, pair in sorted(found, key=lambda pair: -pair[0])]
 
 
-def _row_names(problem: Problem, phase: Phase, kind: str) -> tuple[list[tuple[str, str]], Vector]:
-    """(condition, unit) and SI size of each column of a kind of rows."""
+def _row_names(problem: Problem, k: int, kind: str) -> tuple[list[tuple[str, str]], Vector]:
+    """(condition, unit) and SI size of each column of a kind of rows of phase k."""
+    phase = problem.phases[k]
     if kind in ("start", "defect", "quadrature"):
         word = "the start of" if kind == "start" else "the dynamics of"
         return [(f"{word} {s.name} in {phase.name}", s.unit) for s in phase.states], state_scales(problem, phase)
     if kind == "direction":
         return [(f"unit length of a direction in {phase.name}", "1")], np.ones(1)
     conditions = getattr(phase, f"{kind}_conditions")
-    names = [(f"the {kind} condition {phase.name}.{c.name}", c.unit) for c in conditions]
+    keys = [stating_keys(problem, k, kind, row) for row in range(len(conditions))]
+    names = [
+        (f"the {kind} condition {phase.name}.{c.name}" + f" ({', '.join(stated)})" * bool(stated), c.unit)
+        for c, stated in zip(conditions, keys, strict=True)
+    ]
     return names, np.array([problem.size_of(c) for c in conditions])

@@ -17,9 +17,11 @@ from perilune.problem.wording import limit_name, quantity_name
 from perilune.structures.read import of_states
 from perilune.structures.structure import Structure, conditions_of, margins, moved_by
 from perilune.words.types import Matrix, Vector
-from perilune.words.units import told
+from perilune.words.units import told, told_outwards
 
 _LOOKS = 201  # times of a phase, beside the nodes of its tables
+# Of a bound: how it is broken, and beyond it; what keeps it, and what makes it wider.
+_SIDES = {"lower": ("falls", "below", "at least", "lower"), "upper": ("rises", "above", "at most", "raise")}
 _BROKEN = 1e-8  # canonical, of tables: what is broken by less the proof may judge, which flies them again
 
 
@@ -39,6 +41,8 @@ class Breach:
         Whether it is a path condition, which an extremal knows nothing of, and not a bound.
     limit
         What the limit is called in a message.
+    kept, enough
+        What keeps a bound, and what to do with the bound so that this flight keeps it, in words.
     """
 
     name: str
@@ -48,6 +52,8 @@ class Breach:
     canonical: float
     path: bool = False
     limit: str = ""
+    kept: str = ""
+    enough: str = ""
 
 
 def broken_by_control(structure: Structure, whole: Solution) -> Breach | None:
@@ -97,14 +103,22 @@ def outside(
     """Values beyond their bounds. What is no number lies within none, not even where there are none."""
     (lower, upper), name, unit, scale = limits, named.name, named.unit, problem.size_of(named)
     least, most = float(np.min(values)), float(np.max(values))
-    for side, limit, reached, miss in (("below", lower, least, lower - least), ("above", upper, most, most - upper)):
+    for side, limit, reached, miss in (("lower", lower, least, lower - least), ("upper", upper, most, most - upper)):
         if not miss <= slack * scale:
-            way = "falls" if side == "below" else "rises"
-            bound = limit_name(problem, named, "lower" if side == "below" else "upper")
+            way, beyond, keeps, change = _SIDES[side]
+            bound, called = limit_name(problem, named, side), quantity_name(named)
             stated = "its bound" if bound.startswith("the ") else bound
             here, there = _told_apart(reached, limit, unit)
-            text = f"{quantity_name(named)} {way} to {here}, {side} {stated} of {there}"
-            yield Breach(name=name, text=text, miss=miss, unit=unit, canonical=miss / scale, limit=bound)
+            yield Breach(
+                name=name,
+                text=f"{called} {way} to {here}, {beyond} {stated} of {there}",
+                miss=miss,
+                unit=unit,
+                canonical=miss / scale,
+                limit=bound,
+                kept=f"{called} {keeps} {there}",
+                enough=f"{change} {bound} to {told_outwards(reached, unit, side)}",
+            )
 
 
 def _told_apart(one: float, other: float, unit: str) -> tuple[str, str]:

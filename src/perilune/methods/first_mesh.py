@@ -62,7 +62,7 @@ class FirstMesh:
 
     def __init__(self, run: Run, guess: Solution | None, *, near: bool = False, close: bool = False) -> None:
         self.run, self.problem, self.guess, self.near, self.close = run, run.problem, guess, near, close
-        self.all_missed = False
+        self.all_missed = self.settled = False
         self.first: tuple[Vector, list[Sampler]] | None = None  # what the first straight line is, once it was drawn
 
     def answer(self) -> tuple[Program, Answer]:
@@ -97,14 +97,17 @@ class FirstMesh:
                     return tries[-1]
             elif nearest.converged and nearest.violation > MISSED and start.counts:
                 (vanished if self.vanished(nearest) else misses).append((start.program, nearest))
+        self.settled = bool(misses)
         # One start alone may owe its miss to the mesh.
         counted = sum(start.counts for start in starts)
         self.all_missed = CONVINCED <= counted == len(misses) + len(vanished) and self.guess is None
         if len(misses) >= CONVINCED and len(tries) == 1:
             self.tell_least_miss(*min(misses, key=_violation), len(misses))
         if not misses:
+            # A start that leads nowhere spends all it is given: what one of them may take, all of them share.
+            share = max(1, self.run.settings.iterations // len(starts))
             for start in starts:
-                tries.append((start.program, self.attempt(start)))
+                tries.append((start.program, self.attempt(start, share)))
                 if tries[-1][1].converged:
                     return tries[-1]
         self.fail(*min(misses or vanished or tries, key=_violation))
@@ -189,9 +192,15 @@ class FirstMesh:
     def partial(self, answer: Answer, missed: list[str]) -> dict[str, Any]:
         """What a failure keeps; `all_missed` says that every start led to a least miss, if only that of no flight.
 
-        `least_miss` is its size in canonical units, where it is more than the error of the mesh.
+        `least_miss` is its size in canonical units, where it is more than the error of the mesh; `settled` whether any
+        start led to one that is a flight.
         """
-        told = {"missed": missed, "all_missed": self.all_missed, "tried": tuple(self.run.tried)}
+        told = {
+            "missed": missed,
+            "all_missed": self.all_missed,
+            "settled": self.settled,
+            "tried": tuple(self.run.tried),
+        }
         return told | {"free": answer.free_si(self.problem)}
 
     def fail(self, program: Program, answer: Answer) -> NoReturn:

@@ -20,10 +20,10 @@ from perilune.direct.elastic import ElasticLimit, elastic_limits, relaxations, r
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.problem.wording import limit_name, parameter_key, quantity_name
+from perilune.problem.wording import limit_name, only_in_path, parameter_key, quantity_name
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.types import Vector
-from perilune.words.units import told
+from perilune.words.units import told, told_outwards
 from perilune.words.watch import Watch, silent
 
 _MOST = 320  # iterations of all limits together, of a problem of one phase; no seconds, so that it says the same again
@@ -31,8 +31,8 @@ _PATIENT = 40  # iterations of each; what ends well takes 10 to 30
 _FINER = (16, 32)  # segments of the meshes on which the one that gives least is looked at again
 _LARGEST = 10.0  # of its own size: what has to give by more is not said to be in the way
 _LISTED = 4  # limits of which a message says by how much they would have to give
+_DIGITS = 3  # of what would do, rounded so that it does
 _SHARE = 1e-3  # of the largest: end conditions that give by less are as good as met
-_SHOWN = ("outputs", "integrals", "marks", "inertial", "track", "typical_end")  # functions that decide nothing
 _LOOKS = 200  # times of a phase
 _OVERSHOT = 1.001  # of what a condition gives: what is broken by more, between nodes, is the mesh's
 _STEPS = (0.01, 10.0, 60)  # of a parameter, relative: the first, the largest, and how many
@@ -41,12 +41,16 @@ _SETTLED = 0.3  # of what a limit gives: by how much a finer mesh may change it
 
 
 class Relaxed(NamedTuple):
-    """A limit, by how much it gives [SI], that by its own size, and the flight that keeps all else."""
+    """A limit, by how much it gives [SI], that by its own size, the flight that keeps all else, and its doubt.
+
+    That is by how much [SI] meshes differ about what gives.
+    """
 
     limit: ElasticLimit
     amount: float
     share: float
     flight: Solution
+    doubt: float = np.inf
 
 
 class Words(NamedTuple):
@@ -80,10 +84,10 @@ def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch 
         return error
     if not found:
         return error
-    best, change = _on_finer_meshes(found[0])
-    if not change <= _SETTLED * best.amount:
+    best, *others = [_on_finer_meshes(one) for one in found[:_LISTED]]
+    if not best.doubt <= _SETTLED * best.amount:
         return error  # meshes do not agree that anything is in the way
-    return _named(problem, error, [best, *found[1:]])
+    return _named(problem, error, [best, *(one for one in others if one.doubt <= _SETTLED * one.amount)])
 
 
 def _each_alone(problem: Problem, nearest: Solution, watch: Watch) -> Iterator[Relaxed]:
@@ -108,17 +112,17 @@ def _each_alone(problem: Problem, nearest: Solution, watch: Watch) -> Iterator[R
             yield one
 
 
-def _on_finer_meshes(one: Relaxed) -> tuple[Relaxed, float]:
-    """The same on meshes that follow the flight better, and by how much the last of them changed what gives."""
-    change = one.amount
+def _on_finer_meshes(one: Relaxed) -> Relaxed:
+    """The same on meshes that follow the flight better, with its doubt: by how much the last changed what gives."""
     for segments in _FINER[: 2 if len(one.flight.trajectories) == 1 else 1]:
         method = Pseudospectral(nodes=5, segments=segments, refine=0, iterations=_PATIENT)
         try:
             flight = method.near(one.flight)
         except PeriluneError:  # and a mesh that is finer still begins from no better flight
             break
-        change, one = abs(flight.objective - one.amount), one._replace(amount=flight.objective, flight=flight)
-    return one, change
+        doubt = abs(flight.objective - one.amount)
+        one = one._replace(amount=flight.objective, flight=flight, doubt=doubt)
+    return one
 
 
 def _own_size(problem: Problem, limit: ElasticLimit, flight: Solution) -> float:
@@ -154,15 +158,15 @@ def _named(problem: Problem, error: NotConvergedError, found: list[Relaxed]) -> 
     parts = [_words(problem, one) for one in found]
     first = parts[0]
     easier = "more thrust, less mass or a higher start" if "vehicle_thrust" in problem.given else ""
-    ways = [] if found[0].limit.kind == "end" else list(dict.fromkeys(part.enough for part in parts[:_LISTED]))
-    several = "one of these, and a little more: " if len(ways) > 1 else ""
+    ways = [] if found[0].limit.kind == "end" else list(dict.fromkeys(part.enough for part in parts))
+    several = "one of these: " if len(ways) > 1 else ""
     given = [
         {"limit": part.name, "by": one.amount, "unit": one.limit.bounded.unit}
         for part, one in zip(parts, found, strict=True)
     ]
     return NotConvergedError(
         f"no flight was found that keeps every limit: the best misses {first.name} by about {first.much}",
-        got=f"everything else can be kept with {first.enough}",
+        got=f"everything else can be kept with {first.enough}, as far as a mesh can tell",
         expected=first.stated,
         advice="; ".join(filter(None, (several + "; ".join(ways), easier))),
         partial={**error.partial, "relaxations": given},
@@ -185,15 +189,18 @@ def _words(problem: Problem, one: Relaxed) -> Words:
         if (found := _parameter_enough(problem, one)) is not None:
             name, value = found
             key, unit, stated = parameter_key(problem, name), problem.unit_of(name), getattr(p, name)
-            much, enough = told(abs(value - stated), unit, 2), f"{key} {told(value, unit, 3)}"
+            further, side = (value - stated) * (1 + one.doubt / one.amount), "lower" if value < stated else "upper"
+            much = told(abs(value - stated), unit, 2)
+            enough = f"{key} {told_outwards(stated + further, unit, side, _DIGITS)}"
             return Words(key, much, enough, f"{key} {told(stated, unit)}")
         called = quantity_name(limit.bounded)
-        enough = f"{called} down to {told(-one.amount, unit, 3)}"
+        enough = f"{called} down to {told_outwards(-one.amount - one.doubt, unit, 'lower', _DIGITS)}"
         return Words(called, told(one.amount, unit, 2), enough, f"{called} never below 0")
     lower, upper = _bounds(limit, p)
     at, name = lower if limit.side == "lower" else upper, limit_name(problem, limit.bounded, limit.side)
-    reached = at - one.amount if limit.side == "lower" else at + one.amount
-    return Words(name, told(one.amount, unit, 2), f"{name} {told(reached, unit)}", f"{name} {told(at, unit)}")
+    give = one.amount + one.doubt
+    reached = told_outwards(at - give if limit.side == "lower" else at + give, unit, limit.side)
+    return Words(name, told(one.amount, unit, 2), f"{name} {reached}", f"{name} {told(at, unit)}")
 
 
 def _parameter_enough(problem: Problem, one: Relaxed) -> tuple[str, float] | None:
@@ -211,7 +218,7 @@ def _parameter_enough(problem: Problem, one: Relaxed) -> tuple[str, float] | Non
             return min(float(along[at].min(initial=np.inf)) for along, at in values) - least
 
     found = list[tuple[float, str, float]]()
-    for name in _only_in_path(problem):
+    for name in only_in_path(problem):
         stated = getattr(p, name)
         if not room(name, stated) < 0:
             continue  # the flight keeps it as stated: what gave by little was no more than rounding, or a node's
@@ -227,15 +234,3 @@ def _parameter_enough(problem: Problem, one: Relaxed) -> tuple[str, float] | Non
                     break
                 before = value
     return min(found)[1:] if found else None
-
-
-def _only_in_path(problem: Problem) -> list[str]:
-    """Given parameters that conditions of the path alone depend on."""
-    inside, elsewhere = set[str](), set[str]()
-    for key, expression in problem.form.expressions.items():
-        names = {name for name in problem.given if ("p", name) in expression.tape.instructions}
-        if isinstance(key, tuple) and key[1] == "path":
-            inside |= names
-        elif not (isinstance(key, tuple) and key[1] in _SHOWN) and key != "results":
-            elsewhere |= names
-    return [name for name in problem.given if name in inside - elsewhere]

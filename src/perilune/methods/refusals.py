@@ -102,8 +102,8 @@ def best_misses(
     return InfeasibleError(
         f"the best of {count} found misses {best.limit or best.name} by {told(best.miss, best.unit)}",
         got=f"{best.text}; {direct}",
-        expected=f"no miss of {best.limit or best.name} all along",
-        advice=f"a wider bound; {_easier(problem)}",
+        expected=best.kept,
+        advice="; or ".join(filter(None, (best.enough, _easier(problem)))),
         reason=BEST_MISSES,
         partial=partial,
     )

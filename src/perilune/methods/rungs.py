@@ -151,7 +151,13 @@ class Rungs:
                     return
 
     def _rough(self) -> Iterator[Solution]:
-        """Yield flights of the direct method, or one without limits of the states where nothing is known yet."""
+        """Yield flights of the direct method, or one without limits of the states where nothing is known yet.
+
+        Where not even a least miss came of any start, limits are not what stands in the way.
+        """
         yield from self.coarse.resolved()
-        if not self.met and self.coarse.solution is None and not isinstance(self.coarse.refusal, InfeasibleError):
+        refused = self.coarse.refusal
+        if self.met or self.coarse.solution is not None or isinstance(refused, InfeasibleError):
+            return
+        if getattr(refused, "partial", {}).get("settled", True):
             yield from filter(None, [self.coarse.without_limits()])

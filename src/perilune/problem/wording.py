@@ -10,8 +10,11 @@ import math
 from typing import Any
 
 from perilune.problem.problem import Problem
+from perilune.problem.tape import operands
 from perilune.words.declared import keys_of, section_of
 from perilune.words.units import told
+
+_SHOWN = ("outputs", "integrals", "marks", "inertial", "track", "typical_end")  # functions that decide nothing
 
 
 def quantity_name(named: Any) -> str:
@@ -28,6 +31,32 @@ def parameter_key(problem: Problem, name: str) -> str:
         if key != name and key in keys_of(type(record)):
             return f"{section}.{key}"
     return name
+
+
+def only_in_path(problem: Problem) -> list[str]:
+    """Return the given parameters on which conditions of the path depend, and nothing else that decides a flight."""
+    inside, elsewhere = set[str](), set[str]()
+    for key, expression in problem.form.expressions.items():
+        names = {name for name in problem.given if ("p", name) in expression.tape.instructions}
+        if isinstance(key, tuple) and key[1] == "path":
+            inside |= names
+        elif not (isinstance(key, tuple) and key[1] in _SHOWN) and key != "results":
+            elsewhere |= names
+    return [name for name in problem.given if name in inside - elsewhere]
+
+
+def stating_keys(problem: Problem, k: int, kind: str, row: int) -> list[str]:
+    """Return the keys that state a condition of the path or of the end of phase k, and nothing else."""
+    condition = getattr(problem.phases[k], f"{kind}_conditions")[row]
+    names = [limit for limit in (condition.lower, condition.upper) if isinstance(limit, str)]
+    if kind == "path":
+        tape = problem.form.expressions[k, kind].tape
+        needed = {tape.outputs[row]}
+        for at in range(len(tape.instructions) - 1, -1, -1):
+            needed |= {*operands(tape.instructions[at])} if at in needed else set()
+        inside = {tape.instructions[at] for at in needed}
+        names += [name for name in only_in_path(problem) if ("p", name) in inside]
+    return [parameter_key(problem, name) for name in names]
 
 
 def limit_name(problem: Problem, bounded: Any, side: str) -> str:

@@ -163,6 +163,16 @@ def told(value: float, unit_text: str, digits: int = 6) -> str:
     return f"{value:.{digits}g} {unit_text}".removesuffix(" 1")
 
 
+def told_outwards(value: float, unit_text: str, side: str, digits: int = 5) -> str:
+    """Return a bound for people, rounded so that what lies on it is within: a `lower` one down, an `upper` one up."""
+    if unit_text == "rad":
+        value, unit_text = math.degrees(value), "deg"
+    if value and math.isfinite(value):
+        step = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
+        value = (math.floor if side == "lower" else math.ceil)(value / step) * step
+    return f"{value:.{digits}g} {unit_text}".removesuffix(" 1")
+
+
 def told_range(values: Iterable[float], unit_text: str) -> str:
     """``-3 kg to 4.5 kg``: the ends of what has a value; one where all are the same, nothing where none is."""
     finite = [value for value in values if math.isfinite(value)]

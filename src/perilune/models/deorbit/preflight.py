@@ -12,6 +12,8 @@ kilometres within a turn: `slack` stands for that.
 
 *Limits* of a ballistic entry. What `ballistic` says that every one bears.
 
+*Weak thrust.* How many turns a burn of that change lasts: of more than one it is warned, as it winds down.
+
 *In the air.* What `skip` says of entries that leave it again.
 
 *Slow enough.* What `fall` says of arriving at the site.
@@ -39,7 +41,7 @@ from perilune.models.deorbit.bounds import furthest_moved, interface_speeds, sla
 from perilune.models.deorbit.fall import Fall, always_faster, fall, lowest, slowest_arrival, terminal_speed
 from perilune.models.deorbit.orbit import state
 from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, passes
-from perilune.models.deorbit.records import velocity_change
+from perilune.models.deorbit.records import exhaust_speed, greatest_thrust, velocity_change
 from perilune.models.deorbit.secular import drift
 from perilune.models.deorbit.skip import leaves_again
 from perilune.models.standard_atmosphere import LOWEST, density as standard_density
@@ -50,6 +52,7 @@ from perilune.words.types import Physics
 _DEGREE = math.degrees(1.0)
 OFF_PLANE = math.radians(0.5)  # of oblateness and of what the air does
 _DAY = 86400.0  # s
+_ONE_TURN = 1.0  # of the orbit: a burn that lasts longer winds down
 _AHEAD = 3 * _DAY  # looked at for a pass that can be made
 _COMPARED_TO, _COMPARED_AT = 200e3, 401  # m, above which the Sun changes densities by more; altitudes
 _OTHER_AIR = 10.0  # times a density
@@ -82,6 +85,8 @@ def compare_return(
         found += [_comes_down(p, m, low, high), *_at_interface(p, m)]
         if not hasattr(p, "transition_longest_coast"):
             found.append(_burns_down(p, m, low))
+    if _of_one(p, low) and low > p.body_radius and enters:
+        found += _spirals(p, low, high)
     if air is not None and _of_one(p, low) and low > p.body_radius and enters:
         fallen = fall(p, air)
         if not hasattr(p, "vehicle_lift_to_drag"):
@@ -148,6 +153,25 @@ def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
         meaning="the propellant cannot bring the vehicle down to the interface",
         advice="more propellant (a lower vehicle.dry_mass), a lower orbit, or a higher exhaust velocity",
     )
+
+
+def _spirals(p: Any, low: float, high: float) -> list[Finding]:
+    """Whether thrust is so weak that even the least change takes longer than a turn, which a search seldom follows."""
+    mu, exhaust = p.body_gravitational_parameter, exhaust_speed(p)
+    change = _least_change(p, NUMERIC, low, high, p.body_radius + p.interface_altitude)
+    burn = -math.expm1(-change / exhaust) * p.vehicle_mass * exhaust / greatest_thrust(p)
+    turns = burn * math.sqrt(mu / ((low + high) / 2) ** 3) / (2 * math.pi)
+    if turns <= _ONE_TURN:
+        return []
+    return [
+        Finding(
+            name="turns of the orbit that the burn takes", value=turns, limit=_ONE_TURN, at_least=False, unit="1",
+            binding=False,
+            meaning=f"the engine is so weak that coming down to the interface takes {change:.0f} m/s or more, a burn of"
+            f" {burn / 3600:.1f} h: a spiral, which no search may find, and which arrives almost level",
+            advice="more vehicle.thrust, less mass, or a lower orbit",
+        )
+    ]  # fmt: skip
 
 
 def _burns_down(p: Any, m: Any, low: Any) -> Finding:
