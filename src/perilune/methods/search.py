@@ -36,6 +36,7 @@ from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.problem.symbolic import free_scales
+from perilune.problem.wording import parameter_key
 from perilune.shooting.continuation import Member
 from perilune.shooting.continuum import open_directions
 from perilune.shooting.extremals import Found, HeldFamily, new_among, same, scan
@@ -252,7 +253,7 @@ class Search:
     def _along(self, index: int, first: Member) -> tuple[list[Found], list[Member]]:
         """The extremals of the family through a member along one free parameter, and the members that were visited."""
         trials, free = self.trials, self.problem.free[index]
-        self.watch(f"following the family of extremals along {free.name}")
+        self.watch(f"following the family of extremals along {parameter_key(self.problem, free.name)}")
         family = HeldFamily(
             shooting=trials.shooting, p=trials.p, index=index, limits=trials.limits.without(index), watch=self.watch,
             keeps=lambda root: trials.outside(root) is None,
