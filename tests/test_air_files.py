@@ -152,8 +152,8 @@ def test_what_was_read_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("written", "meant"),
-    [("kg/m3", "kg/m^3"), ("kg/m**3", "kg/m^3"), ("kg m^-3", "kg*m^-3"), ("kg.m-3", "kg*m^-3"), ("kgm-3", "kg/m^3"), ("kgm^-3", "kg/m^3"),
-     ("kg*m^-3", "kg*m^-3"), ("gcm-3", "g/cm^3"), ("KM", "km"),
+    [("kg/m3", "kg/m^3"), ("kg/m**3", "kg/m^3"), ("kg m^-3", "kg*m^-3"), ("kg.m-3", "kg*m^-3"),
+     ("kgm-3", "kg/m^3"), ("kgm^-3", "kg/m^3"), ("kg*m^-3", "kg*m^-3"), ("gcm-3", "g/cm^3"), ("KM", "km"),
      ("feet", "ft"), ("kgm3", "kg/m^3"), ("slug_ft3", "slug/ft^3"), ("(kg / m3)", "kg/m^3"), ("Mm", None), ("MM", None),
      ("furlong", None), ("", None), ("kg//m3", None), ("m3/", None), ("9**9**9", None), ("1/m^3", None)],
 )  # fmt: skip

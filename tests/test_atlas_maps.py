@@ -35,7 +35,7 @@ def jump(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
 @pytest.fixture(scope="module")
 def weak(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
     """Over one axis, where physics refuses a part."""
-    problem = cho_landing().with_given(retro_delta_v=0.0)
+    problem = cho_landing(dry_mass=30.0).with_given(retro_delta_v=0.0)
     return open_atlas(build(problem, {"vehicle.thrust": (15.0, 500.0)}, tmp_path_factory.mktemp("maps") / "weak"))
 
 
@@ -67,7 +67,7 @@ def test_a_slice_along_one_axis_lies_where_it_is_told_to(jump: Atlas) -> None:
 def test_what_physics_refuses_is_said(weak: Atlas) -> None:
     """20 N hold up no mass that can be left at the end: there the map has no answer, and says why."""
     with pytest.raises(InfeasibleError) as alone:
-        solve(cho_landing().with_given(retro_delta_v=0.0, vehicle_thrust=20.0))
+        solve(cho_landing(dry_mass=30.0).with_given(retro_delta_v=0.0, vehicle_thrust=20.0))
     with pytest.raises(InfeasibleError) as mapped:
         weak.query(vehicle_thrust=20.0)
     assert mapped.value.what == alone.value.what

@@ -66,13 +66,13 @@ def solved(monkeypatch: pytest.MonkeyPatch, hybrid: Solution, ordinary: Solution
         (["solve"], 2, "REFUSED"),
         (["slve", HYBRID], 2, "REFUSED"),
         (["solve", HYBRID, "--set", "orbit.perilune_altitude=-1 km"], 3, "INFEASIBLE"),
-        (["solve", HYBRID, "--set", "vehicle.thrust=4 N"], 3, "INFEASIBLE"),
-        (["check", HYBRID, "--set", "vehicle.thrust=4 N"], 3, "INFEASIBLE"),
+        (["solve", HYBRID, "--set", "vehicle.thrust=4 N", "--set", "vehicle.dry_mass=30 kg"], 3, "INFEASIBLE"),
+        (["check", HYBRID, "--set", "vehicle.thrust=4 N", "--set", "vehicle.dry_mass=30 kg"], 3, "INFEASIBLE"),
         (["solve", HYBRID, "--out", "flight.json"], 2, "REFUSED"),  # else a folder of that name
         (["sweep", HYBRID, "--vary", "vehicle.thrust=430:450:10 N", "--out", "family.PNG"], 2, "REFUSED"),
         (["atlas", "build", HYBRID, "--vary", "vehicle.thrust=430:450 N", "--out", "map.nc"], 2, "REFUSED"),
         (["sweep", HYBRID, "--vary", "vehicle.thrust=4 N"], 2, "REFUSED"),
-        (["sweep", HYBRID, "--vary", "vehicle.thrust=1:4:1 N"], 3, "INFEASIBLE"),
+        (["sweep", HYBRID, "--vary", "vehicle.thrust=1:4:1 N", "--set", "vehicle.dry_mass=30 kg"], 3, "INFEASIBLE"),
         (["sweep", HYBRID], 2, "REFUSED"),
         (["sweep", ORDINARY, "--vary", "retro.delta_v=0:100:50 m/s"], 2, "REFUSED"),
         (["sweep", HYBRID, "--vary", "body.rotation_rate=0:1.52504e-4:1.52504e-4 rad/s"], 2, "REFUSED"),
@@ -245,7 +245,8 @@ def test_a_landing_below_the_dry_mass_is_infeasible(capsys: pytest.CaptureFixtur
 
 def test_what_cannot_be_flown_leaves_its_refusal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert run(["solve", HYBRID, "--set", "vehicle.thrust=4 N", "--out", str(out), "--json"]) == 3
+    weak = ["--set", "vehicle.thrust=4 N", "--set", "vehicle.dry_mass=30 kg"]
+    assert run(["solve", HYBRID, *weak, "--out", str(out), "--json"]) == 3
     error = read_json(capsys.readouterr().out)["error"]
     assert error["reason"] == "cannot be flown"
     assert snapshot(out).keys() == {"failure.json"}
@@ -269,7 +270,7 @@ def test_check_lists_its_comparisons(capsys: pytest.CaptureFixture[str]) -> None
 def test_sweep_reports_what_is_impossible_and_goes_on(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ordinary: Solution, tmp_path: Path
 ) -> None:
-    def solve_one(_: Any, problem: Problem) -> Any:
+    def solve_one(_: Any, problem: Problem, *_watch: Any) -> Any:
         if problem.given["vehicle_thrust"].value < 440.0:
             raise NotConvergedError("did not\nconverge")
         return ordinary
@@ -277,6 +278,7 @@ def test_sweep_reports_what_is_impossible_and_goes_on(
     monkeypatch.setattr(Continuation, "solve", solve_one)
     out = tmp_path / "family"
     arguments = ["sweep", ORDINARY, "--vary", "vehicle.thrust=440:0.4:-219.8 N", "--out", str(out)]
+    arguments += ["--set", "vehicle.dry_mass=30 kg"]
     assert run([*arguments, "--json"]) == 4
     document = read_json(capsys.readouterr().out)
     assert [p["value"] for p in document["points"]] == pytest.approx([440.0, 220.2, 0.4])

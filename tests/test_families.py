@@ -36,7 +36,7 @@ EXAMPLE = str(Path(__file__).parent.parent / "examples" / "ordinary_lander.toml"
 
 @pytest.fixture(scope="module")
 def fixed() -> Problem:
-    return cho_landing().with_given(retro_delta_v=0.0)
+    return cho_landing(dry_mass=30.0).with_given(retro_delta_v=0.0)
 
 
 @pytest.fixture(scope="module")

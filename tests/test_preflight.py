@@ -148,7 +148,7 @@ def test_the_mass_that_thrust_can_hold() -> None:
 @pytest.mark.parametrize(
     ("problem", "what"),
     [
-        (lander(thrust=4.4), "too weak"),
+        (lander(thrust=4.4, dry_mass=30.0), "too weak"),
         (lander(thrust=440.0, dry_mass=280.0), "too weak"),
         (lander(thrust=4400.0, dry_mass=280.0), "not enough propellant"),
         (lander(delta_v=1650.0, dry_mass=180.0), "more propellant than there is"),
@@ -157,6 +157,7 @@ def test_the_mass_that_thrust_can_hold() -> None:
             lander(
                 body=Body(name="earth", gravitational_parameter=3.986e14, radius=6.378e6, rotation_rate=7.29e-5),
                 thrust=9e3,
+                dry_mass=30.0,
             ),
             "not enough propellant",
         ),
@@ -204,11 +205,30 @@ def test_the_odd_is_warned_of_and_not_refused(problem: Problem, name: str) -> No
     refuse_impossible(preflight(problem))
 
 
-def test_a_stated_dry_mass_replaces_the_judgement() -> None:
-    weak = lander(thrust=40.0)
-    with pytest.raises(InfeasibleError, match="10% of vehicle"):
-        refuse_impossible(preflight(weak))
+def test_an_assumed_dry_mass_makes_nothing_impossible() -> None:
+    """What is stated does: 24.6 kg are held by 40 N over the Moon."""
+    weak = preflight(lander(thrust=40.0))
+    refuse_impossible(weak)
+    warned = next(f for f in weak if f.name == "landed mass that the thrust can hold")
+    assert warned.verdict == "warning" and warned.lasting and "assumed" in warned.meaning
+    assert warned.told == ("24.6274 kg", "at least 30 kg")
     refuse_impossible(preflight(lander(thrust=40.0, dry_mass=5.0)))
+    with pytest.raises(InfeasibleError, match="too weak"):
+        refuse_impossible(preflight(lander(thrust=40.0, dry_mass=30.0)))
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "unit", "told"),
+    [
+        (1.8e-26, 13e3, "m", ("0 m", "at most 13000 m")),
+        (30.0, -0.0, "m/s", ("30 m/s", "at most 0 m/s")),
+        (-1e-20, 0.0, "m", ("-1e-20 m", "at most 0 m")),  # of what, is not known
+        (math.inf, math.pi, "rad", ("inf deg", "at most 180 deg")),
+    ],
+)
+def test_a_comparison_is_told_without_round_off(value: float, limit: float, unit: str, told: tuple[str, str]) -> None:
+    one = Finding(name="n", value=value, limit=limit, at_least=False, unit=unit, binding=True, meaning="too far")
+    assert one.told == told
 
 
 def test_braking_distance_has_its_simple_limit() -> None:
@@ -256,7 +276,7 @@ def test_a_problem_without_comparisons_has_none() -> None:
     ("problem", "what"),
     [
         (lander(dry_mass=200.0), "not enough propellant"),  # 160.6 kg land at best
-        (lander(thrust=4.0), "too weak"),
+        (lander(thrust=4.0, dry_mass=30.0), "too weak"),
         (lander(delta_v=9999.0), "fly backwards"),
     ],
 )

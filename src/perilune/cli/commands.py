@@ -145,10 +145,9 @@ def _check(typed: Namespace) -> Answer:
         for f in found
     ]
     lines = [problem.heading, *(f"  {'read':10} {text}" for text in problem.inputs_read)]
-    for row in rows:
-        value, limit = (told(row[side], row["unit"]) for side in ("value", "limit"))
-        lines.append(f"  {row['verdict']:10} {row['name']}: {value} ({row['relation']} {limit})")
-        lines += [f"             {row['meaning']}"] if row["meaning"] else []
+    for f in found:
+        lines.append(f"  {f.verdict:10} {f.name}: {f.told[0]} ({f.told[1]})")
+        lines += [] if f.passed else [f"             {f.meaning}"]
     inputs = {"inputs": list(problem.inputs_read)} if problem.inputs_read else {}
     try:
         refuse_impossible(found)

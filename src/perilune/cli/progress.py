@@ -145,8 +145,7 @@ def warn(found: Sequence[Finding]) -> None:
     """Print every comparison that warns; one that forbids the flight is the refusal's to say."""
     for f in found:
         if f.verdict == "warning":
-            limit = f"{f.limit:.4g} {f.unit}".removesuffix(" 1")
-            aside(f"warning: {f.meaning} ({f.name} {f.value:.4g}, limit {limit})")
+            aside(f"warning: {f.meaning} ({f.name} {f.told[0]}, {f.told[1]})")
 
 
 def note(text: str) -> None:

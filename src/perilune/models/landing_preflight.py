@@ -3,7 +3,8 @@
 The bounds of `perilune.models.limits` are compared with the least mass that must land. An ideal
 vehicle can burn all of its mass, so without such a mass nothing is fatal. It is `vehicle_dry_mass` where that is given,
 and else 10 % of the mass: that much propellant is found in the first stages of launchers, which do not carry it to
-another body. Stating the dry mass replaces this judgement by a fact.
+another body. As this is our judgement and no fact of the scenario, less is only warned of; stating the dry mass makes
+it one.
 """
 
 from __future__ import annotations
@@ -68,19 +69,19 @@ def _geometry(p: Any) -> tuple[Finding, ...]:
 
 
 def _burns(p: Any, m: Any) -> tuple[Finding, ...]:
-    """Comparisons of velocity changes and masses, all binding."""
-    speed, least = perilune_speed(p, m), LEAST_LANDED_SHARE * p.vehicle_mass
-    said = f"{LEAST_LANDED_SHARE:.0%} of vehicle.mass (assumed: no vehicle.dry_mass is stated)"
-    if hasattr(p, "vehicle_dry_mass"):
-        least, said = p.vehicle_dry_mass, "vehicle.dry_mass"
+    """Comparisons of velocity changes and masses, binding but for those with an assumed mass."""
+    speed, stated = perilune_speed(p, m), hasattr(p, "vehicle_dry_mass")
+    least, said = p.vehicle_dry_mass if stated else LEAST_LANDED_SHARE * p.vehicle_mass, "vehicle.dry_mass"
+    if not stated:
+        said = f"{LEAST_LANDED_SHARE:.0%} of vehicle.mass (assumed: no vehicle.dry_mass is stated)"
     found = []
     if hasattr(p, "retro_delta_v"):
         impulsive = p.retro_specific_impulse * p.vehicle_standard_gravity
         # Whatever follows, the impulsive burn alone must leave the least mass.
-        for limit, meaning in (
-            (speed, "the retro burn exceeds the speed at the perilune: the lander would fly backwards"),
+        for limit, meaning, binding in (
+            (speed, "the retro burn exceeds the speed at the perilune: the lander would fly backwards", True),
             (impulsive * m.log(p.vehicle_mass / least),
-             f"the retro burn needs more propellant than there is above {said}"),
+             f"the retro burn needs more propellant than there is above {said}", stated),
         ):  # fmt: skip
             found.append(
                 Finding(
@@ -89,7 +90,8 @@ def _burns(p: Any, m: Any) -> tuple[Finding, ...]:
                     limit=limit,
                     at_least=False,
                     unit="m/s",
-                    binding=True,
+                    binding=binding,
+                    lasting=not binding,
                     meaning=meaning,
                     advice="lower retro.delta_v, or leave it out and the best one is found",
                 )
@@ -113,7 +115,8 @@ def _burns(p: Any, m: Any) -> tuple[Finding, ...]:
                 limit=least,
                 at_least=True,
                 unit="kg",
-                binding=True,
+                binding=stated,
+                lasting=not stated,
                 meaning=meaning,
                 advice=advice,
             )

@@ -21,6 +21,9 @@ from perilune.problem.problem import Problem
 from perilune.words.asked import called_in_words, demand, refused
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, unknown_name
+from perilune.words.units import told
+
+_ROUNDOFF = 1e-13  # of the greater of two numbers that are compared
 
 
 @called_in_words
@@ -57,6 +60,13 @@ class Finding:
     def passed(self) -> Any:
         """Whether the value is on the right side of the limit, an array where they are; NaN never is."""
         return self.value >= self.limit if self.at_least else self.value <= self.limit
+
+    @property
+    def told(self) -> tuple[str, str]:
+        """Value and limit in words, of one problem; what is no more than round-off beside the other is zero."""
+        roundoff = _ROUNDOFF * max((abs(x) for x in (self.value, self.limit) if math.isfinite(x)), default=0.0)
+        value, limit = (told(0.0 if abs(x) < roundoff else x, self.unit) for x in (self.value, self.limit))
+        return value, f"{'at least' if self.at_least else 'at most'} {limit}"
 
     @property
     def verdict(self) -> str:
@@ -136,7 +146,7 @@ def refuse_impossible(found: Sequence[Finding]) -> None:
         if f.binding and not f.passed:
             raise InfeasibleError(
                 f.meaning,
-                got=f"{f.name} {f.value:.6g} {f.unit}",
-                expected=f"{'at least' if f.at_least else 'at most'} {f.limit:.6g} {f.unit}",
+                got=f"{f.name} {f.told[0]}",
+                expected=f.told[1],
                 advice=f.advice,
             )

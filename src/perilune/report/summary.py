@@ -139,7 +139,7 @@ def quantity(value: float, unit: str) -> tuple[str, str]:
     """
     if unit == "rad":
         value, unit = math.degrees(value), "deg"
-    text = f"{value:.{_DIGITS.get(unit, 6)}f}" if math.isfinite(value) else "unknown"
+    text = f"{value:z.{_DIGITS.get(unit, 6)}f}" if math.isfinite(value) else "unknown"
     return text, "" if unit == "1" else unit
 
 

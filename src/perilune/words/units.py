@@ -160,7 +160,7 @@ def told(value: float, unit_text: str, digits: int = 6) -> str:
     """A value in SI for people: angles in degrees, and no unit where there is none."""
     if unit_text == "rad":
         value, unit_text = math.degrees(value), "deg"
-    return f"{value:.{digits}g} {unit_text}".removesuffix(" 1")
+    return f"{value:z.{digits}g} {unit_text}".removesuffix(" 1")
 
 
 def told_outwards(value: float, unit_text: str, side: str, digits: int = 5) -> str:
