@@ -41,7 +41,7 @@ QUICK = (
     "solve examples/hybrid_lander.toml --set vehicle.thurst=500_N --json",
     "solve examples/hybrid_lander.toml --set vehicle.thrust=500_kg --json",
     "solve examples/hybrid_lander.toml --set vehicle.mass=-300_kg --json",
-    "solve examples/ordinary_lander.toml --set vehicle.thrust=10_N --json",
+    "solve examples/ordinary_lander.toml --set vehicle.thrust=10_N --set vehicle.dry_mass=30_kg --json",
     "sweep examples/ordinary_lander.toml --vary vehicle.thrust=440:400:10_N --json",
     "verify nowhere --json",
     "slove examples/hybrid_lander.toml --json",
