@@ -25,6 +25,9 @@ from perilune.models.bodies import EUROPA, MARS, MOON
 from perilune.models.descent import Site
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Vehicle
+from perilune.problem.verification import Check
+from perilune.proof import levels
+from perilune.proof.variations import Kept
 from perilune.scenario import load_file
 from perilune.structures.read import CLOSEST, closer
 from perilune.structures.restate import restate
@@ -95,9 +98,28 @@ def test_a_slope_that_is_broken_by_a_quarter_of_a_millimetre_is_touched() -> Non
     solution = pl.solve(load_file(str(EXAMPLE), given).problem)
     assert -solution.objective == pytest.approx(1926.19507, abs=5e-6)
     assert [arc.words for arc in solution.structure if "slope" in arc.words] == ["height above glide slope touched"]
-    # J changes by 2.7e-7 kg per metre of the touch: too little for a strict optimum, and all else is proved.
-    assert solution.verification.level == 2
-    assert [check.name for check in solution.verification.failed] == ["landing-1_strict_touch"]
+    # J changes by 2.7e-7 kg per metre of the touch: too little to tell its sign. The second variation needs no touch.
+    assert solution.verification.level == 3, str(solution.verification)
+    multiplier = next(check for check in solution.verification.checks if check.name == "landing-1_strict_touch")
+    assert -1e-6 < multiplier.value <= 0 and "need not be strictly negative" in multiplier.meaning
+
+
+@pytest.mark.parametrize("without", [0.5, 1.5])
+def test_a_touch_of_no_multiplier_is_excused_by_what_is_positive_without_it(
+    monkeypatch: pytest.MonkeyPatch, without: float
+) -> None:
+    """And by nothing else: where the second variation is positive for flights that touch alone, its sign is missing."""
+    strict = [Check(name="strict_touch", level=3, value=-1e-9, limit=-1e-6, unit="1", meaning="multiplier: negative")]
+    kept, idle = {0: Kept(rides=("kept",))}, {0: Kept()}
+
+    def second_variation(_: Any, by: dict[int, Kept]) -> list[Check]:
+        value = 0.5 if by is kept else without
+        return [Check(name="conjugate_point", level=3, value=value, limit=1.0, unit="1", meaning="")]
+
+    monkeypatch.setattr(levels, "local_optimality", second_variation)
+    found = list(levels._optimality(pl.solve(bryson_denham(0.3), level=0), kept, idle, strict))
+    assert [check.value for check in found] == [-1e-9, 0.5]
+    assert [check.passed for check in found] == [without < 1.0, True]
 
 
 @pytest.mark.parametrize("offset", [1e-3, 3e-5, 1e-6, 1e-7])

@@ -132,23 +132,46 @@ def _checks(
     arcs = None
     if level >= 2:
         stated = ended(solution)
-        parts, kept = stated, dict[int, Kept]()
+        parts, kept, idle, strict = stated, dict[int, Kept](), dict[int, Kept](), list[Check]()
         if any(meets(arc) for arc, _ in flown):
             from perilune.proof.rides import Rides
             from perilune.proof.touched import cut, signs
 
             parts, structure = cut(stated)
             arcs, rides = None if structure.plain else (parts, structure), Rides.of(stated, parts, structure)
-            yield from (check for check in signs(stated, parts, structure) if check.level <= level)
+            found = list(signs(stated, parts, structure))
+            yield from (check for check in found if check.level < 3)
             yield from rides.checks()
-            kept = rides.kept() if level >= 3 else kept
+            if level >= 3:
+                kept, idle = rides.kept(), rides.kept(idle=False)
+                strict = [check for check in found if check.level == 3]
         yield from extremality(parts, flown if parts is solution else flights(parts))
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):
-            yield from local_optimality(parts, kept)
+            yield from _optimality(parts, kept, idle, strict)
             if not _failed(made) and not _unknown(made):
                 yield from neighbours(parts, resolve)
     if level >= 4:
         yield from agreement(solution, other, arcs)
+
+
+def _optimality(
+    parts: Solution, kept: dict[int, Kept], idle: dict[int, Kept], strict: Sequence[Check]
+) -> Iterator[Check]:
+    """Yield the checks of level 3 that need no other solve, those of the multipliers of touches among them.
+
+    Where one is next to nothing, the second variation has to be positive without that touch: then it need not be
+    strictly negative. Else variations keep the touch, and it must.
+    """
+    if not all(check.passed for check in strict):
+        from perilune.proof.touched import unneeded
+
+        without = list(local_optimality(parts, idle))
+        if all(check.passed for check in without):
+            yield from (check if check.passed else unneeded(check) for check in strict)
+            yield from without
+            return
+    yield from strict
+    yield from local_optimality(parts, kept)
 
 
 def _unneeded(checks: Sequence[Check], tolerance: Tolerance) -> tuple[str, ...]:

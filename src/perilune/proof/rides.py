@@ -16,6 +16,9 @@ variation like others. What keeps S^(q) = 0 along an arc and S = ... = S^(q-1) =
 there d2L is the second variation of the flight restated. Where mu is not strictly positive dS is left open, but for
 times of a strict jump: Bryson and Denham's arc has mu = 0 and two jumps.
 
+At a touch with nu next to nothing it is enough as well that d2L > 0 for all variations whether they keep dS = 0 or not,
+the time of the touch being that of the least S: J - J* >= L - L* holds for nu <= 0, and no strict sign is asked for.
+
 So it is at a touch where S'' is next to nothing: to let its time vary gains what S'' takes, nu (dS')^2/S'', and where
 that is most of a variation nothing is left to be told from rounding.
 
@@ -206,14 +209,21 @@ class Rides:
         size = float(np.abs(ridden.slope(0, ridden.edge(s))).max()) / ridden.part.objective_scale
         return nu * size < -STRICT
 
-    def kept(self) -> dict[int, Kept]:
-        """What variations keep of what is ridden, by part: for the second variation."""
+    def kept(self, *, idle: bool = True) -> dict[int, Kept]:
+        """What variations keep of what is ridden, by part: for the second variation.
+
+        Parameters
+        ----------
+        idle
+            Whether they keep touches, too, whose multipliers are next to nothing.
+        """
         found = {}
         for k, along in enumerate(self.along):
             ahead = self.along[k + 1] if self.inner(k + 1) else ()
             slow = self._slow(k), self._slow(k + 1)
-            if along or ahead or self._turns(k) or any(slow):
-                left = [name for r in ahead for name in self._left(r)]
+            loose = [] if idle else self._idle(k)
+            if along or ahead or self._turns(k) or any(slow) or loose:
+                left = [*loose, *(name for r in ahead for name in self._left(r))]
                 # Where the time of a touch does not vary nor does that of its least value: it is kept in the mean.
                 left += [name for name in self._touch_rates(k) if self._turns(k + 1) or slow[1]]
                 found[k] = Kept(
@@ -265,6 +275,14 @@ class Rides:
     def _touch_rates(self, k: int) -> list[str]:
         """Names of the conditions S' = 0 of what is touched at the end of a part."""
         return [condition.rated(1, "touch_", 1.0).name for condition in self.touches[k]]
+
+    def _idle(self, k: int) -> list[str]:
+        """Names of the conditions S = 0 of what is touched at the end of a part with a multiplier next to nothing."""
+        part = self.arcs[k]
+        nu = end_multipliers(part)[0] * part.end_scale / part.objective_scale
+        rows = [c.name for c in part.phase.end_conditions]
+        names = [condition.rated(0, "touch_", 1.0).name for condition in self.touches[k]]
+        return [name for name in names if nu[rows.index(name)] >= -STRICT]
 
     def _ends(self, ridden: Ridden) -> bool:
         """Whether S = 0 is kept at the end of an arc that does not keep it on the way."""

@@ -17,6 +17,7 @@ Source: Bryson and Ho (1975), sections 3.11-3.13; Hartl, Sethi, Vickson (1995), 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -173,6 +174,15 @@ def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
         name=f"{part.prefix}strict_touch", level=3, unit="1", limit=-STRICT, value=float(scaled[at]),
         meaning=f"multiplier of {name} where it is touched (scaled): strictly negative, so that a flight that does not "
         "touch it pays to first order",
+    )  # fmt: skip
+
+
+def unneeded(strict: Check) -> Check:
+    """Return the check of a multiplier that need not be strictly negative, as what it is to say is said without it."""
+    return replace(
+        strict, limit=STATIONARY_LIMIT,
+        meaning=strict.meaning.partition(":")[0] + ": next to nothing, but not positive; the second variation is "
+        "positive for flights that do not keep the touch as well, so that it need not be strictly negative",
     )  # fmt: skip
 
 
