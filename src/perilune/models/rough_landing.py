@@ -49,8 +49,8 @@ def rough_landing(problem: Problem) -> list[tuple[Solution, Structure]]:
         return []
     burning = Burning(mass=float(start[6]), force=greatest_thrust(p), exhaust=exhaust_speed(p))
     landings = two_impulses(around := around_body(p, start))
-    at_once = len(landings) == 1 and landings[0].wait == 0.0
-    found = (two_burns(around, landing, burning, at_once=at_once) for landing in landings)
+    at_once = bool(landings) and landings[0].wait == 0.0  # else it lies on an apsis, and waits for a moment
+    found = (two_burns(around, landing, burning, at_once=at_once and landing.wait == 0.0) for landing in landings)
     best = sorted(filter(None, found), key=lambda one: -one.landed)
     return [_drawn(problem, one, p.body_rotation_rate, (p.throttle_lower, p.throttle_upper)) for one in best]
 

@@ -22,7 +22,6 @@ from perilune.words.types import Vector
 
 _LOOKS = 48  # times of one turn at which the first impulse is tried
 _SAME = 1e-9  # relative difference of velocity changes that are the same
-_SHORT = 1e-3  # of a turn: what is left of it is none
 _BISECTIONS = 60
 _KEPLER_STEPS = 60  # of Newton's method for Kepler's equation
 
@@ -144,7 +143,8 @@ def _landing(around: Around, wait: float) -> TwoImpulses:
 def two_impulses(around: Around) -> list[TwoImpulses]:
     """Return the landings by two impulses whose velocity change is least among those that begin sooner or later.
 
-    Over a body that turns these are several within one turn of the orbit.
+    Over a body that turns these are several within one turn of the orbit. Long burns choose another wait than impulses
+    where these differ by little, so that some between them follow.
 
     Parameters
     ----------
@@ -172,13 +172,14 @@ def two_impulses(around: Around) -> list[TwoImpulses]:
     if changes.max() <= changes.min() * (1 + _SAME):
         return [_landing(around, 0.0)]
     ahead, behind = (np.append(changes[1:], np.inf), np.append(np.inf, changes[:-1]))
+    least = np.nonzero((changes <= ahead) & (changes <= behind))[0].tolist()
     found = list[TwoImpulses]()
-    for k in np.nonzero((changes <= ahead) & (changes <= behind))[0].tolist():
+    for k in least[:-1] if 0 in least and _LOOKS in least else least:  # the first, a turn later
         near = waits[max(k - 1, 0)], waits[min(k + 1, _LOOKS)]
         nearest: Any = minimize_scalar(spent, method="bounded", bounds=near)
-        best = min((float(waits[k]), float(nearest.x)), key=spent)
-        found += [_landing(around, best)] if best < (1 - _SHORT) * turn else []  # else that of no wait, a turn later
-    return sorted(found, key=lambda one: one.velocity_change)
+        found.append(_landing(around, min((float(waits[k]), float(nearest.x)), key=spent)))
+    between = (k for k in range(0, _LOOKS, _LOOKS // 4) if min(abs(k - known) for known in least) > _LOOKS // 8)
+    return [*sorted(found, key=lambda one: one.velocity_change), *(_landing(around, float(waits[k])) for k in between)]
 
 
 def around_body(p: Any, state: Any) -> Around:

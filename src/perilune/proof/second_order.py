@@ -67,7 +67,7 @@ KAPPA_LIMIT = 0.999
 GAIN_LIMIT = 1e-6
 _FINER, _BY_STEPS = (2, 4), 1.0  # times as many steps, where they may be what leaves it
 # Times as many steps for kappa, where it is between its limit and this; how near to 1 rounding leaves it open.
-_LEVELS, _DOUBTFUL, _ROUNDED = (2, 3, 4), 1.01, 1e-8
+_LEVELS, _DOUBTFUL, _ROUNDED = (2, 3, 4), 1.1, 1e-8
 _SAID_TWICE = 1e-7  # of a linearised condition: by so much others that say the same may differ
 
 
