@@ -18,6 +18,7 @@ from perilune.atlas.many import Answered
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.slices import sliced
 from perilune.cli import run
+from perilune.report import atlas_maps as drawing
 from perilune.report.atlas_maps import atlas_maps
 from perilune.solve import solve
 from perilune.words.outcome import InfeasibleError, PeriluneError
@@ -179,3 +180,19 @@ def test_the_command_line_plots(jump: Atlas, tmp_path: Path, capsys: pytest.Capt
     assert run(["atlas", "plot", place, "--at", "vehicle.thrust=1 km"]) == 2
     assert run(["atlas", "plot", place, "--points", "1"]) == 2
     assert run(["atlas", "plot", str(tmp_path / "nowhere")]) == 2
+
+
+def test_a_figure_that_cannot_be_drawn_takes_no_other_with_it(
+    jump: Atlas, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: Any) -> Any:
+        raise ValueError("no such colour")
+
+    monkeypatch.setitem(drawing._OF_CELLS, "nodes", broken)
+    arguments = ["atlas", "plot", str(jump.store.directory), "--points", "5", "--axes", "vehicle.thrust"]
+    assert run([*arguments, "--out", str(tmp_path / "maps"), "--json"]) == 0
+    said = capsys.readouterr()
+    assert "nodes is not drawn" in said.err and "no such colour" in said.err
+    document = read_json(said.out)
+    assert document["figures"] == ["errors", "free_flight_time", "free_retro_delta_v", "objective", "sheets"]
+    assert len(document["not_written"]) == 1 and not list((tmp_path / "maps").glob("nodes*"))

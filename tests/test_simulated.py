@@ -129,3 +129,15 @@ def test_rates_are_those_of_the_formula() -> None:
 def test_what_cannot_be_computed_is_refused(arguments: Any, keywords: Any, said: str) -> None:
     with pytest.raises(pl.PeriluneError, match=said):
         hop().rates(*arguments, **keywords)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("mass", [0.0, np.nan])
+def test_a_state_at_which_the_dynamics_are_not_defined_is_refused(mass: float) -> None:
+    """A mass of 0 was a warning of NumPy, and rates that are no numbers."""
+    problem = load_file(ROOT / "examples" / "ordinary_lander.toml").problem
+    x = np.array([[1753e3, 1740e3], [0.0, 0.1], [0.0, -1.0], [1600.0, 10.0], [300.0, mass]])
+    assert np.isfinite(problem.rates(x[:, 0], [1.0, 0.0])).all()
+    for state in (x[:, 1], x):
+        with pytest.raises(pl.PeriluneError, match=f"rate of u in descent is not finite[\\s\\S]*m = {mass:g}, "):
+            problem.rates(state, [1.0, 0.0])

@@ -173,13 +173,20 @@ def _export(typed: Namespace) -> Answer:
 
 def _plot(typed: Namespace) -> Answer:
     from perilune.atlas.slices import sliced
+    from perilune.io.files import NotWrittenError
     from perilune.report.atlas_maps import write_maps
 
     atlas = _opened(typed)
     refuse_used(typed.out, typed.force)
     names = [name.strip() for name in typed.axes.split(",")] if typed.axes is not None else []
     shown = sliced(atlas, names, _values(atlas, typed.at), points=typed.points)
-    drawn = write_maps(shown, typed.out, typed.force) if typed.out is not None else []
+    files, drawn = Files(), list[str]()
+    if typed.out is not None:
+        try:
+            drawn = write_maps(shown, typed.out, typed.force)
+        except NotWrittenError as error:
+            files.failed += error.failed
+            drawn = sorted(path.stem for path in typed.out.glob("*.png"))
     total = len(shown.answers.good)
     lines = [
         f"slice over {' and '.join(axis.key for axis in shown.axes)}"
@@ -191,7 +198,7 @@ def _plot(typed: Namespace) -> Answer:
         "axes": [axis.name for axis in shown.axes], "at": dict(shown.at), "points": total,
         "answered": int(shown.answers.good.sum()), "counts": shown.counts, "figures": drawn,
     }  # fmt: skip
-    return Answer(text="\n".join(lines), document=document)
+    return files.noted(Answer(text="\n".join(lines), document=document))
 
 
 def _opened(typed: Namespace) -> Atlas:

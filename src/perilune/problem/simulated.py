@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from perilune.words.asked import called_in_words, demand_numbers
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
+
+if TYPE_CHECKING:
+    from perilune.problem.phase import Phase
 
 
 class SimulatedProblem:
@@ -49,8 +52,8 @@ class SimulatedProblem:
         Raises
         ------
         PeriluneError
-            If there is no such phase or free parameter, x or u has another number of components, or the dynamics need
-            a free parameter that is not passed.
+            If there is no such phase or free parameter, x or u has another number of components, the dynamics need
+            a free parameter that is not passed, or a rate is not finite, as at a mass of 0.
         """
         stated = self.phases[_number_of(self, phase)]
         state = _components(x, stated.state_names, f"the state of {stated.name}")
@@ -66,7 +69,8 @@ class SimulatedProblem:
             expected = "one control for each state, or one for all"
             raise PeriluneError("states and controls are not equally many", got=got, expected=expected) from None
         try:
-            found = stated.rates(list(state), list(control), self.parameters(passed))
+            with np.errstate(all="ignore"):
+                found = stated.rates(list(state), list(control), self.parameters(passed))
         except AttributeError as error:
             if error.name not in self.free_names:
                 raise
@@ -74,7 +78,9 @@ class SimulatedProblem:
                 f"the dynamics of {stated.name} depend on the free parameter {error.name}", got="no value of it",
                 expected="a value of each that the dynamics take", advice="problem.rates(x, u, free=solution.free)",
             ) from None  # fmt: skip
-        return np.array([np.broadcast_to(np.asarray(rate, dtype=float), shape) for rate in found])
+        rates = np.array([np.broadcast_to(np.asarray(rate, dtype=float), shape) for rate in found])
+        _refuse_infinite(stated, rates, state, control)
+        return rates
 
 
 def _number_of(problem: Any, phase: str | int | None) -> int:
@@ -108,3 +114,18 @@ def _components(values: Any, names: Sequence[str], what: str) -> Matrix:
             expected=f"{len(names)} components: {', '.join(names) or 'none'}",
         )  # fmt: skip
     return found
+
+
+def _refuse_infinite(stated: Phase, rates: Matrix, state: Matrix, control: Matrix) -> None:
+    """Refuse rates that are no numbers, with the state and the control at which they are none."""
+    bad = ~np.isfinite(rates)
+    if not bad.any():
+        return
+    row, *column = (int(k) for k in np.argwhere(bad)[0])
+    named = zip((*stated.state_names, *stated.control_names), (*state, *control), strict=True)
+    at = [f"{name} = {np.broadcast_to(values, rates.shape[1:])[tuple(column)]:g}" for name, values in named]
+    raise PeriluneError(
+        f"the rate of {stated.state_names[row]} in {stated.name} is not finite", got=", ".join(at),
+        expected="a state and a control at which the dynamics are defined, as a mass above 0",
+        advice="end the simulation before it comes there",
+    )  # fmt: skip

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from matplotlib.ticker import NullFormatter
 from perilune.atlas.region import Axis
 from perilune.atlas.slices import Slice
 from perilune.io.columns import spoken
-from perilune.io.files import fresh_directory
+from perilune.io.files import fresh_directory, refuse_unwritten, write_each
 from perilune.report.contours import label_lines
 from perilune.report.histories import LONG
 from perilune.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, new_figure, save, styled
@@ -45,6 +47,11 @@ def atlas_maps(shown: Slice) -> dict[str, Figure]:
     PeriluneError
         If no point of it has an answer.
     """
+    return {name: draw() for name, draw in _drawings(shown).items()}
+
+
+def _drawings(shown: Slice) -> dict[str, Callable[[], Figure]]:
+    """Return what draws each figure, by its name."""
     if not shown.answers.good.any():
         raise PeriluneError(
             "there is nothing to draw", got="; ".join(f"{text}: {n} points" for text, n in shown.counts.items()),
@@ -53,12 +60,12 @@ def atlas_maps(shown: Slice) -> dict[str, Figure]:
     problem, answers = shown.problem, shown.answers
     best, sign = (problem.maximised, -1.0) if problem.maximised else ("J", 1.0)
     factor, text = _told(best, problem.objective_unit, answers.objective)
-    made = {"objective": _quantity(shown, sign * factor * answers.objective, text)}
+    made = {"objective": partial(_quantity, shown, sign * factor * answers.objective, text)}
     for name, values in answers.free.items():
         if name not in (axis.name for axis in shown.axes) and name not in shown.at:
             factor, text = _told(name, problem.unit_of(name), values)
-            made[f"free_{name}"] = _quantity(shown, factor * values, text)
-    return {**made, "sheets": _sheets(shown), "nodes": _nodes(shown), "errors": _errors(shown)}
+            made[f"free_{name}"] = partial(_quantity, shown, factor * values, text)
+    return {**made, **{name: partial(draw, shown) for name, draw in _OF_CELLS.items()}}
 
 
 def write_maps(shown: Slice, directory: str | Path, force: bool = False) -> list[str]:
@@ -75,12 +82,21 @@ def write_maps(shown: Slice, directory: str | Path, force: bool = False) -> list
     -------
     list of str
         The names.
+
+    Raises
+    ------
+    NotWrittenError
+        If a figure cannot be drawn; the others are there then.
     """
+
+    def writer(draw: Callable[[], Figure]) -> Callable[[Path], None]:
+        return lambda path: save(draw(), path.parent, path.name)
+
+    writers = {name: writer(draw) for name, draw in _drawings(shown).items()}
     with fresh_directory(directory, force) as work:
-        drawn = atlas_maps(shown)
-        for name, figure in drawn.items():
-            save(figure, work, name)
-    return list(drawn)
+        failed = write_each(work, writers)
+    refuse_unwritten(failed)
+    return list(writers)
 
 
 def _told(name: str, unit: str, values: Vector) -> tuple[float, str]:
@@ -275,3 +291,6 @@ def _errors(shown: Slice) -> Figure:
             drawn = _filled(shown, panel, along, values, cmap="magma", norm=LogNorm(least, max(most, 10 * least)))
             figure.colorbar(drawn, ax=panel, pad=0.02, label="relative error")
     return figure
+
+
+_OF_CELLS: dict[str, Callable[[Slice], Figure]] = {"sheets": _sheets, "nodes": _nodes, "errors": _errors}
