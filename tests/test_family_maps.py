@@ -17,6 +17,7 @@ from perilune.cli import run
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.problem.solution import Solution
+from perilune.report import contours
 from perilune.report.contours import OVER_WEIGHT, demand_map, family_map, map_names
 from perilune.report.family import write_family
 from perilune.report.figures import drawings
@@ -32,10 +33,10 @@ def family() -> Family:
     return sweep(cho_landing().with_given(retro_delta_v=0.0), {"vehicle.thrust": THRUSTS, "vehicle.mass": MASSES})
 
 
-def without(family: Family, *numbers: int) -> Family:
+def without(family: Family, *numbers: int, failure: Outcome = Outcome.INFEASIBLE) -> Family:
     """The family as if some members could not be flown."""
     points = [
-        FamilyPoint(values=p.values, solution=None, message="no", failure=Outcome.INFEASIBLE) if i in numbers else p
+        FamilyPoint(values=p.values, solution=None, message="no", failure=failure) if i in numbers else p
         for i, p in enumerate(family.points)
     ]
     return replace(family, points=tuple(points))
@@ -69,10 +70,23 @@ def test_what_cannot_be_flown_is_hatched_and_has_no_colour(family: Family) -> No
     hatched = [c for c in axes.collections if c.get_hatch()]
     assert len(hatched) == 1 and to_hex(tuple(np.asarray(hatched[0].get_facecolor())[0])) == "#f4f4f4"
     assert not np.any((coloured(figure)[:, 0] < 459.9) & (coloured(figure)[:, 1] < 299.9))
-    assert "no solution" in axes.get_title("left")
+    assert axes.get_title("left") == "lines, crosses: infeasible"
     crosses = [line for line in axes.lines if line.get_marker() == "x"]
     assert np.asarray(crosses[0].get_xydata()).tolist() == [[420.0, 290.0], [420.0, 300.0]]
     assert not [c for c in family_map(family).axes[0].collections if c.get_hatch()]
+
+
+def test_what_was_not_solved_is_told_from_what_is_infeasible(family: Family, monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = without(without(family, 0), 11, failure=Outcome.NOT_CONVERGED)
+    (axes, _) = family_map(gone).axes
+    assert [c.get_hatch() for c in axes.collections if c.get_hatch()] == ["////", "...."]
+    assert axes.get_title("left") == "lines, crosses: infeasible; dots, plus signs: not solved"
+    marks = {line.get_marker(): np.asarray(line.get_xydata()).tolist() for line in axes.lines}
+    assert (marks["x"], marks["+"]) == ([[420.0, 290.0]], [[500.0, 320.0]]) and len(marks["."]) == 10
+    monkeypatch.setattr(contours, "_MOST_DOTS", 11)
+    (axes, _) = family_map(gone).axes
+    assert axes.get_title("left") == "lines: infeasible; dots: not solved"
+    assert {line.get_marker() for line in axes.lines if len(np.asarray(line.get_xydata()))} == set()
 
 
 def test_axes_may_be_results_and_thrust_over_weight(family: Family) -> None:

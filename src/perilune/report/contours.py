@@ -2,7 +2,8 @@
 
 Any of the three may be a parameter, a given or free parameter, a result, or `OVER_WEIGHT`. The grid of the members is
 cut into triangles, between whose corners a quantity is interpolated; triangles with a corner that has no solution are
-hatched, so that colours end at the outermost members that have one.
+hatched, so that colours end at the outermost members that have one: with lines where such corners are infeasible, with
+dots where one of them was not solved, of which nothing is known.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 OVER_WEIGHT = "thrust_over_weight"  # of the whole vehicle, where it would stand on the ground
 _LEVELS = 8  # about so many lines
+_MOST_DOTS = 400  # members that are drawn one by one: more hide what is behind them
 _WIDTH = 4.4  # inches: one column, and the bar of colours
 
 
@@ -90,7 +92,8 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
     Returns
     -------
     Figure
-        Where a member has no solution there is no colour: hatched, and a cross at it where its place is known.
+        Where a member has no solution there is no colour: hatched by lines where it is infeasible and by dots where it
+        was not solved. Up to 400 members are marked one by one, where their places are known.
 
     Raises
     ------
@@ -117,7 +120,10 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
             f"there is nothing to draw of {names[2]}", got="no three neighbours that have it",
             expected="members with a solution side by side",
         )  # fmt: skip
-    _hatched(axes, np.stack([along, across], axis=1), bad)
+    infeasible = np.array([p.outcome is Outcome.INFEASIBLE for p in family.points], dtype=bool)
+    unknown = (~np.isfinite(height) & ~infeasible)[bad].any(axis=1)
+    for hatch, triangles in (("////", bad[~unknown]), ("....", bad[unknown])):
+        _hatched(axes, np.stack([along, across], axis=1), triangles, hatch)
     mesh, folded = Triangulation(along, across, good), _folded(along, across, good)
     levels = _levels(height)
     if folded:
@@ -188,11 +194,9 @@ def _triangles(placed: np.ndarray, known: np.ndarray, good: np.ndarray) -> tuple
     return np.array(full, dtype=np.int64).reshape(-1, 3), np.array(empty, dtype=np.int64).reshape(-1, 3)
 
 
-def _hatched(axes: Any, at: Matrix, triangles: np.ndarray) -> None:
+def _hatched(axes: Any, at: Matrix, triangles: np.ndarray, hatch: str) -> None:
     if len(triangles):
-        shapes = PolyCollection(
-            list(at[triangles]), facecolor="#F4F4F4", edgecolor="#B0B0B0", hatch="////", linewidth=0
-        )
+        shapes = PolyCollection(list(at[triangles]), facecolor="#F4F4F4", edgecolor="#B0B0B0", hatch=hatch, linewidth=0)
         axes.add_collection(shapes)
 
 
@@ -228,10 +232,14 @@ def label_lines(axes: Any, lines: Any) -> None:
 
 
 def _members(axes: Any, family: Family, along: Vector, across: Vector, good: np.ndarray, folded: bool) -> None:
-    """A dot at each member with a solution, hollow where it is not proved, and a cross at each without."""
-    doubted = np.array([p.outcome is Outcome.NOT_PROVED for p in family.points], dtype=bool)
+    """A dot at each member with a solution, hollow where it is not proved; a cross or plus at each without."""
+    doubted, infeasible = (
+        np.array([p.outcome is outcome for p in family.points], dtype=bool)
+        for outcome in (Outcome.NOT_PROVED, Outcome.INFEASIBLE)
+    )
     placed = np.isfinite(along) & np.isfinite(across)
-    if not folded:  # there they are all that is drawn
+    few = len(family.points) <= _MOST_DOTS
+    if few and not folded:  # there they are all that is drawn
         axes.plot(along[good & ~doubted], across[good & ~doubted], ".", color="black", markersize=1.5, clip_on=False)
     axes.plot(
         along[good & doubted],
@@ -242,14 +250,19 @@ def _members(axes: Any, family: Family, along: Vector, across: Vector, good: np.
         markerfacecolor="none",
         clip_on=False,
     )
-    axes.plot(
-        along[placed & ~good], across[placed & ~good], "x", color=GREY, markersize=3, markeredgewidth=0.7, clip_on=False
-    )
+    said = []
+    for marker, shown, words in (
+        ("x", placed & ~good & infeasible, ("lines", "crosses", "infeasible")),
+        ("+", placed & ~good & ~infeasible, ("dots", "plus signs", "not solved")),
+    ):
+        if shown.any():
+            said.append(f"{', '.join(words[: 1 + few])}: {words[2]}")
+        if few:
+            axes.plot(along[shown], across[shown], marker, color=GREY, markersize=3, markeredgewidth=0.7, clip_on=False)
     lost = int((~placed).sum())
-    said = [
-        *(["hatched, crosses: no solution"] if (placed & ~good).any() else []),
+    said += [
         *(["hollow: NOT_PROVED"] if (good & doubted).any() else []),
         *(["members alone: they lie over each other"] if folded else []),
         *([f"{lost} without a solution have no place here"] if lost else []),
     ]
-    axes.set_title(", ".join(said), fontsize=6.5, color=VERMILION, loc="left")
+    axes.set_title("; ".join(said), fontsize=6.5, color=VERMILION, loc="left")
