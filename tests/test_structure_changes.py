@@ -38,7 +38,7 @@ EXAMPLE = Path(__file__).parent.parent / "examples" / "precision_landing.toml"
 CAPSULE = EXAMPLE.parent / "maps" / "capsule.toml"
 
 
-def on_mars(slope: float | None, pad: float = 16.11334209455876) -> pl.Problem:
+def on_mars(slope: float | None, pad: float = 16.11334209455876, tilt: float | None = None) -> pl.Problem:
     """A point of `benchmarks/structure_changes.py --seed 41`: the slope is touched from 0.258322949 rad on."""
     return precision_landing(
         Vehicle(mass=1848.038059249582, thrust=21576.721841930816, specific_impulse=297.9322600446545),
@@ -47,7 +47,7 @@ def on_mars(slope: float | None, pad: float = 16.11334209455876) -> pl.Problem:
             east_speed=-3.9368234734330416, north_speed=5.2435490545354915, up_speed=-38.0246292004458,
         ),
         Site(altitude=0.0, longitude=0.0, latitude=-0.4206080573391944),
-        Corridor(slope=slope, pad_radius=pad),
+        Corridor(slope=slope, pad_radius=pad, tilt=tilt),
         (0.4374897261851311, 0.8344560982905019),
         MARS,
     )  # fmt: skip
@@ -216,6 +216,18 @@ def test_what_is_told_of_a_flight_whose_phases_have_parts_names_none_of_them() -
     names = {phase.name for phase in restated.phases}
     assert problem.views.dispersion is not None and problem.views.dispersion.track not in names
     assert restated.views.dispersion is None
+
+
+@pytest.mark.parametrize("offset", [-1e-4, -1e-6, -1e-8])
+def test_a_tilt_that_binds_for_a_moment_is_proved(offset: float) -> None:
+    """Its multiplier is next to nothing there, and no time of the proof lies within: it was level 2 from 1e-6 on."""
+    problem = on_mars(None)
+    free = pl.solve(problem, level=0)
+    up = problem.phases[-1].control_names.index("toward_up")
+    largest = math.acos(free.trajectories[-1].control.values[:, up].min())
+    solution = pl.solve(on_mars(None, tilt=largest * (1.0 + offset)))
+    assert solution.objective == pytest.approx(free.objective, abs=20.0 * abs(offset))
+    assert solution.verification.level == 3, str(solution.verification)
 
 
 @pytest.mark.parametrize(("depth", "seen"), [(-1e-12, False), (1e-9, False), (1e-7, True), (1e-4, True)])

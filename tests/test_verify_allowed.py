@@ -644,7 +644,11 @@ def test_a_leash_that_pulls_the_wrong_way_is_no_extremal() -> None:
 
 
 def test_a_multiplier_that_vanishes_at_the_start_is_not_strict() -> None:
-    verification = verify(leash(1.0, 0.0, ends=(0.0, 1.0)), resolve=leash_again)
+    """Beyond pi the second variation is positive for flights that keep the condition alone, before it for all."""
+    verification = verify(leash(3.5, 0.0, ends=(0.0, 1.0)), resolve=leash_again)
     assert failed(verification) == {"strict_taut"}, str(verification)
+    verification = verify(leash(1.0, 0.0, ends=(0.0, 1.0)), resolve=leash_again)
+    assert verification.level == 3, str(verification)
+    assert check(verification, "conjugate_point").value == pytest.approx((1.0 / math.pi) ** 2, rel=1e-2)
     verification = verify(leash(1.0, 1.0, ends=(0.0, 1.0)), resolve=leash_again)
     assert verification.level == 3, str(verification)

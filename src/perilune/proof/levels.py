@@ -9,6 +9,7 @@ error of a good answer, so that it can fail, and a meaning; a NaN fails.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, Check, Verification
+from perilune.proof.arc import Arc
 from perilune.proof.crossed import agreement
 from perilune.proof.ended import ended
 from perilune.proof.extremal import extremality
@@ -159,8 +161,9 @@ def _optimality(
 ) -> Iterator[Check]:
     """Yield the checks of level 3 that need no other solve, those of the multipliers of touches among them.
 
-    Where one is next to nothing, the second variation has to be positive without that touch: then it need not be
-    strictly negative. Else variations keep the touch, and it must.
+    Where one is next to nothing, or that of a condition which holds the control for a moment, the second variation has
+    to be positive without that condition: J - J* >= L - L* with multipliers of the right sign, strictly or not. Else
+    variations keep the condition, and its multiplier must be strict.
     """
     if not all(check.passed for check in strict):
         from perilune.proof.touched import unneeded
@@ -171,7 +174,25 @@ def _optimality(
             yield from without
             return
     yield from strict
-    yield from local_optimality(parts, kept)
+    found = list(local_optimality(parts, kept))
+    if idling := _idle_controls(parts, found):
+        from perilune.proof.touched import unneeded
+
+        released = {k: kept.get(k, Kept()) for k in range(len(parts.problem.phases))}
+        released = {k: replace(one, released=(*one.released, *idling.values())) for k, one in released.items()}
+        without = [unneeded(c) if c.name in idling else c for c in local_optimality(parts, released)]
+        found = without if all(check.passed for check in without) else found
+    yield from found
+
+
+def _idle_controls(parts: Solution, found: Sequence[Check]) -> dict[str, str]:
+    """Return the conditions that hold the control with multipliers that are not strictly positive, by failed check."""
+    strict = {
+        f"{Arc(solution=parts, index=k).prefix}strict_{condition.name}": condition.name
+        for k, phase in enumerate(parts.problem.phases)
+        for condition in phase.path_conditions
+    }
+    return {c.name: strict[c.name] for c in found if c.name in strict and not c.passed}
 
 
 def _unneeded(checks: Sequence[Check], tolerance: Tolerance) -> tuple[str, ...]:

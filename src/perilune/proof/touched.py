@@ -178,11 +178,11 @@ def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
 
 
 def unneeded(strict: Check) -> Check:
-    """Return the check of a multiplier that need not be strictly negative, as what it is to say is said without it."""
+    """Return the check of a multiplier that need not be strict, as the second variation is positive without that."""
     return replace(
         strict, limit=STATIONARY_LIMIT,
         meaning=strict.meaning.partition(":")[0] + ": next to nothing, but not positive; the second variation is "
-        "positive for flights that do not keep the touch as well, so that it need not be strictly negative",
+        "positive for flights that leave the condition as well, so that it need not be strictly negative",
     )  # fmt: skip
 
 
