@@ -19,7 +19,7 @@ BURN, COAST = "burn", "coast"
 STANDARD_GRAVITY = 9.80665
 
 
-def _rates_of_polynomials() -> tuple[np.ndarray, np.ndarray]:
+def rates_of_polynomials() -> tuple[np.ndarray, np.ndarray]:
     """Return the points of an interval, and the slopes of the Lagrange polynomials at them."""
     tau = np.append(0.0, ca.collocation_points(POINTS, "radau"))
     slopes = np.zeros((POINTS + 1, POINTS + 1))
@@ -79,7 +79,7 @@ def landed_mass(
         least.extend([lower] * value.numel())
         most.extend([upper] * value.numel())
 
-    tau, slopes = _rates_of_polynomials()
+    tau, slopes = rates_of_polynomials()
     x: Any
     x, durations = ca.DM([r0, 0.0, v0, 1.0]), []
     for k, kind in enumerate((BURN, COAST, COAST, BURN)):

@@ -11,7 +11,8 @@ shows whether it is the right one, and changes it by rule, a bounded number of t
   all along, the condition is touched where the arc begins and ends;
 - an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
 - touches between which the condition is not left are an arc along it;
-- a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden.
+- a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden;
+- where a condition is ridden to the end, first it is only touched where that begins.
 
 Bounds and conditions of the control the law of each arc keeps by itself, as far as it can hold them; an extremal that
 breaks one is no answer.
@@ -62,6 +63,7 @@ _ROUGH = 1e-2  # relative mesh error from which on a finer mesh is asked first
 _FINE = 1e-3  # relative mesh error up to which a finer one tells no more
 _WITHOUT_NEWTON = 1e-8  # relative mesh error up to which a flight of a structure is one without Newton's method
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
+_FEW = 2  # arcs of multiple shooting in a trial that is to be cheap
 
 
 @dataclass(kw_only=True)
@@ -105,9 +107,30 @@ class Polish:
             structures = own_readings(known, least) if own else readings(self.problem, known, least)
             few = [structure for structure in structures if structure.count <= MOST_ARCS]
             for structure in few or structures:
+                if (found := self._hopping(known, structure)) is not None:
+                    return found
                 if (found := self.followed(known, structure, seen)) is not None:
                     return found
         return None
+
+    def _hopping(self, rough: Solution, structure: Structure) -> Solution | None:
+        """Return the extremal that touches where what is ridden to the end begins, if there is one.
+
+        A mesh resolves no hop of centimetres, and along the arc that it shows Newton's method takes seconds to fail.
+        """
+        phases = []
+        for k, arcs in enumerate(structure.phases):
+            known, last = list(_contacts(structure, k)), arcs[-1].until
+            conditions = conditions_of(self.problem, k, [contact.name for contact in known])
+            found = list[Contact]()
+            for contact in known:
+                hops = contact.ridden and contact.end == last and conditions[contact.name].order > 1
+                found += _as_it_pays(contact, conditions[contact.name], last, []) if hops else [contact]
+            phases.append(arcs_of(self.problem, k, found, last, stays_of(structure, k)))
+        if is_neighbour(self.problem) or (touching := Structure(tuple(phases))) == structure:
+            return None
+        quick = replace(self, brief=True, settings=replace(self.settings, segments=_FEW))
+        return quick.followed(rough, touching, set())
 
     def _known_by_arcs(self, guess: Solution) -> Solution | None:
         """From a guess whose extremal is known arc by arc, of a problem that differs in values of its parameters."""

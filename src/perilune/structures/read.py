@@ -45,6 +45,7 @@ _CLOSER = 33  # times between the neighbours of a look at which S is least: 16 t
 CLOSEST = 4  # times that is done: from a share 1/200 of a phase on, it ends below the last digit of a time
 EXACTLY = 1e-9  # of the size of S, to which an answer is judged
 WIDER, STAYS = 4.0, 0.6  # a wider level; ridden where the flight stays for such a share of the time below the wider one
+STAYS_EXACTLY = 0.4  # the same of a level wider by its cube: what goes to zero like t^4 stays for 0.35
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +197,10 @@ def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> I
     near = min(max(-BULGE * float(room.min()), least), most)
     for first, last in _groups(room <= near):
         inside = first > 0 and last < len(t) - 1
-        stays = _length(t, room, first, last, near) > STAYS * _length(t, room, first, last, WIDER * near)
+        length = _length(t, room, first, last, near)
+        stays = length > STAYS * _length(t, room, first, last, WIDER * near)
+        if share < NEAR[0] and not inside:  # exact tables: S goes to zero at an end like t^3 where a low hop begins
+            stays &= length > STAYS_EXACTLY * _length(t, room, first, last, WIDER**3 * near)
         condition = conditions_of(solution.problem, k, (name,))[name]
         here = t[first : last + 1]
         if condition.steered and (stays or (inside and condition.order == 1)):
