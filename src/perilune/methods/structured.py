@@ -47,6 +47,7 @@ from perilune.structures.read import (
     of_states,
     own_readings,
     readings,
+    room_along,
     rounding,
 )
 from perilune.structures.regimes import revised_stays, stays_of, wavering
@@ -118,7 +119,7 @@ class Polish:
 
         A mesh resolves no hop of centimetres, and along the arc that it shows Newton's method takes seconds to fail.
         """
-        phases = []
+        phases, hopped = [], list[tuple[int, str]]()
         for k, arcs in enumerate(structure.phases):
             known, last = list(_contacts(structure, k)), arcs[-1].until
             conditions = conditions_of(self.problem, k, [contact.name for contact in known])
@@ -126,11 +127,20 @@ class Polish:
             for contact in known:
                 hops = contact.ridden and contact.end == last and conditions[contact.name].order > 1
                 found += _as_it_pays(contact, conditions[contact.name], last, []) if hops else [contact]
+                hopped += [(k, contact.name)] if hops else []
             phases.append(arcs_of(self.problem, k, found, last, stays_of(structure, k)))
         if is_neighbour(self.problem) or (touching := Structure(tuple(phases))) == structure:
             return None
         quick = replace(self, brief=True, settings=replace(self.settings, segments=_FEW))
-        return quick.followed(rough, touching, set())
+        answer = quick.followed(rough, touching, set())
+        return answer if answer is not None and all(self._leaves(answer, *at) for at in hopped) else None
+
+    def _leaves(self, answer: Solution, k: int, name: str) -> bool:
+        """Return whether a condition is left behind its last touch: one that is not left is ridden after all."""
+        known, (t, room) = answer.trajectories, room_along(answer, k, name)
+        assert isinstance(known, Joined), "of arcs"
+        touch = max((c.end for c in _contacts(known.structure, k) if c.name == name), default=0.0)
+        return bool((room[t > touch] > rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))).any())
 
     def _known_by_arcs(self, guess: Solution) -> Solution | None:
         """From a guess whose extremal is known arc by arc, of a problem that differs in values of its parameters."""
