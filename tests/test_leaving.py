@@ -87,7 +87,12 @@ def hop() -> Solution:
 
 def test_an_arc_that_pays_nowhere_is_a_touch(hop: Solution) -> None:
     """The touch, the hop behind it and the jump of the costate in closed form, though S'' is 4e-7 of its largest."""
-    assert "structure free, along height: an extremal of another one" in hop.statistics.tried
+    tried, ridden = list[str](), Structure(((Arc(until=0.5), Arc(along=("height",), until=1.0)),))
+    assert Polish(settings=Indirect(), problem=hopping(), watch=silent, tried=tried).followed(hop, ridden, set())
+    assert tried == [
+        "structure free, along height: an extremal of another one",
+        "structure free and touches height, free: an extremal",
+    ]
     assert hop.outcome is pl.Outcome.PROVED and hop.verification.level == 3
     [touch] = [arc for arc in hop.structure if "height" in arc.words]
     assert touch.words == "height touched" and touch.begin == touch.end == pytest.approx(0.5, abs=1e-9)
