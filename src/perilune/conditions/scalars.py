@@ -28,8 +28,11 @@ _GRID = {1: 17, 2: 9}
 _STEPS = 7  # from a grid point the error squares each time; one more step is taken where it is differentiated
 _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
 _BEYOND = 0.1  # of a step of the grid: so far beyond the bounds conditions are looked for
+_CONVEX_AT = 401  # values at which a known curvature is looked at
 _BETWEEN_BOUNDS = (0.21, 0.5, 0.83)  # of a range: where it is seen how H bends
 _ROUNDED_BEND = 1e-9  # of the terms of H: what bends it by less does not bend it
+_STATIONARY = 1e-6  # of the terms of H: its slope over the range, where Newton's method has found a minimum
+_APART = 1e-3  # of its range: a minimum so near to a bound comes to it without a jump
 _MET = 1e-6  # canonical: a control so near to a held condition holds it, and Newton's method has found it
 
 FREE: tuple[Regime, ...] = ("interior", "held")  # not on a bound
@@ -64,6 +67,9 @@ class Scalar:
     weighed
         Whether its bounds are compared by the value of H: it has two, H bends in it alone, and in which way the
         costates say. Of those that bend H together the slopes alone are asked.
+    curved_both_ways
+        Whether H may be convex here and concave there within its range, so that a minimum between the bounds may be
+        one of several, and the control may jump between it and a bound.
     """
 
     def __init__(
@@ -75,10 +81,11 @@ class Scalar:
         self.linear = not ca.depends_on(self.slope, u[at])
         bend = ca.gradient(self.slope, u[at])
         known = ca.substitute(bend, positive, ca.SX.ones(positive.numel()))
-        convex = known.is_constant() and float(known) > 0
+        convex = _never_negative(known, u[at])
         others = ca.vertcat(ca.SX(0, 1), *(u[i] for i, _ in scalars(phase.controls) if i != at))
         alone = not (others.numel() and ca.depends_on(self.slope, others))
         self.weighed = control.bounded and alone and not (self.linear or convex)
+        self.curved_both_ways = self.weighed and bool(ca.depends_on(bend, u[at]))
         if isinstance(control, Settled):
             if control.regime == "singular" and not self.linear:
                 raise no_law(phase, control.names, "a Hamiltonian that bends in it, and so no singular arc")
@@ -104,6 +111,16 @@ class Scalar:
         return [ca.SX(value) for value in np.sinh(np.linspace(-_WIDEST, _WIDEST, count))]
 
 
+def _never_negative(bend: ca.SX, u: ca.SX) -> bool:
+    """Return True if a second derivative of H is a number, or one for each value of u, and positive wherever it is not 0."""
+    if bend.is_constant():
+        return float(bend) > 0
+    if any(not ca.is_equal(symbol, u) for symbol in ca.symvar(bend)):
+        return False
+    values = ca.Function("bend", [u], [bend])(np.sinh(np.linspace(-_WIDEST, _WIDEST, _CONVEX_AT))[None]).full()
+    return bool((values >= 0).all() and (values > 0).any())
+
+
 class Bend:
     """How H bends in a scalar from bound to bound, the others as a mode has them.
 
@@ -115,9 +132,13 @@ class Bend:
         Whether it is a straight line, but for rounding: then nothing between the bounds is a minimum.
     hollow
         Whether it is less somewhere between than at either bound.
+    drops
+        By bound: whether there is a minimum between the bounds, apart from that bound; and H at the bound less H there.
     """
 
-    def __init__(self, *, kind: Scalar, H: ca.SX, u: ca.SX, control: ca.SX, size: ca.SX) -> None:
+    def __init__(
+        self, *, kind: Scalar, H: ca.SX, u: ca.SX, control: ca.SX, size: ca.SX, inner: ca.SX | None = None
+    ) -> None:
         def at(value: ca.SX, of: ca.SX = H) -> ca.SX:
             moved = ca.SX(control)
             moved[kind.at] = value
@@ -130,6 +151,20 @@ class Bend:
             here = at(kind.limits[0] + share * (kind.limits[1] - kind.limits[0]))
             self.none = ca.logic_and(self.none, ca.fabs(here - low - share * self.gain) <= rounding)
             self.hollow = ca.logic_or(self.hollow, here < least - rounding)
+        self.drops = dict[Regime, tuple[ca.SX, ca.SX]]()
+        if inner is None:
+            return
+        bottom, span = at(inner), kind.limits[1] - kind.limits[0]
+        flat = ca.fabs(at(inner, kind.slope)) * span <= _STATIONARY * ca.substitute(size, u, control)
+        between = ca.logic_and(kind.limits[0] < inner, inner < kind.limits[1])
+        minimum = ca.logic_and(ca.logic_and(flat, at(inner, ca.gradient(kind.slope, kind.symbol)) > 0), between)
+        self.hollow = ca.logic_and(minimum, bottom < least)
+        sides: tuple[tuple[Regime, ca.SX, ca.SX], ...] = (
+            ("lower", kind.limits[0], low),
+            ("upper", kind.limits[1], high),
+        )
+        for side, limit, value in sides:
+            self.drops[side] = ca.logic_and(minimum, ca.fabs(inner - limit) > _APART * span), value - bottom
 
 
 def combinations(kinds: Sequence[Scalar], held: Sequence[ca.SX]) -> Iterator[tuple[Regime, ...]]:
@@ -193,11 +228,8 @@ def least_between(phase: Phase, H: ca.SX, u: ca.SX, free: Sequence[Scalar], held
         names = tuple(kind.control.name for kind in free)
         raise no_law(phase, names, "more than two controls that bend the Hamiltonian together")
     grids = [kind.grid(_GRID[len(free)]) for kind in free]
-    at, least = none, ca.SX(np.inf)
-    for point, met in _candidates(u, grids, elements(held)):
-        value = ca.substitute(H, u, point)
-        better = ca.logic_and(met, value < least)
-        at, least = ca.if_else(better, point, at), ca.if_else(better, value, least)
+    inside = len(free) == 1 and not held.numel() and free[0].curved_both_ways
+    at = _start_inside(H, u, grids[0]) if inside else _start(H, u, grids, held)
     reach = ca.vertcat(*(ca.fabs(grid[1] - grid[0]) for grid in grids))
     # |bend| keeps a single control on the way down where H is not convex.
     down = -ca.gradient(H, u) / ca.fabs(system) if len(free) == 1 and not held.numel() else step
@@ -205,6 +237,32 @@ def least_between(phase: Phase, H: ca.SX, u: ca.SX, free: Sequence[Scalar], held
         at = at + ca.fmax(-reach, ca.fmin(reach, ca.substitute(down, u, at)))
     w = ca.SX.sym("w", u.numel())
     return ca.substitute(u + step, u, w), w, at
+
+
+def _start(H: ca.SX, u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: ca.SX) -> ca.SX:
+    """Return the point of a grid, or where its lines meet what is held, at which H is least."""
+    at, least = ca.SX.zeros(u.numel(), 1), ca.SX(np.inf)
+    for point, met in _candidates(u, grids, elements(held)):
+        value = ca.substitute(H, u, point)
+        better = ca.logic_and(met, value < least)
+        at, least = ca.if_else(better, point, at), ca.if_else(better, value, least)
+    return at
+
+
+def _start_inside(H: ca.SX, u: ca.SX, grid: Sequence[ca.SX]) -> ca.SX:
+    """Return the point of a grid next to the least minimum between the bounds, however small H is on a bound.
+
+    Where H falls to the bounds alone it is the one of them where H is less.
+    """
+    values, slope = [ca.substitute(H, u, value) for value in grid], ca.gradient(H, u)
+    at, least = ca.if_else(values[0] < values[-1], grid[0], grid[-1]), ca.SX(np.inf)
+    last = len(grid) - 1
+    for i, (point, value) in enumerate(zip(grid, values, strict=True)):
+        left = ca.substitute(slope, u, point) < 0 if i == 0 else value <= values[i - 1]
+        right = ca.substitute(slope, u, point) > 0 if i == last else value <= values[i + 1]
+        better = ca.logic_and(ca.logic_and(left, right), value < least)
+        at, least = ca.if_else(better, point, at), ca.if_else(better, value, least)
+    return at
 
 
 def _step(H: ca.SX, u: ca.SX, held: ca.SX) -> tuple[ca.SX, ca.SX]:

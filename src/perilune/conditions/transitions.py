@@ -114,7 +114,7 @@ class Ways:
             if len(kind.regimes) == 1 and regime != "held":
                 continue
             ways = self._to_bounds(mode, i) if regime in FREE else self._off_bound(mode, i)
-            for after, function, direction, steady in ways:
+            for after, function, direction, steady in (*ways, *self._jumps(mode, i)):
                 yield mode.name, after, function, direction, steady
         for name, condition in self.kept.items():
             if name in mode.held:
@@ -153,7 +153,7 @@ class Ways:
                 if between == "held" or not kind.weighed or after not in self.places:
                     yield inside, slope, direction, True
                     return
-                bend = Bend(kind=kind, H=mode.H, u=self.u, control=mode.control, size=self.size)
+                bend = self._bend(mode, i)
                 yield inside, ca.if_else(bend.none, -direction, slope), direction, True
                 slope = ca.if_else(bend.hollow, -direction, bend.gain)
         if after not in self.places:
@@ -166,6 +166,24 @@ class Ways:
                 yield stopped, ca.if_else(kept, -direction, slope), direction, False
                 free = ca.logic_and(free, kept)
         yield after, slope if free.is_constant() else ca.if_else(free, slope, -direction), direction, False
+
+    def _bend(self, mode: Mode, i: int) -> Bend:
+        """How H bends in a scalar, with the minimum between its bounds where that may be one of several."""
+        kind, inner = mode.kinds[i], None
+        if kind.curved_both_ways and (inside := (mode.held, mode.turned(i, "interior"))) in self.places:
+            inner = self.modes[self.places[inside]].control[kind.at]
+        return Bend(kind=kind, H=mode.H, u=self.u, control=mode.control, size=self.size, inner=inner)
+
+    def _jumps(self, mode: Mode, i: int) -> Iterator[tuple[Named, ca.SX, int, bool]]:
+        """A scalar jumps between a bound and the minimum of H between them, where both are as small."""
+        kind, regime = mode.kinds[i], mode.regimes[i]
+        if not kind.curved_both_ways or regime not in ("lower", "interior", "upper"):
+            return
+        for side, (apart, drop) in self._bend(mode, i).drops.items():
+            to: Regime = side if regime == "interior" else "interior"
+            if regime in (side, "interior") and (after := (mode.held, mode.turned(i, to))) in self.places:
+                direction = -1 if regime == "interior" else 1
+                yield after, ca.if_else(apart, drop, -direction), direction, False
 
     def _holding(self, mode: Mode, name: str) -> Named | None:
         """The mode that holds a condition besides, or in the place of others that the same scalars hold."""

@@ -34,6 +34,7 @@ from perilune.proof.arc import Arc
 from perilune.words.types import Vector
 
 _LOOKS = 20  # times of a stretch between two edges
+_INNER = (0.31, 0.5)  # of a range: where H is compared with its chord, which u^3 meets in the middle
 _LINEAR = 1e-9  # of its terms: H bends less in a control that is linear in it
 _MIXED = 1e-7  # of the largest second derivative of L: less is none, as differences have it
 STRETCH = 1e-3  # of a phase: nearer to a singular arc its slope, which leaves zero like t^2, is rounding
@@ -51,7 +52,7 @@ def singular_between(arc: Arc, left: float, right: float) -> int | None:
         if np.logical_or(*control.on_bounds(u[at], ON_BOUND * arc.control_scale[at], arc.p)).any():
             continue
         values, held = [], []
-        for share in (0.0, 0.5, 1.0):
+        for share in (0.0, *_INNER, 1.0):
             moved = np.array(u)
             moved[at] = lower + share * (upper - lower)
             values.append(lam * arc.rates(x, moved).real)
@@ -59,10 +60,14 @@ def singular_between(arc: Arc, left: float, right: float) -> int | None:
                 held.append(arc.allowed.values(x, moved).real)
         if arc.allowed:  # what the phase holds decides it, and so does a condition that is active all along
             always = arc.allowed.active(x, u).all(axis=1)
-            if (np.abs(held[2] - held[0])[always] > _LINEAR * arc.allowed.sizes[always, None]).any():
+            if (np.abs(held[-1] - held[0])[always] > _LINEAR * arc.allowed.sizes[always, None]).any():
                 continue
-        bend = np.abs((values[0] - 2 * values[1] + values[2]).sum(axis=0))
-        if (bend <= _LINEAR * sum(np.abs(value).sum(axis=0) for value in values)).all():
+        low, *inner, high = values
+        bends = [
+            np.abs((value - (1 - share) * low - share * high).sum(axis=0))
+            for share, value in zip(_INNER, inner, strict=True)
+        ]
+        if (np.max(bends, axis=0) <= _LINEAR * sum(np.abs(value).sum(axis=0) for value in values)).all():
             found.append(at)
     return found[0] if len(found) == 1 else None
 
