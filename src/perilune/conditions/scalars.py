@@ -112,7 +112,7 @@ class Scalar:
 
 
 def _never_negative(bend: ca.SX, u: ca.SX) -> bool:
-    """Return True if a second derivative of H is a number, or one for each value of u, and positive wherever it is not 0."""
+    """Return True if a second derivative of H that depends on nothing but u is positive, but where it vanishes."""
     if bend.is_constant():
         return float(bend) > 0
     if any(not ca.is_equal(symbol, u) for symbol in ca.symvar(bend)):
