@@ -28,7 +28,7 @@ import numpy as np
 from perilune.conditions.directions import directions_eliminated
 from perilune.conditions.held import Held, demand_held, together, turns
 from perilune.conditions.riding import riding_control
-from perilune.conditions.scalars import FREE, Bend, Scalar, Terms, combinations, keeps, least_between, no_law
+from perilune.conditions.scalars import FREE, INSIDE, Bend, Scalar, Terms, combinations, keeps, least_between, no_law
 from perilune.conditions.singular import Motion, singular_control
 from perilune.conditions.transitions import Mode, Transition, Ways
 from perilune.problem.controls import Regime, scalars
@@ -151,7 +151,7 @@ def _control(phase: Phase, law: list[ca.SX], u: ca.SX, mode: Mode) -> tuple[ca.S
     if free:
         symbols = ca.vertcat(*(kind.symbol for kind in free))
         H, own = (_put(e, u, places, values) for e in (mode.H, ca.vertcat(ca.SX(0, 1), *mode.own.values())))
-        best, w, found = least_between(phase, H, symbols, free, own)
+        best, w, found = least_between(phase, H, symbols, free, own, "low_interior" in mode.regimes)
         values += elements(best)
         places += [kind.at for kind in free]
     whole = ca.vertcat(ca.SX(0, 1), *law)
@@ -192,9 +192,12 @@ def _value(hamiltonian: ca.SX, u: ca.SX, mode: Mode, others: Sequence[ca.SX], si
         if regime in FREE:
             here = mode.control[kind.at]
             value = ca.if_else(ca.logic_and(kind.limits[0] <= here, here <= kind.limits[1]), value, np.inf)
-            if regime == "interior" and kind.weighed:
-                bend = Bend(kind=kind, H=mode.H, u=u, control=mode.control, size=size)
+            if regime in INSIDE and kind.weighed:
+                inner: dict[Regime, ca.SX] = {regime: here} if kind.curved_both_ways else {}
+                bend = Bend(kind=kind, H=mode.H, u=u, control=mode.control, size=size, inner=inner)
                 value = ca.if_else(bend.none, np.inf, value)
+                for there in bend.there.values():
+                    value = ca.if_else(there, value, np.inf)
     if mode.own:
         told = [kind.symbol for kind, regime in zip(mode.kinds, mode.regimes, strict=True) if regime == "held"]
         kept = keeps(ca.vertcat(*told), ca.vertcat(*mode.own.values()), u, mode.control)

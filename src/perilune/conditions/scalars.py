@@ -11,7 +11,7 @@ the conditions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -35,7 +35,9 @@ _STATIONARY = 1e-6  # of the terms of H: its slope over the range, where Newton'
 _APART = 1e-3  # of its range: a minimum so near to a bound comes to it without a jump
 _MET = 1e-6  # canonical: a control so near to a held condition holds it, and Newton's method has found it
 
-FREE: tuple[Regime, ...] = ("interior", "held")  # not on a bound
+# A minimum of H between the bounds; where H is quartic it may have two, the low one with d3H/du3 < 0.
+INSIDE: tuple[Regime, ...] = ("low_interior", "interior")
+FREE: tuple[Regime, ...] = (*INSIDE, "held")  # not on a bound
 _NO_COSTATES = ca.SX(0, 1)
 
 
@@ -70,6 +72,8 @@ class Scalar:
     curved_both_ways
         Whether H may be convex here and concave there within its range, so that a minimum between the bounds may be
         one of several, and the control may jump between it and a bound.
+    quartic
+        Whether it may then have two minima between its bounds: it is a polynomial of the fourth degree.
     """
 
     def __init__(
@@ -86,6 +90,9 @@ class Scalar:
         alone = not (others.numel() and ca.depends_on(self.slope, others))
         self.weighed = control.bounded and alone and not (self.linear or convex)
         self.curved_both_ways = self.weighed and bool(ca.depends_on(bend, u[at]))
+        self.third = ca.gradient(bend, u[at])
+        bends_alike = not ca.depends_on(ca.gradient(self.third, u[at]), u[at])
+        self.quartic = self.curved_both_ways and bool(ca.depends_on(self.third, u[at])) and bends_alike
         if isinstance(control, Settled):
             if control.regime == "singular" and not self.linear:
                 raise no_law(phase, control.names, "a Hamiltonian that bends in it, and so no singular arc")
@@ -94,7 +101,7 @@ class Scalar:
         lower, upper = (not (limit.is_constant() and np.isinf(float(limit))) for limit in limits)
         if self.linear and not acts and not (lower and upper):
             raise no_law(phase, control.names, "a Hamiltonian that is linear in it, and no bounds")
-        between: tuple[Regime, ...] = ("held",) if acts else () if self.linear else ("interior",)
+        between: tuple[Regime, ...] = ("held",) if acts else () if self.linear else INSIDE[not self.quartic :]
         self.regimes = (*(("lower",) if lower else ()), *between, *(("upper",) if upper else ()))
 
     def value(self, regime: Regime) -> ca.SX:
@@ -132,39 +139,48 @@ class Bend:
         Whether it is a straight line, but for rounding: then nothing between the bounds is a minimum.
     hollow
         Whether it is less somewhere between than at either bound.
-    drops
-        By bound: whether there is a minimum between the bounds, apart from that bound; and H at the bound less H there.
+    points, values
+        By regime where H may be least, and H there: the bounds, and the minima `inner` between them.
+    there
+        By regime whether a minimum between the bounds is one.
     """
 
     def __init__(
-        self, *, kind: Scalar, H: ca.SX, u: ca.SX, control: ca.SX, size: ca.SX, inner: ca.SX | None = None
+        self, *, kind: Scalar, H: ca.SX, u: ca.SX, control: ca.SX, size: ca.SX, inner: Mapping[Regime, ca.SX]
     ) -> None:
         def at(value: ca.SX, of: ca.SX = H) -> ca.SX:
             moved = ca.SX(control)
             moved[kind.at] = value
             return ca.substitute(of, u, moved)
 
-        (low, high), rounding = (at(limit) for limit in kind.limits), _ROUNDED_BEND * ca.substitute(size, u, control)
+        (low, high), terms = (at(limit) for limit in kind.limits), ca.substitute(size, u, control)
         self.gain, least = high - low, ca.fmin(low, high)
-        self.none, self.hollow = ca.SX(1.0), ca.SX(0.0)
+        self.none, self.hollow, rounding = ca.SX(1.0), ca.SX(0.0), _ROUNDED_BEND * terms
+        (first, last), self.points = kind.limits, dict[Regime, ca.SX](zip(("lower", "upper"), kind.limits, strict=True))
+        self.span = last - first
         for share in _BETWEEN_BOUNDS:
-            here = at(kind.limits[0] + share * (kind.limits[1] - kind.limits[0]))
+            here = at(first + share * self.span)
             self.none = ca.logic_and(self.none, ca.fabs(here - low - share * self.gain) <= rounding)
             self.hollow = ca.logic_or(self.hollow, here < least - rounding)
-        self.drops = dict[Regime, tuple[ca.SX, ca.SX]]()
-        if inner is None:
-            return
-        bottom, span = at(inner), kind.limits[1] - kind.limits[0]
-        flat = ca.fabs(at(inner, kind.slope)) * span <= _STATIONARY * ca.substitute(size, u, control)
-        between = ca.logic_and(kind.limits[0] < inner, inner < kind.limits[1])
-        minimum = ca.logic_and(ca.logic_and(flat, at(inner, ca.gradient(kind.slope, kind.symbol)) > 0), between)
-        self.hollow = ca.logic_and(minimum, bottom < least)
-        sides: tuple[tuple[Regime, ca.SX, ca.SX], ...] = (
-            ("lower", kind.limits[0], low),
-            ("upper", kind.limits[1], high),
-        )
-        for side, limit, value in sides:
-            self.drops[side] = ca.logic_and(minimum, ca.fabs(inner - limit) > _APART * span), value - bottom
+        self.values: dict[Regime, ca.SX] = {"lower": low, "upper": high}
+        self.there = dict[Regime, ca.SX]()
+        self.hollow = ca.SX(0.0) if inner else self.hollow
+        for regime, value in inner.items():
+            flat = ca.fabs(at(value, kind.slope)) * self.span <= _STATIONARY * terms
+            minimum = ca.logic_and(flat, at(value, ca.gradient(kind.slope, kind.symbol)) > 0)
+            if kind.quartic:
+                low_one = at(value, kind.third) < 0
+                minimum = ca.logic_and(minimum, low_one if regime == "low_interior" else ca.logic_not(low_one))
+            self.there[regime] = ca.logic_and(minimum, ca.logic_and(first < value, value < last))
+            self.points[regime], self.values[regime] = value, at(value)
+            self.hollow = ca.logic_or(self.hollow, ca.logic_and(self.there[regime], self.values[regime] < least))
+
+    def drop(self, one: Regime, other: Regime) -> tuple[ca.SX, ca.SX]:
+        """Whether a jump from one minimum of H or bound to another is one, and by how much H is less at the other."""
+        both = ca.fabs(self.points[one] - self.points[other]) > _APART * self.span
+        for regime in (one, other):
+            both = ca.logic_and(both, self.there.get(regime, ca.SX(1.0)))
+        return both, self.values[one] - self.values[other]
 
 
 def combinations(kinds: Sequence[Scalar], held: Sequence[ca.SX]) -> Iterator[tuple[Regime, ...]]:
@@ -199,7 +215,9 @@ def keeps(told: ca.SX, held: ca.SX, u: ca.SX, control: ca.SX) -> ca.SX:
     return ca.substitute(ca.logic_all(near), u, control)
 
 
-def least_between(phase: Phase, H: ca.SX, u: ca.SX, free: Sequence[Scalar], held: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+def least_between(
+    phase: Phase, H: ca.SX, u: ca.SX, free: Sequence[Scalar], held: ca.SX, low: bool = False
+) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Where H is least over scalars that are not on a bound: in closed form, or a step from w, which Newton finds.
 
     Parameters
@@ -210,6 +228,8 @@ def least_between(phase: Phase, H: ca.SX, u: ca.SX, free: Sequence[Scalar], held
         The Hamiltonian as an expression of the symbols u of these scalars.
     held
         Conditions of them that are held.
+    low
+        Whether of two minima of one scalar the low one is asked for, of a `Scalar.quartic`.
 
     Returns
     -------
@@ -229,7 +249,7 @@ def least_between(phase: Phase, H: ca.SX, u: ca.SX, free: Sequence[Scalar], held
         raise no_law(phase, names, "more than two controls that bend the Hamiltonian together")
     grids = [kind.grid(_GRID[len(free)]) for kind in free]
     inside = len(free) == 1 and not held.numel() and free[0].curved_both_ways
-    at = _start_inside(H, u, grids[0]) if inside else _start(H, u, grids, held)
+    at = _start_inside(H, u, grids[0], low if free[0].quartic else None) if inside else _start(H, u, grids, held)
     reach = ca.vertcat(*(ca.fabs(grid[1] - grid[0]) for grid in grids))
     # |bend| keeps a single control on the way down where H is not convex.
     down = -ca.gradient(H, u) / ca.fabs(system) if len(free) == 1 and not held.numel() else step
@@ -249,20 +269,27 @@ def _start(H: ca.SX, u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: ca.SX) ->
     return at
 
 
-def _start_inside(H: ca.SX, u: ca.SX, grid: Sequence[ca.SX]) -> ca.SX:
+def _start_inside(H: ca.SX, u: ca.SX, grid: Sequence[ca.SX], low: bool | None) -> ca.SX:
     """Return the point of a grid next to the least minimum between the bounds, however small H is on a bound.
 
-    Where H falls to the bounds alone it is the one of them where H is less.
+    With `low` stated one where d3H/du3 < 0, or one where it is not, if there is any. Where H falls to the bounds alone
+    it is the one of them where H is less.
     """
     values, slope = [ca.substitute(H, u, value) for value in grid], ca.gradient(H, u)
+    third, last = ca.gradient(ca.gradient(slope, u), u), len(grid) - 1
     at, least = ca.if_else(values[0] < values[-1], grid[0], grid[-1]), ca.SX(np.inf)
-    last = len(grid) - 1
+    asked, least_asked = at, ca.SX(np.inf)
     for i, (point, value) in enumerate(zip(grid, values, strict=True)):
         left = ca.substitute(slope, u, point) < 0 if i == 0 else value <= values[i - 1]
         right = ca.substitute(slope, u, point) > 0 if i == last else value <= values[i + 1]
-        better = ca.logic_and(ca.logic_and(left, right), value < least)
+        minimum = ca.logic_and(left, right)
+        better = ca.logic_and(minimum, value < least)
         at, least = ca.if_else(better, point, at), ca.if_else(better, value, least)
-    return at
+        if low is not None:
+            below = ca.substitute(third, u, point) < 0
+            mine = ca.logic_and(ca.logic_and(minimum, below if low else ca.logic_not(below)), value < least_asked)
+            asked, least_asked = ca.if_else(mine, point, asked), ca.if_else(mine, value, least_asked)
+    return at if low is None else ca.if_else(least_asked < np.inf, asked, at)
 
 
 def _step(H: ca.SX, u: ca.SX, held: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -20,7 +20,7 @@ from functools import cached_property
 import casadi as ca
 
 from perilune.conditions.held import Held, turns
-from perilune.conditions.scalars import FREE, Bend, Scalar, multipliers
+from perilune.conditions.scalars import FREE, INSIDE, Bend, Scalar, multipliers
 from perilune.problem.controls import Regime
 from perilune.problem.phase import Phase
 
@@ -145,17 +145,20 @@ class Ways:
         """A scalar on a bound leaves it."""
         kind, regime = mode.kinds[i], mode.regimes[i]
         slope, direction = ca.substitute(mode.slope(kind), self.u, mode.control), 1 if regime == "upper" else -1
-        bent: tuple[Regime, ...] = ("held", "interior")
+        bent: tuple[Regime, ...] = ("held", *INSIDE)
         other: Regime = "lower" if regime == "upper" else "upper"
-        after = mode.held, mode.turned(i, other)
+        after, gain = (mode.held, mode.turned(i, other)), slope
         for between in bent:
             if (inside := (mode.held, mode.turned(i, between))) in self.places:
                 if between == "held" or not kind.weighed or after not in self.places:
                     yield inside, slope, direction, True
                     return
-                bend = self._bend(mode, i)
-                yield inside, ca.if_else(bend.none, -direction, slope), direction, True
-                slope = ca.if_else(bend.hollow, -direction, bend.gain)
+                bend, never = self._bend(mode, i), ca.SX(0.0)
+                if kind.quartic:
+                    low = ca.substitute(kind.third, self.u, mode.control) < 0
+                    never = ca.logic_not(low) if between == "low_interior" else low
+                yield inside, ca.if_else(ca.logic_or(bend.none, never), -direction, slope), direction, True
+                gain = ca.if_else(bend.hollow, -direction, bend.gain)
         if after not in self.places:
             return
         there, free = self.modes[self.places[after]].control, ca.SX(1.0)
@@ -163,27 +166,33 @@ class Ways:
             stopped = self._holding(self.modes[self.places[after]], name)
             if name not in mode.held and stopped is not None and stopped[1][i] == "held":
                 kept = ca.substitute(condition, self.u, there) >= 0
-                yield stopped, ca.if_else(kept, -direction, slope), direction, False
+                yield stopped, ca.if_else(kept, -direction, gain), direction, False
                 free = ca.logic_and(free, kept)
-        yield after, slope if free.is_constant() else ca.if_else(free, slope, -direction), direction, False
+        yield after, gain if free.is_constant() else ca.if_else(free, gain, -direction), direction, False
 
     def _bend(self, mode: Mode, i: int) -> Bend:
-        """How H bends in a scalar, with the minimum between its bounds where that may be one of several."""
-        kind, inner = mode.kinds[i], None
-        if kind.curved_both_ways and (inside := (mode.held, mode.turned(i, "interior"))) in self.places:
-            inner = self.modes[self.places[inside]].control[kind.at]
+        """How H bends in a scalar, with the minima between its bounds where there may be several."""
+        kind, inner = mode.kinds[i], dict[Regime, ca.SX]()
+        for between in INSIDE if kind.curved_both_ways else ():
+            if (inside := (mode.held, mode.turned(i, between))) in self.places:
+                inner[between] = self.modes[self.places[inside]].control[kind.at]
         return Bend(kind=kind, H=mode.H, u=self.u, control=mode.control, size=self.size, inner=inner)
 
     def _jumps(self, mode: Mode, i: int) -> Iterator[tuple[Named, ca.SX, int, bool]]:
-        """A scalar jumps between a bound and the minimum of H between them, where both are as small."""
-        kind, regime = mode.kinds[i], mode.regimes[i]
-        if not kind.curved_both_ways or regime not in ("lower", "interior", "upper"):
+        """A scalar jumps to another minimum of H in it, between its bounds or on one, where H is as small there."""
+        kind, own = mode.kinds[i], mode.regimes[i]
+        if not kind.curved_both_ways or own == "held":
             return
-        for side, (apart, drop) in self._bend(mode, i).drops.items():
-            to: Regime = side if regime == "interior" else "interior"
-            if regime in (side, "interior") and (after := (mode.held, mode.turned(i, to))) in self.places:
-                direction = -1 if regime == "interior" else 1
-                yield after, ca.if_else(apart, drop, -direction), direction, False
+        bend = self._bend(mode, i)
+        for other in bend.values:
+            after = mode.held, mode.turned(i, other)
+            if other == own or after not in self.places or not {own, other} & {*INSIDE}:
+                continue
+            apart, drop = bend.drop(own, other)
+            yield after, ca.if_else(apart, drop, -1.0), 1, False
+            if own in INSIDE and other in INSIDE:  # of one minimum the two are the same: its name changes
+                third = ca.substitute(kind.third, self.u, mode.control)
+                yield after, third, 1 if own == "low_interior" else -1, True
 
     def _holding(self, mode: Mode, name: str) -> Named | None:
         """The mode that holds a condition besides, or in the place of others that the same scalars hold."""

@@ -22,7 +22,7 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import Scales, demand_si_unit
 
-Regime = Literal["lower", "interior", "upper", "held", "direction", "singular"]
+Regime = Literal["lower", "low_interior", "interior", "upper", "held", "direction", "singular"]
 # A limit: a number in SI, or the name of the parameter that holds it.
 Limit = float | str
 
