@@ -269,6 +269,7 @@ def test_along_the_speed_limit_the_cart_would_better_chatter(method: Any) -> Non
     failed = [c.meaning for c in solution.verification.checks if not c.passed]
     assert any("no best flight follows it (chattering)" in meaning for meaning in failed)
     assert any("no best flight follows it (chattering)" in line for line in solution.statistics.tried)
+    assert any(line.startswith("flights that chatter are better than this one") for line in solution.warnings)
 
 
 def test_a_flight_along_a_limit_that_is_best_does_not_chatter() -> None:

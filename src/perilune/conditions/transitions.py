@@ -4,7 +4,8 @@
   what a condition of the path leaves of that;
 - one in which H bends leaves a bound so for what lies between, or jumps to the other bound where H is as small there,
   whichever comes first: the one where H is convex, the other where it is concave, as a costate may make it either;
-- one that is between its bounds comes to one of them;
+- one that is between its bounds comes to one of them; where H may have several minima in it, it jumps from one to
+  another where H is as small there, between the bounds or on one (two of a quartic H may lie between them);
 - a condition of the path that the control leaves out is broken from here on: it is held;
 - what a held condition costs, its multiplier, falls to zero: it is let go.
 

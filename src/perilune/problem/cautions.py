@@ -37,7 +37,7 @@ def warnings_of(solution: Any) -> tuple[str, ...]:
         Of any method, with curves that are numbers.
     """
     with np.errstate(all="ignore"):
-        looks = (_left_out, _held_parameters, _below_ground, _outside, _reached)
+        looks = (_left_out, _undercut, _held_parameters, _below_ground, _outside, _reached)
         found = [said for look in looks for said in look(solution)]
     return tuple(dict.fromkeys(found))
 
@@ -47,6 +47,13 @@ def _left_out(solution: Any) -> Iterator[str]:
     problem = solution.problem
     stated = () if problem.preflight is None else problem.preflight(solution.parameters, NUMERIC)
     yield from (finding.meaning for finding in stated if finding.lasting and not finding.passed)
+
+
+def _undercut(solution: Any) -> Iterator[str]:
+    """A flight along a limit beside which chattering is better: the proof has found that no flight is the best."""
+    for check in solution.verification.failed:
+        if check.meaning.endswith("(chattering)"):
+            yield f"flights that chatter are better than this one: {check.meaning.rpartition('; ')[2]}"
 
 
 def _held_parameters(solution: Any) -> Iterator[str]:
