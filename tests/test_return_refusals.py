@@ -233,6 +233,7 @@ def test_the_typical_fall_is_flown_once() -> None:
         (["transition.longest_coast=1e9 s"], 2, "longest_coast is out of range"),
         (["separation.mass=600 kg"], 2, "no part of the vehicle"),
         (["separation.mass=500 kg"], 2, "no part of the vehicle"),
+        (["separation.mass=310 kg"], 2, "no part of what the burn may leave"),
         (["orbit.radius=6778.14 m"], 3, "into the air by itself"),
         (["vehicle.thrust=1e-9 N", "interface.angle=-20 deg"], 3, "gives no flight so steep"),
         (["vehicle.thrust=500 kN"], 2, "more than a lander withstands"),

@@ -123,3 +123,19 @@ def test_what_is_left_behind_was_throttled() -> None:
     whole = throttled.trajectories[2].state.values[:, throttled.problem.phases[2].state_names.index("whole")]
     np.testing.assert_allclose(whole, throttled.results["mass_at_interface"].value, rtol=1e-12)
     assert throttled.results["propellant"].value == pytest.approx(500.0 - whole[-1], rel=1e-12)
+
+
+@pytest.mark.parametrize("throttle", [None, Throttle(lower=0.3, upper=0.9)])
+@pytest.mark.parametrize(("dry", "left"), [(None, 490.0), (495.0, 495.0)])
+def test_what_enters_the_air_is_not_burnt(throttle: Throttle | None, dry: float | None, left: float) -> None:
+    """A burn that takes a sixth of the vehicle was proved best, though nearly all of it was to enter the air."""
+    vehicle = replace(VEHICLE, dry_mass=dry)
+    parts: dict[str, Any] = {"air": AIR, "site": Landing(altitude=5e3), "separation": Separation(mass=490.0)}
+    problem = returning(vehicle=vehicle, throttle=throttle, minimise="flight_time", **parts)
+    exhaust = vehicle.exhaust_velocity or 0.0
+    longest = (vehicle.mass - left) * exhaust / vehicle.thrust / (1.0 if throttle is None else 0.3)
+    assert next(f.upper for f in problem.free if f.name == "burn_time") == pytest.approx(longest, rel=1e-12)
+    kept = [c for c in problem.phases[0].end_conditions if c.name == "mass_left"]
+    if throttle is not None:
+        assert kept[0].limits(problem.parameters({}))[0] == left
+    assert any(f.binding and not f.passed for f in preflight(problem))

@@ -33,11 +33,17 @@ def epoch_of(aim: Aim) -> datetime:
 
 
 def refuse_more_than_there_is(vehicle: Returner, separation: Separation | None) -> None:
-    """Refuse a vehicle that is heavier after a part of it is left behind."""
+    """Refuse a vehicle that is heavier after a part of it is left behind, or the propellant is burnt."""
     if separation is not None and separation.mass >= vehicle.mass:
         raise PeriluneError(
             "separation.mass is no part of the vehicle", got=f"{separation.mass:g} kg of {vehicle.mass:g} kg",
             expected="separation.mass < vehicle.mass", advice="what of it goes on into the air",
+        )  # fmt: skip
+    if separation is not None and vehicle.dry_mass is not None and separation.mass > vehicle.dry_mass:
+        raise PeriluneError(
+            "separation.mass is no part of what the burn may leave",
+            got=f"{separation.mass:g} kg of vehicle.dry_mass = {vehicle.dry_mass:g} kg",
+            expected="separation.mass <= vehicle.dry_mass", advice="a greater vehicle.dry_mass",
         )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from perilune.models import aerodynamics, ellipsoid
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.orbit import AXIS
-from perilune.models.deorbit.records import exhaust_speed, throttled
+from perilune.models.deorbit.records import exhaust_speed, is_something_left, throttled
 from perilune.models.rotating import Triple, combine, dot, free_acceleration, local_axes
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.variables import Variable
@@ -135,7 +135,7 @@ def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
             ends.append(value - getattr(p, f"interface_{name}"))
         elif hasattr(p, f"interface_{name}_lower") or hasattr(p, f"interface_{name}_upper"):
             ends.append(value)
-    return [*ends, *((x.m,) if throttled(p) and hasattr(p, "vehicle_dry_mass") else ())]
+    return [*ends, *((x.m,) if throttled(p) and is_something_left(p) else ())]
 
 
 def beside_site(x: Any, p: Any, m: Any) -> Sequence[Any]:

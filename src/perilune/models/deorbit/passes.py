@@ -38,7 +38,13 @@ import numpy as np
 
 from perilune.models import ellipsoid
 from perilune.models.deorbit.orbit import plane, shape
-from perilune.models.deorbit.records import LONGEST_COAST, exhaust_speed, greatest_thrust
+from perilune.models.deorbit.records import (
+    LONGEST_COAST,
+    exhaust_speed,
+    greatest_thrust,
+    is_something_left,
+    must_be_left,
+)
 from perilune.models.deorbit.secular import Drift
 from perilune.models.deorbit.times import way_down
 from perilune.models.rotating import cross, dot
@@ -147,7 +153,7 @@ def side_reach(p: Any) -> float:
 
 def lightest(p: Any) -> Any:
     """Mass [kg] below which the burn leaves none."""
-    return getattr(p, "vehicle_dry_mass", _LEFT * p.vehicle_mass)
+    return must_be_left(p) if is_something_left(p) else _LEFT * p.vehicle_mass
 
 
 def furthest_turned(p: Any, change: Any, m: Any = NUMERIC) -> Any:

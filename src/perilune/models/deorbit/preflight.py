@@ -41,7 +41,7 @@ from perilune.models.deorbit.bounds import furthest_moved, interface_speeds, sla
 from perilune.models.deorbit.fall import Fall, always_faster, fall, lowest, slowest_arrival, terminal_speed
 from perilune.models.deorbit.orbit import state
 from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, passes
-from perilune.models.deorbit.records import exhaust_speed, greatest_thrust, velocity_change
+from perilune.models.deorbit.records import exhaust_speed, greatest_thrust, is_something_left, velocity_change
 from perilune.models.deorbit.secular import drift
 from perilune.models.deorbit.skip import leaves_again
 from perilune.models.standard_atmosphere import LOWEST, density as standard_density
@@ -81,7 +81,7 @@ def compare_return(
     enters = all(np.all(f.passed) for f in found if f.binding)  # what is within the air already falls from no interface
     if air is not None and air.said and standard:
         found += _like_standard(air)
-    if hasattr(p, "vehicle_dry_mass"):
+    if is_something_left(p):
         found += [_comes_down(p, m, low, high), *_at_interface(p, m)]
         if not hasattr(p, "transition_longest_coast"):
             found.append(_burns_down(p, m, low))
@@ -151,7 +151,7 @@ def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
         unit="m/s",
         binding=True,
         meaning="the propellant cannot bring the vehicle down to the interface",
-        advice="more propellant (a lower vehicle.dry_mass), a lower orbit, or a higher exhaust velocity",
+        advice="more propellant (a lower vehicle.dry_mass or separation.mass), a lower orbit, or another engine",
     )
 
 
@@ -209,7 +209,7 @@ def _at_interface(p: Any, m: Any) -> list[Finding]:
                 name="path angle at the interface below the horizon", value=-stated * _DEGREE,
                 limit=steepest_angle(p, m) * _DEGREE, at_least=False, unit="deg", binding=True,
                 meaning="the velocity change of all propellant gives no flight so steep at the interface",
-                advice="a flatter interface angle, or more propellant (a lower vehicle.dry_mass)",
+                advice="a flatter interface angle, or more propellant (a lower vehicle.dry_mass or separation.mass)",
             )
         )  # fmt: skip
     return found
@@ -247,8 +247,8 @@ def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
         )  # fmt: skip
     if hasattr(p, "vehicle_lift_to_drag") or not fallen.lands or found[0].passed:
         return tuple(found)
-    steep = steepest_angle(p, NUMERIC) if hasattr(p, "vehicle_dry_mass") else math.inf
-    speeds = interface_speeds(p, NUMERIC) if hasattr(p, "vehicle_dry_mass") else (0.0, math.inf)
+    steep = steepest_angle(p, NUMERIC) if is_something_left(p) else math.inf
+    speeds = interface_speeds(p, NUMERIC) if is_something_left(p) else (0.0, math.inf)
     light = SimpleNamespace(**{**vars(p), "vehicle_mass": lightest(p)})  # the less is left the slower it falls
     slowest = slowest_arrival(light, air, -float(steep), (float(speeds[0]), float(speeds[1])))
     steady = terminal_speed(light, air)

@@ -39,6 +39,7 @@ from perilune.models.deorbit.records import (
     Separation,
     Transition,
     exhaust_speed,
+    must_be_left,
 )
 from perilune.models.landing import mass_state
 from perilune.models.vehicle import THROTTLE, Throttle
@@ -106,7 +107,7 @@ def _into_the_air(x: Any, p: Any, m: Any, *, heat: bool, weighed: bool) -> Seque
     return *entering, *((0.0,) if heat else ()), *((x.m,) if weighed else ())
 
 
-def _interface_conditions(interface: Interface, *, weighed: bool) -> tuple[Variable, ...]:
+def _interface_conditions(interface: Interface, *, left: str | None) -> tuple[Variable, ...]:
     found = [Variable(name="interface_altitude", unit="m")]
     for name in ("speed", "angle"):
         fixed, lower, upper = (getattr(interface, f"{name}{ending}") for ending in ("", "_lower", "_upper"))
@@ -118,13 +119,13 @@ def _interface_conditions(interface: Interface, *, weighed: bool) -> tuple[Varia
         if upper is not None:
             bounds["upper"] = f"interface_{name}_upper"
         found.append(Variable(name=f"interface_{name}", unit=_CONDITIONS[name], **bounds))
-    if weighed:
-        found.append(Variable(name="mass_left", unit="kg", lower="vehicle_dry_mass"))
+    if left is not None:
+        found.append(Variable(name="mass_left", unit="kg", lower=left))
     return tuple(found)
 
 
-def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool, throttled: bool) -> Phase:
-    """A phase between the orbit and the interface, under thrust or without."""
+def _above_the_air(name: str, *, last: bool, interface: Interface, left: str | None, throttled: bool) -> Phase:
+    """A phase between the orbit and the interface, under thrust or without; `left` names what its end must weigh."""
     burns = name == "burn"
     outputs = told.PLACED + ((told.PUSHED,) if burns else ())
     return Phase(
@@ -134,7 +135,7 @@ def _above_the_air(name: str, *, last: bool, interface: Interface, dry: bool, th
         dynamics=flight.burning if burns else flight.coasting,
         duration=_DURATIONS[name],
         end=flight.at_interface if last else None,
-        end_conditions=_interface_conditions(interface, weighed=dry and throttled) if last else (),
+        end_conditions=_interface_conditions(interface, left=left if throttled else None) if last else (),
         path=None if name == "coast" else flight.above_interface,
         path_conditions=() if name == "coast" else (Variable(name="height_above_interface", unit="m"),),
         outputs=told.pushed if burns else told.placed,
@@ -218,7 +219,7 @@ def _ranges(
             expected=f"less than {math.degrees(highest):g} deg, which the inclination allows",
             advice="a lower manoeuvre.latitude, or another orbit.inclination",
         )
-    burnt = (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * times.exhaust_speed(p) / p.vehicle_thrust
+    burnt = (p.vehicle_mass - must_be_left(p)) * times.exhaust_speed(p) / p.vehicle_thrust
     if hasattr(p, "throttle_lower"):
         burnt = burnt / p.throttle_lower if p.throttle_lower > 0 else math.inf
     longest = {"burn_time": burnt}
@@ -328,11 +329,12 @@ def deorbit_entry(
     if flown is not None:
         given = {**flown.given, **given}
     above = [name for name in names if name not in ("entry", "parachute")]
-    dry, heat, nose = "vehicle_dry_mass" in given, minimise == "heat_load", vehicle.nose_radius is not None
+    heat, nose = minimise == "heat_load", vehicle.nose_radius is not None
+    left = next((name for name in ("vehicle_dry_mass", "separation_mass") if name in given), None)
     weighed = throttle is not None and separation is not None
     kept = flight.beside_motion(heat=heat, weighed=weighed)
     phases = [
-        _above_the_air(name, last=name == above[-1], interface=interface, dry=dry, throttled=throttle is not None)
+        _above_the_air(name, last=name == above[-1], interface=interface, left=left, throttled=throttle is not None)
         for name in above
     ]  # fmt: skip
     if flown is not None and site is not None:

@@ -130,7 +130,7 @@ class Returner:
         about="of the engine, in place of its exhaust velocity",
     )  # fmt: skip
     dry_mass: float | None = quantity(
-        "kg", "300 kg", default=None, above=0.0, about="what must be left after the burn; else any mass will do"
+        "kg", "300 kg", default=None, above=0.0, about="what must be left after the burn; left out, what enters the air"
     )
     drag_area: float | None = quantity("m^2", "0.6 m^2", default=None, above=0.0, about="drag coefficient times area")
     ballistic_coefficient: float | None = quantity(
@@ -342,7 +342,17 @@ def exhaust_speed(p: Any) -> Any:
 
 
 def velocity_change(p: Any, m: Any = NUMERIC) -> Any:
-    """Velocity change [m/s] of all propellant; infinite where it is not said how much there is."""
-    if not hasattr(p, "vehicle_dry_mass"):
+    """Velocity change [m/s] of all that may be burnt; infinite where nothing is said to be left."""
+    if not is_something_left(p):
         return math.inf
-    return exhaust_speed(p) * m.log(p.vehicle_mass / p.vehicle_dry_mass)
+    return exhaust_speed(p) * m.log(p.vehicle_mass / must_be_left(p, m))
+
+
+def is_something_left(p: Any) -> bool:
+    """Whether it is said what the burn must leave."""
+    return hasattr(p, "vehicle_dry_mass") or hasattr(p, "separation_mass")
+
+
+def must_be_left(p: Any, m: Any = NUMERIC) -> Any:
+    """Mass [kg] that the burn must leave: the dry mass, of which what enters the air is a part; 0 if neither is."""
+    return m.fmax(getattr(p, "vehicle_dry_mass", 0.0), getattr(p, "separation_mass", 0.0))

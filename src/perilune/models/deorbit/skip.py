@@ -28,7 +28,7 @@ from perilune.models.deorbit.ballistic import (
 )
 from perilune.models.deorbit.fall import Fall, fall
 from perilune.models.deorbit.passes import furthest_turned
-from perilune.models.deorbit.records import velocity_change
+from perilune.models.deorbit.records import is_something_left, velocity_change
 from perilune.problem.preflight import Finding
 from perilune.words.types import Matrix
 
@@ -94,7 +94,7 @@ def risen_again(fallen: Fall, interface: float) -> float:
 def pulled_down(p: Any) -> Any:
     """The same return whose falls are pulled down by as much as anything may that a fall in a plane leaves out."""
     oblate = sum((k + 1) * abs(getattr(p, f"body_j{k}", 0.0)) for k in (2, 3, 4))
-    turned = float(furthest_turned(p, velocity_change(p))) if hasattr(p, "vehicle_dry_mass") else math.pi
+    turned = float(furthest_turned(p, velocity_change(p))) if is_something_left(p) else math.pi
     along = math.copysign(1.0, p.body_rotation_rate)  # the way that the air goes
     away = min(math.acos(along * math.cos(p.orbit_inclination)) + turned, math.pi)
     changed = {
