@@ -79,7 +79,7 @@ class Carried:
     def check(self) -> None:
         """Possible, or refused by physics; never a fault."""
         code, out, error = said("check", str(self.file))
-        assert code in (0, 3) and self.problem.heading in out, error
+        assert code in (0, 3) and self.problem.heading in (out if code == 0 else error), error
         code, out, _ = said("check", str(self.file), "--json")
         assert code in (0, 3) and json.loads(out)["findings"] is not None
         self.step("check")
@@ -177,7 +177,8 @@ class Carried:
             csv.reader(line for line in (self.folder / "flight.csv").read_text().splitlines() if line[:1] != "#")
         )
         assert len(table) > 3 and len({len(row) for row in table}) == 1
-        assert len(to_dataframe(solution)) == len(to_xarray(solution).time)
+        rows, times = to_dataframe(solution).index, to_xarray(solution).time  # the latter a microsecond apart
+        assert 0 <= len(rows) - len(times) <= np.count_nonzero(np.diff(rows) < 1e-6)
         self.step("xarray, pandas")
 
     def drawn(self, solution: pl.Solution) -> None:

@@ -374,7 +374,8 @@ WAYS: Mapping[str, Ways] = {
 REFUSED: Mapping[str, Mapping[str, str]] = {
     "precision_landing": {f"no site.{key}": f"site.{key} is missing" for key in ("longitude", "latitude")},
 }  # fmt: skip
-# Returns that are solved from nothing in seconds, and what of them is picked: the parachute, and an orbit left alone.
+# Returns that are solved from nothing in seconds, and what of them is picked: the parachute, an orbit left alone, a
+# coast whose best is its longest, and a bank through air of a day.
 _PLAIN: Picked = {
     "minimise": "propellant", "epoch": "none", "body": "earth", "orbit": "from place, descending", "coast": "none",
     "engine": "speed", "dry": "any", "drag": "area", "heat": "none", "lift": "none", "throttle": "none",
@@ -384,6 +385,36 @@ _PLAIN: Picked = {
 QUICK_RETURNS: Sequence[Picked] = (
     {**_PLAIN, "air": "none", "drag": "none", "orbit": "ellipse", "coast": "stated", "proof": "stated"},
     {**_PLAIN, "throttle": "stated", "separation": "stated", "heat": "nose", "parachute": "stated"},
+    {
+        **_PLAIN,
+        "minimise": "transition_time",
+        "epoch": "stated",
+        "body": "sphere",
+        "orbit": "ellipse",
+        "coast": "stated",
+        "engine": "impulse",
+        "dry": "stated",
+        "heat": "heating",
+        "throttle": "stated",
+        "transition": "none",
+        "interface": "speeds",
+        "air": "nrlmsis",
+        "separation": "stated",
+        "limits": "empty",
+    },
+    {
+        **_PLAIN,
+        "epoch": "stated",
+        "body": "sphere",
+        "coast": "stated",
+        "dry": "stated",
+        "heat": "nose",
+        "lift": "free",
+        "air": "nrlmsis",
+        "limits": "load",
+        "site": "place",
+        "proof": "empty",
+    },
 )
 
 

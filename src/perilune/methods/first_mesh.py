@@ -122,7 +122,12 @@ class FirstMesh:
         nearest = self.run.attempt(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
         if nearest.violation > MISSED:
             return nearest, None
-        return nearest, self.run.attempt(program, nearest.free, nearest.phases, "from there")
+        # Of first steps as long as the adaptive barrier allows, those of a time lose the flight: the air is far from
+        # linear. With little barrier a flight that misses nothing is kept.
+        found = self.run.attempt(program, nearest.free, nearest.phases, "from there", most=BRIEF, close=True)
+        if not found.converged:
+            found = self.run.attempt(program, nearest.free, nearest.phases, "from there, anew")
+        return nearest, found
 
     def starts(self) -> Iterator[Start]:
         """From the guess, or straight lines."""

@@ -140,7 +140,8 @@ class Rungs:
                 if root.converged:
                     yield Member(value=value, root=root), rung
                     return
-                self.tried.append(f"{rung}: Newton ended at residual {np.abs(root.residual).max():.2g}")
+                left = float(np.abs(root.residual).max())
+                self.tried.append(f"{rung}: Newton {f'ended at residual {left:.2g}' if left < np.inf else 'was lost'}")
             if smoothing is None and self.coarse.lost and not self.keep:
                 trials.watch(f"start: {SMOOTH}")
                 smoothing = Smoothing(trials=trials, segments=some)

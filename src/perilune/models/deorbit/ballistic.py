@@ -32,7 +32,7 @@ from perilune.models.atmosphere import Air
 from perilune.models.deorbit.bounds import interface_speeds
 from perilune.models.deorbit.fall import Fall, fall
 from perilune.models.deorbit.passes import furthest_turned, lightest
-from perilune.models.deorbit.records import is_something_left, velocity_change
+from perilune.models.deorbit.records import velocity_change
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
@@ -174,7 +174,7 @@ def box_of_speeds(p: Any) -> Vector | None:
     if hasattr(p, "interface_speed"):
         return np.array([p.interface_speed])
     low, high = (getattr(p, f"interface_speed_{side}", math.nan) for side in ("lower", "upper"))
-    if is_something_left(p):
+    if hasattr(p, "vehicle_dry_mass"):
         least, most = (float(speed) for speed in interface_speeds(p, NUMERIC))
         low, high = np.fmax(low, least), np.fmin(high, most)
     return np.linspace(low, high, _SPEEDS) if 0 < low <= high else None

@@ -1,0 +1,34 @@
+"""Where returns start from without a guess: what once ended without an answer."""
+
+from __future__ import annotations
+
+import pytest
+
+import perilune as pl
+from matrix import QUICK_RETURNS, WAYS, text_of
+from perilune.methods.assemble import unknowns_from
+from perilune.methods.coarse import Coarse
+from perilune.methods.starts import held_in
+from perilune.methods.trials import Trials
+from perilune.scenario import load_text
+from perilune.words.watch import silent
+
+LATE, BANKED = (load_text(text_of(WAYS["deorbit_entry"].document(picked))) for picked in QUICK_RETURNS[2:4])
+
+
+def test_a_time_is_lowered_without_losing_the_flight() -> None:
+    """From a flight that misses nothing the first steps led out of the air, and 300 iterations not back."""
+    found = Coarse(pl.Indirect(), LATE, []).solve()
+    assert found is not None and found.statistics.residual < 1e-3
+    assert found.free["coast_time"] == pytest.approx(1200.0, rel=1e-6)
+    assert found.objective < 1114.278  # the extremal that random costates meet, at a maximum over the coast
+
+
+def test_pieces_that_miss_by_rounding_are_a_root() -> None:
+    """Through the air of a day a billionth is rounding: it is an extremal, with the cost that the mesh has."""
+    rough = Coarse(pl.Indirect(), BANKED, []).solve()
+    assert rough is not None
+    trials = Trials(BANKED, silent)
+    y = unknowns_from(BANKED, trials.conditions, rough)
+    root = trials.by_pieces(rough, y, held_in(trials, rough, y), 6, trials.others)
+    assert root.converged and root.cost * BANKED.scales.mass == pytest.approx(rough.objective, rel=1e-6)
