@@ -23,7 +23,7 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
 
 AT_BOUND = 1e-8  # canonical distance at which a value counts as lying on a bound
-_ROUNDED = 1e-8  # residual of pieces: no step of Newton lowers it where it is rounding, as in the air of a day
+_ROUNDED = 1e-8  # residual of pieces that are an answer by themselves: rounding, as in the air of a day
 
 
 class Trials:
@@ -94,11 +94,11 @@ class Trials:
         """Newton from unknowns and states at the joints of so many segments for each phase, then in one piece."""
         shooting = Shooting(self.conditions, segments=segments)
         root = self.settled(Y[None], choice, limits=limits, shooting=shooting)[0]
-        met = root.converged or (np.abs(root.residual).max() <= _ROUNDED and shooting.rounding(root))
-        if met and segments > 1:  # one piece again, for what follows
+        if segments > 1 and (root.converged or shooting.rounding(root)):  # one piece again, for what follows
             y = root.y[None, : len(self.conditions.unknowns)]
             one = self.settled(y, root.choice, limits=limits, accuracy=FINEST)[0]
-            root = self.shooting.in_one(one, root)
+            if one.converged or root.converged or np.abs(root.residual).max() <= _ROUNDED:
+                root = self.shooting.in_one(one, root)
         return root
 
     def correct(self, y: Vector, like: Root, p: Vector) -> Root:
