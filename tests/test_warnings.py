@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from command_line import ROOT
 from perilune.cli import run
 from perilune.models.atmosphere import exponential, standard
 from perilune.models.bodies import UniformGravity
@@ -18,6 +19,7 @@ from perilune.models.deorbit.told import meant_for
 from perilune.models.precision import Approach, precision_landing
 from perilune.models.standard_atmosphere import HIGHEST
 from perilune.models.vehicle import Vehicle
+from perilune.problem.wording import free_name
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
 
@@ -200,3 +202,9 @@ def test_a_coast_on_its_bound_names_the_key_that_states_it_or_that_none_is_best(
         EXAMPLES / "precision_landing.toml", ["approach.longest_coast=10 s", f"approach.up={up}"]
     ).problem
     assert said in pl.solve(problem, level=0).warnings
+
+
+def test_a_free_parameter_is_called_by_its_key_or_in_words() -> None:
+    lander, capsule = (load_file(ROOT / "examples" / f"{n}.toml").problem for n in ("hybrid_lander", "capsule_return"))
+    assert [free_name(lander, name) for name in lander.free_names] == ["retro.delta_v", "flight time"]
+    assert free_name(capsule, "burn_time") == "burn time"

@@ -21,6 +21,7 @@ from perilune.methods.smoothing import SMOOTH, Smoothing
 from perilune.methods.starts import PATIENCE, STRIDE, held_in, hold_ranges, leave_out, on_the_sphere, vanishing
 from perilune.methods.trials import Trials
 from perilune.problem.solution import Solution
+from perilune.problem.wording import free_name
 from perilune.shooting.continuation import Member
 from perilune.shooting.extremals import distinct
 from perilune.shooting.function import Roots
@@ -74,7 +75,8 @@ class Rungs:
         starts = [settings.starts if i == 0 else settings.starts // 2 for i in range(len(holds))]
         where = f" keeping {', '.join(self.keep)}" if self.keep else ""
         if trials.scanned is not None:
-            where += f" with {trials.problem.free[trials.scanned].name} held at {len(holds)} values"
+            name = free_name(trials.problem, trials.problem.free[trials.scanned].name)
+            where += f" with {name} held at {len(holds)} values"
         trials.watch(f"start: {_RANDOM}{where}")
         Y = np.vstack([on_the_sphere(trials, count, settings.seed) for count in starts])
         held = np.repeat(holds, starts)

@@ -36,7 +36,7 @@ from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.problem.symbolic import free_scales
-from perilune.problem.wording import parameter_key
+from perilune.problem.wording import free_name
 from perilune.shooting.continuation import Member
 from perilune.shooting.continuum import open_directions
 from perilune.shooting.extremals import Found, HeldFamily, new_among, same, scan
@@ -253,7 +253,7 @@ class Search:
     def _along(self, index: int, first: Member) -> tuple[list[Found], list[Member]]:
         """The extremals of the family through a member along one free parameter, and the members that were visited."""
         trials, free = self.trials, self.problem.free[index]
-        self.watch(f"following the family of extremals along {parameter_key(self.problem, free.name)}")
+        self.watch(f"following the family of extremals along {free_name(self.problem, free.name)}")
         family = HeldFamily(
             shooting=trials.shooting, p=trials.p, index=index, limits=trials.limits.without(index), watch=self.watch,
             keeps=lambda root: trials.outside(root) is None,
@@ -261,8 +261,8 @@ class Search:
         found, members = scan(family, first, trials.bounds(index), self.settings.scan_points)
         scale = free_scales(self.problem.free, self.problem)[index]
         low, high = (members[end].value * scale for end in (0, -1))
-        count = _extremals(len(found))
-        self.tried.append(f"a family along {free.name} from {low:.6g} to {high:.6g} {free.unit}: {count}")
+        ends, count = f"{low:.6g} to {high:.6g} {free.unit}", _extremals(len(found))
+        self.tried.append(f"a family along {free_name(self.problem, free.name)} from {ends}: {count}")
         return found, members
 
     def _held_at(self, root: Root, index: int) -> Member | None:

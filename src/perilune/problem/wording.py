@@ -59,6 +59,12 @@ def stating_keys(problem: Problem, k: int, kind: str, row: int) -> list[str]:
     return [parameter_key(problem, name) for name in names]
 
 
+def free_name(problem: Problem, name: str) -> str:
+    """Return what a free parameter is called in a sentence: the key that states it, or its name in words."""
+    key = parameter_key(problem, name)
+    return key if key != name else name.replace("_", " ")
+
+
 def limit_name(problem: Problem, bounded: Any, side: str) -> str:
     """Return what a limit of a state, an end or a control is called: its key, or the lower (upper) bound of what."""
     limit = getattr(bounded, side)
