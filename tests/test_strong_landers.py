@@ -190,6 +190,19 @@ def test_costates_of_the_program_are_what_a_moved_start_changes() -> None:
         assert behind - ahead == pytest.approx(2 * float(found.costates[0][at : at + 3] @ step), rel=1e-3)
 
 
+def test_an_orbit_that_dips_below_the_ground_is_raised_to_graze_it() -> None:
+    """At once, to the speed of the ellipse between both radii by vis-viva; two burns spend little more."""
+    problem, r = strong(1610.0), RADIUS + ALTITUDE
+    grazing = math.sqrt(MU * (2 / r - 2 / (r + RADIUS)))
+    found = two_impulses(around(problem))[0]
+    assert found.wait == pytest.approx(0.0, abs=0.01)
+    assert found.first == pytest.approx(grazing - 1610.0, abs=1e-6)
+    landed = solve(problem)
+    assert (landed.outcome, landed.verification.level) == (Outcome.PROVED, 3)
+    spent = 320.0 * 9.80665 * math.log(1e4 / -landed.objective)
+    assert found.velocity_change < spent < 1.01 * found.velocity_change
+
+
 @pytest.mark.parametrize(
     "problem",
     [

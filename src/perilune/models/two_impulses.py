@@ -1,8 +1,8 @@
 """A landing by two impulses from a bound orbit: the least velocity change that burn-coast-burn comes near to.
 
-From a bound orbit that clears the ground: coast for a time tau, one impulse against the velocity onto the ellipse that
-grazes the radius r_s of the site, half a turn or so of free fall to its lowest point, one impulse that leaves the
-velocity of the ground there,
+From a bound orbit that clears the ground, or almost: coast for a time tau, one impulse along the velocity onto the
+ellipse that grazes the radius r_s of the site, half a turn or so of free fall to its lowest point, one impulse that
+leaves the velocity of the ground there,
 
     dv(tau) = |v - v_1| + |v_2 - omega x r_2|,      r_p(v_1) = r_s.
 
@@ -22,6 +22,7 @@ from perilune.words.types import Vector
 
 _LOOKS = 48  # times of one turn at which the first impulse is tried
 _SAME = 1e-9  # relative difference of velocity changes that are the same
+_FASTER = 1.05  # the greatest share of the velocity with which a fall that meets the ground is made to graze it
 _BISECTIONS = 60
 _KEPLER_STEPS = 60  # of Newton's method for Kepler's equation
 
@@ -129,7 +130,7 @@ def _landing(around: Around, wait: float) -> TwoImpulses:
     """Return the landing that begins after a wait [s]."""
     mu, before = around.mu, fallen(around.position, around.velocity, around.mu, wait)
     position, velocity = before
-    low, high = 0.0, 1.0  # shares of the velocity that is left
+    low, high = 0.0, _FASTER  # shares of the velocity that is left
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _lowest(position, middle * velocity, mu) > around.radius else (middle, high)
@@ -138,6 +139,13 @@ def _landing(around: Around, wait: float) -> TwoImpulses:
     lowest = fallen(position, after, mu, fall)
     ground = np.cross(around.turning, lowest[0])
     return TwoImpulses(wait=wait, fall=fall, before=before, after=after, lowest=lowest, ground=ground)
+
+
+def _may_graze(around: Around, wait: float) -> bool:
+    """Whether a flight is above the ground after a wait [s], and may be made to graze it."""
+    position, velocity = fallen(around.position, around.velocity, around.mu, wait)
+    above = float(np.linalg.norm(position)) > around.radius
+    return above and _lowest(position, _FASTER * velocity, around.mu) > around.radius
 
 
 def two_impulses(around: Around) -> list[TwoImpulses]:
@@ -155,15 +163,19 @@ def two_impulses(around: Around) -> list[TwoImpulses]:
     -------
     list
         The least first; the one that begins at once where waiting changes nothing. None where the start is on no
-        ellipse, or on one that does not clear the ground.
+        ellipse, or on one that meets the ground with more than a few hundredths of the speed to spare.
     """
     from scipy.optimize import minimize_scalar
 
     semi, _ = orbit_shape(around.position, around.velocity, around.mu)
-    if not (semi > 0 and _lowest(around.position, around.velocity, around.mu) > around.radius):
+    if not semi > 0:
         return []
     turn = 2 * math.pi * math.sqrt(semi**3 / around.mu)
     waits = np.linspace(0.0, turn, _LOOKS + 1)
+    last = int(np.argmin([*(_may_graze(around, wait) for wait in waits), False])) - 1
+    waits = waits[: last + 1]
+    if last < 0:
+        return []
 
     def spent(wait: float) -> float:
         return _landing(around, wait).velocity_change
@@ -174,11 +186,11 @@ def two_impulses(around: Around) -> list[TwoImpulses]:
     ahead, behind = (np.append(changes[1:], np.inf), np.append(np.inf, changes[:-1]))
     least = np.nonzero((changes <= ahead) & (changes <= behind))[0].tolist()
     found = list[TwoImpulses]()
-    for k in least[:-1] if 0 in least and _LOOKS in least else least:  # the first, a turn later
-        near = waits[max(k - 1, 0)], waits[min(k + 1, _LOOKS)]
+    for k in least[:-1] if {0, _LOOKS} <= {*least} else least:  # the first, a turn later
+        near = waits[max(k - 1, 0)], waits[min(k + 1, last)]
         nearest: Any = minimize_scalar(spent, method="bounded", bounds=near)
         found.append(_landing(around, min((float(waits[k]), float(nearest.x)), key=spent)))
-    between = (k for k in range(0, _LOOKS, _LOOKS // 4) if min(abs(k - known) for known in least) > _LOOKS // 8)
+    between = (k for k in range(0, last, _LOOKS // 4) if min(abs(k - known) for known in least) > _LOOKS // 8)
     return [*sorted(found, key=lambda one: one.velocity_change), *(_landing(around, float(waits[k])) for k in between)]
 
 
