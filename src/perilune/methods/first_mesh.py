@@ -122,11 +122,12 @@ class FirstMesh:
         nearest = self.run.attempt(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
         if nearest.violation > MISSED:
             return nearest, None
-        # Of first steps as long as the adaptive barrier allows, those of a time lose the flight: the air is far from
-        # linear. With little barrier a flight that misses nothing is kept.
-        found = self.run.attempt(program, nearest.free, nearest.phases, "from there", most=BRIEF, close=True)
+        found = self.run.attempt(program, nearest.free, nearest.phases, "from there")
         if not found.converged:
-            found = self.run.attempt(program, nearest.free, nearest.phases, "from there, anew")
+            # First steps as long as the adaptive barrier allows may lose the flight, as air is far from linear: with
+            # little barrier it is kept.
+            name = "from there, by little barrier"
+            found = self.run.attempt(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
         return nearest, found
 
     def starts(self) -> Iterator[Start]:
