@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 import perilune as pl
 from perilune.structures.budgets import with_budgets
@@ -133,3 +133,86 @@ def test_what_is_no_budget_stays_as_it_is() -> None:
     assert with_budgets(least, linear=True) is least
     told = with_budgets(cart(5.0), linear=False)
     assert with_budgets(told, linear=False) is told
+
+
+def stages(first: float, last: float, *, anew: bool = False, coast: bool = False, size: float = 1.0) -> pl.Problem:
+    """The cart at rest at 0 and 10 m with a limit of E in each half, or at 2 m/s there before a coast within both.
+
+    With `anew` E counts from 0 again in the second half; `size` is that of the limits' values and of J.
+    """
+
+    def phase(name: str, **more: Any) -> pl.Phase:
+        return pl.Phase(
+            name=name, states=variables(s="m", v="m/s", E=ENERGY), duration=f"T_{name}",
+            path=lambda x, u, p, m: (size * (getattr(p, name) - x.E),), path_conditions=variables(left=ENERGY), **more,
+        )  # fmt: skip
+
+    steered: Any = {
+        "controls": (pl.Bounded(name="u", unit="m/s^2"),),
+        "dynamics": lambda x, u, p, m: (x.v, u.u, u.u * u.u),
+    }
+    half: Any = {"end": lambda x, p, m: (x.s - 0.5 * p.L,), "end_conditions": variables(place="m"), **steered}
+    rest: Any = {"end": lambda x, p, m: (x.s - p.L, x.v - p.vT), "end_conditions": variables(place="m", speed="m/s")}
+    still: Any = {"dynamics": lambda x, u, p, m: (x.v, 0 * p.a, 0 * p.a * p.a)}
+    one, two = (phase("one", **rest, **steered), phase("two", **still)) if coast else (
+        phase("one", **half), phase("two", **rest, **steered))  # fmt: skip
+    names = ("T_one",) if coast else ("T_one", "T_two")
+    own = {"one": (first, ENERGY), "two": (last, ENERGY), "L": (10.0, "m"), "vT": (2.0 if coast else 0.0, "m/s")}
+    return cart(5.0).changed(
+        name="stages", phases=(one, two), form=None,
+        links=(lambda x, p, m: (x.s, x.v, 0 * x.E if anew else x.E),),
+        given=given(**own, **({"T_two": (3.0, "s"), "a": (1.0, "m/s^2")} if coast else {})),
+        free=tuple(pl.Free(name=name, unit="s", lower=0.1, upper=100.0, typical=4.0) for name in names),
+        objective=lambda x, p, m: (p.T_one if coast else p.T_one + p.T_two) / size,
+    )  # fmt: skip
+
+
+def energy_between(way: float, begin: float, end: float, T: float) -> float:
+    """int u^2 over a way between two speeds, with u linear in time."""
+    return 4 * (begin**2 + begin * end + end**2) / T - 12 * way * (begin + end) / T**2 + 12 * way**2 / T**3
+
+
+def least_time_in_halves(first: float, last: float, anew: bool) -> float:
+    """Over the speed between both halves, each as short as its energy lets it be."""
+
+    def shortest(begin: float, end: float, energy: float) -> float:
+        longest = 15.0 / (begin + end)  # beyond it the least energy rises again
+        found: Any = brentq(lambda T: energy_between(5.0, begin, end, T) - energy, 0.5, longest, xtol=1e-14)
+        return found
+
+    def total(speed: float) -> float:
+        return shortest(0.0, speed, first) + shortest(speed, 0.0, last if anew else last - first)
+
+    found: Any = minimize_scalar(total, bounds=(1.5, 2.5), method="bounded", options={"xatol": 1e-9})
+    return float(found.fun)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "anew"),
+    [(1.5, 5.0, False), (2.0, 3.0, True)],  # tighter before the half; anew in the second one
+)
+def test_budgets_of_two_phases_that_are_called_alike(first: float, last: float, anew: bool) -> None:
+    solution = pl.solve(stages(first, last, anew=anew))
+    assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 3)
+    assert solution.objective == pytest.approx(least_time_in_halves(first, last, anew), rel=1e-9)
+
+
+def test_one_budget_through_two_phases_is_said_once() -> None:
+    for problem, count in ((stages(5.0, 5.0), 0), (stages(1.5, 5.0), 1), (stages(5.0, 5.0, anew=True), 1)):
+        first, last = with_budgets(problem, linear=False).phases
+        assert (len(first.end_conditions), len(last.end_conditions)) == (1 + count, 3)
+
+
+def test_a_budget_before_a_coast_within_it() -> None:
+    """No control of the coast uses it up, so that the end of the burn says it."""
+    solution = pl.solve(stages(1.5, 1.5, coast=True))
+    truth: Any = brentq(lambda T: energy_between(10.0, 0.0, 2.0, T) - 1.5, 1.0, 7.5, xtol=1e-14)
+    assert solution.verification.level == 3, str(solution.verification)
+    assert solution.objective == pytest.approx(truth, rel=1e-10)
+
+
+def test_a_budget_in_large_units_is_proved() -> None:
+    """Its multiplier is 4e-7 of canonical J per canonical unit, and neighbours are solved with it all the same."""
+    solution = pl.solve(stages(5.0, 5.0, size=1e3))
+    assert solution.verification.level == 3, str(solution.verification)
+    assert solution.objective == pytest.approx((12 * 10**2 / 5.0) ** (1 / 3) / 1e3, rel=1e-10)

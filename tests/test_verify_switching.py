@@ -152,6 +152,15 @@ def test_a_switching_function_that_only_touches_zero_is_not_strict(power: int) -
         assert "crosses its switch" in check(verification, "conjugate_point").meaning
 
 
+def test_a_condition_that_is_called_as_a_control_excuses_no_weak_switch_of_that() -> None:
+    """Both checks are called strict_u, and only the multiplier of a condition need not be strict."""
+    solution = tug(0.0, power=2, switch=0.0)
+    (phase,) = solution.problem.phases
+    far = replace(phase, path=lambda x, u, p, m: (2 - u.u,), path_conditions=(Variable(name="u"),))
+    solution = replace(solution, problem=replace(solution.problem, phases=(far,)))
+    assert "strict_u" in failed(verify(solution, resolve=lambda problem, guess: guess))
+
+
 @pytest.mark.parametrize("late", [1e-6, 1e-2, -1e-2])
 def test_a_switch_away_from_the_zero_of_its_function_is_feasible_but_no_extremal(late: float) -> None:
     solution = tug(0.1, switch=MIDDLE + late)

@@ -26,6 +26,7 @@ NEARLY = 1e-8
 _ON_BOUND = 1e-5  # canonical distance at which a guess means a bound, as the direct method stays up to that far inside
 _VANISHING = 1e-3  # of the longest that a phase may last
 SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as holding it
+_OF_EXTREMAL = 1e-9  # the same of an extremal, whose neighbours are solved: J or the range may be stated in large units
 
 
 def on_the_sphere(trials: Trials, count: int, seed: int) -> Matrix:
@@ -92,11 +93,11 @@ def held_in(trials: Trials, guess: Solution, y: Vector, limits: Limits | None = 
         for limit in (limits.lower[i], limits.upper[i])
         if abs(value - limit) <= _ON_BOUND or limits.lower[i] == limits.upper[i]
     }
-    ranges = {}
+    ranges, least = {}, _OF_EXTREMAL if is_neighbour(trials.problem) else SIGNED
     for i, (_, unknown) in enumerate(trials.conditions.ranges):
         nu = y[unknown]
         limit = (limits.lower if nu < 0 else limits.upper)[len(free) + i]
-        if abs(nu) > SIGNED and np.isfinite(limit):
+        if abs(nu) > least and np.isfinite(limit):
             ranges[i] = float(limit)
     return trials.shooting.holding(held, ranges)
 

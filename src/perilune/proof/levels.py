@@ -186,11 +186,15 @@ def _optimality(
 
 
 def _idle_controls(parts: Solution, found: Sequence[Check]) -> dict[str, str]:
-    """Return the conditions that hold the control with multipliers that are not strictly positive, by failed check."""
+    """Return the conditions that hold the control with multipliers that are not strictly positive, by failed check.
+
+    One that is called as a control is left out: the check may be that of the control, which nothing excuses.
+    """
     strict = {
         f"{Arc(solution=parts, index=k).prefix}strict_{condition.name}": condition.name
         for k, phase in enumerate(parts.problem.phases)
         for condition in phase.path_conditions
+        if condition.name not in phase.control_names
     }
     return {c.name: strict[c.name] for c in found if c.name in strict and not c.passed}
 

@@ -15,18 +15,20 @@ Source: isoperimetric constraints, Bryson and Ho (1975), section 3.1.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from perilune.problem.controls import Control
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.rates import acts, acts_linearly, gathered, rate
 from perilune.problem.tape import ROLES, Expression, Recorder
 from perilune.problem.variables import Variable
-from perilune.structures.structure import margins
+from perilune.structures.structure import margins, plain_bounds
 from perilune.words.maths import NUMERIC
 
 _DRAWN, _FEWEST = 400, 40  # points at which S' is computed, and those at which it has to be a number
@@ -52,8 +54,9 @@ def with_budgets(problem: Problem, *, linear: bool) -> Problem:
 
 def _limited_at_end(problem: Problem, k: int, linear: bool) -> Phase:
     phase, known = problem.phases[k], problem.form.expressions.get((k, "end"))
-    after = margins(problem, k + 1) if k + 1 < len(problem.phases) else {}  # there it holds on
-    limits = [_at_end(phase, *margins(problem, k)[name]) for name in _used_up(problem, k, linear) if name not in after]
+    after = set(_used_up(problem, k + 1, linear)) if k + 1 < len(problem.phases) else set[str]()
+    names = [name for name in _used_up(problem, k, linear) if not (name in after and _holds_on(problem, k, name))]
+    limits = [_at_end(phase, *margins(problem, k)[name]) for name in names]
     if not limits:
         return phase
     values = [*([] if known is None else [known]), *(value for _, value in limits)]
@@ -95,6 +98,24 @@ def _used_up(problem: Problem, k: int, linear: bool) -> Iterator[str]:
             yield name
 
 
+def _holds_on(problem: Problem, k: int, name: str) -> bool:
+    """Return True if phase k + 1 begins with no more left of this limit, as far as points drawn at random tell.
+
+    Then the end of phase k need not say it. One that is tighter before, or that counts anew, is a budget of its own.
+    """
+    own, following = problem.phases[k : k + 2]
+    bounds = {given: number.value for given, number in plain_bounds(problem).items()}
+    p = SimpleNamespace(**vars(problem.parameters({})), **bounds)
+    x = own.state_record(*_points_between(problem, own.states, p, np.random.default_rng(0)))
+    with np.errstate(all="ignore"):
+        begun = following.state_record(*problem.links[k](x, p, NUMERIC))
+        here, there = (
+            np.asarray(margins(problem, at)[name][1](z, None, p, NUMERIC)[0], dtype=float)
+            for at, z in ((k, x), (k + 1, begun))
+        )
+    return bool(np.all(there <= here))
+
+
 def _read(expression: Expression | None) -> set[tuple[str, str]]:
     """Return role and name of each component that an expression reads."""
     return set() if expression is None else {(op[0], op[1]) for op in expression.tape.instructions if op[0] in ROLES}
@@ -106,19 +127,24 @@ def _falls(problem: Problem, phase: Phase, change: Expression) -> bool:
     That it is asks for nothing: the range at the end says what holds anyway.
     """
     rng, p = np.random.default_rng(0), problem.parameters({})
-
-    def drawn(size: float, lower: float, upper: float) -> Any:
-        low = lower if math.isfinite(lower) else min(upper, 0.0) - _FAR * size
-        high = upper if math.isfinite(upper) else max(lower, 0.0) + _FAR * size
-        return rng.uniform(low, high, _DRAWN)
-
-    x = [drawn(problem.size_of(state), *state.limits(p)) for state in phase.states]
+    x = _points_between(problem, phase.states, p, rng)
     u = list[Any]()
     for control in phase.controls:
-        value = np.array([drawn(problem.size_of(control), *control.limits(p)) for _ in control.names])
+        value = np.array([_points_between(problem, [control], p, rng)[0] for _ in control.names])
         u += list(value if control.scalar else control.normalised(value))
     with np.errstate(all="ignore"):
         found = change(phase.state_record(*x), phase.control_record(*u), p, NUMERIC)[0]
     known = np.broadcast_to(np.asarray(found, dtype=float), _DRAWN)
     known = known[np.isfinite(known)]
     return len(known) >= _FEWEST and bool(known.min() < 0 and known.max() <= -_ROUNDED * known.min())
+
+
+def _points_between(problem: Problem, of: Sequence[Variable | Control], p: Any, rng: np.random.Generator) -> list[Any]:
+    """Return values of states or controls between their bounds, those that have none within `_FAR` sizes of zero."""
+    found = list[Any]()
+    for one in of:
+        size, (lower, upper) = problem.size_of(one), one.limits(p)
+        low = lower if math.isfinite(lower) else min(upper, 0.0) - _FAR * size
+        high = upper if math.isfinite(upper) else max(lower, 0.0) + _FAR * size
+        found.append(rng.uniform(low, high, _DRAWN))
+    return found
