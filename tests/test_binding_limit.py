@@ -28,7 +28,9 @@ def variables(**units: str) -> tuple[pl.Variable, ...]:
     return tuple(pl.Variable(name=name, unit=unit) for name, unit in units.items())
 
 
-def moved(duration: float = 1.5, hardest: float = 1.0, minimised: str = "") -> pl.Problem:
+def moved(
+    duration: float = 1.5, hardest: float = 1.0, minimised: str = "", scales: pl.Scales | None = None
+) -> pl.Problem:
     """One metre from rest to rest, by a push between -1 and `hardest` m/s^2, in a given time at most."""
     phase = pl.Phase(
         name="move", states=variables(x="m", v="m/s"),
@@ -47,7 +49,7 @@ def moved(duration: float = 1.5, hardest: float = 1.0, minimised: str = "") -> p
         free=(pl.Free(name="flight_time", unit="s", lower=0.1, upper=duration, typical=duration),),
         objective=lambda x, p, m: p.flight_time, objective_unit="s",
         results=lambda first, last, p, m: (p.flight_time + p.spare,),
-        result_variables=variables(clock="s"), minimised=minimised,
+        result_variables=variables(clock="s"), minimised=minimised, scales=scales or pl.Scales(),
     )  # fmt: skip
 
 
@@ -57,9 +59,10 @@ def failed(problem: pl.Problem) -> NotConvergedError:
     return caught.value
 
 
-def test_the_bound_of_a_control_gives_as_much_as_a_closed_form_says() -> None:
+@pytest.mark.parametrize("scales", [pl.Scales(), pl.Scales(length=3.0, time=5.0)])
+def test_the_bound_of_a_control_gives_as_much_as_a_closed_form_says(scales: pl.Scales) -> None:
     """To brake at 1 and be there in T = 1.5 s the push is a with 1/a + 1 = T^2/2: 8 m/s^2, 7 more than there are."""
-    problem = moved()
+    problem = moved(scales=scales)
     error = with_binding_limit(problem, failed(problem))
     assert error.what.startswith("no flight was found that keeps every limit: the best misses ")
     relaxed = {one["limit"]: one["by"] for one in error.partial["relaxations"]}

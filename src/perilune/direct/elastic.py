@@ -22,9 +22,10 @@ from typing import Any
 from perilune.problem.controls import scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Variable
+from perilune.problem.variables import Free, Given, Variable
 
 _SLACK = "relaxation"
+_STATED = "relaxed_bound"  # a given parameter, as a number in the text of a condition has no unit and is not scaled
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +94,8 @@ def relaxed_problem(problem: Problem, limit: ElasticLimit) -> Problem:
     """Return the problem with a limit made elastic, that minimises by how much it gives."""
     size, slacks = problem.size_of(limit.bounded), slack_names(limit)
     phases, free = tuple(_relaxed_phase(phase, limit) for phase in problem.phases), problem.free
+    bound = getattr(limit.bounded, limit.side) if limit.side else None
+    stated = {} if bound is None or isinstance(bound, str) else {_STATED: Given(value=bound, unit=limit.bounded.unit)}
     if limit.kind == "free":
         none = {limit.side: -math.inf if limit.side == "lower" else math.inf}
         free = tuple(replace(f, **none) if f.name in limit.names else f for f in free)
@@ -103,9 +106,9 @@ def relaxed_problem(problem: Problem, limit: ElasticLimit) -> Problem:
         return sum(getattr(p, name) for name in slacks)
 
     return problem.changed(
-        phases=phases, free=(*free, *new), objective=least, objective_unit=limit.bounded.unit,
-        objective_scale=size, results=None, result_variables=(), maximised="", minimised="", ranges=None,
-        preflight=None, bookkeeping=None, declared=(), form=None,
+        phases=phases, free=(*free, *new), given={**problem.given, **stated}, objective=least,
+        objective_unit=limit.bounded.unit, objective_scale=size, results=None, result_variables=(),
+        maximised="", minimised="", ranges=None, preflight=None, bookkeeping=None, declared=(), form=None,
     )  # fmt: skip
 
 
@@ -125,11 +128,11 @@ def _relaxed_phase(phase: Phase, limit: ElasticLimit) -> Phase:
 
 def _with_end(phase: Phase, limit: ElasticLimit) -> Phase:
     """The last phase with the bound of a free parameter as a condition of its end, that is relaxed."""
-    (name,), bound, sign = limit.names, getattr(limit.bounded, limit.side), 1 if limit.side == "lower" else -1
+    (name,), sign = limit.names, 1 if limit.side == "lower" else -1
 
     def end(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
         own = () if phase.end is None else phase.end(x, p, m)
-        return *own, sign * (getattr(p, name) - bound) + getattr(p, _SLACK)
+        return *own, sign * (getattr(p, name) - getattr(p, _STATED)) + getattr(p, _SLACK)
 
     room = Variable(name=f"room_of_{name}", unit=limit.bounded.unit, lower=0.0)
     return replace(phase, end=end, end_conditions=(*phase.end_conditions, room))
@@ -163,7 +166,7 @@ def _bound_as_condition(phase: Phase, limit: ElasticLimit, bounded: Any) -> Phas
     room = Variable(name=f"room_of_{bounded.name}", unit=bounded.unit, scale=getattr(bounded, "scale", None))
 
     def left(values: Any, p: Any) -> Any:
-        at = getattr(p, bound) if isinstance(bound, str) else bound
+        at = getattr(p, bound if isinstance(bound, str) else _STATED)
         return sign * (getattr(values, bounded.name) - at) + getattr(p, _SLACK)
 
     def path(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
