@@ -244,6 +244,20 @@ def test_closer_looks_find_what_lies_between(depth: float, seen: bool) -> None:
     assert len(t) < 201 + 33 * CLOSEST
 
 
+def test_closer_looks_go_on_behind_a_time_that_rounding_doubles() -> None:
+    """What is least behind it was not looked for: the doubled time passed for the neighbour."""
+    doubled = np.nextafter(0.9, 0.0)
+
+    def room(t: Any) -> Any:
+        return 10.0 * (t - 0.90003) ** 2 - 1e-9 - 1e-16 * (t == doubled)
+
+    t = np.union1d(np.linspace(0.0, 1.0, 201), [doubled])
+    assert {doubled, 0.9} <= {*t.tolist()}
+    for _ in range(CLOSEST):
+        t = np.union1d(t, closer(t, room(t), 1e-10))
+    assert room(t).min() < -0.9e-9
+
+
 def test_closer_looks_end_where_there_is_nothing_to_see() -> None:
     t = np.linspace(0.0, 1.0, 201)
     assert not len(closer(t, 1.0 + (t - 0.3) ** 2, 1e-9))  # far above its limit

@@ -22,7 +22,8 @@ from perilune.words.types import Vector
 
 _POINTS = 201  # of a phase, at which its conditions are looked at first, beside its switches
 _BEFORE = 1e-9  # of the phase: how long before a switch
-_SLACK, _GRAZED = 1e-9, 1e-10  # canonical; the second is what the proof allows
+_SLACK, ALLOWED = 1e-9, 1e-10  # canonical; the second is what the proof allows
+_GRAZED = 0.5 * ALLOWED  # as its flight is another, and rounds otherwise
 _NO_FLIGHT = 1e-6  # of its typical length: what vanishes meets all conditions where nothing is asked of its end
 _ACCURACY = 1e-11  # of the flights that are looked at
 

@@ -20,7 +20,7 @@ from perilune.methods.assemble import free_values, unknowns_from
 from perilune.methods.breaches import Breach
 from perilune.methods.coarse import Coarse, touched
 from perilune.methods.flown import may_be_cut, mended
-from perilune.methods.judge import Judge
+from perilune.methods.judge import ALLOWED, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import NOT_ISOLATED, best_misses, better_within, not_converged, refusal
 from perilune.methods.rungs import Met, Rungs
@@ -433,7 +433,8 @@ class Search:
 
     def refuse_if_missed(self, root: Root) -> None:
         """Raise `InfeasibleError` for an optimum that misses a bound, by however little, where no other can keep it."""
-        missed = [b for b in self.answering.judge.grazing(root) if better_within(self.problem, b) is not None]
+        grazing = (b for b in self.answering.judge.grazing(root) if b.canonical > ALLOWED)
+        missed = [b for b in grazing if better_within(self.problem, b) is not None]
         if missed:
             told = "each flight that keeps it would be better than this optimum"
             raise best_misses(self.problem, missed, 1, told, {"tried": list(self.tried)})

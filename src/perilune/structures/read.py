@@ -42,6 +42,7 @@ BULGE = 8.0  # times what S falls below 0 it may rise above on an arc that is ri
 POINTS = 2000  # of a phase, beside the nodes of its tables
 ROUNDING = 1e-8  # of what S goes through: less below 0 is not broken
 _CLOSER = 33  # times between the neighbours of a look at which S is least: 16 times as close, 256 times as exact
+_ROUNDED = 1e-12  # of the times looked at: those nearer to each other are one
 CLOSEST = 4  # times that is done: from a share 1/200 of a phase on, it ends below the last digit of a time
 EXACTLY = 1e-9  # of the size of S, to which an answer is judged
 WIDER, STAYS = 4.0, 0.6  # a wider level; ridden where the flight stays for such a share of the time below the wider one
@@ -240,6 +241,9 @@ def closer(t: Vector, room: Vector, slack: float) -> Vector:
     """
     if len(t) < 2:
         return t[:0]
+    # Of two times that rounding parts neither is the other's neighbour: what lies behind them would go unseen.
+    apart = np.append(True, np.diff(t) > _ROUNDED * (t[-1] - t[0]))
+    t, room = t[apart], room[apart]
     before, behind = np.append(room[0], room[:-1]), np.append(room[1:], room[-1])
     rise = np.maximum(before, behind) - room
     low = (room <= before) & (room <= behind) & (rise > slack) & (room < rise)
