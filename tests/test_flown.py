@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,12 @@ import pytest
 import perilune as pl
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
+from perilune.methods.answer import Curves
 from perilune.methods.flown import exported, in_one_piece, mended
+from perilune.methods.search import Search
 from perilune.problem.variables import Given, Variable
-from perilune.shooting.function import Shooting
+from perilune.shooting.function import Root, Shooting
+from perilune.words.watch import silent
 from test_control_law import given, variables
 
 
@@ -78,6 +82,22 @@ def test_a_flight_that_cannot_be_cut_ends_where_it_should(monkeypatch: pytest.Mo
     monkeypatch.setattr("perilune.shooting.newton.FINEST", 1e-9)  # and of one phase by 1e-9 times a few
     found = pl.Indirect().run(problem.with_given(side=1.1), near)
     assert found.trajectories[0].state(1.0)[0] == pytest.approx(1.1, rel=1e-11)
+
+
+def test_a_root_of_amplified_rounding_is_moved_by_its_last_digits() -> None:
+    """Of a return that touches its load limit the pieces are no root: its rate was left at 5.5e-9 of its size."""
+    problem = saddle(8.0)
+    known = pl.solve(problem, level=0).trajectories
+    assert isinstance(known, Curves)
+    search, root = Search(pl.Indirect(), problem, silent), known.root
+    rounded = replace(root, y=root.y + [1e-10, 0.0, 0.0], residual=root.residual + 5e-10)
+
+    def missed(root: Root) -> float:
+        (flown,) = in_one_piece(problem, known.conditions, root.y)
+        return abs(float(flown.z[-1, 0]) - 1.0)
+
+    assert missed(rounded) > 1e-8 and missed(search._to_last_digits(rounded)) < 1e-11
+    assert search._to_last_digits(root) is root
 
 
 @pytest.mark.parametrize(

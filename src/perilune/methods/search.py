@@ -325,7 +325,7 @@ class Search:
         name = trials.outside(root)
         if root.converged and name is None:
             # The J of a neighbour is compared to last digits.
-            root = trials.shooting.met(root) if is_neighbour(self.problem) else root
+            root = trials.shooting.met(root) if is_neighbour(self.problem) else self._to_last_digits(root)
             return [found_at(trials.shooting, self.problem, root)]
         if name is not None:
             raise NotConvergedError(
@@ -379,6 +379,10 @@ class Search:
         if segments == 1 or not may_be_cut(trials.conditions, segments):
             return root
         return trials.by_pieces(guess, y, choice, segments, trials.limits)
+
+    def _to_last_digits(self, root: Root) -> Root:
+        """Return the root; one of amplified rounding, whose pieces may be none, moved until its flight ends best."""
+        return root if np.abs(root.residual).max() <= TOLERANCE else self._mended(root)[0]
 
     def _mended(self, root: Root) -> tuple[Root, float]:
         plan = self.trials.shooting.plan
