@@ -90,7 +90,7 @@ def test_a_root_of_amplified_rounding_is_moved_by_its_last_digits() -> None:
     known = pl.solve(problem, level=0).trajectories
     assert isinstance(known, Curves)
     search, root = Search(pl.Indirect(), problem, silent), known.root
-    rounded = replace(root, y=root.y + [1e-10, 0.0, 0.0], residual=root.residual + 5e-10)
+    rounded = replace(root, y=root.y + np.array([1e-10, 0.0, 0.0]), residual=root.residual + 5e-10)
 
     def missed(root: Root) -> float:
         (flown,) = in_one_piece(problem, known.conditions, root.y)
