@@ -175,6 +175,10 @@ def test_ranges_travel_by_name() -> None:
         (lambda x, u, p, m: None, r"wrong number of values(.|\n)*None: is there a return"),
         (lambda x, u, p, m: x.v, r"wrong number of values(.|\n)*2: x, v"),
         (lambda x, u, p, m: (x.v, "fast"), r"returns what is no number(.|\n)*'fast'"),
+        (
+            lambda x, u, p, m: np.array([x.v, p.push * u.along]),
+            r"array of NumPy(.|\n)*np\.array(.|\n)*a tuple or a list",
+        ),
         (lambda x, u, p: (x.v, p.push), r"fails where it is tried(.|\n)*positional"),
         (lambda x, u, p, m: (x.v, p.push * u.along / 0.0), r"fails where it is tried(.|\n)*ZeroDivisionError"),
         (lambda x, u, p, m: (x.v, p.push * math.nan), r"dynamics of slide, v is not a number \(NaN\)"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from perilune.models.deorbit.told import meant_for
 from perilune.models.precision import Approach, precision_landing
 from perilune.models.standard_atmosphere import HIGHEST
 from perilune.models.vehicle import Vehicle
+from perilune.problem.cautions import _contact
 from perilune.problem.wording import free_name
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
@@ -208,3 +210,20 @@ def test_a_free_parameter_is_called_by_its_key_or_in_words() -> None:
     lander, capsule = (load_file(ROOT / "examples" / f"{n}.toml").problem for n in ("hybrid_lander", "capsule_return"))
     assert [free_name(lander, name) for name in lander.free_names] == ["retro.delta_v", "flight time"]
     assert free_name(capsule, "burn_time") == "burn time"
+
+
+@pytest.mark.parametrize(
+    ("room", "said"),
+    [
+        (lambda s: (s - 2.0) ** 2 * (s - 6.0) ** 2, "at 12 s and at 16 s"),
+        (lambda s: np.maximum(0.0, np.abs(s - 4.0) - 2.0), "between 12 and 16 s"),
+        (lambda s: np.maximum(0.0, s - 4.0) * np.abs(s - 7.0), "between 10.04 and 14 s and at 17 s"),
+        (lambda s: np.where(np.abs(s - 4.0) < 2.0, 1e-5 * np.sin(9.0 * s) ** 2, s**2), "between 12"),
+    ],
+)
+def test_a_limit_that_is_left_and_reached_again_is_told_so(room: Callable[[Any], Any], said: str) -> None:
+    """Two touches are no ride; what flutters along a limit by the error of a mesh is one."""
+    t = np.linspace(0.005, 0.995, 199) * 8.0
+    t = np.sort(np.concatenate([t, [2.0, 6.0, 7.0]]))
+    (text,) = _contact("room", t, room(t), room, 10.0)
+    assert text.startswith(f"room is at its limit {said}") and text.count("between") == said.count("between")

@@ -7,6 +7,7 @@ range which the model is meant for (`Views.meant_for`). Nothing here changes an 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -21,6 +22,7 @@ from perilune.words.units import told
 _AT_BOUND = 1e-7  # of its range: a parameter that is nearer to its bound is on it
 _NO_LENGTH = 1e-3  # of a flight: a phase that is bounded to last so long at least may be as good as none
 _CONTACT = 1e-6  # of its range along the flight: a condition with less room is reached
+_LEFT = 1e-3  # and with more room in between it is reached again; less is the error of a mesh
 _ENDS = 0.005  # of a phase at its ends, which conditions there decide
 _POINTS, _NEARER, _ROUNDS = 401, 9, 8  # looked at first; then, each time, four times closer about the least
 _DEEP = 1e-7  # of the radius, and at least a centimetre: a flight that is less deep touches the ground
@@ -214,11 +216,19 @@ def _contact(name: str, t: Vector, values: Vector, of: Callable[[Vector], Vector
             return
     low, high = float(t[max(i - 1, 0)]), float(t[min(i + 1, len(t) - 1)])
     least, when = _least(lambda s: of(low + s), high - low, _NEARER)
-    on = t[values <= _CONTACT * reach]
+    on = np.flatnonzero(values <= _CONTACT * reach)
     if len(on) > 1:
-        yield f"{name} is at its limit between {since + on[0]:.4g} and {since + on[-1]:.4g} s"
+        between = [values[a : b + 1].max() for a, b in itertools.pairwise(on)]
+        rides = np.split(on, np.flatnonzero(np.array(between) > _LEFT * reach) + 1)
+        yield f"{name} is at its limit {' and '.join(_while(since + t[ride[[0, -1]]]) for ride in rides)}"
     elif least <= _CONTACT * reach:
-        yield f"{name} is at its limit at {since + low + when:.4g} s"
+        yield f"{name} is at its limit {_while(np.full(2, since + low + when))}"
+
+
+def _while(ends: Vector) -> str:
+    """Instants in words: the first and the last, which may be one."""
+    first, last = ends
+    return f"at {first:.4g} s" if first == last else f"between {first:.4g} and {last:.4g} s"
 
 
 def _least(of: Callable[[Vector], Vector], duration: float, first: int = _POINTS) -> tuple[float, float]:

@@ -153,6 +153,13 @@ class Stated:
             raise PeriluneError(wrong, got=got, expected=self._wanted)
         if len(values) != len(self.results):
             raise PeriluneError(wrong, got=str(len(values)), expected=self._wanted)
+        if isinstance(values, np.ndarray) and values.dtype == object:  # which cannot hold a number beside many
+            raise PeriluneError(
+                f"{self.what} returns an array of NumPy",
+                got="np.array(...) of values that are known only in flight",
+                expected=f"a tuple or a list of {self._wanted}",
+                advice="return (..., ...) in place of np.array([..., ...])",
+            )
         return list(values)
 
     def _no_numbers(self, values: Sequence[Any]) -> PeriluneError:
