@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +107,15 @@ def test_a_budget_of_velocity(method: Any, stated: str) -> None:
     solution = pl.solve(thrusters(4.0, stated), method)
     assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 3)
     assert solution.objective == pytest.approx(10 / 2 + 2 / 1.1, rel=1e-9)
+
+
+def test_two_thrusters_that_switch_at_once() -> None:
+    """Full speed ahead to the middle, and full astern: no piece of the tables lies between both switches."""
+    solution = pl.solve(thrusters(9.0, "path"))
+    assert solution.objective == pytest.approx(2 * math.sqrt(10 / 1.1), rel=1e-10)
+    assert solution.verification.level >= 2, str(solution.verification)
+    time = solution.trajectories[0].control.time
+    assert (time[1:] == time[:-1]).sum() == 1
 
 
 def test_the_multiplier_of_a_budget_is_what_more_of_it_gains() -> None:
@@ -216,3 +227,18 @@ def test_a_budget_in_large_units_is_proved() -> None:
     solution = pl.solve(stages(5.0, 5.0, size=1e3))
     assert solution.verification.level == 3, str(solution.verification)
     assert solution.objective == pytest.approx((12 * 10**2 / 5.0) ** (1 / 3) / 1e3, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("limit", "longest", "enough"),
+    [(5.0, 5.0, 12 * 10**2 / 5.0**3), (1e-3, 100.0, 12 * 10**2 / 100.0**3)],
+)
+def test_a_budget_that_is_too_small_is_named_with_one_that_does(limit: float, longest: float, enough: float) -> None:
+    """It is said at the end too, where no point of a mesh lies: both give together."""
+    problem = cart(limit)
+    (duration,) = problem.free
+    with pytest.raises(pl.NotConvergedError) as refused:
+        pl.solve(problem.changed(free=(replace(duration, upper=longest),)))
+    found = re.search(r"budget ([0-9.e-]+) m\^2/s\^3", refused.value.advice)
+    assert found is not None, str(refused.value)
+    assert enough <= float(found[1]) * (1 + 1e-12) <= 1.01 * enough

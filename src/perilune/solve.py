@@ -85,8 +85,14 @@ def solve(
     demand_tolerance(tolerance)
     with ended_in_time(problem, watch, demand_limit(time_limit, level)) as work:
         refuse_impossible(preflight(problem))
-        stated = with_budgets(problem, linear=False)
-        return _solved_and_proved(usable(method), stated, guess, level, tolerance, work)
+        try:
+            stated = with_budgets(problem, linear=False)
+            return _solved_and_proved(usable(method), stated, guess, level, tolerance, work)
+        except NotConvergedError as error:
+            from perilune.methods.infeasibility import with_binding_limit
+
+            # Of the problem as it came: a limit that is said at the end too gives nowhere alone.
+            raise with_binding_limit(problem, error, work) from None
 
 
 @contextmanager
@@ -158,12 +164,10 @@ def _answered(method: Method, problem: Problem, guess: Solution | None, watch: W
         from perilune.methods.polished import polished  # and with it the direct method, and much of SciPy
 
         return polished(cast("Pseudospectral", method), problem, guess, watch)
-    except NotConvergedError as error:
+    except NotConvergedError:
         if (stated := with_budgets(problem, linear=True)) is not problem:
             return _answered(method, stated, guess, watch)
-        from perilune.methods.infeasibility import with_binding_limit
-
-        raise with_binding_limit(problem, error, watch) from None
+        raise
 
 
 def usable(method: Method | None) -> Method:

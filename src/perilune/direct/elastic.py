@@ -90,10 +90,18 @@ def slack_names(limit: ElasticLimit) -> tuple[str, ...]:
     return tuple(f"{_SLACK}_{name}_{way}" for name in limit.names for way in ("over", "under"))
 
 
-def relaxed_problem(problem: Problem, limit: ElasticLimit) -> Problem:
-    """Return the problem with a limit made elastic, that minimises by how much it gives."""
+def relaxed_problem(problem: Problem, limit: ElasticLimit, at_end: Sequence[str] = ()) -> Problem:
+    """Return the problem with a limit made elastic, that minimises by how much it gives.
+
+    Parameters
+    ----------
+    problem, limit
+        What is relaxed.
+    at_end
+        Names of end conditions that say a condition of the path at the end: they give with it.
+    """
     size, slacks = problem.size_of(limit.bounded), slack_names(limit)
-    phases, free = tuple(_relaxed_phase(phase, limit) for phase in problem.phases), problem.free
+    phases, free = tuple(_relaxed_phase(phase, limit, at_end) for phase in problem.phases), problem.free
     bound = getattr(limit.bounded, limit.side) if limit.side else None
     stated = {} if bound is None or isinstance(bound, str) else {_STATED: Given(value=bound, unit=limit.bounded.unit)}
     if limit.kind == "free":
@@ -112,12 +120,13 @@ def relaxed_problem(problem: Problem, limit: ElasticLimit) -> Problem:
     )  # fmt: skip
 
 
-def _relaxed_phase(phase: Phase, limit: ElasticLimit) -> Phase:
+def _relaxed_phase(phase: Phase, limit: ElasticLimit, at_end: Sequence[str]) -> Phase:
     """The phase with its own part of the limit relaxed."""
     if limit.kind == "path":
-        return replace(phase, path=_with_slack(phase.path, phase.path_conditions, limit, _given_way))
+        path = _with_slack(phase.path, phase.path_conditions, limit.names, _given_way)
+        return replace(phase, path=path, end=_with_slack(phase.end, phase.end_conditions, at_end, _given_way))
     if limit.kind == "end":
-        return replace(phase, end=_with_slack(phase.end, phase.end_conditions, limit, _given_either_way))
+        return replace(phase, end=_with_slack(phase.end, phase.end_conditions, limit.names, _given_either_way))
     if limit.kind == "free":
         return phase
     rows = phase.states if limit.kind == "state" else [c for _, c in scalars(phase.controls)]
@@ -138,15 +147,15 @@ def _with_end(phase: Phase, limit: ElasticLimit) -> Phase:
     return replace(phase, end=end, end_conditions=(*phase.end_conditions, room))
 
 
-def _with_slack(function: Any, conditions: Sequence[Variable], limit: ElasticLimit, give: Callable[..., Any]) -> Any:
-    """A function of conditions that adds what those of the limit are relaxed by."""
-    if function is None or not any(c.name in limit.names for c in conditions):
+def _with_slack(function: Any, conditions: Sequence[Variable], names: Sequence[str], give: Callable[..., Any]) -> Any:
+    """A function of conditions that adds what those of these names are relaxed by."""
+    if function is None or not any(c.name in names for c in conditions):
         return function
 
     def relaxed(*arguments: Any) -> tuple[Any, ...]:
         p = arguments[-2]
         values = zip(conditions, function(*arguments), strict=True)
-        return tuple(give(value, c.name, p) if c.name in limit.names else value for c, value in values)
+        return tuple(give(value, c.name, p) if c.name in names else value for c, value in values)
 
     return relaxed
 

@@ -181,6 +181,8 @@ def _nodes(
     nothing = _NOTHING * duration
     # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
     inside = [t for t in arc.switches if abs(t - 0.5 * duration) < (0.5 - _NOTHING) * duration]
+    # Nor do two controls that switch at once, as what is pulled one way and pushed the other, leave one between them.
+    inside = [t for before, t in pairwise([-np.inf, *sorted(inside)]) if t - before > nothing]
     joints = [t for t in arc.begins[1:].tolist() if np.abs(t - np.array([np.inf, *inside])).min() > nothing]
     first, last = (_told_from(extremal, arc, end, p) for end in (0.0, duration))
     pieces = []

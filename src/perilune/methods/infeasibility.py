@@ -21,6 +21,7 @@ from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.wording import limit_name, only_in_path, parameter_key, quantity_name
+from perilune.structures.budgets import AT_END, with_budgets
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.types import Vector
 from perilune.words.units import told, told_outwards
@@ -93,10 +94,13 @@ def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch 
 def _each_alone(problem: Problem, nearest: Solution, watch: Watch) -> Iterator[Relaxed]:
     """Flights with one limit relaxed each; ends only where no other limit helps."""
     left, found = _MOST // len(problem.phases), 0
+    # What is used up binds where a phase ends, and no point of a mesh lies there.
+    ended = with_budgets(problem, linear=True)
     for limit in elastic_limits(problem):
         if left <= 0 or (limit.kind == "end" and found):
             return
-        relaxed = relaxed_problem(problem, limit)
+        said = [f"{name}{AT_END}" for name in limit.names]
+        relaxed = relaxed_problem(problem if limit.kind == "state" else ended, limit, said)
         size = problem.size_of(limit.bounded)
         values = {**nearest.free, **dict.fromkeys(slack_names(limit), 0.1 * size)}
         guess = replace(nearest, problem=relaxed, free=values, multipliers={})

@@ -31,6 +31,7 @@ from perilune.problem.variables import Variable
 from perilune.structures.structure import margins, plain_bounds
 from perilune.words.maths import NUMERIC
 
+AT_END = "_at_end"  # follows the name of a limit in that of the end condition that says the same
 _DRAWN, _FEWEST = 400, 40  # points at which S' is computed, and those at which it has to be a number
 _FAR = 3.0  # canonical: states without bounds, and such controls, are drawn so far from zero
 _ROUNDED = 1e-12  # of the largest |S'|
@@ -73,12 +74,12 @@ def _at_end(
 ) -> tuple[Variable, Expression]:
     """Return the range that says at the end what a limit says on the way, and its value."""
     if bound is None:
-        return replace(variable, name=f"{variable.name}_at_end", lower=0.0, upper=math.inf), value
+        return replace(variable, name=f"{variable.name}{AT_END}", lower=0.0, upper=math.inf), value
     place, side = bound
     other, recorder, state = {"lower": "upper", "upper": "lower"}[side], Recorder(), phase.states[place]
     tape = recorder.tape([recorder.input("x", state.name)])
     open_side = {other: math.inf if other == "upper" else -math.inf}
-    return replace(state, name=f"{state.name}_at_end", **open_side), Expression(tape, ("x", "p"), origin="a bound")
+    return replace(state, name=f"{state.name}{AT_END}", **open_side), Expression(tape, ("x", "p"), origin="a bound")
 
 
 def _used_up(problem: Problem, k: int, linear: bool) -> Iterator[str]:
