@@ -100,7 +100,28 @@ def test_the_best_of_those_that_miss_is_named() -> None:
     assert error.partial == {**partial, "tried": ["costates on the unit sphere: 2 extremals"]}
     undecided = refusal(known(NotConvergedError("not yet optimal", partial={"all_missed": False})), [WIDE, LOW])
     assert isinstance(undecided, NotConvergedError) and "not settled" in undecided.what
+    assert "the nearest height by 3 m" in undecided.what
     assert InfeasibleError("too heavy").reason == "cannot be flown"
+
+
+def test_the_limit_that_the_nearest_extremal_breaks_is_named_and_no_equation_of_motion() -> None:
+    """Whose error, in a least miss that is no flight, tells nothing to who stated a limit of the load."""
+    coarse = Coarse(Indirect(), load_file(EXAMPLES / "capsule_return.toml").problem, [])
+    partial = {"missed": ["the dynamics of vz in entry is missed by 362.7 m/s"], "all_missed": False}
+    coarse.refusal = NotConvergedError("no trajectory was found", partial=partial)
+    broken = Breach(
+        name="load_left", text="load left falls to -23 m/s^2 on the way", miss=23.0, unit="m/s^2", canonical=3.0,
+        path=True, limit="load left",
+    )  # fmt: skip
+    worse = replace(broken, text="load left falls to -40 m/s^2 on the way", miss=40.0, canonical=5.0)
+    error = refusal(coarse, [worse, broken])
+    assert isinstance(error, NotConvergedError) and error.partial["missed"] == partial["missed"]
+    assert (
+        "the nearest load left (limits.load) by 23 m/s^2, and" in error.what
+        and error.got.startswith(broken.text)
+        and "dynamics" not in str(error)
+    )
+    assert error.expected == "load left never below 0" and error.advice.startswith("relax limits.load")
 
 
 def hurried(most: float) -> Problem:
@@ -158,7 +179,7 @@ def test_extremals_that_break_the_path_refuse_nothing() -> None:
     for tried in (nearest, NotConvergedError("the optimum was not reached")):
         error = refusal(known(tried), breaks)
         assert isinstance(error, NotConvergedError) and error.exit_code == 4 and "not settled" in error.what
-        assert f"angle falls to -0.5 rad; direct method: {tried.what}" in error.got
+        assert f"height falls to -3 m; direct method: {tried.what}" in error.got
     assert refusal(known(NotConvergedError("the optimum was not reached")), []) is None
 
 

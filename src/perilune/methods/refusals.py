@@ -18,9 +18,10 @@ from perilune.methods.breaches import Breach
 from perilune.methods.chattering import chattering
 from perilune.methods.coarse import Coarse, along_path
 from perilune.methods.undetermined import undetermined
+from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.problem.wording import limit_name, objective_text, quantity_name
+from perilune.problem.wording import limit_name, objective_text, quantity_name, stating_keys
 from perilune.shooting.continuum import nearly_open
 from perilune.shooting.function import Root
 from perilune.words.maths import NUMERIC
@@ -28,6 +29,7 @@ from perilune.words.outcome import BEST_MISSES, InfeasibleError, NotConvergedErr
 from perilune.words.types import Vector
 from perilune.words.units import told
 
+_DEFECT = "the dynamics of "  # in a least miss: it is no flight, and nothing that was stated stands in the way
 _BROKEN = "every extremal found breaks a condition"
 NO_EXTREMAL = "no extremal was found (a flight that meets every condition of an optimum)"
 CHATTERS = "no best flight was found: it chatters, or switches more often than any mesh follows"
@@ -53,7 +55,7 @@ def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
             return best_misses(coarse.problem, priced, len(breaches), got, {"tried": list(coarse.tried)})
     if flight is not None and (breaches or ridden_condition(coarse.problem, flight)):
         return kept_flight(coarse.problem, flight, breaches, coarse.tried)
-    return undecided(breaches, coarse.refusal, coarse.tried) if breaches else None
+    return undecided(coarse.problem, breaches, coarse.refusal, coarse.tried) if breaches else None
 
 
 def better_within(problem: Problem, breach: Breach) -> float | None:
@@ -153,22 +155,38 @@ def _easier(problem: Problem) -> str:
     return "given values that leave more room"
 
 
-def undecided(breaches: list[Breach], direct: PeriluneError | None, tried: list[str]) -> NotConvergedError:
-    """Every extremal breaks something, and the direct method did not settle whether any flight keeps everything."""
-    what = f"{_BROKEN}, and whether any flight keeps them all is not settled"
-    known = "its flight is too rough to tell" if direct is None else direct.what
-    got = f"{breaches[0].text}; direct method: {known}"
-    if missed := getattr(direct, "partial", {}).get("missed"):
-        what = f"no flight was found that keeps every condition: {missed[0]} by the nearest"
-        got = "; ".join([*missed[:4], f"{_BROKEN} too, as {breaches[0].text}"])
+def undecided(
+    problem: Problem, breaches: list[Breach], direct: PeriluneError | None, tried: list[str]
+) -> NotConvergedError:
+    """Every extremal breaks something, and the direct method did not settle whether any flight keeps everything.
+
+    The mildest extremal says it: a least miss of the direct method that is no flight blames what is held loosely.
+    """
+    least = min(breaches, key=lambda breach: breach.canonical)
+    keys = _keys_of(problem, least)
+    called, stated = least.limit or least.name, f" ({', '.join(keys)})" if keys else ""
+    ends = "its flight is too rough to tell" if direct is None else direct.what
+    if _DEFECT in ends:
+        ends = "it found none either"
     return NotConvergedError(
-        what,
-        got=got,
-        expected="every condition kept",
-        advice="the direct method on a finer mesh (Pseudospectral(nodes=8, segments=10)); a wider bound",
+        f"{_BROKEN}, the nearest {called}{stated} by {told(least.miss, least.unit)}, "
+        "and whether any flight keeps them all is not settled",
+        got=f"{least.text}; direct method: {ends}",
+        expected=least.kept or f"{called} never below 0",
+        advice=f"relax {keys[0] if keys else called}, and follow it back from where it flies (perilune sweep)",
         partial={**getattr(direct, "partial", {}), "tried": list(tried)},
         flight=getattr(direct, "flight", None),
     )
+
+
+def _keys_of(problem: Problem, breach: Breach) -> list[str]:
+    """Keys that state a condition of the path, that of the limit itself first; none of a bound, which is called so."""
+    for k, phase in enumerate(problem.phases):
+        for row, condition in enumerate(phase.path_conditions):
+            if breach.path and condition.name == breach.name:
+                keys = stating_keys(problem, k, "path", row)
+                return sorted(keys, key=lambda key: not key.startswith("limits."))
+    return []
 
 
 def ridden_condition(problem: Problem, flight: Solution) -> str | None:
@@ -193,9 +211,11 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
         }
         partial["free"] = free_values(problem, conditions, nearest.y)
         got = _nearest_approach(conditions, scaled, values)
-    advice = (
-        "what physics says (perilune check, perilune.preflight); more starts (Indirect(starts=100)), a nearby guess"
-    )
+    warned = [finding.meaning for finding in preflight(problem) if finding.verdict == "warning"]
+    got += "".join(f"; before solving, physics warns: {meaning}" for meaning in warned)
+    advice = "more starts (Indirect(starts=100)), a nearby guess"
+    if not warned:
+        advice = "what physics says (perilune check, perilune.preflight); " + advice
     if nearest is not None and nearly_open(nearest):
         got += f"; {NOT_ISOLATED}"
         advice = "a condition more at the end, a shorter or a free duration; " + advice
