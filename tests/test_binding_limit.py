@@ -223,3 +223,11 @@ def test_a_limit_that_the_relaxed_flight_keeps_already_has_no_parameter_to_name(
     with pytest.raises(NotConvergedError, match=r"misses vehicle\.dry_mass by about") as caught:
         pl.solve(load_file(EXAMPLES / "mars_pinpoint.toml", changes).problem, level=1)
     assert "vehicle.dry_mass 1504.9" in str(caught.value)
+
+
+def test_what_may_not_be_stated_is_no_advice() -> None:
+    """A lander that is too weak wants a throttle of 1.44 where up to 0.9 is given: full thrust is 1."""
+    problem = load_file(EXAMPLES / "precision_landing.toml", ["vehicle.thrust=3 kN"]).problem
+    error = with_binding_limit(problem, failed(problem))
+    assert "throttle.upper" in error.what and "out of its range" in error.got
+    assert "throttle.upper" not in error.advice and "more thrust" in error.advice

@@ -55,12 +55,16 @@ class Relaxed(NamedTuple):
 
 
 class Words(NamedTuple):
-    """What a limit is called, by how much it is missed, where everything else can be kept, and what was stated."""
+    """What a limit is called, by how much it is missed, where everything else can be kept, and what was stated.
+
+    And whether what would be enough may be stated: a throttle of 1.4 may not.
+    """
 
     name: str
     much: str
     enough: str
     stated: str
+    possible: bool = True
 
 
 def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch | None = None) -> NotConvergedError:
@@ -162,7 +166,10 @@ def _named(problem: Problem, error: NotConvergedError, found: list[Relaxed]) -> 
     parts = [_words(problem, one) for one in found]
     first = parts[0]
     easier = "more thrust, less mass or a higher start" if "vehicle_thrust" in problem.given else ""
-    ways = [] if found[0].limit.kind == "end" else list(dict.fromkeys(part.enough for part in parts))
+    ways = list(dict.fromkeys(part.enough for part in parts if part.possible))
+    if found[0].limit.kind == "end":
+        ways = []
+    beyond = "" if first.possible else ", which is out of its range"
     several = "one of these: " if len(ways) > 1 else ""
     given = [
         {"limit": part.name, "by": one.amount, "unit": one.limit.bounded.unit}
@@ -170,7 +177,7 @@ def _named(problem: Problem, error: NotConvergedError, found: list[Relaxed]) -> 
     ]
     return NotConvergedError(
         f"no flight was found that keeps every limit: the best misses {first.name} by about {first.much}",
-        got=f"everything else can be kept with {first.enough}, as far as a mesh can tell",
+        got=f"everything else can be kept with {first.enough}{beyond}, as far as a mesh can tell",
         expected=first.stated,
         advice="; ".join(filter(None, (several + "; ".join(ways), easier))),
         partial={**error.partial, "relaxations": given},
@@ -196,15 +203,27 @@ def _words(problem: Problem, one: Relaxed) -> Words:
             further, side = (value - stated) * (1 + one.doubt / one.amount), "lower" if value < stated else "upper"
             much = told(abs(value - stated), unit, 2)
             enough = f"{key} {told_outwards(stated + further, unit, side, _DIGITS)}"
-            return Words(key, much, enough, f"{key} {told(stated, unit)}")
+            possible = _may_be_stated(problem, name, stated + further)
+            return Words(key, much, enough, f"{key} {told(stated, unit)}", possible)
         called = quantity_name(limit.bounded)
         enough = f"{called} down to {told_outwards(-one.amount - one.doubt, unit, 'lower', _DIGITS)}"
         return Words(called, told(one.amount, unit, 2), enough, f"{called} never below 0")
     lower, upper = _bounds(limit, p)
     at, name = lower if limit.side == "lower" else upper, limit_name(problem, limit.bounded, limit.side)
     give = one.amount + one.doubt
-    reached = told_outwards(at - give if limit.side == "lower" else at + give, unit, limit.side)
-    return Words(name, told(one.amount, unit, 2), f"{name} {reached}", f"{name} {told(at, unit)}")
+    reached = at - give if limit.side == "lower" else at + give
+    enough, stated = f"{name} {told_outwards(reached, unit, limit.side)}", getattr(limit.bounded, limit.side)
+    possible = not isinstance(stated, str) or _may_be_stated(problem, stated, reached)
+    return Words(name, told(one.amount, unit, 2), enough, f"{name} {told(at, unit)}", possible)
+
+
+def _may_be_stated(problem: Problem, name: str, value: float) -> bool:
+    """Whether a given parameter may have a value [SI], by what is declared of it."""
+    try:
+        problem.with_given(**{name: value})
+    except PeriluneError:
+        return False
+    return True
 
 
 def _parameter_enough(problem: Problem, one: Relaxed) -> tuple[str, float] | None:
