@@ -40,9 +40,13 @@ def landed_mass(
     speed: float,
     *,
     touched: bool = True,
+    grazing: str = COAST,
     intervals: Sequence[int] = (4, 60, 10, 40),
 ) -> tuple[float, list[float]]:
-    """Return the landed mass [kg] from a level start, and the lengths of burn, coast (two parts) and burn [s]."""
+    """Return the landed mass [kg] from a level start, and the lengths of burn, coast (two parts) and burn [s].
+
+    Where the last burn is `grazing` it has two parts, and the coast one.
+    """
     unit, g = math.sqrt(mu / radius), mu / radius**2
     second, exhaust, push = radius / unit, isp * STANDARD_GRAVITY / unit, thrust / mass / g
     r0, v0 = 1 + altitude / radius, speed / unit
@@ -82,7 +86,7 @@ def landed_mass(
     tau, slopes = rates_of_polynomials()
     x: Any
     x, durations = ca.DM([r0, 0.0, v0, 1.0]), []
-    for k, kind in enumerate((BURN, COAST, COAST, BURN)):
+    for k, kind in enumerate((BURN, COAST, grazing, BURN)):
         durations.append(unknown([lengths[k]], 1e-5, 40.0))
         for i in range(intervals[k]):
             states = [x]
@@ -103,7 +107,7 @@ def landed_mass(
                 slope = sum(slopes[q, j] * states[q] for q in range(POINTS + 1))
                 condition(slope - durations[k] / intervals[k] * f)
             x = states[-1]
-        if k == 1 and touched:
+        if k == (1 if grazing == COAST else 2) and touched:
             condition(x[0] - 1)
             condition(x[1])
     condition(ca.vertcat(x[0] - 1, x[1], x[2]))

@@ -11,12 +11,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from burn_coast_burn import landed_mass
+from perilune.methods.indirect import Indirect
 from perilune.models.bodies import EUROPA, MERCURY, Body
+from perilune.models.burn_search import burning_once_more, burning_sooner, two_burns
 from perilune.models.descent import Ignition, Site, powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.landing_preflight import coasting_first, one_burn
 from perilune.models.rough_landing import rough_landing
-from perilune.models.two_burns import Burning, TwoBurns, two_burns
+from perilune.models.two_burns import Burning, TwoBurns
 from perilune.models.two_impulses import Around, around_body, fallen, two_impulses
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
@@ -176,6 +178,51 @@ def test_two_burns_of_the_program_are_those_of_a_collocation() -> None:
     assert found.lengths == pytest.approx([0.0, first, fall, beside, last], abs=1.0)
 
 
+def test_a_burn_that_grazes_the_ground_is_that_of_a_collocation() -> None:
+    """Down from a circle as high as the body's radius: the burn is long where the orbit bends much."""
+    start, burning = still_minmus(), Burning(mass=1e4, force=8e3, exhaust=370.0 * 9.80665)
+    known = two_burns(start, two_impulses(start)[0], burning, at_once=True)
+    assert known is not None
+    found = burning_sooner(known, at_once=True)
+    speed = float(np.linalg.norm(start.velocity))
+    mass, lengths = landed_mass(MINMUS.gravitational_parameter, 60e3, 1e4, 8e3, 370.0, 60e3, speed, grazing="burn")
+    assert found.touch > 0
+    assert known.landed + 0.05 < found.landed == pytest.approx(mass, abs=1e-2)
+    assert found.lengths == pytest.approx([0.0, *lengths], abs=1.0)
+
+
+def test_a_third_burn_pays_where_the_switching_function_says_so() -> None:
+    """Down from a low circle across a small body that turns: what it lands changes with the start by its costates."""
+    rate, tilt, speed = 1.5552e-4, 1.3, math.sqrt(MINMUS.gravitational_parameter / 66.7e3)
+    start = Around(
+        position=np.array([66.7e3, 0.0, 0.0]), velocity=speed * np.array([0.0, math.cos(tilt), math.sin(tilt)]),
+        mu=MINMUS.gravitational_parameter, radius=60e3, turning=np.array([0.0, 0.0, rate]),
+    )  # fmt: skip
+    burning, landing = Burning(mass=170.0, force=650.0, exhaust=271.0 * 9.80665), two_impulses(start)[0]
+
+    def landed(start: Around) -> tuple[TwoBurns, TwoBurns]:
+        known = two_burns(start, landing, burning, at_once=False)
+        assert known is not None
+        return known, burning_once_more(known, at_once=False)
+
+    two, three = landed(start)
+    assert (two.brief, three.brief) == (1, 2)
+    assert max(float(leg.worth().max()) for leg in two.legs((50, 4, 50, 4, 4)) if not leg.burns) > 1e-4
+    assert three.landed > two.landed + 1e-4
+    step = 0.02 * np.array([0.6, 0.0, 0.8])
+    ahead, behind = (landed(replace(start, velocity=start.velocity + side * step))[1] for side in (1.0, -1.0))
+    assert behind.landed - ahead.landed == pytest.approx(2 * float(three.costates[0][3:6] @ step), rel=1e-2)
+
+
+def still_minmus() -> Around:
+    """Return a start on a circle at 60 km."""
+    speed = math.sqrt(MINMUS.gravitational_parameter / 120e3)
+    return Around(
+        position=np.array([120e3, 0.0, 0.0]), velocity=np.array([0.0, speed, 0.0]),
+        mu=MINMUS.gravitational_parameter, radius=60e3, turning=np.zeros(3),
+    )  # fmt: skip
+
+
 def test_costates_of_the_program_are_what_a_moved_start_changes() -> None:
     """From the pericentre of an ellipse, half a turn before the first burn, by solving again."""
     start = around(strong(1700.0))
@@ -330,3 +377,19 @@ def test_where_a_later_ignition_costs_nothing_it_is_said(problem: Problem, free:
     assert found.passed != free
     assert found.lasting and not found.binding
     assert "equally good flights ignite later" in found.meaning
+
+
+@pytest.mark.parametrize(("better", "said"), [(0.5, True), (1e-4, False)])
+def test_a_flight_that_is_better_than_what_is_proved_is_told_of(
+    monkeypatch: pytest.MonkeyPatch, better: float, said: bool
+) -> None:
+    """A flight of known arcs that no extremal follows, by more than it errs."""
+    problem = strong()
+    (rough, structure), *others = rough_landing(problem)
+    told = replace(rough, objective=rough.objective - better)
+    monkeypatch.setattr("perilune.models.descent.rough_landing", lambda _: [(told, structure), *others])
+    found = Indirect().run(strong())
+    assert [line for line in found.warnings if line.startswith("a flight is known that is better by 0.5")] == [
+        line for line in found.warnings if "is known" in line
+    ]
+    assert any("is known" in line for line in found.warnings) is said

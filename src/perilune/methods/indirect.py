@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 from perilune.methods.answer import Curves
 from perilune.methods.ladder import STRUCTURE, TRANSCRIBED, Ladder
 from perilune.methods.search import Search
+from perilune.problem.cautions import KNOWN_BETTER
 from perilune.problem.guess import fitting_guess
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
@@ -35,8 +36,10 @@ from perilune.shooting.continuation import Member
 from perilune.structures.carry import Joined
 from perilune.words.asked import called_in_words
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
+from perilune.words.units import told
 from perilune.words.watch import TimeLimitReached, Watch, best_so_far, silent
 
+_ROUGH = 1e-6  # relative: what flights of known arcs err in J
 _ALIKE = 1e-9  # relative difference of J: extremals that differ by less are the same
 
 
@@ -115,7 +118,7 @@ class Indirect(Ladder):
             solution = search.solve(guess, base)
         except (NotConvergedError, InfeasibleError) as error:
             if drawn:
-                return _best(drawn, search)
+                return self._compared(search, _best(drawn, search))
             # What no single arc keeps, a structure of arcs may.
             rough = search.coarse.solution if guess is None else None
             if rough is not None and (found := self._structured(search, rough)) is not None:
@@ -140,7 +143,16 @@ class Indirect(Ladder):
             if found is not None and found.objective < solution.objective:
                 others = (replace(e, nature=e.nature.outdone) for e in solution.extremals)
                 solution = replace(found, extremals=(*found.extremals, *others))
-        return self._exactly(search, solution) if guess is None else solution
+        return self._compared(search, self._exactly(search, solution)) if guess is None else solution
+
+    def _compared(self, search: Search, solution: Solution) -> Solution:
+        """Return an answer; with a line that says so where a flight of known arcs is better by more than its error."""
+        if not search.flown < solution.objective - _ROUGH * abs(solution.objective):
+            return solution
+        gained = told(solution.objective - search.flown, search.problem.objective_unit, 3)
+        said = f"{KNOWN_BETTER} {gained}, but no extremal of its arcs was found"
+        statistics = replace(solution.statistics, tried=(*solution.statistics.tried, said))
+        return replace(solution, statistics=statistics)
 
     def _exactly(self, search: Search, solution: Solution) -> Solution:
         """Return an answer that breaks the path by less than a search minds with the arcs that keep it, if any do."""
@@ -183,6 +195,7 @@ class Indirect(Ladder):
         found = list[Solution]()
         try:
             for rough, structure in search.problem.switching_guesses(search.problem):
+                search.flown = min(search.flown, rough.objective)
                 polish = Polish(
                     settings=self, problem=search.problem, watch=search.watch, tried=search.tried, brief=True
                 )  # fmt: skip

@@ -76,6 +76,7 @@ class Search:
         self.breaking: list[Root] = []
         self.answering: Search = self
         self.answered: bool = False  # by an extremal of known arcs: what takes long is left out
+        self.flown: float = math.inf  # J of the best flight of known arcs
         self.outdone: list[Root] = []
         self.coarse: Coarse = Coarse(self.settings, self.problem, self.tried, self.watch)
 

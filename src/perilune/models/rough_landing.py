@@ -7,6 +7,7 @@ that turn with the body. Velocities there are relative to it, so that the costat
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from perilune.models.two_burns import Leg, TwoBurns
 
 _GROUND = "height_above_site"  # the condition that the coast touches
+_MOST = 2  # of the best, of which better ones are looked for
+_ALIKE = 1e-9  # relative difference of what lands
+_BELOW = 1e-7  # of the radius: a flight that is lower meets the ground
 _ROWS = (40, 5, 60, 5, 25)  # of the arcs
 
 
@@ -41,7 +45,8 @@ def rough_landing(problem: Problem) -> list[tuple[Solution, Structure]]:
     list
         Rough flights with their arcs; none where there is no landing by two impulses, or the engine cannot be off.
     """
-    from perilune.models.two_burns import Burning, two_burns  # and with it CasADi
+    from perilune.models.burn_search import burning_once_more, burning_sooner, two_burns  # and with it CasADi
+    from perilune.models.two_burns import Burning
 
     p = problem.parameters({f.name: f.typical for f in problem.free})
     start = np.array(problem.start(p, NUMERIC), dtype=float)
@@ -51,22 +56,35 @@ def rough_landing(problem: Problem) -> list[tuple[Solution, Structure]]:
     landings = two_impulses(around := around_body(p, start))
     at_once = bool(landings) and landings[0].wait == 0.0  # else it lies on an apsis, and waits for a moment
     found = (two_burns(around, landing, burning, at_once=at_once and landing.wait == 0.0) for landing in landings)
-    best = sorted(filter(None, found), key=lambda one: -one.landed)
+    best = _unlike(filter(None, found))
+    for another in (burning_sooner, burning_once_more):
+        more = [another(one, at_once=at_once and one.lengths[0] == 0.0) for one in best[:_MOST]]
+        best = _unlike([*more, *best])
     return [_drawn(problem, one, p.body_rotation_rate, (p.throttle_lower, p.throttle_upper)) for one in best]
+
+
+def _unlike(found: Iterable[TwoBurns]) -> list[TwoBurns]:
+    """Return landings of different masses, the greatest first; of those alike the shortest, as a turn later is."""
+    kept: list[TwoBurns] = []
+    for one in sorted(found, key=lambda one: float(one.lengths.sum())):
+        if all(abs(one.landed - known.landed) > _ALIKE * one.landed for known in kept):
+            kept.append(one)
+    return sorted(kept, key=lambda one: -one.landed)
 
 
 def _drawn(
     problem: Problem, flight: TwoBurns, rate: float, throttle: tuple[float, float]
 ) -> tuple[Solution, Structure]:
     """Return a flight as a guess in axes that turn at a rate [rad/s], with its arcs and costates."""
-    legs = list(flight.legs(_ROWS))
+    legs = list(flight.legs(_ROWS if flight.brief == 1 else (*_ROWS[:2], *_ROWS)))
     arcs = tuple(
         Arc(
             regimes=(("throttle", "upper" if leg.burns else "lower"),),
             touches=(_GROUND,) if leg.touches else (),
             until=float(leg.times[-1]),
         )
-        for leg in legs
+        for leg, after in zip(legs, [*legs[1:], None], strict=True)
+        if leg.touches or after is None or after.burns is not leg.burns
     )
     seen = [_seen(leg, rate) for leg in legs]
     rows = [(0 if k == 0 else 1, leg, one) for k, (leg, one) in enumerate(zip(legs, seen, strict=True))]
@@ -83,7 +101,10 @@ def _drawn(
         values=np.concatenate([one[1] for one in seen]),
         rates=np.concatenate([np.gradient(one[1], leg.times, axis=0) for leg, one in zip(legs, seen, strict=True)]),
     )
-    return replace(solution, trajectories=(replace(solution.trajectories[0], costate=costate),)), Structure((arcs,))
+    trajectories = (replace(solution.trajectories[0], costate=costate),)
+    lowest = min(float(np.linalg.norm(leg.states[:3], axis=0).min()) for leg in legs)
+    landed = flight.landed if lowest > flight.around.radius * (1 - _BELOW) else math.nan  # none that is flown
+    return replace(solution, objective=-landed, trajectories=trajectories), Structure((arcs,))
 
 
 def _seen(leg: Leg, rate: float) -> tuple[Matrix, Matrix]:

@@ -19,6 +19,7 @@ from perilune.words.maths import NUMERIC
 from perilune.words.types import Vector
 from perilune.words.units import told
 
+KNOWN_BETTER = "a flight is known that is better by"  # with which a line of `Statistics.tried` begins that says so
 _AT_BOUND = 1e-7  # of its range: a parameter that is nearer to its bound is on it
 _NO_LENGTH = 1e-3  # of a flight: a phase that is bounded to last so long at least may be as good as none
 _CONTACT = 1e-6  # of its range along the flight: a condition with less room is reached
@@ -39,7 +40,7 @@ def warnings_of(solution: Any) -> tuple[str, ...]:
         Of any method, with curves that are numbers.
     """
     with np.errstate(all="ignore"):
-        looks = (_left_out, _undercut, _held_parameters, _below_ground, _outside, _reached)
+        looks = (_left_out, _undercut, _outdone, _held_parameters, _below_ground, _outside, _reached)
         found = [said for look in looks for said in look(solution)]
     return tuple(dict.fromkeys(found))
 
@@ -56,6 +57,11 @@ def _undercut(solution: Any) -> Iterator[str]:
     for check in solution.verification.failed:
         if check.meaning.endswith("(chattering)"):
             yield f"flights that chatter are better than this one: {check.meaning.rpartition('; ')[2]}"
+
+
+def _outdone(solution: Any) -> Iterator[str]:
+    """Yield that a better flight is known: a local optimum is proved, and is not the best."""
+    yield from (line for line in solution.statistics.tried if line.startswith(KNOWN_BETTER))
 
 
 def _held_parameters(solution: Any) -> Iterator[str]:
