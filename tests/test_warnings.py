@@ -86,7 +86,7 @@ def test_a_duration_on_its_bound_and_a_flight_below_the_ground_are_said(low: pl.
     t = np.linspace(0.0, low.duration, 200_001)
     height = low.trajectories[0].state(t)[:, 0] - RADIUS
     bound, ground = low.warnings
-    assert bound.startswith("flight_time is at its upper bound of 1500 s")
+    assert bound.startswith("flight time is at its upper bound of 1500 s")
     assert height.min() < -8e3
     assert f"{-height.min() / 1e3:.3g} km below the ground at {t[height.argmin()]:.4g} s" in ground
     assert ground.startswith("if R is the radius of the body")
@@ -195,8 +195,8 @@ def test_json_lists_them(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("up", "said"),
     [
-        ("1 km", "coast_time is at its lower bound of 0.001 s: the best flight leaves out the phase coast"),
-        ("2 km", "coast_time is at its upper bound of 10 s, approach.longest_coast: with a wider one it may be better"),
+        ("1 km", "coast time is at its lower bound of 0.001 s: the best flight leaves out the phase coast"),
+        ("2 km", "coast time is at its upper bound of 10 s, approach.longest_coast: with a wider one it may be better"),
     ],
 )
 def test_a_coast_on_its_bound_names_the_key_that_states_it_or_that_none_is_best(up: str, said: str) -> None:

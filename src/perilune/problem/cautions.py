@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.wording import limit_name, parameter_key, quantity_name
+from perilune.problem.wording import free_name, limit_name, parameter_key, quantity_name
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Vector
 from perilune.words.units import told
@@ -71,12 +71,13 @@ def _held_parameters(solution: Any) -> Iterator[str]:
         for side, bound in (("lower", free.lower), ("upper", free.upper)):
             near = _AT_BOUND * (both if math.isfinite(both) else max(abs(bound), size))
             if math.isfinite(bound) and abs(value - bound) <= near:
-                name, limit = parameter_key(solution.problem, free.name), told(bound, free.unit)
+                name, limit = free_name(solution.problem, free.name), told(bound, free.unit)
                 phase = next((x.name for x in solution.problem.phases if x.duration == free.name), None)
                 if phase is not None and side == "lower" and 0 <= bound <= _NO_LENGTH * solution.duration:
                     yield f"{name} is at its lower bound of {limit}: the best flight leaves out the phase {phase}"
                     continue
-                key = _stated_by(solution.problem, bound, free.unit) if name == free.name else None
+                own = parameter_key(solution.problem, free.name) == free.name
+                key = _stated_by(solution.problem, bound, free.unit) if own else None
                 of = f", {key}" if key else ""
                 yield f"{name} is at its {side} bound of {limit}{of}: with a wider one it may be better"
 
