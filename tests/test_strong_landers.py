@@ -22,6 +22,9 @@ from perilune.models.two_burns import Burning, TwoBurns
 from perilune.models.two_impulses import Around, around_body, fallen, two_impulses
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
+from perilune.proof.ended import ended
+from perilune.proof.resolved import neighbours
+from perilune.proof.touched import cut
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome
@@ -331,6 +334,34 @@ def test_what_the_steps_of_a_long_coast_owe_is_no_gain() -> None:
     ))  # fmt: skip
     assert (landed.outcome, landed.verification.level) == (Outcome.PROVED, 3)
     assert next(c for c in landed.verification.checks if c.name == "nothing_gained").value < 1e-6
+
+
+def test_a_deorbit_burn_of_seconds_is_solved_again_from_beside_it() -> None:
+    """Over a small body: 6 s of 1492 s, which a control law leaps over, and a coast along which S hardly moves."""
+    landed = solve(powered_descent(
+        Vehicle(mass=118.6454, thrust=67.00952, specific_impulse=230.12186),
+        Ignition(altitude=4960.9726, longitude=0.0, latitude=-0.48173535, heading=5.65808336,
+                 forward_speed=159.631992, sideways_speed=-7.2599873),
+        Site(longitude=0.5, latitude=0.3),
+        replace(MINMUS, rotation_rate=-MINMUS.rotation_rate),
+        target="anywhere", throttle=(0.0, 1.0),
+    ))  # fmt: skip
+    assert (landed.outcome, landed.verification.level) == (Outcome.PROVED, 3)
+
+
+def test_where_every_wait_is_about_as_good_neighbours_are_met() -> None:
+    """Over Mercury, which turns slowly: J hardly depends on when it ignites, and is known all the same."""
+    landed = solve(powered_descent(
+        Vehicle(mass=7783.99144, thrust=283821.311, specific_impulse=275.563122),
+        Ignition(altitude=28920.7844, longitude=0.0, latitude=0.282335874, heading=2.90140907,
+                 forward_speed=2986.91735, sideways_speed=-2.85518915),
+        Site(longitude=0.5, latitude=0.3),
+        MERCURY,
+        target="anywhere", throttle=(0.0, 1.0),
+    ), level=2)  # fmt: skip
+    parts, _ = cut(ended(landed))
+    along_x = next(neighbours(parts, lambda problem, guess: Indirect().run(problem, guess)))
+    assert (along_x.name, along_x.passed) == ("initial_costate_x", True)
 
 
 def test_steps_of_a_long_coast_make_no_conjugate_point() -> None:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,7 @@ _MOST_FOLLOWED = 24  # extremals from which families along other parameters are 
 _MOST_OUTDOING = 6  # extremals that break the path, in whose wells what keeps it is looked for
 _LITTLE = 1e-2  # canonical: what is broken by more a mesh has seen, and its flight tells the arcs that keep it
 _ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported
+_NEXT = 40  # evaluations of Newton's method from an extremal to one beside it: who takes more is led elsewhere
 
 
 @dataclass
@@ -61,6 +63,7 @@ class Search:
     watch: Watch
     keep: Held = ()
     tried: list[str] = field(default_factory=list)
+    compared: bool = False
 
     def __post_init__(self) -> None:
         self.began: float = time.perf_counter()
@@ -326,7 +329,8 @@ class Search:
         name = trials.outside(root)
         if root.converged and name is None:
             # The J of a neighbour is compared to last digits.
-            root = trials.shooting.met(root) if is_neighbour(self.problem) else self._to_last_digits(root)
+            compared = self.compared or is_neighbour(self.problem)
+            root = trials.shooting.met(root) if compared else self._to_last_digits(root)
             return [found_at(trials.shooting, self.problem, root)]
         if name is not None:
             raise NotConvergedError(
@@ -344,6 +348,9 @@ class Search:
         until they are.
         """
         trials = self.trials
+        # Where one wait is about as good as another, what rough flights leave leads a neighbour along them all.
+        finest: dict[str, Any] = {"accuracy": FINEST} if self.compared or is_neighbour(self.problem) else {}
+        finest |= {"limit": _NEXT} if self.compared else {}
 
         def led(accuracy: float, tolerance: float) -> Iterator[Root]:
             if guess is not None and (there := followed(trials, guess, y)) is not None:
@@ -351,11 +358,11 @@ class Search:
                 yield trials.settled(start, held, limits=limits, accuracy=accuracy, tolerance=tolerance)[0]
 
         if may_be_cut(trials.conditions):
-            yield trials.settled(y[None], choice, limits=trials.limits)[0]
+            yield trials.settled(y[None], choice, limits=trials.limits, **finest)[0]
             yield from led(ROUGHEST, TOLERANCE)
         else:
             yield from map(self._met, led(FINEST, NEARLY))
-            yield self._met(trials.settled(y[None], choice, limits=trials.limits)[0])
+            yield self._met(trials.settled(y[None], choice, limits=trials.limits, **finest)[0])
 
     def _met(self, root: Root) -> Root:
         """A root in one piece, which exported misses its end by what the flights of Newton's method are rougher."""

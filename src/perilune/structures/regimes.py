@@ -32,6 +32,7 @@ EXACT = (0, 0.0)  # by the breaks of tables that have an arc between any two of 
 LEVELS = tuple((size, level) for size in (0, 1) for level in (2e-3, 5e-3, 1e-2, 2e-2, 4e-2, 8e-2))
 WIDER, STAYS = 4.0, 0.5  # a wider level; singular where the gain stays for such a share of the time below the wider one
 SHORTEST, BURST = 0.01, 2e-3  # of a phase: singular arcs that are read are longer, and arcs on bounds
+INSTANT = 0.01  # of a phase: what flies it at full accuracy takes steps of about that length
 INSIDE = 0.02  # of its range: on the average a singular control is farther from its bounds
 BETWEEN = 0.1  # of its range and of a phase
 CLEAR = 0.05  # of its range: so near to its lower bound a control is there, whatever the gain
@@ -77,6 +78,13 @@ def wavering(solution: Solution) -> bool:
     return False
 
 
+def leaves_bounds(solution: Solution, k: int) -> bool:
+    """Return whether a scalar of phase k that enters linearly is anywhere between its bounds, by exact tables."""
+    t, known = np.linspace(0.0, solution.trajectories[k].duration, POINTS), linear_scalars(solution.problem, k)
+    shares = [control.share(solution.flown(k, t)[1][at], solution.parameters) for at, control in known]
+    return any(bool((np.minimum(np.abs(share), np.abs(share - 1.0)) > WRONG).any()) for share in shares)
+
+
 def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]]:
     """By level the regimes of each scalar of phase k that is singular for a while; nothing of one that is not."""
     found: dict[tuple[int, float], list[Stay]] = {level: [] for level in (EXACT, *LEVELS)}
@@ -98,7 +106,7 @@ def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]
 def brief_stays(solution: Solution, k: int) -> list[Stay]:
     """Return the bounds that the one scalar of phase k is on, where one of these arcs is a mere instant of the phase.
 
-    Exact tables break at each switch. A control law that looks for its switches within a flight that is a thousand
+    Exact tables break at each switch. A control law that looks for its switches within a flight that is a hundred
     times as long leaps over such an arc or loses it; where it begins and ends are unknowns of its own then.
     """
     flown, known = solution.trajectories[k], linear_scalars(solution.problem, k)
@@ -106,7 +114,7 @@ def brief_stays(solution: Solution, k: int) -> list[Stay]:
         return []
     (at, control), nodes = known[0], flown.control.time
     edges = np.unique([0.0, *nodes[1:][np.diff(nodes) == 0], flown.duration])
-    if len(edges) < 3 or np.diff(edges).min() > BURST * flown.duration:
+    if len(edges) < 3 or np.diff(edges).min() > INSTANT * flown.duration:
         return []
     share = control.share(flown.control(0.5 * (edges[1:] + edges[:-1]))[:, at], solution.parameters)
     if np.minimum(np.abs(share), np.abs(share - 1.0)).max() > WRONG:
