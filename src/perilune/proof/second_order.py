@@ -124,7 +124,7 @@ def _positive(forms: Callable[[int], Form] | None, fixed: Sequence[int], *, name
         meaning += (
             "; not available: H is not strictly convex in a control between its bounds, a scalar reaches its bound "
             "without a switch in the table, a path condition takes hold of the control without a break in it, or what "
-            "jumps there is not one scalar that crosses its switch"
+            "jumps there is not one scalar that crosses its switch by more than rounding (that of an instant does not)"
         )
     else:
         value, variations = _kappa(forms(1), fixed)
