@@ -57,6 +57,28 @@ def test_two_crossings_inside_one_step_are_found(backend: str) -> None:
     np.testing.assert_allclose(arcs.event_time[0, :2], [1 - half, 1 + half], atol=1e-11)
 
 
+@pytest.mark.parametrize(("tolerance", "depth"), [(1e-6, 1e-5), (1e-9, 1e-7), (1e-12, 1e-7), (1e-12, 1e-9)])
+def test_two_crossings_of_what_is_no_cubic_are_found(backend: str, tolerance: float, depth: float) -> None:
+    """cos x + 1 dips below a depth at pi for sqrt(8 depth); by the cubic of a long step it stays above.
+
+    Of the steps to it most did, for dips of up to a fiftieth of the arc; beside a double zero g is rounding before it
+    is near, and steps towards it had no end.
+    """
+    z, p = ca.SX.sym("z", 2), ca.SX.sym("p")
+    level = Event(function=ca.Function("level", [z, p], [z[0] + (1 - depth)]))
+    x = np.linspace(0.0, 2.7, 40)
+    arcs = compile_arcs(oscillator(), events=[level], backend=backend).propagate(
+        np.column_stack([np.cos(x), -np.sin(x)]), [1.0], 6.0 - x, rtol=tolerance, atol=tolerance
+    )
+    half = math.acos(1 - depth)
+    np.testing.assert_array_equal(arcs.status, ArcStatus.REACHED)
+    error = 30 * tolerance / math.sqrt(depth) + 1e-16 / half
+    np.testing.assert_allclose(
+        arcs.event_time[:, :2] + x[:, None], np.tile([np.pi - half, np.pi + half], (40, 1)), atol=error
+    )
+    assert np.isnan(arcs.event_time[:, 2:]).all()
+
+
 def test_backwards_over_an_event(backend: str) -> None:
     rhs, height = fall()
     e = compile_arcs(rhs, events=[Event(function=height, direction=-1, terminal=True)], backend=backend)

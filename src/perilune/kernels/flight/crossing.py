@@ -5,7 +5,8 @@ refuses the step and asks for one that ends at the zero of the cubic Hermite pol
 step that ends short of the zero is kept and the next aims at it by Newton's method. So the zero is approached
 by whole DOP853 steps, with the accuracy of the arc itself (the interpolant of order 7 would lose some), the
 columns come along, and the event fires where |g/g'| is below `TOLERANCE` of the duration. Two crossings
-inside one step are looked for where the cubic dips through zero.
+inside one step are looked for where the cubic dips through zero, or so near to it that it may err: the step then ends
+there, and shorter ones tell.
 
 After an event the field, the events and (by `ArcSystem.transition`) state and columns are those of the new
 mode.
@@ -24,6 +25,8 @@ from perilune.kernels.flight.frame import Frame, Table
 #: How near to the zero, as a fraction of the duration, an event fires.
 TOLERANCE = 1e-13
 _AFTER = 1e-150  # stands for "just beyond zero": the sign of g after its own event; products of it stay finite
+_DOUBTED = 0.03  # of g at the ends: so near to zero a cubic over a long step may err in whether it dips through
+_SHORT = 1e4  # times that: a step in which g changes by its rounding alone, if at all
 _BISECTIONS = 20  # after them Newton has two steps to the last digit
 # A refused step becomes shorter at least by this: where a flight grazes its zero, g beyond it is rounding for a while.
 _WHOLE = 1.0 - 1e-5
@@ -103,10 +106,14 @@ class Crossing:
         step = w.intrinsic("fabs", h)
         away = w.mul(step, w.intrinsic("fabs", w.div(g1, rate1)))
         near = w.either(w.compare("ole", away, resolution), w.compare("oeq", g1, zero))
+        # Where g is as flat as beside a double zero it is rounding before it is as near: no step lowers it any more.
+        short = w.compare("ole", step, w.mul(resolution, w.const(_SHORT)))
+        lower = w.compare("olt", w.intrinsic("fabs", g1), w.intrinsic("fabs", g0))
+        rounding = w.but_not(short, lower)
         same_side = w.compare("ogt", w.mul(g0, g1), zero)  # not just left by its own event
         arrives = w.either(
             w.both(crosses, w.either(near, w.compare("ole", step, resolution))),
-            w.both(w.both(heads, same_side), near),
+            w.both(w.both(heads, same_side), w.either(near, rounding)),
         )
         w.store(arrives, self.fired, number)
         w.store(crosses, self.crossed, number)
@@ -201,7 +208,7 @@ def aiming(width: int) -> str:
 
 
 def _aim(name: str, w: Writer, *, derivative: bool) -> str:
-    """Bisect the Hermite cubic for its zero, or its slope for a dip through zero; the earliest counts."""
+    """Bisect the Hermite cubic for its zero, or its slope for a dip to zero; the earliest counts."""
     mask, theta = w.load(Ptr("%mask", w.mask)), Ptr("%theta", w.vector)
     g0, g1, rate0, rate1 = (Vec(f"%{x}") for x in ("g0", "g1", "rate0", "rate1"))
     jump = w.sub(g1, g0)
@@ -231,9 +238,11 @@ def _aim(name: str, w: Writer, *, derivative: bool) -> str:
             within = w.both(w.compare("ogt", nearer, w.load(low)), w.compare("olt", nearer, w.load(high)))
             found = w.select(within, nearer, found)
     if derivative:
-        through = w.compare("olt", w.mul(cubic(found), g0), w.const(0.0))
+        size = w.larger(w.intrinsic("fabs", g0), w.intrinsic("fabs", g1))
+        room = w.mul(cubic(found), w.intrinsic("copysign", w.const(1.0), g0))
+        reaches = w.compare("olt", room, w.mul(size, w.const(_DOUBTED)))
         inner = w.both(w.compare("ogt", found, w.const(1e-9)), w.compare("olt", found, w.const(_WHOLE)))
-        mask = w.both(mask, w.both(through, inner))
+        mask = w.both(mask, w.both(reaches, inner))
     found = w.smaller(w.larger(found, w.const(1e-3)), w.const(_WHOLE))
     earlier = w.both(mask, w.compare("olt", found, w.load(theta)))
     w.store(w.select(earlier, found, w.load(theta)), theta)
