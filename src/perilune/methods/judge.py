@@ -92,7 +92,8 @@ class Judge:
         t = np.unique([*np.linspace(0.0, far, _POINTS), *switches, *np.maximum(switches - _BEFORE * far, 0.0)])
         found = list[Breach]()
         for _ in range(1 + CLOSEST):  # what is broken for a moment alone, where a limit begins to bind
-            found, between = self._looked(phase, extremal, arc, t, p)
+            with np.errstate(all="ignore"):  # where errors grow, the flight may lead where the physics is not defined
+                found, between = self._looked(phase, extremal, arc, t, p)
             if _deep(found) or not len(between):
                 break
             t = np.union1d(t, between)
