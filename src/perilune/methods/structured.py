@@ -291,9 +291,8 @@ class Polish:
             start = guess
             try:
                 compared = is_neighbour(self.problem)
-                search = Search(
-                    self.settings, guess.problem, self.watch, compared=compared
-                )  # or no control law is known
+                # Where there is no control law the search says so.
+                search = Search(self.settings, guess.problem, self.watch, compared=compared)
                 start = guess if mesh is None else mesh(guess, self.watch)
                 self.watch("structure: Newton's method")
                 solved = search.solve(start)

@@ -17,13 +17,12 @@ import numpy as np
 
 from perilune.models.burn_programs import BurnProgram, burn_flown, burn_grazes, fall_grazes, orbital_axes
 from perilune.models.two_burns import NO_TIME, Burning, CanonicalUnits, Leg, TwoBurns, carried, length_of
-from perilune.models.two_impulses import Around, TwoImpulses, fallen, time_down
+from perilune.models.two_impulses import Around, TwoImpulses, anomaly_after, fallen, time_down
 from perilune.words.types import Matrix, Vector
 
 _LATE = 0.45  # of the length of the second burn: how long behind the lowest point it is expected to begin
 _EARLY = 0.2  # the same, before it, where the burn grazes the ground
 _NEAR = 0.9  # canonical: how far from where they are expected states and anomalies may come to lie
-_KEPLER_STEPS = 50
 _LOOKS = (200, 4, 200, 4, 4)  # of the arcs: where the switching function is looked at
 _PAYS = 5e-5  # switching function above which another burn pays: brief burns of one direction leave 2e-5
 _SHORT = 0.005  # of the last burn: another one as it is tried
@@ -276,11 +275,4 @@ def _beside(expected: dict[str, Vector]) -> tuple[dict[str, Vector], dict[str, V
 
 def _anomaly(state: Vector, time: float) -> Vector:
     """Return the difference of eccentric anomalies of a free fall; canonical."""
-    distance = float(np.linalg.norm(state[:3]))
-    semi = 1 / (2 / distance - float(state[3:6] @ state[3:6]))
-    rising, mean = float(state[:3] @ state[3:6]) / math.sqrt(semi), time / semi**1.5
-    x = mean
-    for _ in range(_KEPLER_STEPS):
-        miss = x - (1 - distance / semi) * math.sin(x) + rising * (1 - math.cos(x)) - mean
-        x -= miss / (1 - (1 - distance / semi) * math.cos(x) + rising * math.sin(x))
-    return np.array([x])
+    return np.array([anomaly_after(state[:3], state[3:6], 1.0, time)])

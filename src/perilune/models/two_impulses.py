@@ -91,6 +91,18 @@ def fallen(position: Vector, velocity: Vector, mu: float, time: float) -> tuple[
     """Return place and velocity after free fall on an ellipse, by Lagrange's f and g (Battin 1999, section 4.3)."""
     r = float(np.linalg.norm(position))
     semi = 1 / (2 / r - float(velocity @ velocity) / mu)
+    rate, x = math.sqrt(mu / semi**3), anomaly_after(position, velocity, mu, time)
+    f, g = 1 - semi / r * (1 - math.cos(x)), time - (x - math.sin(x)) / rate
+    there = f * position + g * velocity
+    far = float(np.linalg.norm(there))
+    f_rate, g_rate = -math.sqrt(mu * semi) / (r * far) * math.sin(x), 1 - semi / far * (1 - math.cos(x))
+    return there, f_rate * position + g_rate * velocity
+
+
+def anomaly_after(position: Vector, velocity: Vector, mu: float, time: float) -> float:
+    """Return by how much the eccentric anomaly [rad] grows in a free fall of so long, by Kepler's equation."""
+    r = float(np.linalg.norm(position))
+    semi = 1 / (2 / r - float(velocity @ velocity) / mu)
     rate, rising, beside = math.sqrt(mu / semi**3), float(position @ velocity) / math.sqrt(mu * semi), 1 - r / semi
     x = rate * time
     for _ in range(_KEPLER_STEPS):
@@ -99,11 +111,7 @@ def fallen(position: Vector, velocity: Vector, mu: float, time: float) -> tuple[
         x -= step
         if abs(step) < 1e-14 * (1 + abs(x)):
             break
-    f, g = 1 - semi / r * (1 - math.cos(x)), time - (x - math.sin(x)) / rate
-    there = f * position + g * velocity
-    far = float(np.linalg.norm(there))
-    f_rate, g_rate = -math.sqrt(mu * semi) / (r * far) * math.sin(x), 1 - semi / far * (1 - math.cos(x))
-    return there, f_rate * position + g_rate * velocity
+    return x
 
 
 def orbit_shape(position: Vector, velocity: Vector, mu: float) -> tuple[float, float]:
