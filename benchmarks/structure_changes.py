@@ -245,7 +245,7 @@ def switches(solution: Solution) -> str:
 
 
 def falls(solution: Solution) -> str:
-    """Whether it falls before ignition."""
+    """Return True if it falls before ignition."""
     shortest = next(free.lower for free in solution.problem.free if free.name == "coast_time")
     return "a fall" if solution.free["coast_time"] > 2 * shortest else "none"
 

@@ -85,7 +85,7 @@ def test_a_flight_that_cannot_be_cut_ends_where_it_should(monkeypatch: pytest.Mo
 
 
 def test_a_root_of_amplified_rounding_is_moved_by_its_last_digits() -> None:
-    """Of a return that touches its load limit the pieces are no root: its rate was left at 5.5e-9 of its size."""
+    """The pieces of a return that touches its load limit are no root: its rate was left at 5.5e-9 of its size."""
     problem = saddle(8.0)
     known = pl.solve(problem, level=0).trajectories
     assert isinstance(known, Curves)

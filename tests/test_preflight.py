@@ -206,7 +206,7 @@ def test_the_odd_is_warned_of_and_not_refused(problem: Problem, name: str) -> No
 
 
 def test_an_assumed_dry_mass_makes_nothing_impossible() -> None:
-    """What is stated does: 24.6 kg are held by 40 N over the Moon."""
+    """A stated dry mass does: 24.6 kg are held by 40 N over the Moon."""
     weak = preflight(lander(thrust=40.0))
     refuse_impossible(weak)
     warned = next(f for f in weak if f.name == "landed mass that the thrust can hold")

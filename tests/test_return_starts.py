@@ -1,4 +1,4 @@
-"""Where returns start from without a guess: what once ended without an answer."""
+"""Starts of returns without a guess: those that once ended without an answer."""
 
 from __future__ import annotations
 

@@ -245,7 +245,7 @@ def test_closer_looks_find_what_lies_between(depth: float, seen: bool) -> None:
 
 
 def test_closer_looks_go_on_behind_a_time_that_rounding_doubles() -> None:
-    """What is least behind it was not looked for: the doubled time passed for the neighbour."""
+    """The least value behind it was not looked for: the doubled time passed for the neighbour."""
     doubled = np.nextafter(0.9, 0.0)
 
     def room(t: Any) -> Any:
@@ -293,7 +293,7 @@ def test_an_atlas_answers_where_a_tilt_begins_to_bind_beside_a_touch(tmp_path: P
 
 @pytest.mark.parametrize(("slope", "little"), [("0.5367892139328801 rad", True), ("0.8 rad", False)])
 def test_arcs_are_looked_for_from_extremals_that_break_a_limit_by_little(slope: str, little: bool) -> None:
-    """Those that break the slope by a quarter of the way cost a refusal seconds, and lead to no arcs."""
+    """Extremals that break the slope by a quarter of the way cost a refusal seconds, and lead to no arcs."""
     problem = load_file(EXAMPLE, ["approach.east=-1416.2094665883978 m", f"corridor.slope={slope}"]).problem
     search = Search(Indirect(), problem, lambda _: None)
     with pytest.raises(pl.PeriluneError):

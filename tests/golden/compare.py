@@ -16,7 +16,7 @@ _NOISE = 1e-6  # below it a number in a sentence may be an error of rounding
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """Where two records differ: in a key, in a number or in words."""
+    """Return the differences of two records: in a key, in a number or in words."""
 
     kind: str
     where: str

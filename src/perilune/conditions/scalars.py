@@ -101,7 +101,8 @@ class Scalar:
         lower, upper = (not (limit.is_constant() and np.isinf(float(limit))) for limit in limits)
         if self.linear and not acts and not (lower and upper):
             raise no_law(phase, control.names, "a Hamiltonian that is linear in it, and no bounds")
-        between: tuple[Regime, ...] = ("held",) if acts else () if self.linear else INSIDE[not self.quartic :]
+        inside: tuple[Regime, ...] = INSIDE if self.quartic else ("interior",)
+        between: tuple[Regime, ...] = ("held",) if acts else () if self.linear else inside
         self.regimes = (*(("lower",) if lower else ()), *between, *(("upper",) if upper else ()))
 
     def value(self, regime: Regime) -> ca.SX:
@@ -176,7 +177,7 @@ class Bend:
             self.hollow = ca.logic_or(self.hollow, ca.logic_and(self.there[regime], self.values[regime] < least))
 
     def drop(self, one: Regime, other: Regime) -> tuple[ca.SX, ca.SX]:
-        """Whether a jump from one minimum of H or bound to another is one, and by how much H is less at the other."""
+        """Return whether a jump from one minimum of H or bound to another is one, and by how much H is less there."""
         both = ca.fabs(self.points[one] - self.points[other]) > _APART * self.span
         for regime in (one, other):
             both = ca.logic_and(both, self.there.get(regime, ca.SX(1.0)))

@@ -55,7 +55,7 @@ class Relaxed(NamedTuple):
 
 
 class Words(NamedTuple):
-    """What a limit is called, by how much it is missed, where everything else can be kept, and what was stated.
+    """Return what a limit is called, by how much it is missed, where everything else can be kept, and what was stated.
 
     And whether what would be enough may be stated: a throttle of 1.4 may not.
     """
@@ -218,7 +218,7 @@ def _words(problem: Problem, one: Relaxed) -> Words:
 
 
 def _may_be_stated(problem: Problem, name: str, value: float) -> bool:
-    """Whether a given parameter may have a value [SI], by what is declared of it."""
+    """Return True if a given parameter may have a value [SI], by what is declared of it."""
     try:
         problem.with_given(**{name: value})
     except PeriluneError:

@@ -81,7 +81,7 @@ def better_within(problem: Problem, breach: Breach) -> float | None:
 
 
 def _by_the_mesh_alone(coarse: Coarse, flight: Solution, breach: Breach) -> bool:
-    """Whether a rough flight keeps a bound, on which alone J depends, by no more than a finer mesh changes its J."""
+    """Return True if a rough flight keeps a bound, of which only J depends, by no more than its J changes."""
     bound, finer = better_within(coarse.problem, breach), coarse.without_bounds(breach.name, flight)
     if bound is None or finer is None:
         return False

@@ -88,7 +88,7 @@ def burning_once_more(known: TwoBurns, *, at_once: bool) -> TwoBurns:
 
 @dataclass(frozen=True, kw_only=True)
 class _Given:
-    """What the programs are solved with."""
+    """Data with which the programs are solved."""
 
     units: CanonicalUnits
     start: Vector

@@ -18,7 +18,7 @@ NO_TIME = 1e-5  # of the flight: an arc that is shorter is none
 
 @dataclass(frozen=True, kw_only=True)
 class Burning:
-    """What burns: mass [kg] at the start, thrust [N], exhaust speed [m/s]."""
+    """Lander and engine: mass [kg] at the start, thrust [N], exhaust speed [m/s]."""
 
     mass: float
     force: float
@@ -83,7 +83,7 @@ class TwoBurns:
 
     @property
     def burns(self) -> tuple[int, ...]:
-        """Which arcs burn."""
+        """Indices of the arcs that burn."""
         last = len(self.lengths) - 1
         return (*range(1, 2 * self.brief, 2), *((last - 1,) if self.early else ()), last)
 

@@ -150,7 +150,7 @@ def _landing(around: Around, wait: float) -> TwoImpulses:
 
 
 def _may_graze(around: Around, wait: float) -> bool:
-    """Whether a flight is above the ground after a wait [s], and may be made to graze it."""
+    """Return True if a flight is above the ground after a wait [s], and may be made to graze it."""
     position, velocity = fallen(around.position, around.velocity, around.mu, wait)
     above = float(np.linalg.norm(position)) > around.radius
     return above and _lowest(position, _FASTER * velocity, around.mu) > around.radius

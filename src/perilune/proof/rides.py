@@ -210,7 +210,7 @@ class Rides:
         return nu * size < -STRICT
 
     def kept(self, *, idle: bool = True) -> dict[int, Kept]:
-        """What variations keep of what is ridden, by part: for the second variation.
+        """Return the conditions of boundary arcs that variations keep, by part: for the second variation.
 
         Parameters
         ----------

@@ -156,7 +156,7 @@ def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
 
 
 def _spirals(p: Any, low: float, high: float) -> list[Finding]:
-    """Whether thrust is so weak that even the least change takes longer than a turn, which a search seldom follows."""
+    """Compare the burn of the least velocity change with one turn: a search seldom follows a spiral."""
     mu, exhaust = p.body_gravitational_parameter, exhaust_speed(p)
     change = _least_change(p, NUMERIC, low, high, p.body_radius + p.interface_altitude)
     burn = -math.expm1(-change / exhaust) * p.vehicle_mass * exhaust / greatest_thrust(p)

@@ -349,7 +349,7 @@ def velocity_change(p: Any, m: Any = NUMERIC) -> Any:
 
 
 def is_something_left(p: Any) -> bool:
-    """Whether it is said what the burn must leave."""
+    """Return True if a mass that the burn must leave is stated."""
     return hasattr(p, "vehicle_dry_mass") or hasattr(p, "separation_mass")
 
 
