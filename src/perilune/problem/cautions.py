@@ -46,7 +46,7 @@ def warnings_of(solution: Any) -> tuple[str, ...]:
 
 
 def _left_out(solution: Any) -> Iterator[str]:
-    """What the model leaves out, by its own comparisons."""
+    """Yield what the model leaves out, as its own comparisons say."""
     problem = solution.problem
     stated = () if problem.preflight is None else problem.preflight(solution.parameters, NUMERIC)
     yield from (finding.meaning for finding in stated if finding.lasting and not finding.passed)
@@ -60,7 +60,7 @@ def _undercut(solution: Any) -> Iterator[str]:
 
 
 def _outdone(solution: Any) -> Iterator[str]:
-    """Yield that a better flight is known: a local optimum is proved, and is not the best."""
+    """Yield a sentence for each better flight that is known: a local optimum is proved, and is not the best."""
     yield from (line for line in solution.statistics.tried if line.startswith(KNOWN_BETTER))
 
 
@@ -110,7 +110,7 @@ def _below_ground(solution: Any) -> Iterator[str]:
 
 
 def _heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], float] | None:
-    """What is said of a low flight, the height [m] of each phase at times, and the body's radius; None without."""
+    """Return (description of a low flight, height [m] of a phase k at times, body's radius [m]); None without these."""
     problem, p = solution.problem, solution.parameters
     seen = problem.views.height or any(phase.inertial is not None for phase in problem.phases)
     if not (problem.views.radius and seen):
@@ -132,7 +132,7 @@ def _heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], float
 
 
 def _guessed_heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], float] | None:
-    """The same where no view says it, but names do: a distance r from a centre, and a radius R."""
+    """Return the same from names where no view says it: a distance r from a centre, and a radius R."""
     problem = solution.problem
     radii = [name for name in _RADII if name in problem.given and problem.given[name].unit == "m"]
     names = [s.name for s in problem.phases[0].states if s.name in _DISTANCES and s.unit == "m"]
@@ -147,7 +147,7 @@ def _guessed_heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector
 
 
 def _outside(solution: Any) -> Iterator[str]:
-    """Quantities beyond what the model is meant for."""
+    """Yield a sentence for each quantity beyond the range that the model is meant for."""
     problem = solution.problem
     for meant in problem.views.meant_for:
         name, worst = meant.quantity, 0.0
@@ -175,7 +175,7 @@ def _outside(solution: Any) -> Iterator[str]:
 
 
 def _reached(solution: Any) -> Iterator[str]:
-    """Limits that the flight reaches: of the path, of states and of ends."""
+    """Yield a sentence for each limit that the flight reaches: of the path, of states and of ends."""
     problem, p, since = solution.problem, solution.parameters, 0.0
     for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
         t = np.linspace(_ENDS, 1.0 - _ENDS, _POINTS) * flown.duration
@@ -214,7 +214,7 @@ def _room_of(solution: Any, k: int, i: int) -> Callable[[Vector], Vector]:
 
 
 def _contact(name: str, t: Vector, values: Vector, of: Callable[[Vector], Vector], since: float) -> Iterator[str]:
-    """Where a condition has no room away from the ends of its phase."""
+    """Yield the sentence for a condition that has no room left away from the ends of its phase."""
     reach, i = float(np.ptp(values)), int(np.argmin(values))
     if not reach > 0 or i in (0, len(t) - 1):
         if reach > 0 and np.count_nonzero(values <= _CONTACT * reach) > 1:
@@ -233,13 +233,13 @@ def _contact(name: str, t: Vector, values: Vector, of: Callable[[Vector], Vector
 
 
 def _while(ends: Vector) -> str:
-    """Instants in words: the first and the last, which may be one."""
+    """Format instants: the first and the last, which may be one."""
     first, last = ends
     return f"at {first:.4g} s" if first == last else f"between {first:.4g} and {last:.4g} s"
 
 
 def _least(of: Callable[[Vector], Vector], duration: float, first: int = _POINTS) -> tuple[float, float]:
-    """The least value of a quantity along a duration, and when."""
+    """Return the least value of a quantity along a duration, and the time at which it is taken [s]."""
     low, high, least, when = 0.0, duration, math.inf, 0.0
     for count in (first, *(_NEARER,) * _ROUNDS):
         t = np.linspace(low, high, count)

@@ -175,7 +175,7 @@ class Bounded:
 
     @property
     def bounded(self) -> bool:
-        """Whether both bounds are finite; one that a parameter holds is."""
+        """Return True if both bounds are finite; one that a parameter holds is."""
         return all(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
 
     def limits(self, p: Any) -> tuple[Any, Any]:
@@ -251,7 +251,7 @@ class Bounded:
         return (u - lower) / (upper - lower)
 
     def on_bounds(self, u: Any, near: float, p: Any) -> tuple[Any, Any]:
-        """Where a value lies on its lower, and on its upper bound, within `near` [SI]."""
+        """Return whether a value lies on its lower, and on its upper bound, within `near` [SI]."""
         lower, upper = self.limits(p)
         return u <= lower + near, u >= upper - near
 
@@ -267,7 +267,7 @@ class Settled(Bounded):
 
     @property
     def bounded(self) -> bool:
-        """Whether it has a range to move in."""
+        """Return True if it has a range to move in."""
         return self.regime == "singular" and super().bounded
 
     def limits(self, p: Any) -> tuple[Any, Any]:
@@ -280,7 +280,7 @@ Control = Direction | Bounded
 
 
 def placed(controls: Sequence[Control]) -> Iterator[tuple[slice, Control]]:
-    """Each control with the slice of its components."""
+    """Yield each control with the slice of its components."""
     at = 0
     for control in controls:
         yield slice(at, at + len(control.names)), control
@@ -288,7 +288,7 @@ def placed(controls: Sequence[Control]) -> Iterator[tuple[slice, Control]]:
 
 
 def scalars(controls: Sequence[Control]) -> Iterator[tuple[int, Bounded]]:
-    """Each scalar with the place of its component."""
+    """Yield each scalar with the place of its component."""
     for here, control in placed(controls):
         if isinstance(control, Bounded):
             yield here.start, control
@@ -323,9 +323,21 @@ def control_scales(controls: Sequence[Control], scales: Scales) -> Vector:
 
 
 def tangents(controls: Sequence[Control], scales: Vector, u: Matrix) -> Any:
-    """Where controls u (components, N) can move, (components, k, N): a sphere's tangents, a scalar's axis.
+    """Return the directions in which controls can move: a sphere's tangents, a scalar's axis.
 
-    Those of a scalar are one size of it long, of `scales` (components,).
+    Parameters
+    ----------
+    controls
+        Controls of the phase.
+    scales
+        Sizes of their components, (components,); the axis of a scalar is one size long.
+    u
+        Controls, (components, N).
+
+    Returns
+    -------
+    array
+        Directions, (components, k, N).
     """
     columns = []
     for here, control in placed(controls):

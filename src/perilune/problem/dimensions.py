@@ -25,7 +25,7 @@ _LONGEST = 60  # characters of a formula in a message
 
 @dataclass(frozen=True)
 class Clash:
-    """What is wrong in a formula, and what would be right."""
+    """An error of units in a formula: what it has, and what would be right."""
 
     got: str
     expected: str

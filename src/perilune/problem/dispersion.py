@@ -49,7 +49,7 @@ def _told(views: Any) -> tuple[Variable, ...]:
 
 
 def dispersion(solution: Any) -> tuple[tuple[Variable, ...], list[float]]:
-    """What is told of a flight, and the values: metres along the track and to the left of it."""
+    """Return the results asked for of a flight, and their values: metres along the track and to the left of it."""
     variables, problem = _told(solution.problem.views), solution.problem
     if not variables:
         return (), []
@@ -75,14 +75,14 @@ def _moved_at_the_end(solution: Any, asked: Dispersion) -> Matrix:
 
 
 def _begin(problem: Any, k: int, before: Any, p: Any) -> Any:
-    """Where a phase begins, from the end of the one before."""
+    """Return the state at which a phase begins, from the end of the one before."""
     if k == 0:
         return problem.start(p, COMPLEX)
     return problem.links[k - 1](problem.phases[k - 1].state_record(*before), p, COMPLEX)
 
 
 def _stopped(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
-    """Changes where the first end condition of a phase is met, from those at its time."""
+    """Return the changes where the first end condition of a phase is met, from those at its time."""
     phase, p = solution.problem.phases[k], solution.parameters
     x, u = (row[:, 0] for row in solution.flown(k, np.array([solution.trajectories[k].duration])))
     rates = np.array([float(v) for v in phase.rates(x, u, p)])
@@ -102,13 +102,13 @@ def _disturbed(p: Any, by: Disturbance) -> SimpleNamespace:
 
 
 def _through(function: Any, x: Vector, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
-    """Changes of a function of the state and the parameters, shape (values, disturbances)."""
+    """Return the changes of a function of the state and the parameters, shape (values, disturbances)."""
     found = [function(x + 1j * STEP * column, q) for column, q in zip(moved.T, disturbed, strict=True)]
     return np.array([[float(np.imag(v)) / STEP for v in values] for values in found]).T
 
 
 def _late(solution: Any, k: int, p: Any, asked: Dispersion) -> Matrix:
-    """What the state changes by in the second by which a phase begins later."""
+    """Return the change of the state for each second by which a phase begins later, (states, disturbances)."""
     phase, t = solution.problem.phases[k], np.zeros(1)
     x, u = solution.flown(k, t)
     found = np.zeros((len(x), len(asked.disturbances)))
@@ -120,7 +120,7 @@ def _late(solution: Any, k: int, p: Any, asked: Dispersion) -> Matrix:
 
 
 def _carried(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
-    """Changes at the end of a phase that are `moved` at its begin."""
+    """Propagate changes `moved` at the begin of a phase to its end."""
     flown = solution.trajectories[k]
     nodes = np.unique(np.concatenate([flown.time, flown.control.time, np.linspace(0.0, flown.duration, _FEWEST)]))
     whole = np.vstack([moved, np.eye(len(disturbed))])
@@ -152,7 +152,7 @@ def _transition(solution: Any, k: int, nodes: Vector, disturbed: list[SimpleName
 
 
 def _product(matrices: Any) -> Matrix:
-    """The product of all matrices, the last one leftmost, in pairs."""
+    """Multiply all matrices, the last one leftmost, in pairs."""
     while len(matrices) > 1:
         odd = matrices[-1:] if len(matrices) % 2 else matrices[:0]
         matrices = np.concatenate([matrices[1::2] @ matrices[: len(matrices) - len(odd) : 2], odd])

@@ -10,7 +10,7 @@ from perilune.words.asked import called_in_words
 
 
 class Nature(Enum):
-    """What an extremal is for the objective, in its free parameters (the control being optimal along each).
+    """The kind of an extremal with respect to J and its free parameters (the control being optimal along each).
 
     Nothing shows that the best of those found is the best there is. An answer whose proof fails is called no optimum.
     """
@@ -26,12 +26,12 @@ class Nature(Enum):
 
     @property
     def outdone(self) -> Nature:
-        """What the best of those found is where there is a better one."""
+        """Return what the best of those found becomes where there is a better one."""
         return {Nature.BEST: Nature.LOCAL_OPTIMUM, Nature.BEST_AT_BOUND: Nature.LOCAL_OPTIMUM_AT_BOUND}.get(self, self)
 
     @property
     def unguided(self) -> Nature:
-        """What an extremal near a guess is where the guess was a method's own, and no other was found."""
+        """Return what an extremal near a guess becomes where the guess was a method's own and no other was found."""
         ranked = {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
         return ranked.get(self, self)
 

@@ -135,11 +135,11 @@ class Stated:
 
     @property
     def differentiated(self) -> bool:
-        """Whether the proof takes derivatives of it; the others are only told or bounded."""
+        """Return True if the proof takes derivatives of it; the others are only reported or bounded."""
         return not _DIFFERENTIATED.isdisjoint([self.key] if isinstance(self.key, str) else self.key)
 
     def told(self, k: int) -> str:
-        """How one of its values is called."""
+        """Return what one of its values is called."""
         return f"{self.what}, {self.results[k][0]}"
 
     @property
@@ -190,13 +190,13 @@ class Stated:
 
 
 def roles_of(key: Any) -> tuple[str, ...]:
-    """What a function takes before `m`, by its `Stated.key`."""
+    """Return the records that a function takes before `m`, by its `Stated.key`."""
     name = key if isinstance(key, str) else key[0]
     return _OTHER_FUNCTIONS[name] if name in _OTHER_FUNCTIONS else PHASE_FUNCTIONS[key[1]][0]
 
 
 def stated(problem: Any) -> Iterator[Stated]:
-    """Every function of a problem that is a formula."""
+    """Yield every function of a problem that is a formula."""
     phases = problem.phases
     shared = {"p": None, "t": None, "first": phases[0].state_record, "last": phases[-1].state_record}
 
@@ -264,11 +264,11 @@ class Form:
         return _digest(marshal.dumps([self.structure, tapes], 2))  # which writes what is equal in one way
 
     def chooses(self, k: int) -> bool:
-        """Whether the dynamics of phase k have a choice (``m.where``) in them, and so perhaps a jump."""
+        """Return True if the dynamics of phase k have a choice (``m.where``) in them, and so perhaps a jump."""
         return any(op[0] == "where" for op in self.expressions[k, "dynamics"].tape.instructions)
 
     def limits_control(self, k: int) -> bool:
-        """Whether a control acts in the path conditions of phase k."""
+        """Return True if a control acts in the path conditions of phase k."""
         path = self.expressions.get((k, "path"))
         return path is not None and any(op[0] == "u" for op in path.tape.instructions)
 
@@ -281,7 +281,7 @@ class Form:
 
 @lru_cache(maxsize=256)
 def _digest(content: bytes) -> str:
-    """Of structure and tapes: a problem is often stated anew, with other numbers."""
+    """Return the hash of structure and tapes: a problem is often stated anew, with other numbers."""
     text = json.dumps(marshal.loads(content), separators=(",", ":"), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

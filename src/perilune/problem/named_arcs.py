@@ -30,13 +30,13 @@ class NamedArc:
 
     @property
     def text(self) -> str:
-        """What it is and when."""
+        """Describe the arc and its time."""
         when = f"at {self.end:.4g} s" if self.begin == self.end else f"{self.begin:.4g} to {self.end:.4g} s"
         return f"{self.words} {when}"
 
 
 def told(arcs: Sequence[NamedArc]) -> str:
-    """All of them as one line; of several phases each with its name before."""
+    """Format all arcs as one line; of several phases each with its name before."""
     phases = dict.fromkeys(arc.phase for arc in arcs)
     lines = ["; ".join(arc.text for arc in arcs if arc.phase == phase) for phase in phases]
     if len(lines) < 2:

@@ -21,7 +21,7 @@ from perilune.words.types import Vector
 
 
 def offset_of(state: str) -> str:
-    """Name of the parameter by which a state is moved at the start."""
+    """Return the name of the parameter by which a state is moved at the start."""
     return f"offset_{state}"
 
 
@@ -49,12 +49,12 @@ def movable(problem: Problem) -> Problem:
 
 
 def moved(problem: Problem, **values: float) -> Problem:
-    """A `movable` problem with other offsets [SI]. Nothing that is stated of it knows them: all else stays."""
+    """Return a `movable` problem with other offsets [SI]. Nothing that is stated of it knows them: all else stays."""
     return _with_values(problem, values)
 
 
 def unmoved(problem: Problem) -> Problem:
-    """The problem without the offsets of its start."""
+    """Return the problem without the offsets of its start."""
     if not isinstance(problem.start, MovedStart):
         return problem
     of = problem.start.problem
@@ -64,7 +64,7 @@ def unmoved(problem: Problem) -> Problem:
 
 
 def offsets(problem: Problem) -> Vector:
-    """By how much each state is moved at the start [SI]."""
+    """Return by how much each state is moved at the start [SI]."""
     if not isinstance(problem.start, MovedStart):
         return np.zeros(len(problem.phases[0].states))
     return np.array([problem.given[name].value for name in problem.start.names])
@@ -76,7 +76,7 @@ class Held(Free):
 
 
 def held(problem: Problem, **values: float) -> Problem:
-    """A neighbour whose free parameters may take no other than these values [SI]."""
+    """Return a neighbour whose free parameters may take no other than these values [SI]."""
     return _at(problem, values, Held)
 
 
@@ -94,13 +94,13 @@ def _at(problem: Problem, values: Mapping[str, float], kind: type[Free]) -> Prob
 
 
 def released(problem: Problem, names: Collection[str]) -> Problem:
-    """The problem without the bounds of these free parameters."""
+    """Return the problem without the bounds of these free parameters."""
     free = tuple(replace(f, lower=-math.inf, upper=math.inf) if f.name in names else f for f in problem.free)
     return _with_free(problem, free)
 
 
 def _with_free(problem: Problem, free: tuple[Free, ...]) -> Problem:
-    """The same with other ranges, which do not enter its structure."""
+    """Return the same problem with other ranges, which do not enter its structure."""
     same = {"structure": problem.structure} if "structure" in problem.__dict__ else {}
     return problem.changed(free=free, **same)
 
@@ -118,11 +118,11 @@ def placed(problem: Problem, values: Mapping[str, float]) -> Problem:
 
 
 def _with_values(problem: Problem, values: Mapping[str, float]) -> Problem:
-    """The same with other values [SI] of given parameters, which do not enter its structure."""
+    """Return the problem with other values [SI] of given parameters, which do not enter its structure."""
     given = {name: Given(value=value, unit=problem.given[name].unit) for name, value in values.items()}
     return problem.changed(given=MappingProxyType({**problem.given, **given}), structure=problem.structure)
 
 
 def is_neighbour(problem: Problem) -> bool:
-    """Whether the start is moved, or a free parameter held."""
+    """Return True if the start is moved, or a free parameter held."""
     return isinstance(problem.start, MovedStart) or any(isinstance(f, Held) for f in problem.free)

@@ -101,7 +101,7 @@ class Phase(ShownPhase):
 
     @property
     def sized(self) -> tuple[Variable, ...]:
-        """What methods compute with in canonical units: states and conditions."""
+        """Return the variables that methods compute with in canonical units: states and conditions."""
         return (*self.states, *self.end_conditions, *self.path_conditions, *self.held_conditions)
 
     @cached_property

@@ -58,7 +58,7 @@ class Finding:
 
     @property
     def passed(self) -> Any:
-        """Whether the value is on the right side of the limit, an array where they are; NaN never is."""
+        """Return True if the value is on the right side of the limit, an array where they are; NaN never is."""
         return self.value >= self.limit if self.at_least else self.value <= self.limit
 
     @property
@@ -107,7 +107,10 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
 
 
 def between_bounds(problem: Problem, p: Any) -> tuple[Finding, ...]:
-    """That no lower bound of a control, a state or an end lies above its upper one, where p has parameters of these."""
+    """Compare the two bounds of each control, state and end: no lower one lies above its upper one.
+
+    Only bounds are compared whose parameters p has.
+    """
     bounded = [
         one
         for phase in problem.phases
@@ -127,12 +130,12 @@ def between_bounds(problem: Problem, p: Any) -> tuple[Finding, ...]:
 
 
 def possible(found: Sequence[Finding]) -> Any:
-    """Whether no binding comparison is missed; an array for findings of arrays."""
+    """Return True if no binding comparison is missed; an array for findings of arrays."""
     return np.logical_and.reduce(np.broadcast_arrays(True, *(f.passed for f in found if f.binding)))
 
 
 def member(found: Sequence[Finding], index: int) -> tuple[Finding, ...]:
-    """The findings of one of many problems that were judged together."""
+    """Return the findings of one of many problems that were judged together."""
 
     def pick(values: Any) -> float:
         return float(values if np.ndim(values) == 0 else values[index])

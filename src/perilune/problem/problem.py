@@ -161,12 +161,12 @@ class Problem(ShownProblem, SimulatedProblem):
 
     @cached_property
     def form(self) -> Form:
-        """What is stated, without the numbers: traced once, and shared by all `with_given`."""
+        """Return the problem without its numbers: traced once, and shared by all `with_given`."""
         return trace(self)
 
     @cached_property
     def structure(self) -> tuple[Any, ...]:
-        """What a derivation depends on: the form, what is given and what is free, and which bounds there are.
+        """Return what a derivation depends on: form, names of given and free parameters, and which bounds there are.
 
         Whether a limit is a number, and of which sign, decides on the regimes of a control; whether an end condition is
         a range decides on its row. What has a scale of its own has other canonical values.
@@ -182,13 +182,13 @@ class Problem(ShownProblem, SimulatedProblem):
         return (self.form.digest, tuple(self.given), self.free_names, bounds, ranges, ratios)
 
     def differs_in_values(self, other: Problem) -> bool:
-        """Whether another problem is the same but for values of its parameters and ranges of the free ones."""
+        """Return True if another problem differs in nothing but values of parameters and ranges of free ones."""
         alike = self.structure == other.structure and self.scales == other.scales
         return alike and (self.phases is other.phases or self._bounds == other._bounds)
 
     @property
     def _bounds(self) -> list[tuple[Any, Any]]:
-        """Those of states, end conditions and controls."""
+        """Return the bounds of states, end conditions and controls."""
         return [
             (c.lower, c.upper)
             for phase in self.phases
@@ -197,7 +197,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
     @property
     def text(self) -> str:
-        """Which text of the physics its functions are: the user's own, or expressions and where they came from."""
+        """Name the text of the physics in its functions: the user's own, or expressions and where they came from."""
         return f"expressions from {self.start.origin}" if isinstance(self.start, Expression) else OWN_TEXT
 
     @cached_property

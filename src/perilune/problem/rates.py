@@ -64,7 +64,7 @@ def _times(one: Any, factor: Any) -> Any:
 
 
 def _power(m: Any, v: Any, a: Any, b: Any, da: Any, db: Any) -> Any:
-    """d(a^b) = b a^(b-1) da + a^b log(a) db; of no term that does not change is a logarithm taken."""
+    """Return d(a^b) = b a^(b-1) da + a^b log(a) db; of no term that does not change is a logarithm taken."""
     first = None
     if da is not None:
         first = 2.0 * a * da if isinstance(b, float) and b == 2.0 else b * a ** (b - 1.0) * da
@@ -101,7 +101,7 @@ def _rate_of(m: Any, name: str, value: Any, of: Sequence[Any], rates: Sequence[A
 
 
 def run(expression: Expression, recorder: Recorder, inputs: Inputs | None = None) -> list[Any]:
-    """The values of an expression as symbols of a recorder, with `inputs` in place of those of these names."""
+    """Return the values of an expression as symbols of a recorder, with `inputs` in place of those of these names."""
     records: dict[str, Any] = {role: SimpleNamespace() for role in expression.roles}
     for role, name in (op for op in expression.tape.instructions if op[0] in ROLES):
         symbol = inputs[role, name] if inputs and (role, name) in inputs else recorder.input(role, name)
@@ -114,26 +114,26 @@ def run(expression: Expression, recorder: Recorder, inputs: Inputs | None = None
 
 
 def gathered(parts: Sequence[Expression], roles: tuple[str, ...]) -> Expression:
-    """All values of several expressions as those of one, which takes the records `roles`."""
+    """Return all values of several expressions as those of one, which takes the records `roles`."""
     recorder = Recorder()
     values = [value for part in parts for value in run(part, recorder)]
     return Expression(recorder.tape(values), roles, origin=parts[0].origin if parts else "")
 
 
 def component(expression: Expression, k: int) -> Expression:
-    """One value of an expression."""
+    """Return one value of an expression."""
     recorder = Recorder()
     tape = recorder.tape([run(expression, recorder)[k]])
     return Expression(tape, expression.roles, origin=expression.origin)
 
 
 def acts(expression: Expression) -> bool:
-    """Whether a control is in it."""
+    """Return True if an expression has a control in it."""
     return any(op[0] == "u" for op in expression.tape.instructions)
 
 
 def acts_linearly(expression: Expression, control: str) -> bool:
-    """Whether a control is in it, and in each of its values with a slope that does not depend on the control.
+    """Return True if a control is in each value of an expression, with a slope that does not depend on it.
 
     By the operations, so that what only cancels is no linear one.
     """
@@ -157,7 +157,7 @@ def acts_linearly(expression: Expression, control: str) -> bool:
 
 
 def rate(function: Expression, dynamics: Expression, states: Sequence[str]) -> Expression:
-    """The total derivatives of a function's values along the flight.
+    """Derive the total derivatives of a function's values along the flight.
 
     Parameters
     ----------
@@ -193,12 +193,12 @@ def rate(function: Expression, dynamics: Expression, states: Sequence[str]) -> E
 
 
 def _changing(value: Any) -> Any:
-    """A rate that may be other than zero."""
+    """Return a rate that may be other than zero, else None."""
     return value if isinstance(value, Symbol) or value != 0 else None
 
 
 def derivatives(function: Expression, dynamics: Expression, states: Sequence[str]) -> tuple[Expression, ...]:
-    """(S, S', ..., S^(q)), the last being the first with a control in it: q is the order of S.
+    """Return (S, S', ..., S^(q)), the last being the first with a control in it: q is the order of S.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def derivatives(function: Expression, dynamics: Expression, states: Sequence[str
 
 @lru_cache(maxsize=64)
 def _next(function: Expression, dynamics: Expression, states: tuple[str, ...]) -> Expression:
-    """The rate of one value, without a control whose effects on it cancel."""
+    """Return the rate of one value, without a control whose effects on it cancel."""
     found = rate(function, dynamics, states)
     if not acts(found) or not _cancels(function, dynamics, states):
         return found
@@ -231,7 +231,7 @@ def _next(function: Expression, dynamics: Expression, states: tuple[str, ...]) -
 
 
 def _cancels(function: Expression, dynamics: Expression, states: tuple[str, ...]) -> bool:
-    """Whether dS/dx (f(x, u) - f(x, v)) vanishes, term against term, wherever it can be computed."""
+    """Return True if dS/dx (f(x, u) - f(x, v)) vanishes, term against term, wherever it can be computed."""
     rng = np.random.default_rng(0)
     names = {op for tape in (function.tape, dynamics.tape) for op in tape.instructions if op[0] in ROLES}
     names |= {("x", name) for name in states}
@@ -250,14 +250,14 @@ def _cancels(function: Expression, dynamics: Expression, states: tuple[str, ...]
 
 
 def _slope(function: Expression, name: str, states: tuple[str, ...], x: Any, p: Any) -> Vector:
-    """dS/dx_i at points: the rate of S where that state alone changes."""
+    """Return dS/dx_i at points: the rate of S where only that state changes."""
     one = Recorder()
     alone = Expression(one.tape([float(name == state) for state in states]), ("x", "u", "p"))
     return _values(rate(function, alone, states), x, SimpleNamespace(), p)[0]
 
 
 def _values(expression: Expression, x: Any, u: Any, p: Any) -> Matrix:
-    """Values at points, (values, points)."""
+    """Evaluate an expression at points, (values, points)."""
     records = {"x": x, "u": u, "p": p}
     found = expression(*(records[role] for role in expression.roles), NUMERIC)
     return np.array([np.broadcast_to(np.asarray(value, dtype=float), _LOOKS) for value in found])

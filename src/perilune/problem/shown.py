@@ -27,7 +27,7 @@ _LONGEST_INPUT = 600  # characters of what was read of a file
 
 
 class ShownProblem:
-    """How a problem shows itself."""
+    """The reprs and displays of a problem."""
 
     @property
     def heading(self: Any) -> str:
@@ -46,7 +46,7 @@ class ShownProblem:
 
     @property
     def inputs_read(self: Any) -> tuple[str, ...]:
-        """What was read of its files, as it may be printed (`Views.inputs`)."""
+        """Return what was read of its files, as it may be printed (`Views.inputs`)."""
         return tuple(one_line(text, _LONGEST_INPUT) for text in self.views.inputs)
 
     def __repr__(self: Any) -> str:
@@ -59,7 +59,7 @@ class ShownProblem:
 
 
 class ShownPhase:
-    """How a phase shows itself."""
+    """The repr of a phase."""
 
     def __repr__(self: Any) -> str:
         states = ", ".join(f"{state.name} [{state.unit}]" for state in self.states)
@@ -68,7 +68,7 @@ class ShownPhase:
 
 
 class ShownCurve:
-    """How a curve shows itself."""
+    """The repr of a curve."""
 
     def __repr__(self: Any) -> str:
         nodes, components = self.values.shape
@@ -76,7 +76,7 @@ class ShownCurve:
 
 
 class ShownTrajectory:
-    """How the flight of a phase shows itself."""
+    """The repr of the flight of a phase."""
 
     def __repr__(self: Any) -> str:
         curves = {"states": self.state, "values of the control": self.control, "costates": self.costate}
@@ -85,7 +85,7 @@ class ShownTrajectory:
 
 
 class ShownSolution:
-    """How a solution shows itself."""
+    """The reprs and displays of a solution."""
 
     def __repr__(self: Any) -> str:
         problem = self.problem

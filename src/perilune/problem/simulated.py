@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class SimulatedProblem:
-    """How a problem is flown from outside."""
+    """The functions by which a problem is flown from outside."""
 
     @called_in_words
     def rates(

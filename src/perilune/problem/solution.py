@@ -169,7 +169,7 @@ class Result:
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
-    """How the answer was found; `claimed` where a file says so and nobody here saw it.
+    """A record of how the answer was found; `claimed` where a file says so and nobody here saw it.
 
     `rung` is the way of starting that led to it, `tried` what was done in all of them. `iterations` and `arcs` count
     all that was done for it, in all starts together; `history` has the iterations of those starts that went alone.
@@ -263,12 +263,12 @@ class Solution(ShownSolution):
 
     @property
     def duration(self) -> float:
-        """How long the whole flight takes, all phases of it [s]."""
+        """Return the duration of the whole flight, all phases of it [s]."""
         return sum(trajectory.duration for trajectory in self.trajectories)
 
     @property
     def results(self) -> dict[str, Result]:
-        """What the problem asks of its flight, by name: `results`, `marks` and `integrals` of phases, `views`.
+        """Return the results that the problem asks for, by name: `results`, `marks`, `integrals` of phases, `views`.
 
         Of a problem that asks nothing, the flight time and the objective. NaN where they cannot be computed.
         """
@@ -297,7 +297,7 @@ class Solution(ShownSolution):
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What a colleague would say beside the answer: bounds that hold it back, ground, limits, ranges of the model.
+        """Return what should be said with the answer: bounds that hold it back, ground, limits, ranges of the model.
 
         Each is a sentence; they change neither the outcome nor the proof, which are those of the problem as stated.
         """
@@ -364,7 +364,7 @@ class Solution(ShownSolution):
 
 
 def full(values: Any, t: Vector) -> Vector:
-    """A quantity at every time, also where the physics returns one number for all."""
+    """Return a quantity at every time, also where the physics returns one number for all."""
     return np.broadcast_to(np.asarray(values, dtype=float), np.shape(t))
 
 

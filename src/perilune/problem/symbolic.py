@@ -65,7 +65,7 @@ class Parameters:
 
 
 def trace_parameters(problem: Problem) -> Parameters:
-    """One symbol for each given and each free parameter."""
+    """Create one symbol for each given and each free parameter."""
     given = ca.SX.sym("given", len(problem.given))
     free = ca.SX.sym("free", len(problem.free))
     record = SimpleNamespace(
@@ -76,17 +76,17 @@ def trace_parameters(problem: Problem) -> Parameters:
 
 
 def column(values: Any) -> ca.SX:
-    """A user's returned sequence as one column of expressions."""
+    """Return a user's returned sequence as one column of expressions."""
     return ca.vertcat(ca.SX(0, 1), *[ca.SX(v) for v in values])
 
 
 def elements(vector: ca.SX) -> list[ca.SX]:
-    """The entries of a column, as the user's functions receive them."""
+    """Return the entries of a column, as the user's functions receive them."""
     return [vector[i] for i in range(vector.numel())]
 
 
 def trace_rates(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> ca.SX:
-    """The phase's dynamics as a column."""
+    """Trace the phase's dynamics as a column."""
     return column(phase.rates(elements(x), elements(u), p, SYMBOLIC))
 
 
@@ -96,7 +96,7 @@ MOST_SIDES = 64  # that are held for tables and the like; each multiplies the mo
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """What the dynamics choose by: between which of its `knots` an expression of the states lies.
+    """A choice in the dynamics: between which of its `knots` an expression of the states lies.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ class Kinked:
 
 
 def trace_sides(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> Kinked:
-    """The phase's dynamics on each side of each ``m.where``, kink and end of a smooth table.
+    """Trace the phase's dynamics on each side of each ``m.where``, kink and end of a smooth table.
 
     What depends on a control, or would make too many sides, stays a choice inside the rates.
 
@@ -214,7 +214,7 @@ def _number(new: Choice, choices: list[Choice], most: int) -> int | None:
 
 
 def _margin(phase: Phase, condition: Any, u: ca.SX) -> ca.SX:
-    """What is positive where the condition of an ``m.where`` holds."""
+    """Return an expression that is positive where the condition of an ``m.where`` holds."""
     condition = ca.SX(condition)
     order = condition.is_op(ca.OP_LT) or condition.is_op(ca.OP_LE)
     if ca.depends_on(condition, u) or not order:
@@ -228,25 +228,25 @@ def _margin(phase: Phase, condition: Any, u: ca.SX) -> ca.SX:
 
 
 def trace_at_end(phase: Phase, x: ca.SX, p: SimpleNamespace) -> ca.SX:
-    """The phase's end conditions as a column."""
+    """Trace the phase's end conditions as a column."""
     return column(phase.evaluate("end", elements(x), [], p, SYMBOLIC))
 
 
 def canonical_given(problem: Problem) -> Vector:
-    """Values of the given parameters in canonical units."""
+    """Return the values of the given parameters in canonical units."""
     return np.array([g.value / problem.scales.of(g.unit) for g in problem.given.values()])
 
 
 def canonical_free(problem: Problem, free: Mapping[str, float]) -> Vector:
-    """Values of the free parameters in canonical units, from SI."""
+    """Return the values of the free parameters in canonical units, from SI."""
     return np.array([free[f.name] / problem.scales.of(f.unit) for f in problem.free])
 
 
 def free_scales(parameters: tuple[Free, ...], problem: Problem) -> Vector:
-    """SI size of the canonical unit of each free parameter."""
+    """Return the SI size of the canonical unit of each free parameter."""
     return np.array([problem.scales.of(f.unit) for f in parameters])
 
 
 def state_scales(problem: Problem, phase: Phase) -> Vector:
-    """SI size of the canonical unit of each state."""
+    """Return the SI size of the canonical unit of each state."""
     return np.array([problem.size_of(s) for s in phase.states])

@@ -135,7 +135,7 @@ class Recorder:
         )
 
     def by_another(self, called: str, ours: str, *operands: Any) -> Symbol:
-        """What Python's or NumPy's own function makes of symbols; refused where it loses a derivative."""
+        """Apply our operation in place of a function of Python or NumPy; refuse where that loses a derivative."""
         if self.differentiated and ours in _REAL_ELSEWHERE:
             raise NotAFormula(f"it calls {called}, which has no derivative for the proof", f"m.{ours}, which has one")
         return self.namespace.__dict__[ours](*operands)
@@ -167,7 +167,7 @@ class Recorder:
         return Symbol(self, self._append((role, name)))
 
     def index_of(self, value: Any) -> int:
-        """Where a symbol or a number stands."""
+        """Return the place of a symbol or a number."""
         if isinstance(value, Symbol):
             return value._index
         if isinstance(value, np.ndarray) and value.dtype == object:
@@ -186,7 +186,7 @@ class Recorder:
         return number
 
     def tape(self, results: Sequence[Any]) -> Tape:
-        """What the results need of all that was noted."""
+        """Return the tape of what the results need of all that was noted."""
         outputs = [self.index_of(r) for r in results]
         needed = set(outputs)
         for number in range(len(self.instructions) - 1, -1, -1):
@@ -203,7 +203,7 @@ class Recorder:
 
 
 def operands(instruction: Instruction) -> tuple[int, ...]:
-    """Which values an instruction works on."""
+    """Return the places of the values that an instruction works on."""
     return instruction[1 : 1 + ARITY.get(instruction[0], 0)]
 
 

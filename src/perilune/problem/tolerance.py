@@ -48,30 +48,30 @@ class Tolerance:
 
     @property
     def stated(self) -> dict[str, float]:
-        """What is stated, in SI, by its name."""
+        """Return the stated values, in SI, by name."""
         return {name: float(value) for name, value in values_of(self).items() if value is not None}
 
     def told(self, names: Iterable[str] = ()) -> str:
-        """What is stated of these (of all, if none is named), in words: ``position 1 mm, mass 1 g``."""
+        """Format what is stated of these (of all, if none is named): ``position 1 mm, mass 1 g``."""
         shown = {name: value for name, value in self.stated.items() if name in (tuple(names) or self.stated)}
         return ", ".join(f"{name} {told(name, value)}" for name, value in shown.items())
 
 
 def unit_of(name: str) -> str:
-    """SI unit of a quantity of the tolerance."""
+    """Return the SI unit of a quantity of the tolerance."""
     declared: Any = keys_of(Tolerance)[name].declared
     return declared.unit
 
 
 def told(name: str, value: float) -> str:
-    """A value in the unit in which it is best read, the same however it was stated."""
+    """Format a value in the unit in which it is best read, the same however it was stated."""
     choices = _SPOKEN.get(unit_of(name), ("1",))
     best = next((text for text in choices if value >= unit(text)[0]), choices[-1])
     return f"{value / unit(best)[0]:.6g} {best}".removesuffix(" 1")
 
 
 def quantity_in(unit_text: str) -> str:
-    """Name of the quantity that is measured in a unit; empty of one for which nothing can be stated.
+    """Return the quantity that is measured in a unit; empty of one for which nothing can be stated.
 
     An angle is what is in radians: a number without a unit is none.
     """

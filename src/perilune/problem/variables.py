@@ -70,7 +70,7 @@ class Variable:
 
     @property
     def ranged(self) -> bool:
-        """Whether an end condition of this name is a range and no equality."""
+        """Return True if an end condition of this name is a range and no equality."""
         return any(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
 
     def limits(self, p: Any) -> tuple[Any, Any]:

@@ -52,12 +52,12 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the value is within the limit; NaN never is."""
+        """Return True if the value is within the limit; NaN never is."""
         return bool(self.value <= self.limit)
 
     @property
     def lenient(self) -> bool:
-        """Whether it passed by what was stated alone."""
+        """Return True if it passed only by the stated tolerance."""
         return self.own_limit is not None and self.passed and not self.value <= self.own_limit
 
     def limit_told(self, digits: int = 3) -> str:
@@ -67,7 +67,7 @@ class Check:
 
 
 def slips_told(passed: Sequence[bool]) -> str:
-    """What has to stand behind a level where checks failed, also those of a higher one; else nothing."""
+    """Format what stands behind a level where checks failed, also those of a higher one; else nothing."""
     return f", NOT_PROVED: {passed.count(False)} of {len(passed)} checks failed" if False in passed else ""
 
 
@@ -144,7 +144,7 @@ class Verification:
 
     @property
     def passed(self) -> bool:
-        """Whether checks were made and none failed."""
+        """Return True if checks were made and none failed."""
         return bool(self.checks) and all(c.passed for c in self.checks)
 
     @property

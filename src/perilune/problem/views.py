@@ -110,7 +110,7 @@ class Disturbance:
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Dispersion:
-    """How far the landing point moves by disturbances (`perilune.problem.dispersion`).
+    """The disturbances by which the landing point is moved (`perilune.problem.dispersion`).
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class Dispersion:
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Space:
-    """Where in space a flight is, for programs that know bodies and times: what `Phase.inertial` is relative to.
+    """The place and time of a flight, for programs that know bodies and times: what `Phase.inertial` is relative to.
 
     Its axes are those of the body itself at the begin of the flight: z along its rotation, x to longitude 0.
 
@@ -200,7 +200,7 @@ class ValidRange:
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Views:
-    """How a problem is looked at.
+    """The ways in which a problem is looked at.
 
     Parameters
     ----------
