@@ -100,7 +100,7 @@ def extremal_parameters(problem: Problem) -> Vector:
 
 
 def _plain_limits(problem: Problem) -> list[tuple[int, Bounded, str]]:
-    """(phase, scalar control, side) of every limit that is a finite number and not a parameter's name."""
+    """Return (phase, scalar control, side) of every limit that is a finite number and not a parameter's name."""
     return [
         (k, control, side)
         for k, phase in enumerate(problem.phases)
@@ -252,13 +252,13 @@ def canonical_equations(
 
 
 def _loses(flows: list[ca.SX], z: ca.SX) -> bool:
-    """Whether volumes of states do not keep their size: drag, which no gravity undoes."""
+    """Return True if the flow does not preserve volumes of states: drag, which no gravity undoes."""
     x = z[: z.numel() // 2]
     return any(not ca.simplify(ca.trace(ca.jacobian(flow[: x.numel()], x))).is_zero() for flow in flows)
 
 
 def _nowhere(rate: ca.SX, u: ca.SX, z: ca.SX, room: ca.SX) -> ca.SX:
-    """NaN for rates that a control is in where there is no room for one, so that nothing is flown there; else 0."""
+    """Return NaN for rates with a control where its room is negative, so that nothing is flown there; else 0."""
     lost, changing = ca.SX(rate.numel(), 1), [r for r in elements(room) if ca.depends_on(r, z)]
     for i in range(rate.numel() if changing else 0):
         if ca.depends_on(rate[i], u):
@@ -267,7 +267,7 @@ def _nowhere(rate: ca.SX, u: ca.SX, z: ca.SX, room: ca.SX) -> ca.SX:
 
 
 def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX) -> ca.SX:
-    """Number of the mode at a point: the side of each choice, and there the regimes in which H is least.
+    """Return the number of the mode at a point: the side of each choice, and there the regimes in which H is least.
 
     Exactly on a knot it is the side to which the flight moves.
     """
@@ -292,7 +292,7 @@ def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX
 
 
 def of_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
-    """The value that belongs to the number of a mode."""
+    """Return the value that belongs to the number of a mode."""
     chosen = values[0]
     for k, value in enumerate(values[1:], 1):
         chosen = ca.if_else(mode == k, value, chosen)
@@ -302,7 +302,7 @@ def of_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
 def _events(
     dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX, function: Callable[..., ca.Function]
 ) -> Iterator[Event]:
-    """What leads from mode to mode: the control's transitions on each side, kinks, and jumps of the rates."""
+    """Yield the events that lead from mode to mode: the control's transitions, kinks, and jumps of the rates."""
     firsts = list(accumulate((len(law.control) for law in laws), initial=0))
     grouped: dict[tuple[str, int, bool], Event] = {}
 
@@ -370,13 +370,13 @@ def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], leas
 
 
 def _along(function: str, phase: Phase, x: ca.SX, u: ca.SX, p: Parameters) -> dict[str, ca.SX]:
-    """Path or held conditions by name."""
+    """Return path or held conditions by name."""
     values = column(phase.evaluate(function, elements(x), elements(u), p.record, SYMBOLIC))
     return {c.name: values[i] for i, c in enumerate(getattr(phase, f"{function}_conditions"))}
 
 
 def _through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX, q: ca.SX) -> ca.SX:
-    """dH/dq through a control that sits at a limit which depends on the free parameters q."""
+    """Return dH/dq through a control that sits at a limit which depends on the free parameters q."""
     if not ca.depends_on(bounds, q):
         return ca.SX.zeros(q.numel(), 1)
     # On a bound dH/du is its multiplier; between bounds it vanishes, and along a sphere it is tangent to nothing.
@@ -384,10 +384,10 @@ def _through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX,
 
 
 def control_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
-    """The minimising control, that of the mode in which H is least."""
+    """Return the minimising control, that of the mode in which H is least."""
     return of_mode([report(z, numbers)[0] for report in extremal.reports], extremal.mode(z, numbers))
 
 
 def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
-    """H on the minimising control, that of the mode in which it is least."""
+    """Return H on the minimising control, that of the mode in which it is least."""
     return of_mode([report(z, numbers)[2] for report in extremal.reports], extremal.mode(z, numbers))

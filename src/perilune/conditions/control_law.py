@@ -142,7 +142,7 @@ def minimising_control(
 
 
 def _control(phase: Phase, law: list[ca.SX], u: ca.SX, mode: Mode) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """The whole control in one mode, with symbols w in it for what is solved for, and the values of w."""
+    """Return the whole control in one mode, with symbols w in it for what is solved for, and the values of w."""
     known = [*zip(mode.kinds, mode.regimes, strict=True)]
     places = [kind.at for kind, regime in known if regime not in FREE]
     values = [kind.value(regime) for kind, regime in known if regime not in FREE]
@@ -180,13 +180,13 @@ def _without_singular(
 
 
 def _put(expression: ca.SX, u: ca.SX, places: list[int], values: list[ca.SX]) -> ca.SX:
-    """An expression with values in the place of some controls."""
+    """Substitute values for some of the controls of an expression."""
     symbols = ca.vertcat(ca.SX(0, 1), *(u[i] for i in places))
     return ca.substitute(expression, symbols, ca.vertcat(ca.SX(0, 1), *values))
 
 
 def _value(hamiltonian: ca.SX, u: ca.SX, mode: Mode, others: Sequence[ca.SX], size: ca.SX) -> ca.SX:
-    """H in a mode; infinite where its control is not between its bounds, or does not keep a condition of the path."""
+    """Return H in a mode; infinite where its control leaves its bounds, or breaks a condition of the path."""
     value = ca.substitute(hamiltonian, u, mode.control)
     for kind, regime in zip(mode.kinds, mode.regimes, strict=True):
         if regime in FREE:
@@ -208,7 +208,7 @@ def _value(hamiltonian: ca.SX, u: ca.SX, mode: Mode, others: Sequence[ca.SX], si
 
 
 def _least(values: Sequence[ca.SX]) -> ca.SX:
-    """Number of the mode in which H is least."""
+    """Return the number of the mode in which H is least."""
     number, least = ca.SX(0.0), ca.SX(np.inf)
     if len(values) == 1:
         return number

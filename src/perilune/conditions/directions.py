@@ -50,7 +50,7 @@ def _towards(
     first: int,
     last: int,
 ) -> ca.SX | None:
-    """Slope of H in a direction, whose opposite is the best one; None if another that is `left` turns it."""
+    """Return the slope of H in a direction, whose opposite is the best one; None if another of `left` turns it."""
     names, part = phase.control_names[first:last], u[first:last]
     gradient = ca.gradient(hamiltonian, part)
     if ca.depends_on(gradient, part):
@@ -72,7 +72,7 @@ def _towards(
 
 
 def _factor(gradient: ca.SX, scalar: ca.SX, values: tuple[float, ...] = _FROM_ABOVE) -> bool:
-    """Whether the scalar only scales the gradient: seen at a few points."""
+    """Return True if the scalar only scales the gradient, as seen at a few points."""
     others = [s for s in ca.symvar(gradient) if not ca.is_equal(s, scalar)]
     evaluate = ca.Function("gradient", [scalar, ca.vertcat(ca.SX(0, 1), *others)], [gradient])
     rng = np.random.default_rng(0)

@@ -23,12 +23,12 @@ Held = tuple[str, ...]  # conditions of the path by name
 
 
 def turns(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
-    """Whether a direction is in a condition."""
+    """Return True if a condition depends on a direction."""
     return any(ca.depends_on(condition, u[first:last]) for first, last in directions(phase.controls))
 
 
 def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
-    """Whether a condition of the path is linear in one direction alone, or one of scalars alone."""
+    """Return True if a condition of the path is linear in only one direction, or depends on scalars only."""
     if turns(phase, condition, u):
         return _direction_of(phase, condition, u) is not None
     acting = [control for at, control in scalars(phase.controls) if ca.depends_on(condition, u[at])]
@@ -38,7 +38,26 @@ def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
 def held_back(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], z: ca.SX, regimes: Sequence[Regime]
 ) -> ca.SX:
-    """What holding conditions c = 0 adds to -dH/dz: their multipliers mu times dc/dz, as functions of the control u."""
+    """Return the term (dc/dz)' mu that active conditions c = 0 add to -dH/dz, as a function of the control u.
+
+    Parameters
+    ----------
+    phase
+        The phase whose controls hold the conditions.
+    hamiltonian, u
+        H as an expression of the symbols u of the phase's controls, among others.
+    held
+        Conditions c of the control that are held at zero.
+    z
+        Symbols of states and costates.
+    regimes
+        Regimes of the scalars in the mode.
+
+    Returns
+    -------
+    casadi.SX
+        A column of the length of z.
+    """
     if not any(ca.depends_on(c, z) for c in held):
         return ca.SX.zeros(z.numel(), 1)
     return ca.jtimes(ca.vertcat(*held), z, held_multipliers(phase, hamiltonian, u, held, regimes), True)
@@ -47,7 +66,7 @@ def held_back(
 def held_multipliers(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], regimes: Sequence[Regime]
 ) -> ca.SX:
-    """Multipliers mu of conditions c = 0 that are held, in a column, as functions of the control u.
+    """Return the multipliers mu of conditions c = 0 that are held, a column of functions of the control u.
 
     H - mu.c is stationary in the control: mu of a direction's conditions from the tangents of the sphere and scalars
     between their bounds, that of scalars' conditions from their slopes. `regimes` are those of the scalars.
@@ -75,7 +94,7 @@ def held_multipliers(
 
 
 def _direction_of(phase: Phase, condition: ca.SX, u: ca.SX) -> tuple[int, int] | None:
-    """First and last place of the direction in which a condition is linear; None where it is not."""
+    """Return the first and last place of the direction in which a condition is linear; None where it is not."""
     for first, last in directions(phase.controls):
         part, others = u[first:last], ca.vertcat(ca.SX(0, 1), u[:first], u[last:])
         if ca.depends_on(condition, part):
@@ -85,7 +104,7 @@ def _direction_of(phase: Phase, condition: ca.SX, u: ca.SX) -> tuple[int, int] |
 
 
 def together(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
-    """Which conditions may be held together: one of a direction, or two in space; one of each scalar."""
+    """Enumerate conditions that can be held at once: one of a direction, or two in space; one of each scalar."""
     of = {name: _direction_of(phase, condition, u) for name, condition in kept.items()}
     turning, others = [n for n in kept if of[n] is not None], [n for n in kept if of[n] is None]
     pairs = [
@@ -105,7 +124,7 @@ def together(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
 
 
 def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
-    """Whether two conditions have one axis: seen at a few points."""
+    """Return True if two conditions have one axis, as seen at a few points."""
     turn = ca.vertcat(ca.gradient(one, u), ca.gradient(other, u))
     symbols = ca.symvar(turn)
     evaluate = ca.Function("axes", [ca.vertcat(ca.SX(0, 1), *symbols)], [turn])
@@ -137,7 +156,22 @@ def demand_held(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> None:
 
 
 def best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Where gradient . d is least on the sphere, with up to two linear conditions held; and what is >= 0 if any is."""
+    """Minimise gradient . d over the unit sphere with up to two linear conditions held.
+
+    Parameters
+    ----------
+    gradient
+        Slope of H in the direction.
+    d
+        Symbols of the direction, two or three.
+    held
+        Conditions that are linear in d.
+
+    Returns
+    -------
+    (direction, room)
+        `room` is >= 0 where a direction holds the conditions; empty where there are none.
+    """
     if not held:
         return -gradient / ca.norm_2(gradient), ca.SX(0, 1)
     if len(held) == 1:
@@ -154,7 +188,7 @@ def best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> tuple[ca
 
 
 def real_root(square: ca.SX) -> ca.SX:
-    """The root of what is not negative, and a number of what is.
+    """Return the square root of what is not negative, and a number of what is.
 
     Of several laws the best one is chosen. Derivatives are taken of all, and those of the others multiplied by zero:
     that a NaN among them would not stand.
@@ -163,7 +197,7 @@ def real_root(square: ca.SX) -> ca.SX:
 
 
 def unit_share(condition: ca.SX, d: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """A linear condition on d as axis . d = share, with an axis of length one."""
+    """Return a linear condition on d as axis . d = share, with an axis of length one."""
     axis = ca.gradient(condition, d)
     size = ca.norm_2(axis)
     return axis / size, -ca.substitute(condition, d, ca.SX.zeros(d.numel(), 1)) / size

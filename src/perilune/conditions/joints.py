@@ -77,7 +77,7 @@ def smooth_joints(
 def touches(
     problem: Problem, p: Parameters, ends: list[tuple[ca.SX, ca.SX, ca.SX]], slopes: ca.SX
 ) -> Iterator[tuple[int, str, ca.SX]]:
-    """Rows of free durations that end with a touch, as `smooth_joints` has them.
+    """Return rows of free durations that end with a touch, as `smooth_joints` has them.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def touches(
 
 
 def _free_joints(problem: Problem, slopes: ca.SX) -> Iterator[tuple[int, int]]:
-    """Number of the phase before each joint whose time is free and nothing else, and of the free parameter."""
+    """Yield for each joint with nothing free but its time the number of the phase before and of the free parameter."""
     free = problem.free_names
     for k, pair in enumerate(pairwise(problem.phases)):
         if all(problem.duration_names.count(phase.duration) == 1 and phase.duration in free for phase in pair):
@@ -114,7 +114,7 @@ def _free_joints(problem: Problem, slopes: ca.SX) -> Iterator[tuple[int, int]]:
 
 
 def _same(one: ca.SX, other: ca.SX) -> bool:
-    """Whether two expressions have the same values, of whatever size: seen at a few points."""
+    """Return True if two expressions, of whatever size, have the same values at a few points."""
     both = ca.vertcat(one, other)
     symbols, rng = ca.symvar(both), np.random.default_rng(0)
     evaluate = ca.Function("both", [ca.vertcat(ca.SX(0, 1), *symbols)], [both])
@@ -123,7 +123,7 @@ def _same(one: ca.SX, other: ca.SX) -> bool:
 
 
 def _only(phase: Phase, other: Phase) -> int | None:
-    """Place of the one condition that is held along the phase and not along the other."""
+    """Return the place of the one condition that is held along the phase and not along the other."""
     known = {c.name for c in other.held_conditions}
     found = [i for i, c in enumerate(phase.held_conditions) if c.name not in known]
     same = phase.control_names == other.control_names and phase.state_names == other.state_names
@@ -135,7 +135,7 @@ def _alike(one: ca.SX, other: ca.SX) -> bool:
 
 
 def _bends(phase: Phase, extremal: PhaseExtremal, value: ca.SX, u: ca.SX) -> bool:
-    """Whether the condition has a control in it of which H has a minimum inside its set: a direction, or a scalar."""
+    """Return True if H has a minimum inside the set of a control in the condition: a direction, or a scalar."""
     scalar = -1
     for here, control in placed(phase.controls):
         scalar += control.scalar

@@ -122,12 +122,12 @@ def derive(problem: Problem, keep: Held = (), watch: Watch = silent) -> Conditio
 
 @lru_cache(maxsize=64)
 def _untold(unnumbered: Unnumbered, keep: Held) -> list[str]:
-    """What is said before conditions are derived, until it was: kept as long as these."""
+    """Return the messages not yet shown before conditions are derived: kept as long as these."""
     return ["deriving the optimality conditions"]
 
 
 def keepable_conditions(problem: Problem) -> Held:
-    """Names of the conditions of the path that `derive` can have the control keep."""
+    """Return the conditions of the path, by name, that `derive` can have the control keep."""
     problem = unmoved(problem)
     if not any(problem.form.limits_control(k) for k in range(len(problem.phases))):
         return ()
@@ -222,7 +222,7 @@ def _range_rows(problem: Problem) -> list[int]:
 
 
 def _silent(extremal: PhaseExtremal, zf: ca.SX, transversality: ca.SX) -> tuple[int, ...]:
-    """Costates with rate zero in every mode whose condition at the end is that they vanish."""
+    """Return costates with rate zero in every mode whose condition at the end is that they vanish."""
     half, p = extremal.half, ca.SX.sym("p", extremal.modes[0].size1_in(1))
     rates = [mode(zf, p) for mode in extremal.modes]
     jumps = [event.jump(zf, p) - zf for event in extremal.events if event.jump is not None]
@@ -252,7 +252,7 @@ def _needed(
     silent: tuple[tuple[int, ...], ...],
     silent_rows: set[int],
 ) -> tuple[tuple[int, ...], ...]:
-    """Entries of each end that the other rows (the residual's, and J), or the next phase's start, depend on."""
+    """Return entries of each end that the other rows (the residual's, and J), or the next phase's start, depend on."""
     rows = read[[i for i in range(read.numel()) if i not in silent_rows]]
     for zf, entries in zip(ends, silent, strict=True):
         for i in entries:
@@ -275,7 +275,7 @@ def _starts(
     lam0: list[ca.SX],
     y: ca.SX,
 ) -> tuple[tuple[ca.Function, ...], list[Callable[[ca.SX], ca.SX]]]:
-    """Functions for the start of each phase, and the start's states as callables of the end before."""
+    """Derive functions for the start of each phase, and its states as callables of the end before."""
     starts, states = [], []
     for k, (phase, extremal) in enumerate(zip(problem.phases, phases, strict=True)):
         constants = [p.free[i] for i in extremal.constants]

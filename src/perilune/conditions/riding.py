@@ -107,7 +107,7 @@ def riding(
 
 
 def _scaled(expressions: Sequence[ca.SX], d: ca.SX, size: ca.SX) -> bool:
-    """Whether the size scales the direction, and nothing else of d is in an expression: seen at a few points."""
+    """Return True if the size scales the direction, and nothing else of d enters, as seen at a few points."""
     twice = [ca.substitute(e, ca.vertcat(d, size), ca.vertcat(2.0 * d, 0.5 * size)) for e in expressions]
     none = [ca.substitute(e, d, ca.SX.zeros(d.numel(), 1)) for e in expressions]
     half = [ca.substitute(e, size, 0.5 * size) for e in none]

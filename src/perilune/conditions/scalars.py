@@ -43,7 +43,7 @@ _NO_COSTATES = ca.SX(0, 1)
 
 @dataclass(frozen=True, kw_only=True)
 class Terms:
-    """What is known of the terms of H.
+    """Sizes and signs that are known of the terms of H.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def _never_negative(bend: ca.SX, u: ca.SX) -> bool:
 
 
 class Bend:
-    """How H bends in a scalar from bound to bound, the others as a mode has them.
+    """The curvature of H in a scalar from bound to bound, the others as a mode has them.
 
     Attributes
     ----------
@@ -193,7 +193,7 @@ def combinations(kinds: Sequence[Scalar], held: Sequence[ca.SX]) -> Iterator[tup
 
 
 def pivots(symbols: Sequence[ca.SX], held: Sequence[ca.SX]) -> list[int] | None:
-    """Which of the scalars holds which condition, each another one; None where there are not enough."""
+    """Assign to each condition a scalar that holds it, each another one; None where there are not enough."""
     if not held:
         return []
     for i, symbol in enumerate(symbols):
@@ -205,13 +205,25 @@ def pivots(symbols: Sequence[ca.SX], held: Sequence[ca.SX]) -> list[int] | None:
 
 
 def multipliers(H: ca.SX, u: ca.SX, held: ca.SX) -> ca.SX:
-    """mu of conditions that are held by scalars u, by least squares: exact where H is least."""
+    """Return mu of conditions that are held by scalars u, by least squares: exact where H is least."""
     C = ca.jacobian(held, u)
     return ca.solve(ca.mtimes(C, C.T), ca.mtimes(C, ca.gradient(H, u)))
 
 
 def keeps(told: ca.SX, held: ca.SX, u: ca.SX, control: ca.SX) -> ca.SX:
-    """Whether a control u holds conditions by these scalars, or Newton's method has not found one that does."""
+    """Return an expression that is true where a control holds conditions by these scalars.
+
+    It is false where Newton's method has not found one that does.
+
+    Parameters
+    ----------
+    told
+        Symbols of the scalars that hold the conditions.
+    held
+        Conditions, zero where they are held.
+    u, control
+        Symbols of all controls, and the values in their place.
+    """
     near = ca.fabs(held) <= _MET * ca.sum2(ca.fabs(ca.jacobian(held, told)))
     return ca.substitute(ca.logic_all(near), u, control)
 
@@ -219,7 +231,7 @@ def keeps(told: ca.SX, held: ca.SX, u: ca.SX, control: ca.SX) -> ca.SX:
 def least_between(
     phase: Phase, H: ca.SX, u: ca.SX, free: Sequence[Scalar], held: ca.SX, low: bool = False
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Where H is least over scalars that are not on a bound: in closed form, or a step from w, which Newton finds.
+    """Minimise H over scalars that are not on a bound: in closed form, or by a step from w, which Newton finds.
 
     Parameters
     ----------
@@ -294,7 +306,7 @@ def _start_inside(H: ca.SX, u: ca.SX, grid: Sequence[ca.SX], low: bool | None) -
 
 
 def _step(H: ca.SX, u: ca.SX, held: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Newton's step for u, and the matrix of its system; multipliers are those of least squares at u."""
+    """Return Newton's step for u, and the matrix of its system; multipliers are those of least squares at u."""
     slope, C = ca.gradient(H, u), ca.jacobian(held, u)
     if held.numel() == u.numel():
         return -ca.solve(C, held), C
@@ -309,7 +321,7 @@ def _step(H: ca.SX, u: ca.SX, held: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _candidates(u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: Sequence[ca.SX]) -> Iterator[tuple[ca.SX, ca.SX]]:
-    """Points to start from, and whether they are near to what is held."""
+    """Yield points to start from, and whether they are near to what is held."""
     symbols = elements(u)
     holding = pivots(symbols, held)
     assert holding is not None, "asked of scalars that hold them"
@@ -329,7 +341,7 @@ def _candidates(u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: Sequence[ca.SX
 def _met(
     u: ca.SX, point: list[ca.SX], met: ca.SX, condition: ca.SX, i: int, grid: Sequence[ca.SX]
 ) -> Iterator[tuple[list[ca.SX], ca.SX]]:
-    """Points on the line through one along scalar i at which a condition changes its sign, roughly."""
+    """Yield points on the line through one along scalar i at which a condition changes its sign, roughly."""
 
     def at(value: ca.SX) -> ca.SX:
         return ca.substitute(condition, u, ca.vertcat(*point[:i], value, *point[i + 1 :]))
@@ -347,7 +359,7 @@ def _met(
 
 
 def no_law(phase: Phase, names: tuple[str, ...], got: str) -> PeriluneError:
-    """Why a control's minimum of H is not known."""
+    """Return the error that says why a control's minimum of H is not known."""
     return PeriluneError(
         f"the indirect method has no control law for {', '.join(names)} of {phase.name}",
         got=got,

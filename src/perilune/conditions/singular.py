@@ -75,7 +75,7 @@ def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -
 
 
 def _vanishes(terms: ca.SX) -> bool:
-    """Whether a sum is zero whatever its symbols are: seen at a few points, against the size of its terms."""
+    """Return True if a sum is zero at a few points, measured against the size of its terms."""
     symbols = ca.symvar(terms)
     if not symbols:
         return bool(abs(float(ca.sum1(terms))) == 0.0)

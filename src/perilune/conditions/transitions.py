@@ -63,7 +63,7 @@ class Mode:
 
     @property
     def name(self) -> Named:
-        """What names it."""
+        """Return the name of the mode: what it holds, and its regimes."""
         return self.held, self.regimes
 
     @cached_property
@@ -101,7 +101,7 @@ class Ways:
         return {mode.name: i for i, mode in enumerate(self.modes)}
 
     def transitions(self) -> list[Transition]:
-        """What is the same function in several modes is one."""
+        """Return all transitions; the same function in several modes is one of them."""
         found: dict[tuple[str, int, bool], Transition] = {}
         for mode in self.modes:
             for before, after, function, direction, steady in self._from(mode):
@@ -172,7 +172,7 @@ class Ways:
         yield after, gain if free.is_constant() else ca.if_else(free, gain, -direction), direction, False
 
     def _bend(self, mode: Mode, i: int) -> Bend:
-        """How H bends in a scalar, with the minima between its bounds where there may be several."""
+        """Return the curvature of H in a scalar, with the minima between its bounds where there may be several."""
         kind, inner = mode.kinds[i], dict[Regime, ca.SX]()
         for between in INSIDE if kind.curved_both_ways else ():
             if (inside := (mode.held, mode.turned(i, between))) in self.places:

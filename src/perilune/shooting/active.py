@@ -35,11 +35,11 @@ class Limits:
 
     @property
     def count(self) -> int:
-        """How many limits there are, of a lane at most."""
+        """Return the number of limits, of a lane at most."""
         return int((np.isfinite(self.lower).sum(axis=-1) + np.isfinite(self.upper).sum(axis=-1)).max())
 
     def without(self, index: int | None) -> Limits:
-        """The same without those of one free parameter."""
+        """Return the limits without those of one free parameter."""
         if index is None:
             return self
         lower, upper = self.lower.copy(), self.upper.copy()
@@ -55,7 +55,7 @@ class Limits:
         return np.concatenate([masks, held])
 
     def revised(self, shooting: Shooting, roots: Roots) -> Matrix:
-        """What should be held at each of the roots instead, (lanes, choice); their own choice where all may stay."""
+        """Return what to hold at each root instead, (lanes, choice); their own choice where all may stay."""
         values, rises = shooting.held_values(roots)
         count = self.lower.shape[-1]
         within = (values >= self.lower) & (values <= self.upper)
@@ -70,7 +70,7 @@ class Limits:
 
 
 def limits_of(problem: Problem, conditions: Conditions) -> Limits:
-    """Bounds of the free parameters and of the ranges, canonical."""
+    """Return the bounds of the free parameters and of the ranges, canonical."""
     free = problem.free
     ends = [c for phase in problem.phases for c in phase.end_conditions]
     ranges = [ends[row] for row, _ in conditions.ranges]

@@ -32,12 +32,12 @@ _SAME = 1e-9  # relative change of J by it
 
 
 def open_directions(root: Root) -> int:
-    """How many directions lead from a root to others; none from one that is isolated."""
+    """Count the directions that lead from a root to others; none from one that is isolated."""
     return _open(root.inverse, _SINGULAR)
 
 
 def nearly_open(root: Root) -> bool:
-    """Whether Newton's method ended near roots that are not isolated, without reaching one."""
+    """Return True if Newton's method ended near roots that are not isolated, without reaching one."""
     return float(np.abs(root.residual).max()) < _NEAR and _open(root.inverse, _OPEN) > 0
 
 
@@ -115,9 +115,9 @@ def _shortest(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: L
 
 
 def _open(inverse: Matrix, beyond: float) -> int:
-    """How many singular values of J^-1 stand so far beyond all others: directions in which the residual is flat.
+    """Count the singular values of J^-1 that exceed all others by `beyond`: directions in which the residual is flat.
 
-    None are told where J has no inverse that is a number.
+    None are counted where J has no finite inverse.
     """
     if not np.isfinite(inverse).all():
         return 0

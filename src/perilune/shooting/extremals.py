@@ -176,7 +176,10 @@ class _Bracket:
 
 
 def _between(family: HeldFamily, brackets: list[_Bracket]) -> list[Root]:
-    """The extremals in brackets: secant and bisection with q held, then Newton with q free, all brackets at once."""
+    """Solve for the extremals in brackets, all at once.
+
+    By secant and bisection with q held, then by Newton's method with q free.
+    """
     found: dict[int, Root] = {}
     left = dict(enumerate(brackets))
     for attempt in range(_ATTEMPTS):
@@ -229,7 +232,7 @@ def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> lis
 
 
 def distinct(roots: Iterable[Root]) -> list[Root]:
-    """Different extremals, best first."""
+    """Return different extremals, best first."""
     kept: list[Root] = []
     for root in roots:
         if not any(same_extremal(root, other) for other in kept):
@@ -238,7 +241,7 @@ def distinct(roots: Iterable[Root]) -> list[Root]:
 
 
 def same_extremal(one: Root, other: Root) -> bool:
-    """Whether two roots are one extremal: the same, or members of one continuum, along which J is the same."""
+    """Return True if two roots are one extremal: the same, or members of one continuum with the same J."""
     if same(one.y, other.y, 1e-6):
         return True
     alike = abs(one.cost - other.cost) <= 1e-8 * (1.0 + abs(other.cost))
@@ -246,10 +249,18 @@ def same_extremal(one: Root, other: Root) -> bool:
 
 
 def new_among(found: list[Found], known: list[Found]) -> list[Found]:
-    """Those that are not known yet."""
+    """Return those of the extremals found that are not known yet."""
     return [f for f in found if not any(same(f.root.y, other.root.y, 1e-6) for other in known)]
 
 
 def same(one: Vector, other: Vector, tolerance: float) -> bool:
-    """Whether two vectors of unknowns are one root to a relative tolerance."""
+    """Return True if two vectors of unknowns are one root.
+
+    Parameters
+    ----------
+    one, other
+        Unknowns, (n,), canonical.
+    tolerance
+        Largest difference of a component, relative to 1 + max|other|.
+    """
     return bool(np.abs(one - other).max() <= tolerance * (1.0 + np.abs(other).max()))

@@ -140,7 +140,7 @@ class Flight:
         return rows
 
     def flown(self) -> Matrix:
-        """What the closing gives of all legs, NaN where an arc was lost."""
+        """Fly all legs and return the values of the closing, NaN where an arc was lost."""
         for opened, arcs in self.legs:
             opened()
             arcs()

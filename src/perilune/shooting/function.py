@@ -209,7 +209,7 @@ class Shooting:
         return self._roots(Ends(y=y, rows=rows, converged=none, evaluations=once, iterations=1 - once), choice)
 
     def bind(self, y: Matrix, p: Matrix, choice: Matrix) -> Callable[[], Matrix]:
-        """What `at` evaluates, bound to arrays that are read at each call: rows of an evaluation, (lanes, width).
+        """Bind `at` to arrays that are read at each call; a call returns the rows of an evaluation, (lanes, width).
 
         Parameters
         ----------
@@ -221,7 +221,7 @@ class Shooting:
         return self._fleet.bind(y, choice, p, np.full(len(y), FINEST), np.zeros((len(y), self.plan.columns.n**2)))
 
     def jacobians(self, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
-        """Of all lanes, by the unknowns that are not silent, (lanes, n, n); NaN where an arc could not be flown."""
+        """Return the Jacobians by the unknowns that are not silent, (lanes, n, n); NaN where an arc was lost."""
         p, choice = _rows(p), _rows(choice)
         return jacobians(self.conditions, self.segments, Y.take(self.plan.active, axis=1), p, choice)
 
@@ -266,7 +266,7 @@ class Shooting:
         return 1.0 / float(root.inverse[at, self.plan.held_rows[index]])
 
     def curved_upwards(self, root: Root, indices: Iterable[int]) -> bool:
-        """Whether J is least over several free parameters, but for those that a root holds.
+        """Return True if J is least over several free parameters, except those that a root holds.
 
         As for one of them, the block of J^-1 in their columns and rows is the inverse of the second derivatives of J.
         """
@@ -296,7 +296,7 @@ class Shooting:
         return found
 
     def rounding(self, root: Root) -> bool:
-        """Whether the residual is what errors in the last digits become: of y, or of states anywhere on the way."""
+        """Return True if the residual is no more than errors in the last digits of y, or of states, become."""
         if not np.isfinite(root.inverse).all():
             return False
         step = root.inverse @ root.residual[self.plan.rows]
@@ -311,7 +311,7 @@ class Shooting:
         return replace(root, cost=root.cost + float(nu @ root.residual[: len(nu)]))
 
     def in_one(self, root: Root, pieces: Root) -> Root:
-        """What single shooting makes of a root in pieces.
+        """Return a root in pieces as one of single shooting.
 
         Where errors grow so much that its one flight misses by rounding alone, it is a root as its pieces are, and has
         their residual and J.

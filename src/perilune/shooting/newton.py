@@ -46,7 +46,7 @@ _ASTRAY = 1e100  # a step beyond this is of a lost iterate; a NaN compares as lo
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Where the results of an evaluation lie in its row.
+    """The places of the results of an evaluation in its row.
 
     First four numbers: max|h|, |J_old^-1 h| (the simplified correction), |J^-1 h|, |y|; then h, the step -J^-1 h, J^-1
     row by row, and `extra` numbers that Newton only carries along.
@@ -57,7 +57,7 @@ class Columns:
 
     @cached_property
     def residual(self) -> slice:
-        """The n entries of h."""
+        """Return the slice of the n entries of h."""
         return slice(4, 4 + self.n)
 
     @cached_property
@@ -72,7 +72,7 @@ class Columns:
 
     @cached_property
     def extras(self) -> slice:
-        """What Newton only carries along."""
+        """Return the slice of the numbers that Newton only carries along."""
         return slice(4 + 2 * self.n + self.n**2, self.width)
 
     @property
@@ -109,7 +109,7 @@ def _inverse(matrix: Matrix) -> Matrix:
 
 @dataclass(kw_only=True)
 class Ends:
-    """How the lanes ended.
+    """The ends of the lanes.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class _Settings(NamedTuple):
     def led(
         self, trial: Matrix, start: Matrix, lanes: Lanes, before: Vector
     ) -> tuple[NDArray[np.bool_] | bool, Vector]:
-        """Which of some lanes are not led astray, and how far from their starts; `before` by the last step."""
+        """Return which of some lanes stay near their starts, and how far they are; `before` by the last step."""
         if self.reach is None:
             return True, before
         away = trial - start[lanes]
@@ -254,7 +254,7 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
 
 
 def _round(number: int, ends: Ends, residuals: Vector) -> str:
-    """How far many lanes have come; `residuals` of those still at work."""
+    """Format how far many lanes have come; `residuals` are those of lanes still at work."""
     text = f"round {number - 1}: {np.count_nonzero(ends.converged)} of {len(ends.y)} converged"
     return f"{text}, {len(residuals)} at work, least residual {residuals.min():.1e}" if len(residuals) else text
 
@@ -299,10 +299,21 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
 
 
 def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, tolerance: float) -> tuple[Any, Any]:
-    """Whether a trial is accepted, and whether a root is reached by it: of numbers, or of arrays of lanes.
+    """Return whether a trial is accepted, and whether it reaches a root: of numbers, or of arrays of lanes.
 
-    `row` and `new` are the first four columns before and after; `again` says that the trial is the old iterate, only
-    more accurate, as the next step was refused that its rough evaluation had led to.
+    Parameters
+    ----------
+    row, new
+        The first four columns before and after.
+    alpha
+        Damping of the step.
+    flown, finer
+        Accuracy of the evaluations before and after.
+    again
+        True where the trial is the old iterate, only more accurate, as the next step was refused that its rough
+        evaluation had led to.
+    tolerance
+        Largest residual of a root.
     """
     residual, _, length, size = row
     left, simplified, ahead, _ = new

@@ -104,7 +104,7 @@ class Plan:
 
     @cached_property
     def moved(self) -> NDArray[np.bool_]:
-        """Of the whole vector of unknowns those that Newton moves, (1, size)."""
+        """Return True for those of the whole vector of unknowns that Newton moves, (1, size)."""
         return np.isin(np.arange(self.size), self.active)[None]
 
     @cached_property
@@ -116,7 +116,7 @@ class Plan:
 
     @property
     def settles(self) -> bool:
-        """Whether any phase does."""
+        """Return True if any phase settles."""
         return any(phase.settles for phase in self.conditions.phases)
 
     def hold(self, choice: Vector | Matrix, index: int, value: float | Vector) -> None:
@@ -285,7 +285,7 @@ class _Tracing:
         return z
 
     def _residual(self, ends: list[_End]) -> tuple[ca.SX, ca.SX]:
-        """Of the ends of all legs; J."""
+        """Return the residual of the ends of all legs, and J."""
         c, last = self.conditions, ends[self.segments - 1 :: self.segments]
         whole = [self._whole(k, end) for k, end in enumerate(last)]
         plain, cost = c.residual(self.y, ca.vertcat(*whole), self.p)

@@ -20,7 +20,7 @@ from perilune.words.types import Vector
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equations:
-    """What is integrated: the entries `kept` of z, one right-hand side for each mode, and the switches between them.
+    """Equations of integration: the entries `kept` of z, a right-hand side for each mode, the switches between them.
 
     They take only those of the parameters that they know, `numbers`: problems that differ in others share the code.
     """

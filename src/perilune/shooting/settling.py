@@ -47,7 +47,7 @@ class Settling:
 
     @property
     def seeds(self) -> Vector:
-        """What stands behind x where Phi is 1."""
+        """Return what stands behind x where Phi is 1."""
         return np.eye(len(self.flown.kept))[list(self.rows)].ravel()
 
     def start(self, x: ca.SX) -> ca.SX:
@@ -94,9 +94,9 @@ def settling(extremal: PhaseExtremal) -> Settling:
 
 
 def growth(phi: Matrix) -> float:
-    """How much errors of costates grow along a piece: the norm of Phi^-1, inf where a state is lost in thick air.
+    """Return how much errors of costates grow along a piece: norm of Phi^-1, inf where a state is lost in thick air.
 
-    0 where Phi is no number, as shorter pieces mend nothing.
+    It is 0 where Phi is no number, as shorter pieces mend nothing.
     """
     if not np.isfinite(phi).all():
         return 0.0
