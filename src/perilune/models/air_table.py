@@ -115,7 +115,7 @@ def read_air_table(path: Path) -> AirTable:
 
 
 def _count(table: DelimitedTable) -> int:
-    """Number of columns, which all rows have; an empty last one is none."""
+    """Return the number of columns, which all rows share; an empty last one is not counted."""
     counts = [len(row.cells) for row in table.body]
     count = max(set(counts), key=counts.count)
     for row, found in zip(table.body, counts, strict=True):
@@ -132,7 +132,7 @@ def _count(table: DelimitedTable) -> int:
 
 
 def _headings(table: DelimitedTable, count: int) -> tuple[list[TableHeading], list[str] | None]:
-    """Headings of the columns, and the units in a row of their own; neither where there is none."""
+    """Return the headings of the columns, and the units in a row of their own; empty where the table has none."""
     if len(table.above) > 2:
         raise PeriluneError(
             f"line {table.above[0].number} of the table of air is neither a heading nor a row of numbers",
@@ -160,7 +160,7 @@ def _headings(table: DelimitedTable, count: int) -> tuple[list[TableHeading], li
 
 
 def _cells(table: DelimitedTable, line: TextLine, count: int) -> list[str]:
-    """Cells of a line of headings, one for each column; R writes none for the number of the row."""
+    """Return the cells of a line of headings, one for each column; R writes none for the row number."""
     cells, longer, shorter = (table.cells(line, wanted) for wanted in (count, count + 1, count - 1))
     if cells is None and longer is not None and not longer[-1]:
         cells = longer[:-1]
@@ -176,20 +176,20 @@ def _cells(table: DelimitedTable, line: TextLine, count: int) -> list[str]:
 
 
 def _numbered(body: list[CellRow]) -> bool:
-    """Whether the first column numbers the rows."""
+    """Return True if the first column numbers the rows."""
     found = [row.cells[0] for row in body]
     return any(found == [str(k + begin) for k in range(len(found))] for begin in (0, 1))
 
 
 def _heads(headings: list[TableHeading]) -> bool:
-    """Whether a comment is a row of headings and not prose: of both columns, their units in brackets or understood."""
+    """Return True if a comment is a row of headings, not prose: both columns, their units in brackets or understood."""
     called = [{name for name in _SI if set(h.words[:1]) & set(_CALLED[name])} for h in headings
               if not h.unread or h.bracketed]  # fmt: skip
     return len(set[str]().union(*called)) == len(_SI) or len({_role(h) for h in headings} & set(_SI)) == len(_SI)
 
 
 def _role(heading: TableHeading) -> str:
-    """``altitude`` or ``density``, where a heading says so and nothing else; "" otherwise."""
+    """Return ``altitude`` or ``density`` where a heading says only that; "" otherwise."""
     named = {name for name, words in _CALLED.items() if not set(words).isdisjoint(heading.words)}
     if heading.unread or len(named) > 1 or (heading.words and not named):
         return ""
@@ -199,7 +199,7 @@ def _role(heading: TableHeading) -> str:
 
 
 def _columns(table: DelimitedTable, headings: list[TableHeading], count: int) -> dict[str, _AirColumn]:
-    """The two columns that are meant."""
+    """Return the columns of altitude and density."""
     if not headings:
         if count != 2:
             raise PeriluneError(
@@ -221,7 +221,7 @@ def _columns(table: DelimitedTable, headings: list[TableHeading], count: int) ->
 
 
 def _is_capital(heading: TableHeading) -> bool:
-    """Tell whether a heading is ``H``, by which geopotential altitudes are meant as well."""
+    """Return True if a heading is ``H``, which also stands for geopotential altitudes."""
     return heading.words == ("h",) and heading.text.lstrip(" ([").startswith("H")
 
 
@@ -247,12 +247,12 @@ def _refuse_role(name: str, headings: list[TableHeading], count: int) -> None:
 
 
 def _words_of(heading: TableHeading) -> list[str]:
-    """All words of a heading, known or not."""
+    """Return all words of a heading, known or not."""
     return [*heading.words, *heading.text.casefold().replace("_", " ").replace("[", " ").replace("(", " ").split()]
 
 
 def _with_units(name: str, column: _AirColumn, units: list[str] | None) -> _AirColumn:
-    """The column with the unit that stands below its heading."""
+    """Return the column with the unit that is written below its heading."""
     if units is None or column.place >= len(units) or not units[column.place]:
         return column
     stated = unit_as_written(units[column.place])
@@ -279,7 +279,7 @@ def _refuse_said_elsewhere(name: str, comments: list[TextLine]) -> None:
 
 
 def _perhaps_units(comment: str) -> list[str]:
-    """Parts of a comment that may be the unit of a column."""
+    """Return the parts of a comment that may be the unit of a column."""
     parts = [part.strip(".-–—") for part in _IN_PROSE.findall(comment)]
     return [*_BRACKETED.findall(comment),
             *(part for before, part in pairwise(["", *parts]) if not before[-1:].isdigit())]  # fmt: skip
@@ -291,7 +291,7 @@ def _perhaps_units(comment: str) -> list[str]:
 def _said(
     values: dict[str, Vector], found: dict[str, Vector], columns: dict[str, _AirColumn], ignored: list[str]
 ) -> str:
-    """Rows, units and ranges, as ``51 rows; altitude in ft, 0 to 460 000 (0 to 140.208 km); …``."""
+    """Describe rows, units and ranges, as ``51 rows; altitude in ft, 0 to 460 000 (0 to 140.208 km); …``."""
     parts = [f"{len(found['altitude'])} rows"]
     for name, column in columns.items():
         low, high = (f"{_spaced(end(values[name]))}" for end in (np.min, np.max))
@@ -307,7 +307,7 @@ def _said(
 
 
 def _spaced(value: float) -> str:
-    """A number of six digits, those of thousands apart."""
+    """Format a number in six digits, its thousands separated."""
     value = float(value)
     if 1e4 <= abs(value) < 1e9:
         return f"{value:,.0f}".replace(",", " ")

@@ -113,14 +113,14 @@ def from_file(path: str | Path) -> Air:
 
 @dataclass(frozen=True, kw_only=True)
 class Way:
-    """Where and when a flight passes each altitude, the last time that it does.
+    """Position and time of a flight at each altitude, where it passes that altitude for the last time.
 
     Parameters
     ----------
     altitude
         In increasing order [m].
     longitude, latitude
-        Of the point below [rad], the longitude without jumps.
+        Of the subpoint [rad], the longitude without jumps.
     time
         After the epoch [s].
     """
@@ -138,7 +138,7 @@ class Way:
 
     @classmethod
     def down(cls, altitude: Vector, longitude: Vector, latitude: Vector, time: Vector) -> Way:
-        """That of a flight from above, its rows in the order of time."""
+        """Return the profile of a descending flight, from rows in the order of time."""
         lower = np.append(np.inf, np.minimum.accumulate(altitude)[:-1]) > altitude
         longitude = np.unwrap(longitude)
         return cls(**{

@@ -35,9 +35,9 @@ class Body:
 
     @property
     def spoken(self) -> str:
-        """How it is called in a sentence: the Moon, Mars; the body where it has no name of its own.
+        """Return the name used in a sentence: the Moon, Mars; "the body" where it has no name of its own.
 
-        The name of a known body with the size or the pull of another is told as a name and no more.
+        The name of a known body with the size or the pull of another is given only as a name.
         """
         known = BODIES.get(self.name.lower())
         if known is not None and not self.resembles(known):
@@ -46,7 +46,7 @@ class Body:
         return {"Moon": "the Moon", "Body": "the body"}.get(name, name)
 
     def resembles(self, other: Body) -> bool:
-        """Whether size and pull are those of another: Callisto is as large as Mercury, with a third of its mass."""
+        """Return True if size and pull match another body's: Callisto has Mercury's size, but a third of its mass."""
         pairs = (self.radius, other.radius), (self.gravitational_parameter, other.gravitational_parameter)
         return all(abs(own - its) <= LIKE * abs(its) for own, its in pairs)
 
@@ -101,7 +101,7 @@ class UniformGravity:
 
     @property
     def titled(self) -> str:
-        """How it is called in a sentence."""
+        """Return the name used in a sentence."""
         return f"flat ground under {self.gravity:g} m/s^2"
 
 

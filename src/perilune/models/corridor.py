@@ -20,7 +20,7 @@ from perilune.words.declared import quantity, record
 
 @record("corridor")
 class Corridor:
-    """What the flight must keep to; all of it may be left out, and then nothing but the ground is in the way."""
+    """Limits on the path of a precision landing, each of them optional; without any, only the ground remains."""
 
     tilt: float | None = quantity(
         "rad", "50 deg", default=None, above=0.0, below=0.5 * math.pi, outside="is no angle",

@@ -98,7 +98,7 @@ _WITHOUT_THRUST = {
 
 @record("problem")
 class Choices:
-    """How a descent is stated."""
+    """Choices of coordinates, target and objective of a descent."""
 
     coordinates: str = words(
         "cartesian", *_FRAMES, default="cartesian",
@@ -116,7 +116,7 @@ class Choices:
 
 @record("start")
 class Ignition:
-    """Where the powered descent begins, relative to the turning body."""
+    """State at the begin of the powered descent, relative to the turning body."""
 
     altitude: float = quantity("m", "15 km", about="above the body's radius")
     longitude: float = quantity(
@@ -134,7 +134,7 @@ class Ignition:
 
 @record("site")
 class Site:
-    """Where the flight ends at rest."""
+    """Site at which the flight ends at rest."""
 
     altitude: float = quantity("m", "2 km", default=0.0, about="above the body's radius")
     longitude: float | None = quantity(
@@ -199,7 +199,7 @@ def _preflight(p: Any, m: Any, *, to_site: bool, waits: bool = False, body: Body
 
 
 def _reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding:
-    """Whether a burn at full thrust, which ends with the propellant, can fly as far as the site.
+    """Compare the distance to the site with that of a burn at full thrust, which ends with the propellant.
 
     The speed w of `perilune.models.limits` gains and loses at most the velocity change B that all propellant gives,
     and ends at the speed of the ground, so that it never exceeds (w(0) + w(t_f) + B)/2; the ground moves as well.
@@ -280,7 +280,7 @@ def _phase(
 
 
 def with_dry_mass(vehicle: Vehicle, dry_mass: float | None) -> Vehicle:
-    """The vehicle, with the dry mass that was stated beside it, if it was."""
+    """Return the vehicle with a separately stated dry mass, if there is one."""
     return vehicle if dry_mass is None else replace(vehicle, dry_mass=dry_mass)
 
 

@@ -31,7 +31,7 @@ PROOF = "proof"  # the section that is no part of the problem
 
 @record("problem")
 class Undecided:
-    """What is flown, where the kind leaves nothing to choose."""
+    """Section ``problem`` of a kind that leaves nothing to choose."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -361,12 +361,12 @@ def _told(entry: EntryPoint) -> str:
 
 
 def in_a_line(error: BaseException) -> str:
-    """What an error of a package says, to be told as a part of what is wrong with the package."""
+    """Return the message of a package's error in one line, to be quoted in our own."""
     return f"{type(error).__name__}: {'; '.join(map(str.strip, str(error).splitlines()))}"[:300]
 
 
 def _of_package(kind: Kind, package: str) -> Callable[..., Problem]:
-    """What makes its problems; a fault in it is named as the package's, and no fault of this program."""
+    """Return the kind's `make`, with errors in it reported as the package's, not as ones of this program."""
 
     @wraps(kind.make)
     def make(**records: Any) -> Problem:

@@ -59,7 +59,7 @@ class Orbit:
 
 @record("landing")
 class LandingSite:
-    """Where the landing ends."""
+    """Site of the landing."""
 
     altitude: float = quantity("m", "0 km", default=0.0, about="of the landing site, above the body's radius")
 

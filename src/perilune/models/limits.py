@@ -42,7 +42,7 @@ _SAME_ORBIT = 1e-6  # of the speed: what changes an orbit by less does not choos
 
 
 def is_flat(p: Any) -> bool:
-    """Whether the ground is flat and gravity uniform: a radius is then the height over it."""
+    """Return True if the ground is flat and gravity uniform: a radius is then the height over it."""
     return hasattr(p, "body_gravity")
 
 
@@ -52,7 +52,7 @@ def gravity_at(r: Any, p: Any) -> Any:
 
 
 def _pull_of_j2(r_site: Any, p: Any, m: Any) -> Any:
-    """No more than this [m/s^2] does oblateness pull above the site."""
+    """Return the most [m/s^2] that oblateness pulls above the site."""
     if not hasattr(p, "body_j2"):
         return 0.0
     r_ratio = p.body_radius / r_site
@@ -60,7 +60,7 @@ def _pull_of_j2(r_site: Any, p: Any, m: Any) -> Any:
 
 
 def _centrifugal(speed: Any, r: Any, p: Any) -> Any:
-    """What a horizontal speed lifts [m/s^2] where the ground is round."""
+    """Return the centrifugal acceleration [m/s^2] of a horizontal speed where the ground is round."""
     return 0.0 if is_flat(p) else speed * speed / r
 
 
@@ -75,7 +75,7 @@ def exhaust_speed(p: Any) -> Any:
 
 
 def inertial_speed(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
-    """Speed [m/s] in inertial axes of a position from the centre and a velocity beside the turning body."""
+    """Speed [m/s] in inertial axes, of a position from the centre and a velocity relative to the turning body."""
     seen = velocity if is_flat(p) else combine((1, velocity), (p.body_rotation_rate, cross(axis, position)))
     return m.sqrt(dot(seen, seen))
 
@@ -99,7 +99,7 @@ def mass_held(r_site: Any, p: Any, m: Any) -> Any:
 
 
 def thrust_against_weight(r_site: Any, p: Any) -> Finding:
-    """Whether the vehicle could hover when it ignites, with the weight at the site."""
+    """Compare the thrust at ignition with the weight at the site: whether the vehicle could hover."""
     return Finding(
         name="thrust against weight at ignition",
         value=greatest_thrust(p) / (p.vehicle_mass * gravity_at(r_site, p)),
@@ -112,7 +112,7 @@ def thrust_against_weight(r_site: Any, p: Any) -> Finding:
 
 
 def engine_holds_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
-    """Whether the engine can stop what must land, by the largest mass [kg]; nothing where no dry mass is given."""
+    """Compare the dry mass with the largest mass [kg] that the engine can stop; empty where no dry mass is given."""
     if not hasattr(p, "vehicle_dry_mass"):
         return ()
     return (
@@ -130,7 +130,7 @@ def engine_holds_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
 
 
 def above_site(start: Any, site: Any) -> Finding:
-    """Whether the descent begins above its site, altitudes in m; a millimetre stands for "strictly above"."""
+    """Compare the altitudes [m] of start and site; a millimetre stands for "strictly above"."""
     return Finding(
         name="start above the site",
         value=start - site,
@@ -144,7 +144,7 @@ def above_site(start: Any, site: Any) -> Finding:
 
 
 def air_left_out(body: Body) -> tuple[Finding, ...]:
-    """A word about the air of a body that has some: no model here knows of drag, lift or heat."""
+    """Warn about the air of a body that has some: no model here has drag, lift or heat."""
     if not body.air:
         return ()
     return (
@@ -163,7 +163,7 @@ def air_left_out(body: Body) -> tuple[Finding, ...]:
 
 
 def braking(speed: Any, p: Any, m: Any, lever: Any = 1.0) -> tuple[Any, Any]:
-    """Distance [m] and time [s] to stop from `speed` by full thrust alone in free space, each push times a lever."""
+    """Distance [m] and time [s] to stop from `speed` by full thrust in free space, each push times a lever."""
     tau = p.vehicle_mass * exhaust_speed(p) / greatest_thrust(p)
     exhaust = lever * exhaust_speed(p)
     time = tau * (1 - m.exp(-speed / exhaust))
@@ -192,7 +192,7 @@ def speed_to_lose(
 def propellant_stops(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
 ) -> Finding:
-    """Whether the propellant above the dry mass suffices by the rocket equation; arguments as `stopping_distance`."""
+    """Compare the speed to lose with the velocity change of the propellant; arguments as `stopping_distance`."""
     return Finding(
         name="speed to lose",
         value=speed_to_lose(position, velocity, axis, r_site, p, m) - left,
@@ -208,12 +208,12 @@ def propellant_stops(
 def stopping_distance(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
 ) -> Finding:
-    """Whether any flight stops its descent above the site: the proof is at the head of this file.
+    """Compare the least stopping distance with the height above the site: the proof is at the head of this file.
 
     Parameters
     ----------
     position, velocity
-        From the centre [m], and beside the turning body [m/s], in axes that turn with it; over flat ground from the
+    From the centre [m], and relative to the turning body [m/s], in axes that turn with it; over flat ground from the
         point under the vehicle.
     axis
         Unit vector of the rotation in them.

@@ -52,7 +52,7 @@ from perilune.words.units import Scales
 
 @record("approach")
 class Approach:
-    """Where a precision landing begins: position and velocity from the site."""
+    """State at the begin of a precision landing: position and velocity relative to the site."""
 
     east: float = quantity("m", "-1800 m", about="position from the site")
     north: float = quantity("m", "300 m", about="position from the site")

@@ -65,7 +65,7 @@ def _above_slope_at_start(start: Any, p: Any, m: Any) -> Finding:
 
 
 def _stops_above_slope(start: Any, velocity: Any, left: Any, p: Any, m: Any) -> Finding:
-    """Whether full thrust stops the approach to the glide slope before it is cut.
+    """Compare the distance in which full thrust stops the approach with that to the glide slope.
 
     The room above a slope is convex: it lies above the tangent plane below the start, whose normal (-, -, 1) has the
     length L. Thrust changes the height above that plane by L T/m at most, so that the argument at the head of
@@ -93,7 +93,7 @@ def _stops_above_slope(start: Any, velocity: Any, left: Any, p: Any, m: Any) -> 
 
 
 def _turn_of_gravity(velocity: Any, gained: Any, time: Any, p: Any, m: Any) -> Any:
-    """How much [m/s^2] the acceleration without thrust may change in a time, with a speed gained by thrust.
+    """Return the most [m/s^2] that the acceleration without thrust changes in a time, with a speed gained by thrust.
 
     By the gradient of gravity, 2 mu/r^3 (and half as much again for J2), and by the turning of the body.
     """
@@ -131,7 +131,7 @@ def _above_gate_at_start(p: Any) -> Finding:
 
 
 def _tilt_on_the_vertical(p: Any, m: Any) -> Finding:
-    """What holds the vehicle on the vertical where it hovers, and at the speed of a fall from the gate."""
+    """Compare the tilt that keeps the vehicle on the vertical, hovering and at the speed of a fall from the gate."""
     fall = m.sqrt(2 * gravity_at(getattr(p, "body_radius", 0.0), p) * p.final_height)
     tilts = []
     for speed in (0.0, fall):
@@ -150,7 +150,7 @@ def _tilt_on_the_vertical(p: Any, m: Any) -> Finding:
 
 
 def _throttle_floor(p: Any, m: Any) -> Finding:
-    """Whether the engine can let the vehicle down.
+    """Compare the descent speed with the most that the throttle floor lets come down to the site.
 
     Within the pointing limit the throttle's floor lifts by at least this much, more on a lighter vehicle and more
     higher up, and ends the descent on the way v^2/(2 a). A hundredth is left to the Coriolis acceleration.

@@ -29,7 +29,7 @@ _KEPLER_STEPS = 60  # of Newton's method for Kepler's equation
 
 @dataclass(frozen=True, kw_only=True)
 class Around:
-    """Where a landing begins, in axes that do not turn and agree with the body's at that instant.
+    """State at the begin of a landing, in inertial axes that agree with the body's at that instant.
 
     Parameters
     ----------

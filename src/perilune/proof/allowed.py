@@ -36,7 +36,7 @@ _REACHED = 1e-12  # how far from a condition's surface it may end
 
 @dataclass(frozen=True, kw_only=True)
 class Multipliers:
-    """Of r conditions at N points.
+    """Multipliers of r conditions at N points, and the slopes of the conditions.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Multipliers:
 
     @property
     def pull(self) -> Matrix:
-        """What of dH/du they explain, (k, N)."""
+        """Return the part of dH/du that the multipliers explain, (k, N)."""
         return (self.mu[:, None] * self.slopes).sum(axis=0)
 
     @property
@@ -103,7 +103,7 @@ class Allowed:
 
     @cached_property
     def equal(self) -> Any:
-        """Which of them are held all along, (r,)."""
+        """Return which conditions are equalities, held all along, (r,)."""
         return np.array(self.places) >= len(self.phase.path_conditions)
 
     @property
@@ -134,7 +134,7 @@ class Allowed:
         return jacobian(lambda z: self.values(z, u.reshape(len(u), *(1,) * (z.ndim - 2), -1)), x, self.state_scale)
 
     def active(self, x: Matrix, u: Matrix) -> Any:
-        """Where each condition is met, (r, N)."""
+        """Return True where each condition is active, (r, N)."""
         rows = self.values(x, u, m=NUMERIC, dtype=float)
         return (np.abs(rows) <= ON_BOUND * self.sizes[:, None]) | self.equal[:, None]
 
@@ -200,7 +200,7 @@ class Allowed:
 
 
 def _least(C: Any, g: Matrix, equal: Any) -> Matrix:
-    """mu (r, N) with g = sum of mu C in the sense of least squares: C (r, k, N), g (k, N).
+    """Return mu (r, N) with g = sum of mu C in the sense of least squares: C (r, k, N), g (k, N).
 
     Where conditions whose slopes depend on each other leave it open, the shortest; where that is negative but where
     `equal` (r,) allows it, one that is not.

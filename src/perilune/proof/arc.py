@@ -52,7 +52,7 @@ class Arc:
 
     @property
     def problem(self) -> Problem:
-        """What was solved."""
+        """The problem that was solved."""
         return self.solution.problem
 
     @property
@@ -62,7 +62,7 @@ class Arc:
 
     @property
     def trajectory(self) -> Trajectory:
-        """What was exported of it."""
+        """The exported trajectory of the phase."""
         return self.solution.trajectories[self.index]
 
     @cached_property
@@ -117,7 +117,7 @@ class Arc:
         return self._sizes(self.phase.held_conditions, np.abs(slopes).sum(axis=1).max(axis=1))
 
     def _condition_sizes(self, function: str, conditions: Sequence[Variable], least: Any = 0.0) -> Vector:
-        """Of conditions that go through `least` at least; no less than states and free parameters round in them.
+        """Return sizes of conditions, their largest value or `least`; at least the rounding of states and parameters.
 
         Metres over the ground are a difference of radii; durations with a given sum go through nothing. What vanishes
         all along, as what an arc to the end says already, goes through what its states do.
@@ -190,7 +190,7 @@ class Arc:
 
     @cached_property
     def crossings(self) -> tuple[Crossing, ...]:
-        """Where the flight crosses a kink or a jump of the physics."""
+        """Return the crossings of a kink or a jump of the physics."""
         return self._guarded.crossings(self.cut)
 
     @cached_property
@@ -360,7 +360,7 @@ def free_size(solution: Solution, free: Free) -> float:
 
 
 def _changed(solution: Solution) -> float:
-    """What of J the flight and the free parameters change, to first order [SI]."""
+    """Return how much the flight and the free parameters change J, to first order [SI]."""
     problem, p = solution.problem, solution.parameters
     last = Arc(solution=solution, index=len(problem.phases) - 1)
     spans = np.zeros(len(last.phase.states))
@@ -382,7 +382,7 @@ def slopes_at_end(arc: Arc, function: Callable[[Any], Any]) -> Matrix:
 
 
 def slopes_at(arc: Arc, t: Vector, function: Callable[[Any], Any]) -> Matrix:
-    """The same at one time [s], (1,)."""
+    """Derivatives (values, n) of a function of the states at one time [s], (1,), a change by their sizes."""
     x = arc.state(t)
     return jacobian(lambda z: stacked(function(z), z.shape[1:]), x, arc.state_scale)[:, :, 0]
 

@@ -76,7 +76,7 @@ class Crossing:
 
     @cached_property
     def adjoint(self) -> Matrix:
-        """How a costate passes, (n, n)."""
+        """Return the matrix by which a costate passes the crossing, (n, n)."""
         return np.eye(len(self.jump)) - np.outer(self.normal, self.jump) / self.speeds[1]
 
     def multiplier(self, lam: Vector) -> float:
@@ -128,12 +128,12 @@ class Guarded:
 
     @cached_property
     def count(self) -> int:
-        """How many guards there are."""
+        """Return the number of guards."""
         start = np.zeros(1)
         return len(self.guards(self.state(start), self.control(start))[0])
 
     def off(self, t: Vector) -> Vector:
-        """Those of some times at which no guard is zero."""
+        """Return those times at which no guard is zero."""
         values = self.guards(self.state(t), self.control(t))[0] if self.count else np.zeros((0, len(t)))
         small = [self._small(t, guard) for guard in range(self.count)]
         return t[(np.abs(values) > np.array(small).reshape(values.shape)).all(axis=0)]
@@ -245,7 +245,7 @@ class Guarded:
         return _SMALL * np.abs(self._gradient(t, guard)[0]).max(axis=0)
 
     def _crossing(self, group: list[tuple[float, int, float, float]]) -> Crossing:
-        """What crosses at the zero of one guard, or of several at the same time."""
+        """Return the crossing at the zero of one guard, or of several at the same time."""
         time, guard, *_ = group[0]
         sides = np.array([just_before(time), time])
         x, u = self.state(sides), self.control(sides)

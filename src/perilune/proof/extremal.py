@@ -91,7 +91,7 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
 
 
 def _passed_back(arc: Arc, begun: Vector) -> Vector:
-    """What errors of the costates with which the next phase begins, scaled, are at the end of this one, (n,)."""
+    """Carry errors of the next phase's initial costates, scaled, to the end of this one, (n,)."""
     after = Arc(solution=arc.solution, index=arc.index + 1)
     link, record = arc.problem.links[arc.index], arc.phase.state_record
     slopes = slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX))
@@ -141,7 +141,7 @@ def _sizes_at_end(arc: Arc, known: Vector | float) -> Vector:
 
 
 def _multiplier_sizes(arc: Arc, known: Vector | float) -> Vector:
-    """What errors of lam(t_f), each of its size, make of each multiplier, at least 1; scaled, (q,).
+    """Return the error of each multiplier from errors of lam(t_f), each of its size, at least 1; scaled, (q,).
 
     Conditions that are nearly the same have multipliers that are nearly undetermined: up to `MOST_GROWTH` times.
     """
@@ -272,7 +272,7 @@ def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> 
 
 
 def _gradient_parts(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> Iterator[Any]:
-    """What adds up to dJ/dp, some terms or times at a time."""
+    """Yield the terms of dJ/dp, some terms or times at a time."""
     problem, p = arcs[0].problem, arcs[0].p
     unit = problem.scales.of(problem.unit_of(name))
     stepped = SimpleNamespace(**{**vars(p), name: getattr(p, name) + 1j * STEP * unit})
@@ -311,7 +311,7 @@ def _guards(arc: Arc, p: Any) -> Iterator[tuple[float, Any]]:
 
 
 def at_bound(solution: Solution, free: Free) -> tuple[bool, bool]:
-    """Whether a free parameter lies on its lower and on its upper bound."""
+    """Return True for the lower and for the upper bound of a free parameter if its value lies on it."""
     value, near = solution.free[free.name], ACTIVE * free_size(solution, free)
     return abs(value - free.lower) <= near, abs(value - free.upper) <= near
 
@@ -354,7 +354,7 @@ def _stationary(arc: Arc, free: Free, parts: Sequence[Any]) -> Check:
 
 
 def _active(arc: Arc, flight: Flight) -> str:
-    """What a failing costate may owe its difference to: the limits at which the flight stays for a while."""
+    """Name the limits at which the flight stays for a while: a failing costate may owe its difference to them."""
     inside = arc.sampled
     x = flight.inside.reshape(len(arc.phase.states), -1)
     paths = zip(arc.phase.path_conditions, arc.path_scale, arc.path(x, inside.u), strict=True)

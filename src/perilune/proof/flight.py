@@ -44,12 +44,12 @@ _ALIVE = 256  # evaluations from one sign of life to the next
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """What is flown less what a table says, scaled.
+    """Difference of a re-integrated curve from its table, scaled.
 
-    `inside` is that at the points of the pieces (n, N, 4), `ends` at their ends (n, N, 2); `largest` of each component
-    the largest of all, with what quadrature leaves `still_open`. `growth` is the most that errors of all components at
-    one time, each of its size, become in it, from the start to anywhere or from anywhere to the end; `at_end` the most
-    that they become there; for limits up to `MOST_GROWTH` times their sizes.
+    `inside` holds it at the points of the pieces (n, N, 4), `ends` at their ends (n, N, 2); `largest` of each component
+    is the largest of all, plus what quadrature leaves `still_open`. `growth` is the most that errors of all components
+    at one time, each of its size, become in it, from the start to anywhere or from anywhere to the end; `at_end` the
+    most that they become there; for limits up to `MOST_GROWTH` times their sizes.
     """
 
     inside: Matrix
@@ -60,7 +60,7 @@ class Deviation:
 
     @property
     def largest(self) -> Vector:
-        """Of each component, (n,)."""
+        """Return the largest deviation of each component, (n,)."""
         every = np.concatenate([self.inside, self.ends], axis=2)
         return np.abs(every).max(axis=(1, 2)) + self.still_open
 
@@ -103,7 +103,7 @@ class Flight:
 
 
 def initial_state(solution: Solution, index: int, before: Vector | None) -> Vector:
-    """Where the phase starts: by `start`, or by the link from the end state of the phase before."""
+    """Return the initial state of a phase: from `start`, or by the link from the end state of the phase before."""
     problem, p = solution.problem, solution.parameters
     if before is None:
         values = problem.start(p, NUMERIC)
@@ -127,7 +127,7 @@ def flights(solution: Solution) -> list[tuple[Arc, Flight]]:
 
 
 def passed_on(arc: Arc, flight: Flight, after: Arc) -> Vector:
-    """What errors of the phases so far are as the next one begins, at least 1, scaled by its sizes."""
+    """Return the errors of the phases so far as the next one begins, at least 1, scaled by its sizes."""
     link, record = arc.problem.links[arc.index], arc.phase.state_record
     slopes = slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX)) / after.state_scale[:, None]
     return np.clip(np.abs(slopes) @ flight.grown, 1.0, MOST_GROWTH)
@@ -216,14 +216,14 @@ def _rescaled(matrix: Any, many: Vector) -> Any:
 
 @dataclass(frozen=True)
 class Joints:
-    """What happens between pieces.
+    """Defects at the joints between pieces, and the matrices by which deviations pass them.
 
     Attributes
     ----------
     first
         Deviation at the start, (n,).
     jumps
-        What should follow less what the table says, at each joint, (n, N - 1).
+    Value that should follow less that of the table, at each joint, (n, N - 1).
     over
         By joint, the matrix by which a deviation passes where it is not the identity.
     """
@@ -290,7 +290,7 @@ def carried(
 
 
 def _growth(past: Any, over: dict[int, Matrix], sizes: Vector | None = None) -> tuple[Vector, Vector]:
-    """Of `Deviation`, and at its end, from the matrices by which a deviation passes each piece (N, n, n)."""
+    """Return `growth` and `at_end` of `Deviation`, from the matrices by which it passes each piece (N, n, n)."""
     sizes = np.ones(past.shape[1]) if sizes is None else sizes
     passed = [over[i] @ each if i in over else each for i, each in enumerate(past)]
     most = at_end = sizes

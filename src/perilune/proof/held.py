@@ -112,7 +112,7 @@ def held_along(
 
 
 def _ways(allowed: Allowed, rows: list[int], x: Matrix, u: Matrix, basis: Any) -> tuple[Any, Any] | None:
-    """How the control gives way to conditions, and the moves on which none changes; None where it is not known."""
+    """Return the control's moves per unit of each condition, and the moves that change none; None where not known."""
     count, size = len(rows), allowed.sizes[rows]
     if not count:
         return np.zeros((len(u), 0, u.shape[1])), basis

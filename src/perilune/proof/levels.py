@@ -106,12 +106,12 @@ def examine(
 
 
 def _failed(made: Sequence[Check]) -> bool:
-    """Whether a check of level 1 failed: it is no flight, let alone an optimum."""
+    """Return True if a check of level 1 failed: it is no flight, let alone an optimum."""
     return any(check.level == 1 and not check.passed for check in made)
 
 
 def _unknown(made: Sequence[Check]) -> bool:
-    """Whether a check of level 3 has no answer: neighbours, which cost much, could not mend that."""
+    """Return True if a check of level 3 has no answer: neighbours, which cost much, could not mend that."""
     return any(check.level == 3 and np.isnan(check.value) for check in made)
 
 
@@ -200,14 +200,14 @@ def _idle_controls(parts: Solution, found: Sequence[Check]) -> dict[str, str]:
 
 
 def _unneeded(checks: Sequence[Check], tolerance: Tolerance) -> tuple[str, ...]:
-    """What is said where a tolerance was stated and everything would have passed without."""
+    """Return a note if a tolerance was stated and every check would have passed without it."""
     if not tolerance.stated or not all(check.passed and not check.lenient for check in checks):
         return ()
     return (f"nothing of the stated tolerance ({tolerance.told()}) was needed",)
 
 
 def _unchecked(problem: Problem) -> tuple[str, ...]:
-    """What a problem that came in a file cannot say of its own answer."""
+    """Return a note on the checks that a problem from a file does not state."""
     missing = [
         what
         for what, stated in (

@@ -64,7 +64,7 @@ def found_again(solution: Solution, resolve: Resolve) -> tuple[tuple[Extremal, .
 def _reached(
     solution: Solution, guess: Solution, entry: Extremal, resolve: Resolve, *, proved: bool = False
 ) -> Extremal | None:
-    """What Newton reaches from a guess, if it is what the entry says; where asked for, if it is proved as well."""
+    """Return the extremal that Newton reaches from a guess, if it is the listed one and, where asked, is proved."""
     try:
         with np.errstate(all="ignore"):  # of unknowns that nobody has looked at
             found = resolve(solution.problem, guess)
@@ -77,7 +77,7 @@ def _reached(
 
 
 def _alike(solution: Solution, one: Extremal, other: Extremal) -> bool:
-    """Whether two extremals are the same one, by their objective and their free parameters."""
+    """Return True if two extremals are the same one, by their objective and their free parameters."""
     problem = solution.problem
     pairs = [(problem.objective_size, one.objective, other.objective)]
     pairs += [(problem.size_of(f), one.free[f.name], other.free.get(f.name, np.nan)) for f in problem.free]

@@ -25,14 +25,14 @@ def edges_of(arc: Arc) -> Vector:
 
 
 def meets(arc: Arc) -> bool:
-    """Whether a path condition or a bound of a state is met at an edge, or half way between two."""
+    """Return True if a path condition or a bound of a state is met at an edge, or half way between two."""
     edges = edges_of(arc)
     some = np.union1d(edges, [0.5 * (a + b) for a, b in pairwise([0.0, *edges.tolist(), arc.duration])])
     return any(np.abs(S).min() <= _NEAR * max(float(np.abs(S).max()), LEAST * size) for S, size in _values(arc, some))
 
 
 def _values(arc: Arc, t: Vector) -> Iterator[tuple[Vector, float]]:
-    """Of every condition at times, and its size."""
+    """Yield the values of every condition at times, and its size."""
     x = arc.state(t)
     if arc.phase.path_conditions:
         yield from zip(arc.path(x, arc.control(t)), arc.path_scale.tolist(), strict=True)

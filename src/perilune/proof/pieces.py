@@ -151,7 +151,7 @@ def through(values: Matrix) -> Matrix:
 
 
 def turns(c: Matrix) -> Matrix:
-    """Where cubics of coefficients (..., 4) turn: two shares of [0, 1], (..., 2); the middle where they do not."""
+    """Return the turning points of cubics of coefficients (..., 4): two shares of [0, 1], (..., 2); else the middle."""
     _, b, c, d = np.moveaxis(c, -1, 0)
     # The roots of b + 2 c s + 3 d s^2 by the form that loses no digits.
     q = -(c + np.copysign(np.sqrt(np.maximum(c * c - 3 * b * d, 0.0)), c))
@@ -162,7 +162,7 @@ def turns(c: Matrix) -> Matrix:
 
 
 def ends_and_turns(c: Matrix) -> Matrix:
-    """Shares (..., 4) among which are those of the least and the largest value of cubics of coefficients (..., 4)."""
+    """Return shares (..., 4) that include those of least and largest value of cubics of coefficients (..., 4)."""
     return np.concatenate([np.broadcast_to(ENDS, (*c.shape[:-1], 2)), turns(c)], axis=-1)
 
 

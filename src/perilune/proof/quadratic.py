@@ -74,7 +74,7 @@ def kappa(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
 
 
 def gain_beside(forms: Form) -> float:
-    """What a step of Newton's method gains, over the size of J (in size, where the form is none of a minimum)."""
+    """Return the gain of a Newton step over the size of J (its absolute value, where the form is none of a minimum)."""
     free = _kernel(forms.constraints)
     form, slope = free.T @ forms.form @ free, free.T @ forms.slope
     if not form.size:

@@ -63,7 +63,7 @@ class Ridden:
 
     @property
     def shares(self) -> Vector:
-        """Those times, as shares of the arc."""
+        """Return the times of the samples, as shares of the arc."""
         return self.part.sampled.t / self.part.duration
 
     @property
@@ -108,9 +108,9 @@ class Ridden:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether S is of order 1, and the phase's one control, a scalar, is linear in the equations of motion.
+        """Return True if S is of order 1, and the phase's one control, a scalar, is linear in the equations of motion.
 
-        But for states that only count: nothing of the flight is another without them.
+        States that only count are left out: without them the flight is the same.
         """
         part, controls = self.part, self.part.phase.controls
         if self.condition.order != 1 or len(controls) != 1 or not isinstance(controls[0], Bounded):
@@ -128,7 +128,7 @@ class Ridden:
 
     @property
     def strict(self) -> bool:
-        """Whether mu is strictly positive between the ends of the arc, by more than the fit may be wrong."""
+        """Return True if mu is strictly positive between the ends of the arc, by more than the fit may be wrong."""
         inner = self.mu[(self.shares > _AT_ENDS) & (self.shares < 1 - _AT_ENDS)]
         return bool(len(inner)) and bool(inner.min() > max(_POSITIVE * inner.max(), self.noise, ALONG))
 
@@ -147,7 +147,7 @@ class Ridden:
         return self.part.state(np.array([s * self.part.duration]))
 
     def weights(self, s: float) -> tuple[float, ...]:
-        """What the costates of S itself have beside the table's, at s = 0 or 1, along dS/dx and dS'/dx [J/unit]."""
+        """Return what the costates of S add to the table's at s = 0 or 1, along dS/dx and dS'/dx [J/unit]."""
         eta = float(self.curve(s)) * self.size
         rate = float(self.curve.deriv(1)(s)) * self.size / self.part.duration
         return (-eta,) if self.condition.order == 1 else (rate, -eta)

@@ -85,7 +85,7 @@ class Rides:
 
     @classmethod
     def of(cls, solution: Solution, parts: Solution, structure: Structure) -> Rides:
-        """Of what `touched.cut` returns."""
+        """Build from the results of `touched.cut`."""
         sums = sums_of(solution.problem, structure)
         along, touches, begins = list[tuple[Ridden, ...]](), list[tuple[Condition, ...]](), set[int]()
         for k, arcs in enumerate(structure.phases):
@@ -107,7 +107,7 @@ class Rides:
         return [Arc(solution=self.parts, index=k) for k in range(len(self.along))]
 
     def inner(self, joint: int) -> bool:
-        """Whether a joint, that before the part of its number, lies inside one of the user's phases."""
+        """Return True if a joint, the one before the part of its number, lies inside one of the user's phases."""
         return 0 < joint < len(self.along) and joint not in self.begins
 
     def entered(self, ridden: Ridden) -> dict[int, float]:
@@ -136,7 +136,7 @@ class Rides:
         return next((r for r in self.along[k] if r.condition.name == ridden.condition.name), None)
 
     def jump(self, joint: int) -> float:
-        """What of the costates' jump there neither dS/dx with nu <= 0 nor the user's conditions explain, scaled."""
+        """Return the rest of the costates' jump after dS/dx with nu <= 0 and the user's conditions, scaled."""
         from scipy.optimize import nnls
 
         before = self.along[joint - 1] if joint else ()
@@ -200,7 +200,7 @@ class Rides:
                 )  # fmt: skip
 
     def strictly(self, ridden: Ridden, s: float) -> bool:
-        """Whether the costates of S jump by a strictly negative nu where an arc begins (0) or ends (1)."""
+        """Return True if the costates of S jump by a strictly negative nu where an arc begins (0) or ends (1)."""
         joint = ridden.part.index + round(s)
         if not self.inner(joint) or self.other(ridden, 1 if s else -1) is not None:
             return False
@@ -239,14 +239,14 @@ class Rides:
         return found
 
     def _turns(self, joint: int) -> bool:
-        """Whether something begins or ends to be ridden at a joint inside one of the user's phases."""
+        """Return True if a boundary arc begins or ends at a joint inside one of the user's phases."""
         if not self.inner(joint):
             return False
         before, after = ({r.condition.name for r in self.along[k]} for k in (joint - 1, joint))
         return before != after
 
     def _slow(self, joint: int) -> bool:
-        """Whether what is touched at a joint hardly turns there, so that its time hardly tells: it does not vary."""
+        """Return True if a condition touched at a joint hardly turns there: its time hardly matters, and is fixed."""
         touches = self.touches[joint - 1] if self.inner(joint) else ()
         if not touches:
             return False
@@ -260,7 +260,7 @@ class Rides:
         return False
 
     def _jumps_on(self, k: int) -> bool:
-        """Whether the control of a part is linear, and jumps where what it alone rides begins and ends."""
+        """Return True if the control of a part is linear, and jumps at both ends of its only boundary arc."""
         near = [self.along[k + step] for step in (-1, 1) if self._turns(k + max(step, 0))]
         if len(self.along[k]) != 1 or any(near) or not self.along[k][0].linear:
             return False
@@ -285,7 +285,7 @@ class Rides:
         return [name for name in names if nu[rows.index(name)] >= -STRICT]
 
     def _ends(self, ridden: Ridden) -> bool:
-        """Whether S = 0 is kept at the end of an arc that does not keep it on the way."""
+        """Return True if variations keep S = 0 at the end of an arc on which they do not keep it."""
         after = self.other(ridden, 1)
         return not ridden.strict and after is None and self.strictly(ridden, 1.0)
 
@@ -313,7 +313,7 @@ def _unmoved(arc: Arc, names: Sequence[str]) -> Matrix:
 
 
 def _signs(rides: Rides, ridden: Ridden, of: str) -> Iterator[Check]:
-    """Signs of the multiplier along an arc, and at both ends; `of` tells apart what is ridden at once."""
+    """Check the signs of the multiplier along an arc and at both ends; `of` distinguishes several active conditions."""
     part, name, q = ridden.part, ridden.condition.name, ridden.condition.order
     beyond = "" if q <= 2 else f"; not available for a condition of order {q}"
     yield _met(rides, ridden, of)
@@ -331,7 +331,7 @@ def _signs(rides: Rides, ridden: Ridden, of: str) -> Iterator[Check]:
 
 
 def _met(rides: Rides, ridden: Ridden, of: str) -> Check:
-    """What was taken as an arc is one: S and its rates vanish where it begins."""
+    """Check that S and its rates vanish where a boundary arc begins."""
     part, condition, x = ridden.part, ridden.condition, ridden.edge(0.0)
     u = part.phase.control_record(*part.control(np.zeros(1))[:, 0].tolist())
     worst = 0.0

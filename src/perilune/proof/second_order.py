@@ -159,7 +159,7 @@ def _extrapolated(kappa_of: Callable[[int], float]) -> tuple[float, float]:
 
 
 def _tangled(arc: Arc) -> bool:
-    """Whether anything but a single scalar jumps at a break, or its switching function does not cross zero there."""
+    """Return True if not just a single scalar jumps at a break, or its switching function does not cross zero there."""
     places = [at for at, _ in scalars(arc.phase.controls)]
     jumps = arc.jumps != 0
     alone = bool((jumps.sum(axis=0) <= 1).all()) and not np.delete(jumps, places, axis=0).any()
@@ -180,7 +180,7 @@ def _legendre_clebsch(arc: Arc, pieces: Sequence[Piece]) -> Check:
 
 
 def _kelley(arc: Arc, pieces: Sequence[Piece]) -> Iterator[Check]:
-    """Of singular arcs."""
+    """Check Kelley's condition on singular arcs."""
     own = [piece.kelley for piece in pieces if len(piece.kelley)]
     if own:
         yield Check(
@@ -192,7 +192,7 @@ def _kelley(arc: Arc, pieces: Sequence[Piece]) -> Iterator[Check]:
 
 
 def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
-    """The same in all that may vary of the control where the flight rides along a condition on states."""
+    """Check the Legendre-Clebsch condition in the control's free moves on boundary arcs of conditions on states."""
     if pieces[0].kept.pays is not None:
         return Check(
             name=f"{arc.prefix}along_sufficient", level=3, value=-pieces[0].kept.pays, limit=CURVATURE_LIMIT, unit="1",
@@ -268,7 +268,7 @@ def _form(pieces: Sequence[Piece]) -> Form:
 
 
 def _left(leap: tuple[int, Leap], dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
-    """dx behind a singular arc, and what its impulse adds to the form."""
+    """Return dx behind a singular arc, and the term that its impulse adds to the form."""
     place, own = leap
     h, slopes = parameters[place], own.mixed @ np.vstack([dx, parameters])
     curved = np.outer(h, slopes) + np.outer(slopes, h) + own.square * np.outer(h, h)
@@ -289,7 +289,7 @@ def _curved(piece: Piece, function: Any, x: Vector, scale: Vector, moves: Matrix
 
 
 def _tied(piece: Piece, parameters: Matrix) -> Matrix:
-    """That the length of a phase stays in proportion to that of the one before, where it is said to (row, columns)."""
+    """Return the row that ties a phase's length in proportion to that of the one before, if stated (rows, columns)."""
     arcs = (
         [Arc(solution=piece.arc.solution, index=piece.arc.index - step) for step in (1, 0)] if piece.kept.tied else []
     )
@@ -316,7 +316,7 @@ def _vanishing(piece: Piece, values: Sequence[Any], dx: Matrix, parameters: Matr
 
 
 def _beyond(rows: Matrix, known: Matrix) -> Matrix:
-    """What rows say beyond others that vanish: said twice, the same but for the steps' error, it would be more."""
+    """Return the combinations of rows that are independent of known ones but for the error of the steps."""
     if not len(rows) or not len(known):
         return rows
     rows = rows / np.maximum(np.abs(rows).max(axis=1, keepdims=True, initial=0.0), 1e-300)

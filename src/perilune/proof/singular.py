@@ -74,7 +74,7 @@ def singular_between(arc: Arc, left: float, right: float) -> int | None:
 
 @dataclass(frozen=True)
 class Singular:
-    """Where a phase is singular.
+    """Singular arcs of a phase.
 
     Attributes
     ----------
@@ -96,13 +96,13 @@ class Singular:
         return cls(places, np.isin(arc.breaks, inner[np.array(beside, dtype=bool)]))
 
     def ends(self, k: int) -> bool:
-        """Whether a singular arc ends with stretch k."""
+        """Return True if a singular arc ends with stretch k."""
         return self.places[k] is not None and (k + 1 == len(self.places) or self.places[k + 1] != self.places[k])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leap:
-    """How a singular arc is left: dx = xi + `by` h, and what that adds to the form.
+    """Leap at the end of a singular arc, dx = xi + `by` h, and the terms that it adds to the form.
 
     Attributes
     ----------

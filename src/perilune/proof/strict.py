@@ -77,7 +77,7 @@ class EndSwitch:
 
 
 def end_switches(arc: Arc) -> tuple[EndSwitch, ...]:
-    """Those of a phase that begins or ends the flight; none where several vanish at once, or H bends between bounds."""
+    """Return switches at the flight's ends in a phase; none if several vanish at once, or H bends between bounds."""
     found = list[EndSwitch]()
     for time in arc.ends.tolist() if any(control.scalar for control in arc.phase.controls) else ():
         first, last = arc.index == 0, arc.index == len(arc.problem.phases) - 1
@@ -176,7 +176,7 @@ def _steepness(arc: Arc, at: int, control: Bounded, t: Vector, S: Vector) -> Vec
 
 
 def _step(arc: Arc, end: EndSwitch) -> float:
-    """By how much a scalar would jump, canonical."""
+    """Return by how much a scalar would jump, canonical."""
     own = arc.control(np.array([end.time]))[end.at, 0]
     return abs(end.across - own) / float(arc.control_scale[end.at])
 

@@ -74,12 +74,12 @@ def _signs(arc: Arc, allowed: Allowed, found: Multipliers) -> Iterator[Check]:
 
 
 def on_bounds(arc: Arc, at: int, control: Bounded, u: Matrix) -> tuple[Vector, Vector]:
-    """Where a scalar lies on its lower, and on its upper bound."""
+    """Return True where a scalar lies on its lower, and where on its upper bound."""
     return control.on_bounds(u[at], ON_BOUND * arc.control_scale[at], arc.p)
 
 
 def with_limits(arc: Arc, u: Matrix, parameter: str) -> Matrix:
-    """How each component of a control moves with a parameter that is the bound on which it lies: 1 or 0, as u."""
+    """Return the derivatives of the control by a parameter that is the bound on which it lies: 1 or 0, shaped as u."""
     moves = np.zeros(u.shape)
     for at, control in scalars(arc.phase.controls):
         for limit, held in zip((control.lower, control.upper), on_bounds(arc, at, control, u), strict=True):
@@ -217,7 +217,7 @@ def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving:
 
 
 def control_sizes(arc: Arc) -> Vector:
-    """By what slopes of H in the control components are judged [SI].
+    """Return the sizes of the control components by which slopes of H are judged [SI].
 
     `Arc.control_scale`, unless a component reaches less than its unit: then what is `telling`, between these two.
     """
@@ -227,7 +227,7 @@ def control_sizes(arc: Arc) -> Vector:
 
 
 def varied_sizes(arc: Arc) -> Vector:
-    """What in the control components changes H by as much as J over the time of the flight [SI].
+    """Return the change of each control component that changes H by as much as J over the flight's time [SI].
 
     At most their unit, or what they reach. So the curvatures of H in controls of several units, and in those that
     hardly move, can be compared.

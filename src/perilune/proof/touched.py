@@ -72,7 +72,7 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
 
 
 def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:
-    """Where a condition is met between the edges of the tables, or at one where the costates jump."""
+    """Yield the contacts of a condition: arcs between edges of the tables, and edges at which the costates jump."""
     edges, size = edges_of(arc), LEAST * _size(arc, name)
     t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, POINTS))
     room = _room(arc, S, t)
@@ -114,9 +114,9 @@ def _size(arc: Arc, name: str) -> float:
 
 
 def _by_bounds(arc: Arc, condition: Condition, begin: float, end: float) -> bool:
-    """Whether a condition is met and holds nothing back: the controls that move it are on bounds, lam does not jump.
+    """Return True if a met condition has no multiplier: the controls that move it are on bounds, lam does not jump.
 
-    An empty tank stays empty while the engine is off. Then it has no multiplier, and the checks are made without one.
+    An empty tank stays empty while the engine is off. The checks are then made without the condition.
     """
     moving = moved_by(condition)
     u = arc.control(np.linspace(begin, end, _LOOKS + 2)[1:-1])
@@ -128,7 +128,7 @@ def _by_bounds(arc: Arc, condition: Condition, begin: float, end: float) -> bool
 
 
 def _jumps(arc: Arc, time: float) -> bool:
-    """Whether the costates jump at a time, where the physics does not."""
+    """Return True if the costates jump at a time, where the physics does not."""
     curve = arc.trajectory.costate
     if curve is None or np.isin(time, arc.crossed).any():
         return False
@@ -187,7 +187,7 @@ def unneeded(strict: Check) -> Check:
 
 
 def _met(part: Arc, rows: list[int], name: str) -> Check:
-    """What was taken as a contact is one: the conditions at the end of the part vanish."""
+    """Check that the conditions of a contact vanish at the end of the part."""
     end = part.state(np.array([part.duration]))[:, 0].tolist()
     values = np.array(part.phase.evaluate("end", end, (), part.p), dtype=float) / part.end_scale
     return Check(

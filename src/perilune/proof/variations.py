@@ -31,7 +31,7 @@ _WITHOUT_EFFECT = 1e-12  # of a direction, against the largest derivative of the
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
-    """What variations keep of conditions S >= 0 on states that are ridden along a phase, or from one of its ends.
+    """Constraints on variations from conditions S >= 0 on states, active along a phase or from one of its ends.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Kept:
     holds
         Values that vanish to first order all along it, and so have to where it begins.
     end
-        Those that have to where it ends, beside the end conditions.
+    Values that have to vanish where it ends, in addition to the end conditions.
     left
         Names of the end conditions that need not be kept.
     tied
@@ -230,7 +230,7 @@ class Piece:
 
     @property
     def regular(self) -> bool:
-        """Whether L is strictly convex all along in what of the control may vary."""
+        """Return True if L is strictly convex all along in the control's free moves."""
         return not self.partly_held and self.settled and bool(np.all(np.linalg.eigvalsh(self.H_uu) > 0))
 
     @property
@@ -287,7 +287,7 @@ def _threes(count: int) -> Vector:
 
 
 def _sizes(arc: Arc) -> Vector:
-    """Of the control components in variations [SI]; a direction turns by radians."""
+    """Return the sizes of the control components in variations [SI]; a direction turns by radians."""
     return np.concatenate([
         varied_sizes(arc)[here] if control.scalar else arc.control_scale[here]
         for here, control in placed(arc.phase.controls)

@@ -46,7 +46,7 @@ _POINTS = 4001  # of a fall, which may leave the air and come back
 
 
 class _Said(NamedTuple):
-    """What is compared, its unit, and what one of it is in SI."""
+    """Name of a compared quantity, its unit, and the SI value of one such unit."""
 
     what: str
     unit: str
@@ -61,7 +61,7 @@ _SAID = {
 
 
 def borne_at_least(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
-    """Each limit beside what every ballistic entry bears at least; a typical one where their box is not known.
+    """Compare each limit with the least load of every ballistic entry, or of a typical one where the box is not known.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def least_between(peaks: Matrix) -> float:
 
 
 def held_up(p: Any) -> Any:
-    """The same return whose falls are held up by as much as anything may that a fall in a plane leaves out."""
+    """Return the same problem with every effect that planar falls neglect taken at its most upwards."""
     gate, mu = p.body_radius + p.interface_altitude, p.body_gravitational_parameter
     oblate = sum((k + 1) * abs(getattr(p, f"body_j{k}", 0.0)) for k in (2, 3, 4))
     centrifugal = (p.body_rotation_rate * gate) ** 2 * gate / mu
@@ -170,7 +170,7 @@ def box_of_angles(p: Any) -> Vector | None:
 
 
 def box_of_speeds(p: Any) -> Vector | None:
-    """Speeds [m/s] beside the body at the interface; None where neither bounds nor the propellant tell them."""
+    """Speeds [m/s] relative to the body at the interface; None where neither bounds nor the propellant give them."""
     if hasattr(p, "interface_speed"):
         return np.array([p.interface_speed])
     low, high = (getattr(p, f"interface_speed_{side}", math.nan) for side in ("lower", "upper"))
@@ -181,7 +181,7 @@ def box_of_speeds(p: Any) -> Vector | None:
 
 
 def peak(name: str, fallen: Fall, p: Any, air: Air) -> float:
-    """Greatest value of what is limited, at the points of a fall: no more than it is."""
+    """Return the greatest value of a limited quantity at the points of a fall, a lower bound of its true peak."""
     height, speed = fallen.rows[:, 0], fallen.rows[:, 2]
     density, mass = air.density(height, p, NUMERIC), getattr(p, "separation_mass", p.vehicle_mass)
     velocity = (speed, 0.0 * speed, 0.0 * speed)

@@ -36,7 +36,7 @@ _STEEP = 20.0  # -ln c of a path that is as good as vertical
 
 
 def slack(p: Any, m: Any) -> Any:
-    """By how much [m] oblateness and the ellipsoid move the height of a flight within a turn."""
+    """Return how far [m] oblateness and the ellipsoid move the height of a flight within a turn."""
     return m.fmax(_OBLATE * m.fabs(p.body_j2) * p.body_radius, _LEAST_SLACK)
 
 
@@ -46,7 +46,7 @@ def gate_radius(p: Any) -> Any:
 
 
 def interface_speeds(p: Any, m: Any) -> tuple[Any, Any]:
-    """Least and greatest speed [m/s] beside the body at the interface."""
+    """Return the least and the greatest speed [m/s] relative to the body at the interface."""
     gate, change = gate_radius(p), velocity_change(p, m)
     speed, turning = _speed(p, m, gate), p.body_rotation_rate * gate
     # The body turns below the plane of the orbit, which the velocity change tilts.
@@ -58,7 +58,7 @@ def interface_speeds(p: Any, m: Any) -> tuple[Any, Any]:
 
 
 def steepest_angle(p: Any, m: Any) -> Any:
-    """Steepest path angle [rad] beside the body at the interface, below the horizon and so positive."""
+    """Return the steepest path angle [rad] relative to the body at the interface, positive below the horizon."""
     low, high = extremes(p)
     mu, gate, change = p.body_gravitational_parameter, gate_radius(p) - slack(p, m), velocity_change(p, m)
     speed = _speed(p, m, gate)
@@ -84,9 +84,9 @@ def steepest_angle(p: Any, m: Any) -> Any:
 
 
 def furthest_moved(p: Any, m: Any, change: Any) -> Any:
-    """How far [m] up or down a burn brings the vehicle by its end, at most, from its velocity change [m/s].
+    """Return the most [m] that a burn of a velocity change [m/s] raises or lowers the vehicle by its end.
 
-    At its least thrust it lasts longest, without an end where that is none.
+    A burn lasts longest at its least thrust, without bound where that is zero.
     """
     low, _ = extremes(p)
     least = p.vehicle_thrust * m.fmax(getattr(p, "throttle_lower", 1.0), _NOTHING)

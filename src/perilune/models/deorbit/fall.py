@@ -50,7 +50,7 @@ def typical_angle(p: Any) -> float:
 
 
 def typical_speed(p: Any, radius: float) -> float:
-    """A speed [m/s] beside the body at the interface, within what is stated, on the way down from a radius."""
+    """Return a speed [m/s] relative to the body at the interface, within the stated range, coming from a radius."""
     gate = p.body_radius + p.interface_altitude
     inertial = math.sqrt(2 * p.body_gravitational_parameter / gate * radius / (radius + gate))
     speed = getattr(p, "interface_speed", inertial - carried(p, gate))
@@ -108,7 +108,7 @@ def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = Non
 
 @dataclass(frozen=True, eq=False)
 class _Itself:
-    """Air as a key: equal to itself alone."""
+    """Air as a key, equal only to itself."""
 
     air: Air
 
@@ -120,7 +120,7 @@ class _Itself:
 
 
 class _Read:
-    """Parameters that remember which of them were asked for."""
+    """Parameters that record which of them were read."""
 
     def __init__(self, numbers: Mapping[str, float]) -> None:
         self._numbers, self.names = numbers, set[str]()
@@ -230,13 +230,13 @@ def slowest_arrival(p: Any, air: Air, steepest: float, speeds: tuple[float, floa
 
 
 def always_faster(p: Any, air: Air) -> bool:
-    """Whether no fall without lift from the interface arrives as slowly as ``site_speed_upper``."""
+    """Return True if no fall without lift from the interface arrives as slowly as ``site_speed_upper``."""
     speeds = [share * p.site_speed_upper for share in _SHARES]
     return all(_was_thrown(p, air, speed, float(angle)) for speed in speeds for angle in _ANGLES)
 
 
 def _was_thrown(p: Any, air: Air, speed: float, angle: float) -> bool:
-    """Whether a fall that arrives so has turned below the interface."""
+    """Return True if a fall with this speed and path angle at its end has turned below the interface."""
     from scipy.integrate import solve_ivp
 
     forward = _rates(p, air)

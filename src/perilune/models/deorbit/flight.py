@@ -38,7 +38,7 @@ HEAT = Variable(name="heat", unit="J/m^2", description="heat load at the stagnat
 
 
 def beside_motion(*, heat: bool, weighed: bool) -> tuple[Variable, ...]:
-    """States of the phases in the air beside the motion and the mass."""
+    """Return the states of the phases in the air in addition to motion and mass."""
     return (*((HEAT,) if heat else ()), *((WHOLE,) if weighed else ()))
 
 
@@ -48,12 +48,12 @@ def where(x: Any) -> Triple:
 
 
 def how_fast(x: Any) -> Triple:
-    """Velocity beside the body [m/s]."""
+    """Velocity relative to the body [m/s]."""
     return x.vx, x.vy, x.vz
 
 
 def speed(x: Any, m: Any) -> Any:
-    """Speed beside the body [m/s]."""
+    """Speed relative to the body [m/s]."""
     return m.sqrt(dot(how_fast(x), how_fast(x)))
 
 
@@ -97,7 +97,7 @@ def falling(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
 
 
 def within_limits(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
-    """What is left to each limit that is stated: load [m/s^2], heat rate [W/m^2], dynamic pressure [Pa]."""
+    """Return the margin to each stated limit: load [m/s^2], heat rate [W/m^2], dynamic pressure [Pa]."""
     density, v = air.density(ellipsoid.altitude(where(x), p, m), p, m), how_fast(x)
     left = []
     if hasattr(p, "limits_load"):
@@ -123,12 +123,12 @@ def below_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def in_the_air(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
-    """What an entry keeps: it stays below the interface, and within the limits."""
+    """Return the path conditions of an entry: depth below the interface, and the margins to the limits."""
     return *below_interface(x, u, p, m), *within_limits(x, u, p, m, air=air)
 
 
 def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """End of the transition: altitude, speed and path angle where they are stated, mass where no time says it."""
+    """Return what ends the transition: altitude, speed and path angle where stated, mass where no time gives it."""
     ends = [ellipsoid.altitude(where(x), p, m) - p.interface_altitude]
     for name, value in (("speed", speed(x, m)), ("angle", path_angle(x, m))):
         if hasattr(p, f"interface_{name}"):
@@ -148,7 +148,7 @@ def beside_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def at_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """The same with the speed."""
+    """Return the same with the speed."""
     return *beside_site(x, p, m), speed(x, m)
 
 

@@ -168,7 +168,7 @@ def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[fl
 
 
 def _allowed(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) -> bool:
-    """Whether the problem allows the typical descent: short a burn, a coast, and the speed at the interface it has."""
+    """Return True if the problem allows the typical descent: a short burn, a coast, and its speed at the interface."""
     exhaust, gate = exhaust_speed(p), p.body_radius + p.interface_altitude
     burn = p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-found.velocity_change / exhaust))
     if "drift_time" not in problem.free_names or burn > _SHORT * (found.landing - found.ignition - entry):

@@ -55,7 +55,7 @@ def _at_place(p: Any, m: Any, northwards: float) -> tuple[Any, Any]:
 
 
 def plane(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:
-    """Unit vectors up and ahead at an argument of latitude, where the node stands beside the body."""
+    """Unit vectors up and ahead at an argument of latitude, for a node given relative to the body."""
     sin_i, cos_i = m.sin(p.orbit_inclination), m.cos(p.orbit_inclination)
     to_node, beyond = (m.cos(node), m.sin(node), 0.0), (-cos_i * m.sin(node), cos_i * m.cos(node), sin_i)
     return (

@@ -86,7 +86,7 @@ class Pass:
 
 
 def site_beside(p: Any, node: Any) -> tuple[Any, Any]:
-    """The site beside a plane whose node [rad] is given: argument of latitude of its foot, and how far left [rad]."""
+    """Locate the site relative to a plane of this node [rad]: argument of latitude of its foot, angle left [rad]."""
     to_node, beyond = plane(0.0, node, p, NUMERIC)
     site = ellipsoid.at(p.site_longitude, p.site_latitude, p.site_altitude, p, NUMERIC)
     distance = math.sqrt(dot(site, site))
@@ -169,10 +169,10 @@ def _slowest(p: Any, m: Any) -> Any:
 
 
 def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | None = None) -> tuple[float, float]:
-    """How far the site stays from the plane at least while a flight from t = 0 can last, and what is turned by then.
+    """Return the least angle from site to plane while a flight from t = 0 can last, and the turn possible by then.
 
-    Both [rad], at the time at which the site is nearest of all those at which it can be reached, or where it cannot, at
-    which least is missing; less than half a turn from a landing [s] where that is given.
+    Both [rad], at the time of nearest approach among those at which the site can be reached; if there are none, at the
+    time at which the least turn is missing; less than half a turn from a landing [s] where that is given.
     """
     rate = greatest_thrust(p) / exhaust_speed(p)
     burn = (p.vehicle_mass - lightest(p)) / rate

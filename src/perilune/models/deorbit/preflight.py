@@ -97,7 +97,7 @@ def compare_return(
 
 
 def _like_standard(air: Air) -> list[Finding]:
-    """By which factor the air of a file is denser or thinner than the standard, where this is most."""
+    """Compare the air of a file with the standard, by the largest factor between their densities."""
     low, high = max(air.bottom, LOWEST), min(air.top, _COMPARED_TO)
     if low >= high:
         return []
@@ -118,7 +118,7 @@ def _like_standard(air: Air) -> list[Finding]:
 
 
 def _above_interface(p: Any, m: Any, low: Any, angles: Physics) -> list[Finding]:
-    """Who ignites high up on an ellipse may leave it before its perigee, but not after a coast of any length."""
+    """Compare perigee and ignition with the interface: a burn from high up may leave the ellipse before its perigee."""
     leaves = not hasattr(p, "orbit_radius") and not hasattr(p, "orbit_longest_coast")
     heights = {"perigee": (low - p.body_radius, not leaves)}
     if leaves:
@@ -188,7 +188,7 @@ def _burns_down(p: Any, m: Any, low: Any) -> Finding:
 
 
 def _at_interface(p: Any, m: Any) -> list[Finding]:
-    """What is stated of speed and angle at the interface, against what the velocity change can give."""
+    """Compare stated speed and angle at the interface with the range that the velocity change allows."""
     found = list[Finding]()
     slowest, fastest = interface_speeds(p, m)
     for ending, limit, at_least in (("upper", slowest, True), ("lower", fastest, False)):
@@ -216,12 +216,12 @@ def _at_interface(p: Any, m: Any) -> list[Finding]:
 
 
 def _of_one(p: Any, low: Any) -> bool:
-    """Whether it is one problem, all of it known: of many at once, or of symbols, flights are not looked at."""
+    """Return True for one problem with finite numbers; for many at once or for symbols no flights are computed."""
     return all(isinstance(number, int | float) and math.isfinite(number) for number in (*vars(p).values(), low))
 
 
 def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
-    """How fast a typical fall without lift arrives, which is no proof of others; and whether all arrive too fast."""
+    """Compare the arrival speeds of a typical fall without lift (not binding) and of the slowest fall (binding)."""
     advice = "more drag area, a higher site.altitude, or a greater site.speed_upper"
     found, light = list[Finding](), ""
     if fallen.lands and hasattr(p, "vehicle_drag_area") and not hasattr(p, "separation_mass"):
@@ -268,7 +268,7 @@ def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
 
 
 def _in_plane(p: Any, angles: Physics, fallen: Fall, *, drifts: bool) -> tuple[Finding, ...]:
-    """How far the site stays from the plane of the orbit while the flight can last, against what propellant turns."""
+    """Compare the site's least distance from the plane of the orbit during a flight with the turn by all propellant."""
     angle, node = (float(v) for v in angles(p, NUMERIC))
     orbit = drift(*state(angle, node, p, NUMERIC), p)
     entry = fallen.time, float(fallen.rows[-1, 1])
@@ -289,7 +289,7 @@ def _in_plane(p: Any, angles: Physics, fallen: Fall, *, drifts: bool) -> tuple[F
 
 
 def _next_pass(p: Any, found: Sequence[Pass]) -> str:
-    """The first pass that can be made; where there is none, the one for which least is turned."""
+    """Describe the first pass that can be made; where there is none, the one that needs the least turn."""
     available = velocity_change(p)
     good = next((one for one in found if one.velocity_change <= available), None)
     if good is not None:

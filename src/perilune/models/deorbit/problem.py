@@ -72,7 +72,7 @@ def _transition_time(x: Any, p: Any, m: Any) -> Any:
 
 
 def _minus_mass(x: Any, p: Any, m: Any) -> Any:
-    """Less what is left of the whole vehicle, of which another part may go on into the air."""
+    """Return minus the mass left of the whole vehicle, of which another part may go on into the air."""
     if hasattr(x, "whole"):
         return -x.whole
     if hasattr(p, "separation_mass"):
@@ -188,7 +188,7 @@ _PARTS = 20  # of a limit: so many g0, the unit of a load, are a hard entry, and
 
 
 def _left(name: str, limits: Limits) -> Variable:
-    """What is left to a limit. A pressure is no number to compute with in units of a mass and the body's radius."""
+    """Return the variable of a limit's margin, with a scale of its own where mass and radius give a poor one."""
     own = float(getattr(limits, name)) / _PARTS if name in ("heat_rate", "dynamic_pressure") else None
     return Variable(name=f"{name}_left", unit=flight.LIMITED[name], scale=own)
 
@@ -380,7 +380,7 @@ def deorbit_entry(
 
 
 def _is_the_earth(body: Planet) -> bool:
-    """Whether it is the Earth by any set of constants, so that its coasts lie below the flight."""
+    """Return True for the Earth by any set of constants, so that its coasts lie below the flight."""
     same = (body.radius / EARTH.radius, body.rotation_rate / EARTH.rotation_rate)
     return all(abs(ratio - 1) < 0.01 for ratio in same)
 

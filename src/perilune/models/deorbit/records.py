@@ -49,7 +49,7 @@ def _one_of(section: str, stated: dict[str, Any], *, needed: bool) -> None:
 
 @record("problem")
 class Aim:
-    """What is best."""
+    """Objective of a return, and its epoch."""
 
     minimise: str = words(
         "flight_time", *MINIMISED, default="flight_time",
@@ -63,13 +63,13 @@ class Aim:
         self.instant()
 
     def instant(self) -> datetime | None:
-        """The epoch in UTC; refuses what is none."""
+        """Return the epoch in UTC; refuse a text that is none."""
         return None if self.epoch is None else instant(self.epoch, "problem.epoch")
 
 
 @record("orbit")
 class Orbit:
-    """Where the flight comes from: a circular orbit by its radius, or an ellipse by its perigee and apogee."""
+    """Orbit before the return: a circle by its radius, or an ellipse by its perigee and apogee."""
 
     radius: float | None = quantity("m", "6678.14 km", default=None, above=0.0, about="of a circular orbit")
     perigee_altitude: float | None = quantity("m", "350 km", default=None, about="above the body's radius")
@@ -183,7 +183,7 @@ class Returner:
 
     @property
     def flies_through_air(self) -> bool:
-        """Whether it is known what air does to it."""
+        """Return True if drag is known, by drag area, ballistic coefficient or sphere-cone."""
         return any(v is not None for v in (self.drag_area, self.ballistic_coefficient, self.base_radius))
 
 
@@ -199,7 +199,7 @@ class Transition:
 
 @record("interface")
 class Interface:
-    """Where the air begins: above it there is none. Speed and angle are relative to the turning body."""
+    """Entry interface, above which there is no air. Speed and angle are relative to the turning body."""
 
     altitude: float = quantity("m", "120 km", above=0.0, about="of the entry interface")
     speed: float | None = quantity("m/s", "7.5 km/s", default=None, **_ENTERING, about="fixes the speed there")
@@ -263,7 +263,7 @@ class Atmosphere:
 
 @record("separation")
 class Separation:
-    """What of the vehicle goes on into the air."""
+    """Part of the vehicle that enters the air."""
 
     mass: float = quantity(
         "kg", "2900 kg", above=0.0, about="of what enters the air; the rest is left at the interface"
@@ -272,7 +272,7 @@ class Separation:
 
 @record("limits")
 class Limits:
-    """What the vehicle may bear on its way through the air."""
+    """Limits on load, heat rate and dynamic pressure during the entry."""
 
     load: float | None = quantity(
         "m/s^2", "4.5 g0", default=None, above=0.0, hint="write it in g0 or m/s^2", about="greatest load"
@@ -297,7 +297,7 @@ class Heating:
 
 @record("parachute")
 class Parachute:
-    """What takes over from the entry, and falls steadily to the altitude of the site."""
+    """Parachute that opens at the end of the entry, and falls steadily to the altitude of the site."""
 
     altitude: float = quantity("m", "10 km", above=0.0, about="at which it opens, no faster than site.speed_upper")
     drag_area: float = quantity("m^2", "1000 m^2", above=0.0, about="drag coefficient times area of the canopy")
@@ -305,7 +305,7 @@ class Parachute:
 
 @record("site")
 class Landing:
-    """Where the flight ends."""
+    """Site at which the flight ends."""
 
     longitude: float | None = quantity("rad", "-98 deg", default=None, **_TURNS, about="east; left out, it is free")
     latitude: float | None = quantity("rad", "38 deg", default=None, **_LATITUDE, about="north; left out, it is free")
@@ -325,7 +325,7 @@ class Landing:
 
 
 def throttled(p: Any) -> bool:
-    """Whether the engine has a throttle."""
+    """Return True if the engine has a throttle."""
     return hasattr(p, "throttle_upper")
 
 

@@ -42,7 +42,7 @@ class Drift:
 
     @property
     def turn_rate(self) -> float:
-        """Of the mean argument of latitude [rad/s]."""
+        """Return the rate of the mean argument of latitude [rad/s]."""
         return self.perigee_rate + self.anomaly_rate
 
     def later(self, time: float) -> Drift:

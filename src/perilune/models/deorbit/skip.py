@@ -36,7 +36,7 @@ _POINTS = 2001  # of a fall, which takes up to three turns
 
 
 def leaves_again(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
-    """Whether every ballistic entry leaves the air again; else whether a typical one does.
+    """Compare the rise of all ballistic entries above the interface (skip-out), or else that of a typical one.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def _beside_interface(which: str, top: float, *, binding: bool, meaning: str) ->
 
 
 def _tops(p: Any, air: Air) -> Matrix | None:
-    """How far [m] falls rise again above the interface, on a grid over their box; None where any does not."""
+    """Return how far [m] falls rise again above the interface, on a grid over their box; None where any does not."""
     masses, angles, speeds = box_of_masses(p), box_of_angles(p), box_of_speeds(p)
     if angles is None or speeds is None:
         return None
@@ -85,14 +85,14 @@ def _tops(p: Any, air: Air) -> Matrix | None:
 
 
 def risen_again(fallen: Fall, interface: float) -> float:
-    """How far [m] a fall rises above the interface after its lowest point; -inf where it never climbs."""
+    """Return how far [m] a fall rises above the interface after its lowest point; -inf where it never climbs."""
     heights = fallen.rows[:, 0]
     climbs = np.nonzero(np.diff(heights) > 0)[0]
     return float(np.max(heights[climbs[0] + 1 :])) - interface if len(climbs) else -math.inf
 
 
 def pulled_down(p: Any) -> Any:
-    """The same return whose falls are pulled down by as much as anything may that a fall in a plane leaves out."""
+    """Return the same problem with every effect that planar falls neglect taken at its most downwards."""
     oblate = sum((k + 1) * abs(getattr(p, f"body_j{k}", 0.0)) for k in (2, 3, 4))
     turned = float(furthest_turned(p, velocity_change(p))) if is_something_left(p) else math.pi
     along = math.copysign(1.0, p.body_rotation_rate)  # the way that the air goes

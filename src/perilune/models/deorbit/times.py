@@ -140,13 +140,13 @@ def way_down(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> Down:
 
 
 def _burn_of(p: Any, change: float) -> float:
-    """How long [s] the engine burns for a velocity change [m/s]."""
+    """Return the burn time [s] of a velocity change [m/s]."""
     exhaust = exhaust_speed(p)
     return p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-change / exhaust))
 
 
 def _steep_enough(p: Any, angle: float, coast: float, burn: float, whole: float) -> tuple[float, Matrix | None]:
-    """How long a burn against the velocity leads down at the typical angle, about, and the end of its descent.
+    """Find the length of a burn against the velocity that leads down at about the typical angle, and its last row.
 
     An impulse of the same velocity change leads down more steeply than a burn that goes round a part of the body.
     """
@@ -202,7 +202,7 @@ def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, dri
 def _to_the_site(
     p: Any, angle: float, node: float, whole: float, swept: float, latest: tuple[float, float], spare: float
 ) -> float:
-    """How much later [s] than at once a flight begins that lasts `whole` and sweeps an angle, to end at the site.
+    """Return the delay [s] after which a flight that lasts `whole` and sweeps an angle ends at the site.
 
     At the first pass; of those within the longest coast, about, the first of `latest` [s], at that which comes nearest
     to the site: a way that is not as long as the typical one is easier to fly than one to the side. Where all of them
@@ -275,7 +275,7 @@ def _bent(p: Any, angle: float, time: float, parts: list[float], gate: float) ->
 
 
 def _state(p: Any, angle: float, node: float, time: float, row: Any) -> list[float]:
-    """Position, and velocity beside the body, of a row in the plane of the orbit."""
+    """Position, and velocity relative to the body, of a row in the plane of the orbit."""
     distance, swept, rise, level = row
     up, ahead = plane(angle + swept, node - p.body_rotation_rate * time, p, NUMERIC)
     position = combine((distance, up))

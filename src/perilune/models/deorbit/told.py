@@ -57,7 +57,7 @@ _TIMES = {
 
 
 def of_flight(names: Sequence[str]) -> tuple[Variable, ...]:
-    """The results of a flight of these phases."""
+    """Return the results of a flight with these phases."""
     known = {"transition_time", "flight_time", *(f"{name}_time" for name in names)}
     landed = (
         Variable(name="landing_speed", unit="m/s", description="at the end, beside the turning body"),
@@ -102,7 +102,7 @@ def at_opening(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def pushed(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    """The same with the acceleration by thrust."""
+    """Values of `PLACED`, and the acceleration by thrust."""
     return *placed(x, u, p, m), thrust(u, p) / x.m
 
 
@@ -133,7 +133,7 @@ def _inertial_velocity(x: Any, p: Any) -> Triple:
 
 
 def burnt(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    """Rates of what the burn spends, of the inertial velocity."""
+    """Rates of the velocity losses of a burn, from the inertial velocity."""
     pull = gravity(where(x), AXIS, p, m)
     return spent(_inertial_velocity(x, p), thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m)
 
@@ -145,7 +145,7 @@ def inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def inertial_without_thrust(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
-    """The same of a coast or an entry."""
+    """`perilune.problem.phase.Phase.inertial` of a coast or an entry."""
     none = 0.0 * p.vehicle_thrust / x.m
     return seen_inertially(where(x), how_fast(x), (none, none, none), t, p, m)
 
@@ -159,7 +159,7 @@ _DRAG = (
 
 
 def dispersion(given: Iterable[str]) -> Dispersion:
-    """What moves the landing point, of a problem with these given parameters."""
+    """Return the disturbances of the landing point of a problem with these given parameters."""
     shares = next(found for ways in _DRAG if (found := tuple(way for way in ways if way[0] in given)))
     return Dispersion(
         disturbances=(
@@ -187,7 +187,7 @@ def meant_for(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
 
 
 def views(*, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], body: str = "", epoch: str = "") -> Views:
-    """Figures of a return, with air or without, with heat or without, over a body whose coasts are known or not."""
+    """Return the figures of a return, for its air, heat and body (whose coasts are drawn where they are known)."""
     flown = air is not None
     peaks = (("dynamic_pressure", "load") if flown else ()) + (("heat_rate",) if flown and heat else ())
     return Views(
