@@ -77,7 +77,7 @@ def smooth_joints(
 def touches(
     problem: Problem, p: Parameters, ends: list[tuple[ca.SX, ca.SX, ca.SX]], slopes: ca.SX
 ) -> Iterator[tuple[int, str, ca.SX]]:
-    """Return rows of free durations that end with a touch, as `smooth_joints` has them.
+    """Yield rows of free durations that end with a touch, as `smooth_joints` has them.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ class Curves(Deferred):
 def composed(
     method: str, problem: Problem, conditions: Conditions, found: Sequence[Found], statistics: Statistics
 ) -> Solution:
-    """The best of the roots as the answer, all of them listed.
+    """Make the best of the roots the answer, and list all of them.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def composed(
 
 
 def listed_once(conditions: Conditions, ranked: Iterable[Found]) -> list[Found]:
-    """Those whose J or free parameters differ.
+    """Return the extremals whose J or free parameters differ.
 
     Mirror images, or a coast flown before the burn or behind it, are one extremal to whoever reads the list.
     """
@@ -97,7 +97,7 @@ def _told(conditions: Conditions, found: Found) -> Vector:
 
 
 def _nature(found: Found, free: int, *, best: bool, guessed: bool) -> Nature:
-    """What a root is; the one that a guess leads to was compared with no other."""
+    """Classify a root; the one that a guess leads to was compared with no other."""
     bound = bool(found.root.choice[:free].any())
     if not found.minimum:
         return Nature.WORST

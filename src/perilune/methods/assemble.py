@@ -37,12 +37,12 @@ _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum 
 
 
 def objective_scale(problem: Problem) -> float:
-    """SI size of the canonical unit of J."""
+    """Return the SI size of the canonical unit of J."""
     return problem.objective_size
 
 
 def residual_scales(problem: Problem, conditions: Conditions) -> Vector:
-    """SI size of the canonical unit of each residual."""
+    """Return the SI size of the canonical unit of each residual."""
     J, free = problem.objective_size, free_scales(problem.free, problem)
     states = [
         np.concatenate([state_scales(problem, phase), free[list(extremal.constants)]])
@@ -52,25 +52,25 @@ def residual_scales(problem: Problem, conditions: Conditions) -> Vector:
 
 
 def _end_scales(problem: Problem) -> Vector:
-    """SI size of the canonical unit of each end condition, phase by phase."""
+    """Return the SI size of the canonical unit of each end condition, phase by phase."""
     return np.array([problem.size_of(c) for phase in problem.phases for c in phase.end_conditions])
 
 
 def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
-    """Free parameters in SI."""
+    """Return the free parameters in SI."""
     of, values = problem.scales.of, y[conditions.free_at].tolist()
     return {f.name: value * of(f.unit) for f, value in zip(problem.free, values, strict=True)}
 
 
 def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
-    """Multipliers nu of the end conditions in J per unit."""
+    """Return the multipliers nu of the end conditions in J per unit."""
     names = [f"{phase.name}.{c.name}" for phase in problem.phases for c in phase.end_conditions]
     values = y[conditions.free_at.stop : len(conditions.unknowns)] * problem.objective_size / _end_scales(problem)
     return dict(zip(names, values.tolist(), strict=True))
 
 
 def controls(extremal: PhaseExtremal, arc: Flown, t: Vector, p: Vector) -> Matrix:
-    """Minimising control along an arc, (n, controls); at a switch, the one after it."""
+    """Return the minimising control along an arc, (n, controls); at a switch, the one after it."""
     modes, z = arc.modes(t), arc(t)
     out = np.zeros((len(t), extremal.reports[0].size1_out(0)))
     for mode in np.unique(modes):
@@ -81,12 +81,12 @@ def controls(extremal: PhaseExtremal, arc: Flown, t: Vector, p: Vector) -> Matri
 
 
 def _law(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> Matrix:
-    """The control in one mode at points z (n, nz)."""
+    """Return the control in one mode at points z (n, nz)."""
     return _at(_first(extremal.reports[mode]), z, np.tile(p, (len(z), 1)))[0]
 
 
 def _at(function: ca.Function, *arguments: Matrix) -> list[Matrix]:
-    """What a function of columns, all of them dense, gives at many points: (n, m) from (n, k) each.
+    """Evaluate a function of columns, all of them dense, at many points: (n, m) from (n, k) each.
 
     In NumPy's own arrays: to make CasADi's of them takes several times as long as to evaluate.
     """
@@ -104,26 +104,26 @@ def _at(function: ca.Function, *arguments: Matrix) -> list[Matrix]:
 
 @lru_cache(maxsize=256)
 def _mapped(function: ca.Function, count: int) -> ca.Function:
-    """The function at so many points."""
+    """Map a function over so many points."""
     return function.map(count)
 
 
 @lru_cache(maxsize=64)
 def _first(report: ca.Function) -> ca.Function:
-    """Its first output alone."""
+    """Return a function of only its first output."""
     z, p = (ca.SX.sym(name, report.size1_in(i)) for i, name in enumerate("zp"))
     return ca.Function("first", [z, p], [ca.densify(report(z, p)[0])])
 
 
 @lru_cache(maxsize=64)
 def _together(rate: ca.Function, report: ca.Function) -> ca.Function:
-    """Both in one: (z, the z that decides the control, numbers) -> (z', u, u')."""
+    """Join both functions in one: (z, the z that decides the control, numbers) -> (z', u, u')."""
     z, decides, p = (ca.SX.sym(name, report.size1_in(i)) for i, name in ((0, "z"), (0, "d"), (1, "p")))
     return ca.Function("together", [z, decides, p], [ca.densify(x) for x in (rate(z, p), *report(decides, p)[:2])])
 
 
 def _report(extremal: PhaseExtremal, mode: int, z: Matrix, decides: Matrix, p: Vector) -> tuple[Matrix, Matrix, Matrix]:
-    """(z', u, u') in one mode: z' at points z (n, nz), the control at those that decide it."""
+    """Return (z', u, u') in one mode: z' at points z (n, nz), the control at those that decide it."""
     together = _together(extremal.modes[mode], extremal.reports[mode])
     rate, u, u_rate = _at(together, z, decides, np.tile(p, (len(z), 1)))
     return rate, u, u_rate
@@ -208,7 +208,7 @@ def _nodes(
 
 
 def _agreed(pieces: Sequence[Sequence[Any]], controls: slice) -> None:
-    """Where a control goes on through a switch, both sides of it tell what the one tells that turns less.
+    """Give both sides of a switch through which a control goes on the value of the side that turns less.
 
     Behind a limit on its tilt a thrust may turn over at once. What the rounding of the switch, or of a costate near
     zero, makes of it there is beyond the limit.
@@ -221,7 +221,7 @@ def _agreed(pieces: Sequence[Sequence[Any]], controls: slice) -> None:
 
 
 def _told_from(extremal: PhaseExtremal, arc: Flown, end: float, p: Vector) -> float:
-    """The time nearest to an end of a phase at which its control is more than rounding.
+    """Return the time nearest to an end of a phase at which its control is more than rounding.
 
     Where what points a direction vanishes at the end, its rounding over its distance from there is all that is left of
     it; further inside the control itself is another. Between the two it changes least.
@@ -241,9 +241,18 @@ def _told_from(extremal: PhaseExtremal, arc: Flown, end: float, p: Vector) -> fl
 
 
 def _leverage(problem: Problem, phase: Phase, p: Any, flown: tuple[Matrix, Matrix], size: Vector) -> Vector:
-    """How far an error of each control along the whole phase moves the states, by their sizes, and at least 1.
+    """Return how far an error of each control along the whole phase moves the states, by their sizes, and at least 1.
 
-    Of a descent that nearly hovers much more speed goes through the engine than the flight changes.
+    In a descent that nearly hovers much more speed goes through the engine than the flight changes.
+
+    Parameters
+    ----------
+    problem, phase, p
+        The phase, and the record of all parameters in SI.
+    flown
+        States (n, points) and controls (components, points) along the phase [SI].
+    size
+        Sizes of the states [SI], (n,).
     """
     (x, u), x_scale = flown, state_scales(problem, phase)
     scale = control_scales(phase.controls, problem.scales)
@@ -292,7 +301,7 @@ def joints_from(problem: Problem, conditions: Conditions, guess: Solution, segme
 
 
 def beyond_shooting(rough: Solution, conditions: Conditions) -> tuple[str, str] | None:
-    """What a direct solution does that no extremal of the indirect method can, and what to try; None if nothing.
+    """Return what no indirect extremal can do and a direct solution does, and what to try; None if nothing.
 
     A throttle that stays well between its bounds on a tenth of a phase is no polynomial's overshoot at a switch but a
     singular arc. A state at its bound has a multiplier that Pontryagin's conditions without bounds do not know. A phase

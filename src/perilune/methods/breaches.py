@@ -57,7 +57,7 @@ class Breach:
 
 
 def broken_by_control(structure: Structure, whole: Solution) -> Breach | None:
-    """What the control of an extremal of arcs breaks that its law does not keep to; looked at where there may be any.
+    """Return what the control of an extremal of arcs breaks that its law does not keep to, or None.
 
     Such are conditions of the path that the law cannot hold, and the bounds of a scalar that keeps what is ridden.
     """
@@ -72,7 +72,7 @@ def broken_by_control(structure: Structure, whole: Solution) -> Breach | None:
 
 
 def breaches_of(solution: Solution, slack: float) -> Iterator[Breach]:
-    """What a solution breaks on its way by more than a slack [canonical], by its tables; bounds of its control too."""
+    """Yield what a solution breaks by more than a slack [canonical], by its tables; bounds of its control too."""
     problem, p = solution.problem, solution.parameters
     for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
         nodes = (flown.state.time, flown.control.time)
@@ -84,7 +84,7 @@ def breaches_of(solution: Solution, slack: float) -> Iterator[Breach]:
 
 
 def breaches_along(problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any, slack: float) -> Iterator[Breach]:
-    """What is broken by more than a slack [canonical] where states and controls of a phase were looked at."""
+    """Yield what states and controls of a phase, at the points given, break by more than a slack [canonical]."""
     for state, along in zip(phase.states, x, strict=True):
         yield from outside(problem, state, along, state.limits(p), slack)
     for condition, along in phase.path_along(x, u, p):
@@ -100,7 +100,7 @@ def breaches_along(problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any,
 def outside(
     problem: Problem, named: Variable | Free | Bounded, values: Vector, limits: tuple[float, float], slack: float
 ) -> Iterator[Breach]:
-    """Values beyond their bounds. What is no number lies within none, not even where there are none."""
+    """Yield values beyond their bounds. What is no number lies within none, not even where there are none."""
     (lower, upper), name, unit, scale = limits, named.name, named.unit, problem.size_of(named)
     least, most = float(np.min(values)), float(np.max(values))
     for side, limit, reached, miss in (("lower", lower, least, lower - least), ("upper", upper, most, most - upper)):
@@ -122,6 +122,6 @@ def outside(
 
 
 def _told_apart(one: float, other: float, unit: str) -> tuple[str, str]:
-    """Two values with as many digits as it takes to tell them apart, but six at least."""
+    """Format two values with as many digits as it takes to distinguish them, but six at least."""
     texts = ((told(one, unit, digits), told(other, unit, digits)) for digits in range(6, 18))
     return next((pair for pair in texts if pair[0] != pair[1]), (told(one, unit), told(other, unit)))

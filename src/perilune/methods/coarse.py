@@ -35,7 +35,7 @@ _LOOKS = 400  # times of a phase at which its conditions are looked at
 
 
 def along_path(problem: Problem, flight: Solution, ends: float = 0.0) -> Iterator[tuple[Variable, Vector]]:
-    """Each path condition with its values [SI] along a flight, less a share of the phase at both ends.
+    """Yield each path condition with its values [SI] along a flight, less a share of the phase at both ends.
 
     Where such a share is left out, so are phases that have shrunk to nothing: they are all ends.
     """
@@ -49,7 +49,7 @@ def along_path(problem: Problem, flight: Solution, ends: float = 0.0) -> Iterato
 
 @dataclass
 class Coarse:
-    """What the direct method knows of one problem.
+    """The direct method's attempts at one problem.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Coarse:
 
     @property
     def lost(self) -> bool:
-        """Whether its answer is one of many arcs that the mesh has not followed.
+        """Return True if its answer is one of many arcs that the mesh has not followed.
 
         Arcs along a condition on states are none: there the control of a mesh wavers, whatever the mesh.
         """
@@ -109,7 +109,7 @@ class Coarse:
 
     @property
     def blurred(self) -> bool:
-        """Whether its answer is one that no condition on states holds, and to which a finer mesh comes closer.
+        """Return True if no condition on states holds its answer, and a finer mesh comes closer to it.
 
         Where a control wavers, which may be singular, it does so on any mesh that has followed the flight.
         """
@@ -197,7 +197,7 @@ class Coarse:
 
 
 def _tell_of_rough(problem: Problem, rough: Solution) -> None:
-    """Tell of a rough flight, which is what a time limit would leave."""
+    """Report a rough flight, which is what a time limit would leave."""
 
     def told_of() -> str:
         return f"a rough flight with {objective_text(rough)}, mesh error {rough.statistics.residual:.1g}"
@@ -206,7 +206,7 @@ def _tell_of_rough(problem: Problem, rough: Solution) -> None:
 
 
 def touched(flight: Solution) -> set[str]:
-    """Path conditions that a flight comes so near to, at the nodes of its tables, that they may hold it back."""
+    """Return path conditions that a flight comes so near to, at the nodes of its tables, that they may hold it back."""
     found = set[str]()
     for phase, flown in zip(flight.problem.phases, flight.trajectories, strict=True):
         if not phase.path_conditions:
@@ -219,9 +219,9 @@ def touched(flight: Solution) -> set[str]:
 
 
 def often_switched(flight: Solution) -> bool:
-    """Whether a bounded control goes through the middle of its range more often than a few times.
+    """Return True if a bounded control goes through the middle of its range more often than a few times.
 
-    Not counted is what it does where a condition on states is at its limit.
+    Crossings where a condition on states is at its limit are not counted.
     """
     for k, (phase, flown) in enumerate(zip(flight.problem.phases, flight.trajectories, strict=True)):
         t = np.linspace(0.0, flown.duration, _LOOKS)

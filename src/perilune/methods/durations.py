@@ -32,7 +32,7 @@ _NEAR = 0.3  # of 1 + |y|: a root farther from the one before belongs to another
 
 
 def given_durations(trials: Trials) -> list[int]:
-    """Where the durations stand among the given parameters; none where something is free."""
+    """Return the places of the durations among the given parameters; none where something is free."""
     problem = trials.problem
     names = list(problem.given)
     return [] if problem.free else [names.index(name) for name in dict.fromkeys(problem.duration_names)]
@@ -60,7 +60,7 @@ class Lengthened:
         self.told, self.met = "", 0
 
     def extremals(self) -> list[Root]:
-        """Those of the whole flight, best first."""
+        """Return the extremals of the whole flight, best first."""
         count = int(np.ceil(np.log(1 / LEAST) / np.log(RATIO)))
         known: list[Root] = []
         for number, share in enumerate(RATIO ** np.arange(-count, 1.0)):

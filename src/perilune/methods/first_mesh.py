@@ -163,11 +163,11 @@ class FirstMesh:
         return Start(program, free, sampled(program, flown), "flown under its controls", winds(flown))
 
     def rough(self, program: Program, answer: Answer) -> bool:
-        """Whether what is between the nodes is another flight."""
+        """Return True if the flight between the nodes is another one."""
         return self.run.looked_at(program, answer).worst > ROUGHEST
 
     def vanished(self, answer: Answer) -> bool:
-        """Whether a phase has shrunk to nothing: the miss of no flight says nothing of those that have a length."""
+        """Return True if a phase has shrunk to nothing: then its miss says nothing of flights with a length."""
         values = answer.free_si(self.problem)
         durations = [f for f in self.problem.free if f.name in self.problem.duration_names]
         return any(values[f.name] < VANISHED * f.typical for f in durations)
@@ -196,7 +196,7 @@ class FirstMesh:
             )
 
     def partial(self, answer: Answer, missed: list[str]) -> dict[str, Any]:
-        """What a failure keeps; `all_missed` says that every start led to a least miss, if only that of no flight.
+        """Return what a failure keeps; `all_missed` is True if every start led to a least miss, if only of no flight.
 
         `least_miss` is its size in canonical units, where it is more than the error of the mesh; `settled` whether any
         start led to one that is a flight.

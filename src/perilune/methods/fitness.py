@@ -51,7 +51,7 @@ PRICE = 10.0
 
 
 def free_box(problem: Problem) -> tuple[Vector, Vector]:
-    """Bounds of the free parameters, canonical; an open one lies within four times the typical value."""
+    """Return bounds of the free parameters, canonical; an open one lies within four times the typical value."""
     scale = free_scales(problem.free, problem)
     typical = [abs(f.typical) for f in problem.free]
     lower = [f.lower if np.isfinite(f.lower) else 0.25 * t if f.typical > 0 else -4 * t
@@ -154,7 +154,7 @@ class ControlFitness:
         return np.concatenate([np.zeros((len(places), 0, len(genes))), *parts], axis=1), at
 
     def _miss(self, phase: Phase, p: Any, states: Batch, controls: Batch) -> Vector:
-        """How far the conditions of a phase are missed, (N,)."""
+        """Return how far the conditions of a phase are missed, (N,)."""
         size = states.shape[2]
         end = _stacked(phase.evaluate("end", list(states[-1]), (), p), size)
         end = _missed(self.problem, phase.end_conditions, end)
@@ -243,7 +243,7 @@ class CostateFitness:
 
     @cached_property
     def _is_costate(self) -> Vector:
-        """Which components of the stacked ends are costates."""
+        """Return True for those components of the stacked ends that are costates."""
         return np.concatenate([np.repeat([False, True], phase.half) for phase in self.conditions.phases])
 
     def _ends(self, y: Matrix) -> Matrix:
@@ -271,7 +271,7 @@ class CostateFitness:
 
 
 def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) -> Matrix:
-    """By how much canonical values (n, N) of end conditions are not met: themselves, but for ranges."""
+    """Return by how much canonical values (n, N) of end conditions are not met: themselves, but for ranges."""
     scales = [problem.size_of(c) for c in conditions]
     p = problem.parameters({})
     missed = [c.missed(v * scale, p) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]
@@ -279,7 +279,7 @@ def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) ->
 
 
 def _flown(phase: Phase, p: Any, start: Matrix, controls: Batch, duration: Vector) -> Batch:
-    """States (STEPS + 1, nx, N) from the start (nx, N)."""
+    """Return the states (STEPS + 1, nx, N) from the start (nx, N), by the classical Runge-Kutta method."""
     size = start.shape[1]
     states, h = np.empty((STEPS + 1, *start.shape)), duration / STEPS
     states[0] = start
@@ -300,7 +300,7 @@ def _rk4_step(rate: Any, x: Matrix, h: Vector, u: Any) -> Matrix:
 
 
 def _stacked(values: Any, size: int) -> Matrix:
-    """Numbers and arrays (N,) as one array (n, N)."""
+    """Stack numbers and arrays (N,) as one array (n, N)."""
     if not len(values):
         return np.zeros((0, size))
     return np.array([np.broadcast_to(np.asarray(v, dtype=float), size) for v in values])

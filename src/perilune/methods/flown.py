@@ -196,7 +196,7 @@ def exported(
 
 
 def may_be_cut(conditions: Conditions, segments: int = _SEGMENTS) -> bool:
-    """Whether multiple shooting with so many segments for each phase is worth its unknowns."""
+    """Return True if multiple shooting with so many segments for each phase is worth its unknowns."""
     return (segments - 1) * sum((2 - e.settles) * e.half for e in conditions.phases) <= _JOINED
 
 
@@ -225,14 +225,14 @@ def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, ac
 
 
 def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> float:
-    """The largest residual at the ends of a flight; those of ranges and of free parameters are not counted."""
+    """Return the largest residual at the ends of a flight, not counting ranges and free parameters."""
     return float(np.abs(_left(problem, conditions, root, flown)).max(initial=0.0))
 
 
 def _left(
     problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown], *, stationary: bool = False
 ) -> Vector:
-    """The residual at the ends of a flight; 0 for ranges, and for free parameters that are held, or all of them."""
+    """Return the residual at the ends; 0 for ranges, and for free parameters that are held, or all of them."""
     ends = np.concatenate([arc.z[-1] for arc in flown])
     residual = np.array(conditions.residual(root.y, ends, extremal_parameters(problem))[0]).ravel()
     free = conditions.free_at.stop - conditions.free_at.start
@@ -242,7 +242,7 @@ def _left(
 
 
 def _in_pieces(problem: Problem, conditions: Conditions, root: Root, whole: Sequence[Flown]) -> list[Flown] | None:
-    """The same root by multiple shooting, each piece from its own start."""
+    """Solve for the same root by multiple shooting, each piece from its own start."""
     shooting, p = Shooting(conditions, segments=_SEGMENTS), extremal_parameters(problem)
     shares = np.arange(1, _SEGMENTS) / _SEGMENTS
     joints = [arc(shares * arc.duration).ravel() for arc in whole]

@@ -32,7 +32,7 @@ Objective = Callable[[Matrix], Vector]  # (population, n) -> (population,); smal
 
 @dataclass(frozen=True, kw_only=True)
 class Generation:
-    """Where a search stands: number of the generation, its least and median objective."""
+    """The state of a search: number of the generation, its least and median objective."""
 
     number: int
     least: float
@@ -41,7 +41,7 @@ class Generation:
 
 @dataclass(frozen=True, kw_only=True)
 class Survivors:
-    """What a search found.
+    """The result of a search.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ class Genetic:
 
 
 def _distinct(genes: Matrix, values: Vector, count: int, distance: float) -> Indices:
-    """Indices of the best individuals no two of which are nearer than `distance`; at least the best one."""
+    """Return indices of the best individuals no two of which are nearer than `distance`; at least the best one."""
     chosen: list[int] = []
     for i in np.argsort(values, kind="stable").tolist():
         if chosen:

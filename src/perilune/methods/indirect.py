@@ -96,7 +96,7 @@ class Indirect(Ladder):
         return self.answer(search, guess)
 
     def answer(self, search: Search, guess: Solution | None = None, base: Member | None = None) -> Solution:
-        """What a search finds, or the extremal of a structure of arcs where that is no answer or is outdone.
+        """Return what a search finds, or the extremal of a structure where that is no answer or is worse.
 
         Parameters
         ----------
@@ -165,7 +165,7 @@ class Indirect(Ladder):
         return solution if found is None else replace(found, extremals=(*found.extremals, *solution.extremals[1:]))
 
     def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:
-        """What the direct method leads to from nothing, where that is better than an extremal that is no minimum."""
+        """Return what the direct method leads to from nothing, where better than an extremal that is no minimum."""
         search = Search(self, problem, watch or silent)
         rough = search.coarse.solve()
         if rough is None or not rough.objective < solution.objective:
@@ -222,7 +222,7 @@ class Indirect(Ladder):
 
 
 def _tell(search: Search, one: Solution, beside: str) -> None:
-    """Tell of an extremal that is the best so far."""
+    """Report an extremal that is the best so far."""
     best_so_far(
         search.problem, one.objective, lambda: f"{objective_text(one, 9)}, {beside}", lambda: one, extremal=True
     )
@@ -240,7 +240,7 @@ def _best(found: Sequence[Solution], search: Search) -> Solution:
 
 
 def _may_be_structured(guess: Solution) -> bool:
-    """Whether a guess may touch or ride along a condition on states: the indirect method knows when its own does."""
+    """Return True if a guess may touch or ride along a condition on states; an indirect one says so itself."""
     return (
         isinstance(guess.trajectories, Joined)  # an atlas's answer of arcs, too
         or guess.statistics.rung.endswith(STRUCTURE)

@@ -55,9 +55,9 @@ class Relaxed(NamedTuple):
 
 
 class Words(NamedTuple):
-    """Return what a limit is called, by how much it is missed, where everything else can be kept, and what was stated.
+    """The texts of a limit: its name, by how much it is missed, with what all else can be kept, and what was stated.
 
-    And whether what would be enough may be stated: a throttle of 1.4 may not.
+    `possible` is False where what would be enough may not be stated: a throttle of 1.4 may not.
     """
 
     name: str
@@ -96,7 +96,7 @@ def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch 
 
 
 def _each_alone(problem: Problem, nearest: Solution, watch: Watch) -> Iterator[Relaxed]:
-    """Flights with one limit relaxed each; ends only where no other limit helps."""
+    """Yield flights with one limit relaxed each; ends only where no other limit helps."""
     left, found = _MOST // len(problem.phases), 0
     # What is used up binds where a phase ends, and no point of a mesh lies there.
     ended = with_budgets(problem, linear=True)
@@ -134,7 +134,7 @@ def _on_finer_meshes(one: Relaxed) -> Relaxed:
 
 
 def _own_size(problem: Problem, limit: ElasticLimit, flight: Solution) -> float:
-    """How large what is limited is [SI]: its range along the flight, or the range of a control."""
+    """Return the size of what is limited [SI]: its range along the flight, or the range of a control."""
     if limit.kind in ("control", "free"):
         lower, upper = _bounds(limit, flight.parameters)
         return upper - lower if np.isfinite(upper - lower) else abs(lower if limit.side == "lower" else upper)
@@ -145,13 +145,13 @@ def _own_size(problem: Problem, limit: ElasticLimit, flight: Solution) -> float:
 
 
 def _bounds(limit: ElasticLimit, p: Any) -> tuple[float, float]:
-    """The bounds [SI] of what is limited."""
+    """Return the bounds [SI] of what is limited."""
     bounded = limit.bounded
     return (bounded.lower, bounded.upper) if limit.kind == "free" else bounded.limits(p)
 
 
 def _along(problem: Problem, limit: ElasticLimit, flight: Solution, p: Any) -> Iterator[Vector]:
-    """Values [SI] of a state or a condition of the path along each phase that has it, at any parameters."""
+    """Yield values [SI] of a state or a condition of the path along each phase that has it, at any parameters."""
     for k, phase in enumerate(problem.phases):
         t = np.linspace(0.0, flight.trajectories[k].duration, _LOOKS)
         x, u = flight.flown(k, t)
@@ -162,7 +162,7 @@ def _along(problem: Problem, limit: ElasticLimit, flight: Solution, p: Any) -> I
 
 
 def _named(problem: Problem, error: NotConvergedError, found: list[Relaxed]) -> NotConvergedError:
-    """The error, with the limit that gives least first."""
+    """Return the error, with the limit that gives least first."""
     parts = [_words(problem, one) for one in found]
     first = parts[0]
     easier = "more thrust, less mass or a higher start" if "vehicle_thrust" in problem.given else ""
@@ -186,7 +186,7 @@ def _named(problem: Problem, error: NotConvergedError, found: list[Relaxed]) -> 
 
 
 def _words(problem: Problem, one: Relaxed) -> Words:
-    """What is said of a limit."""
+    """Describe a limit that stands in the way, and what would be enough."""
     limit, unit, p = one.limit, one.limit.bounded.unit, one.flight.parameters
     if limit.kind == "end":
         given = relaxations(limit, one.flight.free)
@@ -227,7 +227,7 @@ def _may_be_stated(problem: Problem, name: str, value: float) -> bool:
 
 
 def _parameter_enough(problem: Problem, one: Relaxed) -> tuple[str, float] | None:
-    """A given parameter that states the limit alone, and its nearest value with which the flight keeps that."""
+    """Return the given parameter that states only the limit, and its nearest value with which the flight keeps it."""
     limit, p = one.limit, one.flight.parameters
     least = -_KEPT * problem.size_of(limit.bounded)
     stated_values = [*_along(problem, limit, one.flight, p)]

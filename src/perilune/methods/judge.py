@@ -45,7 +45,7 @@ class Judge:
         self._known: dict[bytes, tuple[Breach, ...]] = {}
 
     def breach(self, root: Root) -> Breach | None:
-        """What the flight breaks first, or None."""
+        """Return the first constraint that the flight breaks, or None."""
         return next(iter(self.breaches(root)), None)
 
     def breaches(self, root: Root) -> tuple[Breach, ...]:

@@ -17,7 +17,7 @@ TRANSCRIBED = "direct transcription"  # the same, from the direct method's answe
 
 @dataclass(frozen=True, kw_only=True)
 class Ladder:
-    """What the rungs are tried with; `perilune.methods.indirect.Indirect` says what each means."""
+    """Settings of the search; `perilune.methods.indirect.Indirect` says what each means."""
 
     starts: int = 24
     seed: int = 0

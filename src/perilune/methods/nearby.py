@@ -62,7 +62,7 @@ class Nearby:
         self._places = {name: i for i, name in enumerate(self.problem.given)}
 
     def numbers(self, values: Mapping[str, ArrayLike]) -> Matrix:
-        """What the shooting function takes, (lanes, numbers), canonical, from values in SI, numbers or arrays (lanes,).
+        """Return canonical numbers for the shooting function, (lanes, numbers), from SI values or arrays (lanes,).
 
         Raises
         ------
@@ -111,7 +111,7 @@ class Nearby:
         return settle(self.shooting, Y, p, choice, limits)
 
     def _limits(self, values: Mapping[str, ArrayLike], lanes: int) -> list[Limits]:
-        """Of each lane: ranges of free parameters may follow from the given ones."""
+        """Return the limits of each lane: ranges of free parameters may follow from the given ones."""
         if self.solution.problem.ranges is None:
             return [self.limits] * lanes
         columns = [np.broadcast_to(np.asarray(value, dtype=float), lanes).tolist() for value in values.values()]

@@ -73,7 +73,7 @@ def polished(
 
 @dataclass(kw_only=True)
 class _Finish:
-    """What makes answers of one run exact; `tried` has a line for each failure."""
+    """The steps that make answers of one run exact; `tried` has a line for each failure."""
 
     settings: Ladder
     problem: Problem
@@ -133,7 +133,7 @@ class _Finish:
         return self._kept(*self._search().near(direct, family=not self.guided))
 
     def _smoothed(self, direct: Solution) -> Solution | None:
-        """Of many switches Newton's method needs more than a mesh knows: not near, but on a way of its own."""
+        """Solve by way of the smoothed problem: for many switches Newton's method needs more than a mesh knows."""
         return self._kept(*self._search().smoothed(direct))
 
     def _search(self) -> Search:

@@ -90,7 +90,7 @@ class Pseudospectral(Transcription):
         yield from _Refined(settings=self, problem=problem, watch=watch or silent).answers(guess)
 
     def near(self, guess: Solution, watch: Watch | None = None, *, close: bool = False) -> Solution:
-        """What lies near a guess for its problem, as `run`; no other start and no search for the least miss.
+        """Solve near a guess for its problem, as `run`; no other start and no search for the least miss.
 
         With `close` the search does not leave where the guess lies next to bounds, as one does from anywhere.
         """

@@ -137,7 +137,7 @@ def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], trie
 
 
 def _mildest(problem: Problem, flight: Solution, breaches: list[Breach]) -> str:
-    """How extremals break a condition, by the one that breaks it least.
+    """Describe how extremals break a condition, by the one that breaks it least.
 
     What goes further beyond it than any flight that keeps it stays within is no flight, and its depth says nothing.
     """
@@ -149,7 +149,7 @@ def _mildest(problem: Problem, flight: Solution, breaches: list[Breach]) -> str:
 
 
 def _easier(problem: Problem) -> str:
-    """What makes a problem easier, in its own terms."""
+    """Return what makes a problem easier, in its own terms."""
     if "vehicle_thrust" in problem.given:
         return "more thrust, less mass or a higher start"
     return "given values that leave more room"
@@ -180,7 +180,7 @@ def undecided(
 
 
 def _keys_of(problem: Problem, breach: Breach) -> list[str]:
-    """Keys that state a condition of the path, that of the limit itself first; none of a bound, which is called so."""
+    """Return the keys that state a condition of the path, the limit's own first; none for a bound."""
     for k, phase in enumerate(problem.phases):
         for row, condition in enumerate(phase.path_conditions):
             if breach.path and condition.name == breach.name:
@@ -190,7 +190,7 @@ def _keys_of(problem: Problem, breach: Breach) -> list[str]:
 
 
 def ridden_condition(problem: Problem, flight: Solution) -> str | None:
-    """Path condition along which a flight runs, away from its ends."""
+    """Return the path condition along which a flight runs, away from its ends."""
     for condition, values in along_path(problem, flight, ends=0.05):
         if np.min(values) <= 1e-4 * problem.scales.of(condition.unit):
             return quantity_name(condition)
@@ -237,13 +237,13 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
 
 
 def _missed(coarse: Coarse) -> dict[str, Any]:
-    """What the direct method's flight misses, where it found none that misses nothing."""
+    """Return what the direct method's flight misses, where it found none that misses nothing."""
     known = getattr(coarse.refusal, "partial", {}) if coarse.flight is None else {}
     return {name: known[name] for name in ("missed", "all_missed") if name in known}
 
 
 def _nearest_approach(conditions: Conditions, scaled: Vector, values: Vector) -> str:
-    """What the flight that came nearest to an optimum lacks: an end that it misses, else what would improve it."""
+    """Describe what the flight nearest to an optimum lacks: an end that it misses, else what would improve it."""
     ends = conditions.transversality_at
     worst = int(np.argmax(np.abs(scaled)))
     if ends and (missed := float(np.abs(scaled[:ends]).max())) > max(_ARRIVED, 1e-2 * abs(float(scaled[worst]))):

@@ -96,7 +96,7 @@ class Search:
         return search._compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
 
     def near(self, guess: Solution, *, family: bool = False) -> tuple[Solution, Callable[[], Breach | None]]:
-        """What Newton's method reaches from a guess, and what tells the first condition that it breaks.
+        """Return what Newton's method reaches from a guess, and a callable for the first condition that it breaks.
 
         With `family` the best of all extremals on the family through it, along a free parameter between bounds.
         """
@@ -194,7 +194,7 @@ class Search:
         return list(islice(outdoing, _MOST_OUTDOING))
 
     def outdoing(self) -> Iterator[Solution]:
-        """What the direct method makes of extremals that outdo the answer: in their wells it keeps the path."""
+        """Yield the direct method's flights near extremals better than the answer, with the path conditions kept."""
         if not self.answering.outdone:
             return
         yield from filter(None, [self.coarse.solve()])
@@ -297,7 +297,7 @@ class Search:
         return any(same(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
 
     def _alone_and_better(self, first: Member) -> bool:
-        """Whether an extremal that is no member of a family is better than the one known."""
+        """Return True if an extremal that is no member of a family is better than the one known."""
         return self.trials.scanned is None and self.base is not None and first.root.cost < self.base.root.cost
 
     def _answers(self, found: list[Found]) -> bool:
@@ -372,7 +372,7 @@ class Search:
         return replace(best, converged=min(left, missed) <= _ROUNDED)
 
     def _lost(self, root: Root) -> bool:
-        """Whether a neighbour, no further than rounding from its guess, is not met as that grows beyond all use.
+        """Return True if a neighbour, no further than rounding from its guess, is lost as that grows beyond all use.
 
         Of what settles the derivatives are rough: a fall that climbs again before it is down is met in pieces alone.
         """

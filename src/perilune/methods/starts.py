@@ -41,7 +41,7 @@ def on_the_sphere(trials: Trials, count: int, seed: int) -> Matrix:
 
 
 def vanishing(trials: Trials) -> dict[int, float]:
-    """Free parameters that are lengths of phases which may be left out all but for an instant, and their least."""
+    """Return free parameters that are lengths of phases which may shrink to an instant, and their least values."""
     lower, upper, problem = trials.limits.lower, trials.limits.upper, trials.problem
     lengths = [i for i, name in enumerate(problem.free_names) if name in problem.duration_names]
     return {i: float(lower[i]) for i in lengths if 0 < lower[i] < _VANISHING * upper[i]}
@@ -72,7 +72,7 @@ def hold_ranges(trials: Trials, choices: Matrix) -> None:
 
 
 def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
-    """Unknowns of a guess: its own where it is of this method and form, else read off its curves.
+    """Return the unknowns of a guess: its own where it is of this method and form, else read off its curves.
 
     So do neighbours for a proof begin, which looks at the curves and believes no numbers beside them.
     """
@@ -85,7 +85,7 @@ def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
 
 
 def held_in(trials: Trials, guess: Solution, y: Vector, limits: Limits | None = None) -> Vector:
-    """What a guess holds: free parameters on a bound, and ranges whose multiplier says so."""
+    """Return the active set of a guess: free parameters on a bound, and ranges whose multiplier says so."""
     limits, free = limits or trials.limits, y[trials.conditions.free_at]
     held = {
         i: limit

@@ -266,7 +266,7 @@ class Polish:
         return replace(found, extremals=tuple(extremals), statistics=statistics)
 
     def _extremals(self, rough: Solution, structure: Structure) -> Iterator[Solution]:
-        """Of a structure: what Newton's method finds from a rough answer at once, and what it finds by a mesh.
+        """Yield the extremals of a structure: by Newton's method from a rough answer at once, then by a mesh.
 
         Raises
         ------
@@ -332,7 +332,7 @@ class Polish:
         return structure if same else None if revised.plain else revised
 
     def _borne_out(self, structure: Structure, solved: Solution, k: int, known: list[Contact]) -> Iterator[Contact]:
-        """Those that have a length, or a multiplier of the right sign, as far as they have."""
+        """Yield the contacts that have a length, or a multiplier of the right sign, as far as they have."""
         phase, arcs = self.problem.phases[k], structure.phases[k]
         first = sum(len(before) for before in structure.phases[:k])
         conditions = conditions_of(self.problem, k, [contact.name for contact in known])
@@ -388,7 +388,7 @@ class Polish:
 def _as_it_pays(
     contact: Contact, condition: Condition, last: float, worth: list[tuple[float, float]] | None
 ) -> Iterator[Contact]:
-    """The parts of an arc that pay [s of the arc], or touches in place of it; itself where nothing is told.
+    """Yield the parts of an arc that pay [s of the arc], or touches in its place; itself where this is unknown.
 
     Who rides to the end of the phase and gains by leaving for a time g before, returns there: with mu linear in time
     the hop begins q/(q + 1) g before mu changes sign (for x^(q) = u). Where that is before the arc a touch is left.
@@ -410,7 +410,7 @@ def _as_it_pays(
 
 
 def _contacts(structure: Structure, k: int) -> Iterator[Contact]:
-    """What a structure with times rides along and touches in phase k."""
+    """Yield what a structure with times rides along and touches in phase k."""
     begin = 0.0
     for arc in structure.phases[k]:
         for name in arc.along:

@@ -29,7 +29,7 @@ _MOST_NODES = 200
 
 @dataclass(frozen=True, kw_only=True)
 class Transcription:
-    """What a direct run is made with; `perilune.methods.pseudospectral.Pseudospectral` says what each means."""
+    """Settings of a direct run; `perilune.methods.pseudospectral.Pseudospectral` says what each means."""
 
     scheme: Scheme = "gauss"
     nodes: int = 20

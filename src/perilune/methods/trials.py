@@ -106,7 +106,7 @@ class Trials:
         return self.settled(y[None], like.choice, p, limits=self.others)[0]
 
     def bounds(self, index: int) -> tuple[float, float]:
-        """Of a free parameter, canonical."""
+        """Return the bounds of a free parameter, canonical."""
         return float(self.limits.lower[index]), float(self.limits.upper[index])
 
     def outside(self, root: Root) -> str | None:
@@ -120,7 +120,7 @@ class Trials:
 
 
 def found_at(shooting: Shooting, problem: Problem, root: Root) -> Found:
-    """A root and whether J is least there along the free parameters that are scanned, if any."""
+    """Return a root with whether J is least there along the free parameters that are scanned, if any."""
     return Found(root=root, minimum=shooting.curved_upwards(root, bounded_parameters(problem)))
 
 

@@ -21,7 +21,7 @@ from perilune.words.types import Matrix, Vector
 
 @dataclass
 class Way:
-    """What an extremal of a structure goes through, whose curves need not be made for that.
+    """The margins to conditions of an extremal of a structure, whose curves need not be made for that.
 
     Parameters
     ----------

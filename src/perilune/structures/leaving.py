@@ -75,7 +75,7 @@ def _multiplier(solved: Solution, index: int, rate: str, t: Vector) -> Vector:
     lam, scales = costate(t).T, control_scales(phase.controls, solved.problem.scales)
 
     def at(u: Matrix) -> Matrix:
-        """What is held, what is kept, and H in rows."""
+        """Return what is held, what is kept, and H, in rows."""
         held, kept = (phase.evaluate(which, list(x), list(u), p) for which in ("held", "path"))
         H = sum(a * np.asarray(b) for a, b in zip(lam, phase.rates(list(x), list(u), p), strict=True))
         return np.array([full(value, t) for value in (*held, *kept, H)])

@@ -51,7 +51,7 @@ def _of_phase(solution: Solution, k: int, structure: Structure | None) -> list[N
 
 
 def _controls(solution: Solution, k: int, singular: Sequence[Stay]) -> Iterator[NamedArc]:
-    """Where each scalar with a bound is at it, where between, and where it is singular."""
+    """Yield the arcs on which each bounded scalar is at a bound, between its bounds, or singular."""
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     edges = np.unique(flown.control.time)
     values = solution.flown(k, 0.5 * (edges[1:] + edges[:-1]))[1]
@@ -70,7 +70,7 @@ def _controls(solution: Solution, k: int, singular: Sequence[Stay]) -> Iterator[
 
 
 def _held_at_once(solution: Solution, k: int) -> Iterator[NamedArc]:
-    """Where path conditions with a control in them are at their limit."""
+    """Yield the arcs on which path conditions with a control in them are at their limit."""
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     edges = np.unique(flown.control.time)
     x, u = solution.flown(k, 0.5 * (edges[1:] + edges[:-1]))
@@ -83,7 +83,7 @@ def _held_at_once(solution: Solution, k: int) -> Iterator[NamedArc]:
 
 
 def _runs(phase: Phase, edges: Vector, places: Vector, words: dict[int, str]) -> Iterator[NamedArc]:
-    """Neighbouring pieces of the same kind as one arc."""
+    """Merge neighbouring pieces of the same kind into one arc each."""
     for place, run in groupby(range(len(places)), key=lambda i: int(places[i])):
         pieces = list(run)
         begin, end = float(edges[pieces[0]]), float(edges[pieces[-1] + 1])
@@ -91,7 +91,7 @@ def _runs(phase: Phase, edges: Vector, places: Vector, words: dict[int, str]) ->
 
 
 def _conditions(solution: Solution, k: int, structure: Structure) -> Iterator[NamedArc]:
-    """What the structure says is ridden and touched."""
+    """Yield the boundary arcs and contact points that the structure has."""
     phase, arcs = solution.problem.phases[k], structure.phases[k]
     ends = structure.ends(k, solution.trajectories[k].duration)
     called = {name: _spoken(name, variable) for name, (variable, _, _) in margins(solution.problem, k).items()}

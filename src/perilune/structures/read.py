@@ -151,7 +151,7 @@ def _switched(problem: Problem, solution: Solution, k: int, met: Sequence[Contac
 
 
 def _met(problem: Problem, solution: Solution, least: float) -> list[list[Contact]]:
-    """For each phase where conditions on states alone are at their limit on the way."""
+    """Return for each phase the contacts of conditions on states only."""
     return [
         [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
         for k in range(len(problem.phases))
@@ -170,19 +170,19 @@ def _structure(
 
 
 def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
-    """Whether a condition is ridden while all scalars are on their bounds, which keep to it by themselves."""
+    """Return True if a condition is ridden while all scalars are on their bounds, which keep to it by themselves."""
     names = {s.control for s in stays}
     here = [s for s in stays if s.begin < 0.5 * (contact.begin + contact.end) < s.end]
     return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
 
 
 def of_states(problem: Problem, k: int) -> list[str]:
-    """Names of the conditions of phase k on states alone."""
+    """Return the names of the conditions of phase k on states only."""
     return [name for name, (_, value, _) in margins(problem, k).items() if not acts(value)]
 
 
 def still(problem: Problem, k: int, name: str) -> bool:
-    """Whether a condition of phase k stands still all along it, as all states in it do: that of a mass on a coast."""
+    """Return True if a condition does not change along phase k, as no state in it does: that of a mass on a coast."""
     return _still(problem.form, k, problem.phases[k].state_names, margins(problem, k)[name][1])
 
 
@@ -195,7 +195,7 @@ def _still(form: Form, k: int, names: tuple[str, ...], value: Expression) -> boo
 
 
 def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
-    """Where a condition of phase k is at its limit on the way; a start or an end that lies on it is none."""
+    """Yield where a condition of phase k is at its limit on the way; a start or an end that lies on it is none."""
     t, room = room_along(solution, k, name)
     least, most = share * float(np.ptp(room)), NEAR[1] * float(np.ptp(room))
     near = min(max(-BULGE * float(room.min()), least), most)
@@ -216,7 +216,7 @@ def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> I
 
 
 def broken(t: Vector, room: Vector, size: float) -> Iterator[tuple[float, float, float]]:
-    """Where a condition is broken by more than rounding, from S at times: from when to when, and when the most [s].
+    """Yield where a condition is broken by more than rounding: from when to when, and when the most [s].
 
     `size` is that of S.
     """
@@ -255,19 +255,19 @@ def closer(t: Vector, room: Vector, slack: float) -> Vector:
 
 
 def rounding(room: Vector, size: float) -> float:
-    """What is rounding of S along a phase; that of its `size` where it goes through little, as one of no length."""
+    """Return what counts as rounding of S along a phase; that of its `size` where S goes through little."""
     return max(ROUNDING * float(np.ptp(room)), EXACTLY * size)
 
 
 def room_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
-    """Times of a phase and S there [SI]."""
+    """Return times of a phase [s] and S there [SI]."""
     flown = solution.trajectories[k]
     t = np.union1d(flown.time, np.linspace(0.0, flown.duration, POINTS))
     return t, room_at(solution.problem, solution.parameters, k, name, t, np.asarray(flown.state(t)).T)
 
 
 def room_at(problem: Problem, p: Any, k: int, name: str, t: Vector, x: Matrix) -> Vector:
-    """S of a condition on states alone at times of phase k [SI], from the states there, (n, times)."""
+    """Return S of a condition on states only at times of phase k [SI], from the states there, (n, times)."""
     phase, value = problem.phases[k], margins(problem, k)[name][1]
     bounds = {given: g.value for given, g in plain_bounds(problem).items()}
     known: Any = SimpleNamespace(**vars(p), **bounds)
@@ -276,13 +276,13 @@ def room_at(problem: Problem, p: Any, k: int, name: str, t: Vector, x: Matrix) -
 
 
 def _groups(near: Any) -> list[tuple[int, int]]:
-    """First and last index of each run of true values."""
+    """Return the first and last index of each run of true values."""
     edges = np.diff(np.concatenate([[False], near, [False]]).astype(int))
     return list(zip(np.nonzero(edges == 1)[0].tolist(), (np.nonzero(edges == -1)[0] - 1).tolist(), strict=True))
 
 
 def _length(t: Vector, room: Vector, first: int, last: int, level: float) -> float:
-    """How long S stays below a level about the points from `first` to `last`."""
+    """Return how long S stays below a level about the points from `first` to `last` [s]."""
     low, high = next((a, b) for a, b in _groups(room <= level) if a <= first <= b)
     begin, end = float(t[low]), float(t[high])
     if low > 0:
@@ -295,7 +295,7 @@ def _length(t: Vector, room: Vector, first: int, last: int, level: float) -> flo
 def arcs_of(
     problem: Problem, k: int, found: Sequence[Contact], duration: float, stays: Sequence[Stay] = ()
 ) -> tuple[Arc, ...]:
-    """The arcs of phase k between the times at which something begins, ends or is touched.
+    """Return the arcs of phase k between the times at which something begins, ends or is touched.
 
     What is ridden at once is named in the order in which the problem states it, so that the same arcs read the same.
     """

@@ -51,7 +51,7 @@ class Stay:
 
 
 def linear_scalars(problem: Problem, k: int) -> list[tuple[int, Bounded]]:
-    """Scalars of phase k with two bounds that enter the dynamics linearly and no condition of the path.
+    """Return scalars of phase k with two bounds that enter the dynamics linearly and no condition of the path.
 
     In rates of states whose costates vanish identically they may stand in any way.
     """
@@ -68,7 +68,7 @@ def linear_scalars(problem: Problem, k: int) -> list[tuple[int, Bounded]]:
 
 
 def wavering(solution: Solution) -> bool:
-    """Whether a scalar that enters linearly stays between its bounds for longer than a switch on a mesh."""
+    """Return True if a scalar that enters linearly is between its bounds for longer than a switch on a mesh."""
     for k in range(len(solution.trajectories)):
         for at, control in linear_scalars(solution.problem, k):
             flown = solution.trajectories[k].control
@@ -165,14 +165,14 @@ def _between_breaks(name: str, nodes: Vector, t: Vector, gain: Vector, share: Ve
 
 
 def _sizes(gain: Vector, share: Vector) -> tuple[float, float]:
-    """The largest gain while the control is on a bound: on the one where it is less, and on the other."""
+    """Return the largest gain while the control is on a bound: on the one where it is less, and on the other."""
     sizes = [float(np.abs(gain[on]).max()) for on in (share < INSIDE, share > 1 - INSIDE) if on.mean() > SHORTEST]
     sizes = sizes or [float(np.abs(gain).max())]
     return min(sizes), max(sizes)
 
 
 def _singular(t: Vector, gain: Vector, share: Vector, level: float) -> Iterator[tuple[float, float]]:
-    """From when to when the gain stays at zero."""
+    """Yield from when to when the gain stays at zero."""
     size, total = np.abs(gain), float(t[-1])
     wide = runs(size <= WIDER * level)
     for first, last in runs(size <= level):
@@ -222,7 +222,7 @@ def _at_bounds(name: str, t: Vector, upper: Vector, begin: float, end: float) ->
 
 
 def runs(true: Vector, kind: Vector | None = None) -> list[tuple[int, int]]:
-    """First and last index of each run of true values, each of one kind."""
+    """Return the first and last index of each run of true values, each of one kind."""
     kind = np.zeros(len(true)) if kind is None else kind
     edges = np.nonzero((np.diff(true.astype(int)) != 0) | (np.diff(kind.astype(int)) != 0))[0] + 1
     bounds = zip([0, *edges.tolist()], [*(edges - 1).tolist(), len(true) - 1], strict=True)
@@ -230,7 +230,7 @@ def runs(true: Vector, kind: Vector | None = None) -> list[tuple[int, int]]:
 
 
 def stays_of(structure: Structure, k: int) -> list[Stay]:
-    """The regimes of phase k in a structure with times; neighbours of one regime are one."""
+    """Return the regimes of phase k in a structure with times; neighbours of one regime are one."""
     found, begin = list[Stay](), 0.0
     for arc in structure.phases[k]:
         for name, regime in arc.regimes:
@@ -244,14 +244,14 @@ def stays_of(structure: Structure, k: int) -> list[Stay]:
 
 
 def regimes_at(stays: Sequence[Stay], t: float, held: Collection[str] = ()) -> Regimes:
-    """What each scalar does at a time, some of which are held by what is ridden then."""
+    """Return the regime of each scalar at a time; `held` are those that hold what is ridden then."""
     here = [s for s in stays if s.begin < t < s.end]
     free = {s.control: "singular" if s.regime == "held" else s.regime for s in here}
     return tuple((name, "held" if name in held else regime) for name, regime in free.items())
 
 
 def settled(control: Bounded, regime: str) -> Settled:
-    """A scalar in a regime."""
+    """Return a scalar that stays in a regime."""
     own = {name: getattr(control, name) for name in ("name", "unit", "lower", "upper")}
     return Settled(**own, regime=regime)  # pyright: ignore[reportArgumentType]
 

@@ -45,7 +45,7 @@ _ENDLESS = 1e6  # canonical units of time: what a free duration without an upper
 
 
 def restate(problem: Problem, structure: Structure, *, repeated: bool = True, varied: Collection[str] = ()) -> Problem:
-    """The problem with a phase for each arc of a structure.
+    """Restate the problem with a phase for each arc of a structure.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def restate(problem: Problem, structure: Structure, *, repeated: bool = True, va
 
 
 def renumbered(restated: Problem, problem: Problem, structure: Structure) -> Problem:
-    """What `restate` returns, from what it returned of a problem of other values alone: nothing is traced again.
+    """Return what `restate` returns, from its result for a problem of other values: nothing is traced again.
 
     Parameters
     ----------
@@ -143,12 +143,12 @@ def refuse_unsaid(restated: Problem, problem: Problem, structure: Structure, var
 
 
 def part_name(name: str, j: int, count: int) -> str:
-    """Name of the j-th of so many parts of a phase, or of its duration."""
+    """Return the name of the j-th of so many parts of a phase, or of its duration."""
     return name if count == 1 else f"{name}-{j + 1}"
 
 
 def part_durations(problem: Problem, structure: Structure, k: int) -> tuple[str, ...]:
-    """Names of the durations of the parts of phase k."""
+    """Return the names of the durations of the parts of phase k."""
     count, name = len(structure.phases[k]), problem.phases[k].duration
     if count == 1:
         return (name,)
@@ -174,7 +174,7 @@ def sums_of(problem: Problem, structure: Structure) -> dict[str, tuple[str, ...]
 
 @dataclass
 class _Restated:
-    """What is known while a problem is restated."""
+    """The parts of a problem while it is restated."""
 
     user: Problem
     structure: Structure
@@ -294,7 +294,7 @@ class _Restated:
         return [(v, component(self.expressions[k, "held"], i)) for i, v in enumerate(held)]
 
     def _kept(self, k: int, arc: Arc, conditions: Mapping[str, Condition]) -> list[tuple[Variable, Expression]]:
-        """What stays >= 0 on an arc: path conditions, and bounds that another arc of the phase rides or touches."""
+        """Return what stays >= 0 on an arc: path conditions, and bounds in contact with another arc of the phase."""
         phase = self.user.phases[k]
         paths = [
             (v, component(self.expressions[k, "path"], i))
@@ -307,7 +307,7 @@ class _Restated:
     def _met(
         self, arc: Arc, following: Arc | None, conditions: Mapping[str, Condition]
     ) -> Iterator[tuple[Variable, Expression]]:
-        """What vanishes at the end of an arc: conditions that are touched there, and those that are ridden next."""
+        """Yield what vanishes at the end of an arc: conditions touched there, and those that are ridden next."""
         entered = () if following is None else following.along
         for name in arc.touches:
             found = conditions[name]
@@ -370,7 +370,7 @@ def _stated(function: str, names: str, rows: Sequence[tuple[Variable, Expression
 
 
 def _settled(phase: Phase, arc: Arc) -> tuple[Control, ...]:
-    """The controls of an arc: those that stay in a regime along it say so."""
+    """Return the controls of an arc: those that stay in a regime along it say so."""
     regimes = {name: regime for name, regime in arc.regimes if regime != "held"}
     return tuple(
         settled(c, regimes[c.name]) if isinstance(c, Bounded) and c.name in regimes else c for c in phase.controls

@@ -81,23 +81,23 @@ class Structure:
 
     @property
     def count(self) -> int:
-        """How many arcs there are."""
+        """Return the number of arcs."""
         return sum(len(arcs) for arcs in self.phases)
 
     @property
     def singular(self) -> bool:
-        """Whether a control is singular along an arc."""
+        """Return True if a control is singular along an arc."""
         return any(regime == "singular" for arcs in self.phases for arc in arcs for _, regime in arc.regimes)
 
     @property
     def switched(self) -> bool:
-        """Whether scalars hold what is ridden, and are on a bound everywhere else."""
+        """Return True if scalars hold what is ridden, and are on a bound everywhere else."""
         regimes = [regime for arcs in self.phases for arc in arcs for _, regime in arc.regimes]
         return "held" in regimes and "singular" not in regimes
 
     @property
     def plain(self) -> bool:
-        """Whether nothing is ridden or touched, and no phase is cut."""
+        """Return True if nothing is ridden or touched, and no phase is cut."""
         return all(len(arcs) == 1 and not (arcs[0].along or arcs[0].touches or arcs[0].regimes) for arcs in self.phases)
 
     def named(self, k: int) -> tuple[str, ...]:
@@ -122,7 +122,7 @@ class Structure:
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
-    """What a flight may ride along or touch: a path condition, or the bound of a state.
+    """A condition that a flight may ride along or touch: a path condition, or the bound of a state.
 
     Parameters
     ----------
@@ -144,12 +144,12 @@ class Condition:
 
     @property
     def order(self) -> int:
-        """How many derivatives it takes until a control appears; 2 where none does."""
+        """Return the number of derivatives until a control appears; 2 where none does."""
         return len(self.values) - 1
 
     @property
     def steered(self) -> bool:
-        """Whether a control moves it. What none moves is told by how its phase begins: touched, and never ridden."""
+        """Return True if a control moves it. Else its phase's begin determines it: touched, and never ridden."""
         return acts(self.values[-1])
 
     def rated(self, i: int, prefix: str, time: float) -> Variable:
@@ -165,7 +165,7 @@ Margins = Mapping[str, tuple[Variable, Expression, tuple[int, str] | None]]
 
 
 def margins(problem: Problem, k: int) -> Margins:
-    """Every S >= 0 of phase k by its name: path conditions, then finite bounds of states."""
+    """Return every S >= 0 of phase k by its name: path conditions, then finite bounds of states."""
     phase = problem.phases[k]
     path = problem.form.expressions.get((k, "path"))
     return _margins(path, phase.name, tuple(phase.path_conditions), tuple(phase.states))
@@ -190,7 +190,7 @@ def _margins(
 
 
 def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, Condition]:
-    """The conditions of phase k that have these names, with their derivatives along the flight.
+    """Return the conditions of phase k that have these names, with their derivatives along the flight.
 
     Raises
     ------
@@ -209,17 +209,17 @@ def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, C
 
 
 def moved_by(condition: Condition) -> set[str]:
-    """Components of the control that keep a condition while it is ridden."""
+    """Return the components of the control that keep a condition while it is ridden."""
     return {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
 
 
 def plain_bound(phase: str, state: Variable, side: str) -> str:
-    """Name of the given parameter that holds a bound which is a number: formulas hold no numbers with a unit."""
+    """Return the given parameter, by name, that holds a numeric bound: formulas hold no numbers with a unit."""
     return f"{phase}.{state.name}.{side}"
 
 
 def plain_bounds(problem: Problem) -> dict[str, Given]:
-    """Those parameters of all states that have such a bound."""
+    """Return the parameters, of all states, that hold a bound which is a number."""
     return {
         plain_bound(phase.name, state, side): Given(value=limit, unit=state.unit)
         for phase in problem.phases
@@ -230,7 +230,7 @@ def plain_bounds(problem: Problem) -> dict[str, Given]:
 
 
 def _room(state: Variable, side: str, limit: str) -> Expression:
-    """How far a state is from its bound, positive inside."""
+    """Return the margin of a state to its bound, positive inside."""
     recorder = Recorder()
     x: Any = recorder.input("x", state.name)
     bound = recorder.input("p", limit)
@@ -239,7 +239,7 @@ def _room(state: Variable, side: str, limit: str) -> Expression:
 
 
 def without_bounds(phase: Phase, bounds: Sequence[tuple[int, str]]) -> tuple[Variable, ...]:
-    """The states of a phase without some of their bounds."""
+    """Return the states of a phase without some of their bounds."""
     states = list(phase.states)
     for i, side in bounds:
         states[i] = replace(states[i], **{side: -math.inf if side == "lower" else math.inf})
