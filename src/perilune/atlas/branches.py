@@ -63,7 +63,7 @@ def torn_edges(nodes: Nodes, corners: Whole, size: Matrix) -> tuple[Whole, Whole
 
 
 def ending_layers(corners: Whole, torn: Iterable[tuple[int, int]], ends: Iterable[int]) -> NDArray[np.bool_]:
-    """Which corners of a cell lie on layers that end in it.
+    """Return a mask of the corners of a cell that lie on layers ending in it.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def ending_layers(corners: Whole, torn: Iterable[tuple[int, int]], ends: Iterabl
 def covered(
     cells: Cells, nodes: Nodes, step: Vector, branches: Sequence[int], places: Whole, y: Matrix
 ) -> NDArray[np.bool_]:
-    """Which extremals at places the cells of some branches have; `step` is that of the lattice, canonical."""
+    """Return a mask of the extremals that cells of some branches give at places; `step` of the lattice, canonical."""
     found = np.zeros(len(places), dtype=bool)
     own = np.isin(cells.branch, branches) & np.isin(cells.status, ANSWERING)
     numbers = np.nonzero(own & (cells.corners >= 0).all(axis=1))[0]
@@ -106,7 +106,7 @@ def covered(
 
 
 def given(cells: Cells, nodes: Nodes, step: Vector, places: Whole, y: Matrix) -> NDArray[np.bool_]:
-    """Whether cells with all their corners give extremals at places, one each."""
+    """Return True for each cell, complete with corners, that gives the extremal at its place (one place a cell)."""
     share = (places - cells.low) / cells.size
     there = interpolated(nodes.rows("terms", cells.corners), share, cells.size * step)[:, :-1]
     with np.errstate(over="ignore", invalid="ignore"):  # beside a fold slopes may be anything
@@ -121,7 +121,7 @@ def had(
     alike: Callable[[int], Sequence[int]],
     extremals: Sequence[Extremal],
 ) -> NDArray[np.bool_]:
-    """Which extremals branches have, as nodes or in their cells.
+    """Return a mask of the extremals that branches have, as nodes or in their cells.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def had(
     keys, alike
         Keys of nodes, by branches and places; the branches of which extremals of a sheet may be layers.
     extremals
-        Which.
+        The extremals to look for: sheet, place and unknowns of each.
     """
     which, places, y = arrays_of(extremals)
     found = np.zeros(len(extremals), dtype=bool)

@@ -116,10 +116,10 @@ class Brick:
                     return self._finished(done)
 
     def _finished(self, done: Cells) -> Cut:
-        """Of what is torn other branches have the layers that do not end there, if there may be so many.
+        """Turn torn cells into ends, as other branches have the layers that go on, if so many branches are allowed.
 
-        Where it is not known what goes on across a bound that is crossed a cell gives what lies beyond all the same: it
-        casts doubt on answers that are worse.
+        A cell that crosses a bound gives what lies beyond it if the sheet that goes on there is not known: it casts
+        doubt on answers that are worse.
         """
         status, corners = done.status.copy(), done.corners.copy()
         status[self._crossings.untold(done)] = Status.ONE_STEP
@@ -146,7 +146,7 @@ class Brick:
     # -- branches -------------------------------------------------------------------------------------------------
 
     def _sown(self, sheet: Whole, place: Whole, y: Matrix, before: Cells | None) -> list[int]:
-        """Which extremals begin or go on with the first branch of their sheet; some others wait for a later one."""
+        """Return the numbers of extremals that begin or continue the first branch of their sheet; others wait."""
         new, taken = list[int](), list[tuple[int, list[int], Vector]]()
         for i, (number, at, row) in enumerate(zip(sheet.tolist(), place.tolist(), y, strict=True)):
             alike = self.lattice.alike(number)
@@ -165,7 +165,7 @@ class Brick:
         return new
 
     def _led_to(self) -> bool:
-        """Whether branches grow by extremals that are left: by those to which one leads where it has nothing."""
+        """Grow branches by waiting extremals to which one leads where it has no node; return True if any grew."""
         which, places, y = arrays_of(self._left)
         waiting = np.ones(len(which), dtype=bool)
         for branch, own in enumerate(self.lattice.sheets):
@@ -207,7 +207,7 @@ class Brick:
         return replace(root, corners=np.full_like(root.corners, -1), status=np.array([Status.ABSENT]))
 
     def _passed_over(self, done: Cells) -> list[Extremal]:
-        """What a first branch was given and its cells do not give: another layer, of which a side may have a part."""
+        """Return extremals given to a first branch that its cells do not reproduce: they lie on another layer."""
         found, kept = list[Extremal](), list[Extremal]()
         for sheet, place, y in self._entered:
             if not np.isin(done.status[leaves_of(done, sheet, place[None])], ANSWERING).any():
@@ -228,7 +228,7 @@ class Brick:
             self._inside[number] = np.vstack([known, place[inside & (sheet == number)]])
 
     def _gone_on(self, done: Cells) -> tuple[Cells, Cells] | None:
-        """What was done, and cells to look at, with the sheets that go on where others cross bounds; None if none do.
+        """Return finished cells and cells to look at, with sheets that continue others across bounds; None without any.
 
         A cell that says that there is no answer of a sheet where there is one is halved.
         """
@@ -260,7 +260,7 @@ class Brick:
         return out
 
     def _torn(self, cells: Cells) -> Whole:
-        """Of cells that do not answer `TORN` where their corners lie on different layers."""
+        """Return the status `TORN` for each cell whose corners lie on different layers, else -1."""
         found = np.full(len(cells), -1)
         torn = cell, one, other = torn_edges(self.nodes, cells.corners, cells.size * self.step)
         cell, begin, end = np.tile(cell, 2), np.append(one, other), np.append(other, one)
@@ -285,7 +285,7 @@ class Brick:
     # -- cells ----------------------------------------------------------------------------------------------------
 
     def _reached(self, done: Cells) -> tuple[Cells, Cells]:
-        """What was done, and halves of cells without a corner into which a sheet may go on from nodes around them."""
+        """Return finished cells, and halves of cells without corners into which nodes around them may continue."""
         first = self._meet(done)
         bare = np.isin(done.status, (Status.ENDS, Status.ABSENT)) & (done.corners < 0).all(axis=1)
         # Around one that was looked at before there is nothing but new nodes, if it has not ended.
@@ -330,7 +330,7 @@ class Brick:
         return first
 
     def _judged(self, cells: Cells) -> tuple[Whole, Whole]:
-        """What each cell is, and along which axis it would be cut."""
+        """Return the status of each cell, and the axis along which it would be cut."""
         complete: NDArray[np.bool_] = np.all(cells.corners >= 0, axis=1)
         status, axis = np.where(complete, Status.CUT, Status.ENDS), cells.size.argmax(axis=1)
         if complete.any():

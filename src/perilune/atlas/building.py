@@ -146,7 +146,7 @@ def completed(
 
 
 def _shards(kept: Store, region: Region, survey: Mapping[str, Any], rounds: int) -> dict[Key, list[str]]:
-    """What the shards of bricks are after so many rounds, by their checksums."""
+    """Return the checksums of the shards of each brick after so many rounds."""
     lines = kept.latest(survey, len(region.axes), rounds)
     return {key: [line[kind]["sha256"] for kind in ("nodes", "cells")] for key, line in lines.items()}
 
@@ -183,7 +183,7 @@ def _complete(
 
 
 def _written(kept: Store, region: Region, survey: Mapping[str, Any]) -> dict[str, int]:
-    """How many nodes the bricks have that are there, by name."""
+    """Return the number of nodes of each brick on disk, by name."""
     return {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey, len(region.axes))}
 
 
@@ -194,7 +194,7 @@ def _told(named: Mapping[str, Key], there: Mapping[str, int], number: int) -> st
 
 
 def _pace(work: Mapping[str, int], there: Mapping[str, int], seconds: float) -> str:
-    """How fast nodes come, and how long that takes for the bricks that are missing; `work` is the size of each."""
+    """Format the rate of nodes and the time left for missing bricks; `work` is the size of each brick."""
     new = there.keys() & work.keys()
     rate = sum(there[name] for name in new) / max(seconds, 1e-3)
     done = sum(work[name] for name in new)

@@ -28,7 +28,7 @@ def ending(d: int) -> int:
 
 
 class Status(IntEnum):
-    """What a cell is."""
+    """Status of a cell."""
 
     CUT = 0  # its children are what counts
     ONE_STEP = 1  # answers by one step of Newton's method
@@ -96,12 +96,12 @@ class Cut:
 
 
 def same(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool_]:
-    """Whether unknowns, in lanes or not, are those of one extremal."""
+    """Return True where unknowns, (n,) or (lanes, n), are those of one extremal to rounding."""
     return np.linalg.norm(y - other, axis=-1) <= _SAME * (1.0 + np.linalg.norm(y, axis=-1))
 
 
 class Nodes:
-    """What was computed; a node is known by its branch and its place."""
+    """Nodes of a brick; a node is identified by its branch and its place."""
 
     def __init__(self) -> None:
         self.known: dict[int, int] = {}
@@ -132,7 +132,7 @@ class Nodes:
             self.met = np.append(self.met, number)
 
     def numbers(self, keys: Whole) -> Whole:
-        """Of the nodes, -1 for those that are not there."""
+        """Return the numbers of nodes by their keys, -1 for missing ones; shape of `keys`."""
         numbers = map(self.known.get, keys.ravel().tolist(), repeat(-1))
         return np.fromiter(numbers, np.int64, keys.size).reshape(keys.shape)
 
@@ -142,7 +142,17 @@ class Nodes:
         return None if number is None else self._rows["terms"][number, 0, :-1]
 
     def has(self, keys: Whole, y: Matrix, before: int | None = None) -> NDArray[np.bool_]:
-        """Where there are these very extremals, among the first nodes or all."""
+        """Return True where nodes, all or only the first `before`, hold these extremals.
+
+        Parameters
+        ----------
+        keys
+            Keys of the nodes, (lanes,).
+        y
+            Unknowns of the extremals, canonical, (lanes, n).
+        before
+            Number of first nodes to compare with; None for all.
+        """
         numbers = self.numbers(keys)
         found = (numbers >= 0) & (numbers < (self.count if before is None else before))
         found[found] = same(self.rows("terms", numbers[found])[:, 0, :-1], y[found])
@@ -173,11 +183,11 @@ class Nodes:
         return guess, spread
 
     def nearest(self, some: Whole, place: Whole) -> int:
-        """Which of some nodes is the nearest to a place."""
+        """Return the number of the node, of some, that is nearest to a place."""
         return int(some[np.abs(self.rows("place", some) - place).sum(axis=1).argmin()])
 
     def beside(self, branch: int, places: Whole, reach: int) -> Whole:
-        """Of the nodes from which a branch goes on the nearest to each place, -1 where none is within reach."""
+        """Return the node nearest to each place, (lanes,), from which a branch can go on; -1 with none within reach."""
         goes_on = (self._rows["branch"][: self.count] == branch) & (self._rows["margin"][: self.count] >= 0)
         goes_on[self.met] = False
         numbers = np.nonzero(goes_on)[0]
@@ -204,14 +214,14 @@ class Nodes:
 
 
 def clearly_below(rows: Matrix, slack: float) -> NDArray[np.bool_]:
-    """Whether what should not be below zero is so at all places of cells, (cells, places), by more than it differs."""
+    """Return True for cells whose values, (cells, places), are all below zero by more than they vary."""
     most, least = rows.max(axis=1), rows.min(axis=1)
     with np.errstate(invalid="ignore"):  # where nothing limits them
         return most < -_CLEARLY * (most - least) - slack
 
 
 def halved_at(low: Whole, axis: Whole, child: Whole) -> Whole:
-    """Where cells are split, in lattice steps along their axis; anything of those that are not."""
+    """Return the places at which cells are split, in lattice steps along their axis; arbitrary for uncut cells."""
     second = np.where(child >= 0, child + 1, 0)
     return np.take_along_axis(low[second], np.maximum(axis, 0)[:, None], axis=1)[:, 0]
 

@@ -75,7 +75,7 @@ class Extremals:
 
 @dataclass(frozen=True)
 class Holds:
-    """What lanes hold beside the parameters that vary.
+    """Parameters held in each lane in addition to those that vary.
 
     Attributes
     ----------
@@ -137,12 +137,12 @@ class Chart:
 
     @cached_property
     def varied_at(self) -> list[int]:
-        """Of the parameters among the free ones."""
+        """Return the places of the varied parameters among the free ones."""
         return [self.free.free_names.index(name) for name in self.names]
 
     @cached_property
     def chosen(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Of the parameters in a choice: their masks, and their values."""
+        """Return the places of masks and of values of the varied parameters in a choice."""
         at = np.array(self.varied_at)
         return at, self.shooting.plan.held + at
 
@@ -153,7 +153,7 @@ class Chart:
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
-        """Of the other unknowns among those that Newton moves."""
+        """Return the places of the other unknowns among those that Newton's method moves."""
         return np.setdiff1d(np.arange(len(self.shooting.plan.active)), self.held_at)
 
     @cached_property
@@ -168,11 +168,19 @@ class Chart:
 
     @cached_property
     def _rows(self) -> NDArray[np.int64]:
-        """Of their stationarity among the residuals that are left."""
+        """Return the rows of the parameters' stationarity conditions among the remaining residuals."""
         return self.shooting.plan.held_rows[self.varied_at]
 
     def choice(self, values: Matrix, holds: Holds) -> Matrix:
-        """What is held in each lane: the parameters at their values, and `holds` of all others."""
+        """Return the choice of each lane, (lanes, 2 k): parameters held at their values, others as `holds` states.
+
+        Parameters
+        ----------
+        values
+            Values of the varied parameters, canonical, (lanes, d).
+        holds
+            Other parameters that are held.
+        """
         choice = np.empty((len(values), 2 * self.shooting.plan.held))
         choice[:] = holds.choice
         choice[:, self.chosen[0]], choice[:, self.chosen[1]] = 1.0, values
@@ -186,11 +194,11 @@ class Chart:
 
     @cached_property
     def own(self) -> Conditions:
-        """Of the problem itself, whose parameters do not vary."""
+        """Return the optimality conditions of the problem itself, whose parameters do not vary."""
         return derive(self.problem, self.course.keep)
 
     def told(self, unknowns: Vector) -> Vector:
-        """Of unknowns of the problem itself those that this chart moves."""
+        """Return the unknowns of this chart, given those of the problem itself."""
         named = dict(zip(self.own.unknowns, unknowns, strict=True))
         names = [self.conditions.unknowns[i] for i in self.active]
         return np.array([named.get(name, 0.0) for name in names])
@@ -202,14 +210,24 @@ class Chart:
         return self.told_of(values, roots, holds.moves)
 
     def at(self, values: Matrix, y: Matrix, holds: Holds) -> Extremals:
-        """What there is at points that need be no roots."""
+        """Evaluate conditions and derivatives at points that need not be roots.
+
+        Parameters
+        ----------
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y
+            Unknowns, canonical, (lanes, n).
+        holds
+            Parameters held in addition.
+        """
         roots = self.shooting.at(self.whole(values, y), self.p, self.choice(values, holds))
         return self.told_of(values, roots, holds.moves)
 
     def told_of(self, values: Matrix, roots: Roots, moves: NDArray[np.float64] | None = None) -> Extremals:
-        """What roots at values of the parameters, or points that need be none, say.
+        """Return extremals with their derivatives from evaluated points, roots or not.
 
-        A parameter that moves what is held (`Holds`) has the columns of that beside its own, and its dJ/d(value).
+        The slopes of a parameter that moves held values (`Holds`) include the columns and dJ/d(value) of those.
         """
         plan, columns, rows = roots.plan, roots.plan.columns, roots.rows
         inverse = rows[:, columns.inverse].reshape(-1, columns.n, columns.n)

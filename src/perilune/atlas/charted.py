@@ -52,14 +52,14 @@ class Charted:
 
     @property
     def of_arcs(self) -> bool:
-        """Whether its extremals are made of several arcs."""
+        """Return True if the extremals consist of several arcs."""
         return self.chart.course.structure is not None
 
     @cached_property
     def rank(self) -> tuple[int, int]:
-        """Which of several charts that have the same J answers: the least; how often it touches, and its arcs.
+        """Return the order among charts of equal J, of which the least answers: number of contact points, then of arcs.
 
-        A flight that touches twice in place of riding has the same J, and no proof of level 3.
+        A flight with two contact points in place of a boundary arc has the same J, and no proof of level 3.
         """
         structure = self.chart.course.structure
         if structure is None:
@@ -68,16 +68,26 @@ class Charted:
 
     @cached_property
     def breaks_controls_alone(self) -> bool:
-        """Whether its extremals can break bounds of singular controls and nothing else: all others keep these."""
+        """Return True if extremals can violate only bounds of singular controls, as no other margins exist."""
         return not any(margins(self.chart.user, k) for k in range(len(self.chart.user.phases)))
 
     @cached_property
     def labels(self) -> list[str]:
-        """What tells each sheet, in words."""
+        """Return the label of each sheet: the arcs of the chart, and the bounds at which the sheet is held."""
         return ["; ".join(filter(None, (self.chart.course.text, sheet.label))) for sheet in self.sheets]
 
     def at_bounds(self, number: int, values: Matrix, y: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
-        """What cells of a sheet give, and where that misses a bound: there a step of Newton's method behind it."""
+        """Return unknowns with a Newton step where they miss the bound that their sheet holds, and a mask of these.
+
+        Parameters
+        ----------
+        number
+            Number of the sheet.
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y
+            Unknowns as cells give them, canonical, (lanes, n).
+        """
         if not self._moving[number]:
             return y, np.zeros(len(y), dtype=bool)
         if (missed := self.borders.missed(self.sheets[number], values, y)).any():
@@ -86,7 +96,15 @@ class Charted:
         return y, missed
 
     def short(self, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
-        """Of which extremals, as cells give them, an arc is shorter than nothing, and all else is as it should be."""
+        """Return True for extremals, as cells give them, that are admissible but for a negative arc duration.
+
+        Parameters
+        ----------
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y
+            Unknowns, canonical, (lanes, n).
+        """
         whole, limits = self.chart.whole(values, y), self.borders.at(values)
         at = np.full((len(y), self.chart.shooting.plan.held), np.nan)
         at[:, : self.chart.shooting.plan.free] = whole[:, self.chart.conditions.free_at]
@@ -121,7 +139,7 @@ class Charted:
         return joined(problem, found, structure)
 
     def own_unknowns(self, y: Matrix) -> Matrix:
-        """Of all unknowns of the chart those of the problem itself, (lanes, n)."""
+        """Return the problem's own unknowns, (lanes, n), of all unknowns of the chart."""
         return y[:, self._own_places]
 
     def root(self, polished: Polished) -> Root:

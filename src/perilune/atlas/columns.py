@@ -67,7 +67,7 @@ def header_problem(header: Mapping[str, Any], problem_from_scenario: Callable[[s
 
 
 def header_axes(region: Region) -> dict[str, Any]:
-    """What a header says of the axes of a region."""
+    """Return the entry ``axes`` of a header for a region."""
     return {"axes": [{"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in region.axes]}
 
 

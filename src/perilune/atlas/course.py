@@ -32,7 +32,7 @@ _MOST_ORDER = 2  # of a condition whose multiplier is known while it is ridden (
 
 @dataclass(frozen=True)
 class Course:
-    """What extremals go through.
+    """The arcs of a family of extremals, and the conditions that its control keeps.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _arc(said: Mapping[str, Any]) -> Arc:
 
 
 def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
-    """What the extremals of a solution go through, and they, with unknowns of the restated problem.
+    """Return the arcs of the extremals of a solution, and these with unknowns of the restated problem.
 
     Parameters
     ----------

@@ -25,9 +25,16 @@ class Covered(NamedTuple):
 
 
 def covered(atlas: Reader, points: int = LOOKED_AT) -> Covered:
-    """What share of points, drawn in the region and always the same, lies in a cell of some sheet which answers.
+    """Compute the share of points of a region that lie in a cell of some sheet which answers; the draw is fixed.
 
-    Queries answer at no others, and may refuse some of these: another sheet can cast doubt on what is there.
+    Queries answer only there, and may refuse some of these points: another sheet can cast doubt on their answer.
+
+    Parameters
+    ----------
+    atlas
+        The atlas.
+    points
+        Number of points to draw.
     """
     region = atlas.region
     drawn = np.random.default_rng(0).uniform(region.low, region.high, (points, len(region.axes)))

@@ -105,12 +105,12 @@ class _Reached(NamedTuple):
 
 
 class Crossings:
-    """Where sheets go on across bounds in one brick.
+    """Continuation of sheets across bounds in one brick.
 
     Parameters
     ----------
     lattice
-        Its extremals.
+        The extremals of the brick.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -188,9 +188,9 @@ class Crossings:
         return cells[row[new]], inside[new], outside[new]
 
     def _reached(self, done: Cells, cell: Whole, inside: Whole, outside: Whole) -> _Reached | None:
-        """What there is at the first places beyond bounds on the ways from corners of cells to others.
+        """Find extremals at the first places beyond bounds on the lines between corners of cells.
 
-        By halves of what cells give there; where Newton's method makes something else of that, of what it makes.
+        Bisects on what cells give there; where Newton's method leads elsewhere, on what it leads to.
         """
         lattice, nodes, borders = self._lattice, self._lattice.nodes, self._lattice.borders
         first, branch = done.corners[cell, inside], done.branch[cell]
@@ -226,7 +226,7 @@ class Crossings:
         return _Reached(own, beyond, y, crossed, own[:, None] == np.arange(len(lattice.all_sheets)))
 
     def _solved(self, sheet: int, place: Whole, y: Matrix) -> tuple[Extremals, NDArray[np.bool_], NDArray[np.bool_]]:
-        """What there is of a sheet at places, from extremals of others, whether it is of it, and may be an answer."""
+        """Solve a sheet at places from extremals of others; return extremals, and masks of its own and of answers."""
         which, anywhere = np.full(len(place), sheet), np.full(len(place), np.inf)
         found, good = self._lattice.led(which, place, y, anywhere)
         return found, good, good & (self._lattice.borders.margins_of(self._lattice.all_sheets, which, found) >= 0)

@@ -58,7 +58,7 @@ class Known:
 
 @dataclass
 class _Way:
-    """What there is on straight ways, (lanes, places): of which chart, its unknowns by charts, J and dJ along it."""
+    """Flights on straight lines, (lanes, places): number of the chart, unknowns by charts, J, and dJ along the line."""
 
     chart: Lanes
     y: list[NDArray[np.float64]]
@@ -66,7 +66,7 @@ class _Way:
     rises: Matrix
 
     def lowest(self) -> tuple[Vector, Lanes]:
-        """The least J of cubics through what there is at places next to each other, and at which of them, (lanes,)."""
+        """Return the least J of the cubics between neighbouring places, and the numbers of these, (lanes,)."""
         t = np.linspace(0.0, 1.0, _BETWEEN + 1)[1:-1, None, None]
         J, step = self.cost, self.rises / (self.cost.shape[1] - 1)
         with np.errstate(invalid="ignore"):
@@ -99,13 +99,21 @@ class Descents:
         self._of = [HeldFamilies(one, self.names) for one in charted]
 
     def beside(self, points: Matrix, outdoing: Known, best: Known) -> NDArray[np.bool_]:
-        """Whether best answers lie where extremals do that break the path: then there is no way to follow."""
+        """Return True where the best answer lies at the extremal that breaks the path: there is no line to follow.
+
+        Parameters
+        ----------
+        points
+            Values of the axes [SI], (lanes, d).
+        outdoing, best
+            The extremals that break the path, and the best answers.
+        """
         bounds, none = self._bounds(points), np.zeros((len(points), len(self.names)))
         places = [self._places(points, bounds, known, none) for known in (outdoing, best)]
         return (best.chart >= 0) & (_far(bounds, *places) <= _BESIDE)
 
     def become(self, points: Matrix, outdoing: Known, begins: Sequence[Matrix], best: Known) -> Known:
-        """What becomes of extremals; of chart -1 where that is not found.
+        """Follow inadmissible extremals to the admissible minimum of their basin; of chart -1 where none is found.
 
         Parameters
         ----------
@@ -143,12 +151,21 @@ class Descents:
         return found
 
     def all_over(self, points: Matrix, begins: Sequence[Matrix], best: Known, outdoing: Known | None = None) -> Known:
-        """What is better than answers anywhere along each of the parameters between bounds, from the answers.
+        """Search along each of the parameters between bounds, beginning at the answers, for lower minima of J.
 
-        The answers themselves where nothing is; of chart -1 where in part of a range no flight is known, or what is
-        better is not found. `points` and `begins` are as of `become`. With several such parameters their ranges are
-        looked over in turn, the others held, from the least J that was met; then `outdoing` may be where to begin, and
-        what is found is what that leads down to, better or not.
+        Returns the answers themselves where there is none, and chart -1 where no flight is known in part of a range or
+        the lower minimum is not found. Several parameters are searched in turn, the others held, from the least J met
+        so far.
+
+        Parameters
+        ----------
+        points, begins
+            As of `become`.
+        best
+            The answers.
+        outdoing
+            Extremals from which to begin in place of the answers, with several parameters; the minimum reached is
+            returned whether better or not.
         """
         found, known = best.of(np.arange(len(points))), best.chart >= 0
         bounds = self._bounds(points)
@@ -207,7 +224,7 @@ class Descents:
         return known
 
     def _bounds(self, points: Matrix) -> Bounds:
-        """Of what is followed: the user states them, of any chart."""
+        """Return the bounds of the followed parameters, which the user states, so that they hold for each chart."""
         return self._of[0].bounds(points)
 
     def _places(self, points: Matrix, bounds: Bounds, known: Known, otherwise: Matrix) -> Matrix:
@@ -220,7 +237,7 @@ class Descents:
         return at
 
     def _confirmed(self, points: Matrix, target: Matrix, begins: Sequence[Matrix], answers: Known) -> NDArray[np.bool_]:
-        """Whether answers are what is at targets, (lanes,)."""
+        """Return True where the target lies in the basin of the answer, (lanes,)."""
         lanes = np.nonzero(answers.chart >= 0)[0]
         found = np.zeros(len(points), dtype=bool)
         if len(lanes):
@@ -229,7 +246,7 @@ class Descents:
         return found
 
     def _settled(self, points: Matrix, guesses: Known) -> Known:
-        """Where Newton's method leads to from guesses, as bounds are held and let go; of chart -1 where to nothing."""
+        """Solve from guesses by Newton's method with active-set correction of bounds; chart -1 where it fails."""
         found = Known.none(self._charted, len(points))
         for number, sheet in np.unique(np.column_stack([guesses.chart, guesses.sheet]), axis=0).tolist():
             if number >= 0:
@@ -242,7 +259,7 @@ class Descents:
         return found
 
     def _keep_the_path(self, points: Matrix, known: Known) -> NDArray[np.bool_]:
-        """Whether extremals of sheets do, (lanes,)."""
+        """Return True for extremals of sheets that keep the path, (lanes,)."""
         found = np.zeros(len(points), dtype=bool)
         for number, one in enumerate(self._charted):
             if (lanes := np.nonzero(known.chart == number)[0]).size:
@@ -255,7 +272,7 @@ class Descents:
     def _down(
         self, points: Matrix, target: Matrix, begins: Sequence[Matrix], best: Known
     ) -> tuple[NDArray[np.bool_], Known]:
-        """Whether J falls all along from targets to answers, and else what there is where it is the least first."""
+        """Return True where J falls all along from targets to answers, and elsewhere the first minimum on the way."""
         if not len(points):
             return np.zeros(0, dtype=bool), Known.none(self._charted, 0)
         bounds = self._bounds(points)
@@ -323,7 +340,7 @@ class Descents:
 
 
 def _far(bounds: Bounds, target: Matrix, starts: Matrix) -> Vector:
-    """How far targets are from where ways to them start, in parts of ranges."""
+    """Return the largest distance of targets from starts over the parameters, as a share of their ranges."""
     spread = np.maximum(bounds[1] - bounds[0], np.finfo(float).tiny)
     return (np.abs(target - starts) / spread).max(axis=1, initial=0.0)
 

@@ -172,13 +172,13 @@ def _extended(
 
 
 def _equations(said: Mapping[str, Any]) -> tuple[Any, ...]:
-    """What of a chart's line says which equations its extremals solve, and in which units."""
+    """Return the entries of a chart's line that decide its equations and their canonical units."""
     course = course_from(said)
     return course.keep, course.text, said["unknowns"], said["widths"]
 
 
 def _renumbered(small: Sequence[Inside], left: Sequence[int]) -> tuple[Inside, ...]:
-    """Those of the sheets that are left, by the numbers that these have then."""
+    """Return the interior extremals of the remaining sheets, with the new numbers of these."""
     return tuple(replace(one, sheet=left.index(one.sheet)) for one in small if one.sheet in left)
 
 
@@ -188,7 +188,7 @@ def _corners_of(rows: NDArray[Any], sheet: int) -> Corners:
 
 
 def _is(found: Found, number: int, sheet: Sheet, places: NDArray[np.int64], known: Corners) -> bool:
-    """Whether a sheet that was found is one that is known: one extremal in common makes them the same."""
+    """Return True if a sheet that was found is a known one: one extremal in common makes them the same."""
     other = found.sheets[number]
     if not other.alike(sheet):
         return False

@@ -82,7 +82,7 @@ def spilled(
 
 
 def _coarse(nodes: Rows) -> Rows:
-    """Those of the nodes of a side that lie on the lattice of the least cells in which a sheet may end; else all."""
+    """Return the nodes of a side on the lattice of the smallest cells in which a sheet may end; all if none are."""
     d = nodes["place"].shape[1]
     step = ending(d) * (_COARSER if d > 3 else 1)
     chosen = nodes[(nodes["place"] % step == 0).all(axis=1)]
@@ -90,12 +90,12 @@ def _coarse(nodes: Rows) -> Rows:
 
 
 def _keys(nodes: Rows) -> NDArray[Any]:
-    """What is the same of nodes that are one: the sheet, the place, and what is at hand of the unknowns."""
+    """Return rows that are equal for equal nodes: sheet, place, and rounded unknowns and J."""
     return np.column_stack([nodes["sheet"], nodes["place"], nodes["terms"][:, 0].round(_DIGITS)])
 
 
 def _news(nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which nodes lie where a brick has nothing of their sheet, or other extremals of it alone, and which it has."""
+    """Return masks of nodes where a brick lacks their sheet or has only others of it, and of nodes that it has."""
     had = np.zeros(len(nodes), dtype=bool)
     if known is None:
         return ~had, had

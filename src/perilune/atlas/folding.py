@@ -51,7 +51,7 @@ def around_folds(
     way, weight = targets - start, 1.0 / (1.0 + np.linalg.norm(y, axis=1))
 
     def seen(lanes: NDArray[np.int64], share: Vector, u: Matrix) -> tuple[Matrix, Matrix, Vector]:
-        """Of lanes dy/ds, Newton's step at this s, and the side of the fold."""
+        """Return dy/ds, Newton's step at this s and the side of the fold for some lanes."""
         values = start[lanes] + share[:, None] * way[lanes]
         found = chart.at(values, u, borders.holds([sheet], np.zeros(len(lanes), dtype=np.int64), values))
         return np.einsum("ld,ldn->ln", way[lanes], found.slopes), found.stepped - u, found.orientation

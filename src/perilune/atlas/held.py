@@ -111,7 +111,7 @@ class HeldFamilies:
         return Holds(choice)
 
     def _kept(self, points: Matrix, y: Matrix, at: Matrix) -> NDArray[np.bool_]:
-        """Which flights keep the path, and have arcs that are some."""
+        """Return True for flights that keep the path and have no negative arc duration."""
         one, chart = self._charted, self._chart
         good: NDArray[np.bool_] = np.all(np.isfinite(y), axis=1)
         lanes = np.nonzero(good)[0]

@@ -30,7 +30,7 @@ def bits(d: int) -> NDArray[np.int64]:
 
 
 def weights(at: Matrix, size: Matrix) -> NDArray[np.float64]:
-    """What the terms count at points of boxes.
+    """Compute the weights of the terms at points of boxes.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def weights(at: Matrix, size: Matrix) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _products(d: int) -> Map:
-    """Of a place and a size the weights: products, over the axes, of those of a cubic."""
+    """Compile the map from place and size to weights: products, over the axes, of those of a cubic."""
     at, size = ca.SX.sym("at", d), ca.SX.sym("size", d)
     t, s = at, 1.0 - at
     # Along one axis: value and slope at the low side, then at the high one.
@@ -73,9 +73,9 @@ def interpolated_at(terms: Matrix, at: Vector, size: Vector) -> Vector:
 
 
 def unlike_quadratics(terms: NDArray[np.float64], size: Matrix) -> NDArray[np.float64]:
-    """How unlike a quadratic boxes are along each axis: the largest h^3 f''' of their edges, (boxes, d, k).
+    """Compute the largest h^3 f''' of the edges of boxes along each axis, (boxes, d, k): zero for quadratics.
 
-    Of two values and two slopes on an edge it is 12 (f0 - f1) + 6 h (f0' + f1').
+    For two values and two slopes on an edge it is 12 (f0 - f1) + 6 h (f0' + f1').
     """
     d = size.shape[1]
     found = np.empty((len(terms), d, terms.shape[-1]))

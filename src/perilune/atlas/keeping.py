@@ -23,7 +23,7 @@ _TURNS = 8  # times that bounds are taken and let go
 
 @dataclass(frozen=True)
 class Kept:
-    """What extremals become, in lanes: number of the sheet, -1 where that is not found; unknowns; J, canonical."""
+    """Corrected extremals: number of the sheet, -1 where none is found, unknowns and J, canonical, (lanes,) each."""
 
     sheet: NDArray[np.int64]
     y: Matrix
@@ -31,14 +31,14 @@ class Kept:
 
 
 def kept(chart: Chart, borders: Borders, sheets: Sequence[Sheet], first: Sheet, values: Matrix, y: Matrix) -> Kept:
-    """What extremals become, or what Newton's method leads to from what is none; no maximum that is known of.
+    """Correct the active set of bounds of extremals, or of guesses, until no bound is crossed; known maxima excluded.
 
     Parameters
     ----------
     chart, borders, sheets
-        Whose.
+        Of the extremals.
     first
-        What is held to begin with.
+        The bounds that are active at the start.
     values, y
         Of the parameters, (lanes, d), and the unknowns there, (lanes, n).
     """
@@ -66,7 +66,7 @@ def kept(chart: Chart, borders: Borders, sheets: Sequence[Sheet], first: Sheet, 
 
 
 def _turned(sheet: Sheet, crossed: Sequence[tuple[str, str]]) -> Sheet:
-    """What holds the bounds that were crossed, without those among them that were held."""
+    """Return a sheet that also holds the bounds that were crossed, and lets go of crossed ones that it held."""
     held = set(sheet.holds.items())
     more = {name: side for name, side in crossed if (name, side) not in held}
     left = {name: side for name, side in sheet.holds.items() if (name, side) not in crossed}

@@ -70,7 +70,7 @@ class Lattice:
     # -- branches -------------------------------------------------------------------------------------------------
 
     def _told(self) -> None:
-        """What is known of the sheet of each branch."""
+        """Update the sheet, side of folds and minimality of each branch."""
         self.sheets: list[Sheet] = [self.all_sheets[number] for number in self.own]
         self.orientations: Vector = np.array([sheet.orientation for sheet in self.sheets])
         self.minimum: NDArray[np.bool_] = np.array([sheet.minimum for sheet in self.sheets])
@@ -87,7 +87,7 @@ class Lattice:
         return [branch for branch, sheet in enumerate(self.sheets) if sheet.alike(mine)]
 
     def had(self, cells: Cells, some: Sequence[Extremal]) -> NDArray[np.bool_]:
-        """Which extremals branches have, as nodes or in their cells."""
+        """Return a mask of the extremals that branches have, as nodes or in their cells."""
         return had(cells, self.nodes, self.step, self.keys, self.alike, some)
 
     # -- cells ----------------------------------------------------------------------------------------------------
@@ -173,7 +173,7 @@ class Lattice:
         return replace(cells, corners=self.corners(cells.branch, cells.low, cells.size))
 
     def _of_another(self, branch: Whole, places: Whole, y: Matrix) -> NDArray[np.bool_]:
-        """Where a later branch comes to a node of another: it would only go where that one is."""
+        """Return True where a later branch meets a node of another, beyond which it would only repeat that one."""
         found = np.zeros(len(branch), dtype=bool)
         for own in np.unique(branch[branch >= len(self.all_sheets)]).tolist():
             mine = np.nonzero(branch == own)[0]
@@ -184,7 +184,19 @@ class Lattice:
     # -- nodes ----------------------------------------------------------------------------------------------------
 
     def led(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> tuple[Extremals, NDArray[np.bool_]]:
-        """Where Newton's method leads to at places, and what of it belongs to its branch."""
+        """Solve by Newton's method at places; return the extremals, and True for those of their branch.
+
+        Parameters
+        ----------
+        branch
+            Branch of each lane, (lanes,).
+        places
+            Places in lattice steps, (lanes, d).
+        guess
+            Unknowns to begin with, canonical, (lanes, n).
+        spread
+            Length of the move that the slopes predict, canonical, (lanes,); a larger one leaves the branch.
+        """
         values = self.values(places)
         holds = self.borders.holds(self.sheets, branch, values)
         within = _APART * spread + _NEAR * (1.0 + np.linalg.norm(guess, axis=1))
@@ -221,9 +233,9 @@ class Lattice:
         return self.nodes.numbers(self.keys(branch[:, None], low[:, None] + bits(self.d)[None] * size[:, None]))
 
     def values(self, places: Whole) -> Matrix:
-        """Of the parameters at places, canonical."""
+        """Return the values of the parameters at places, canonical."""
         return self.origin + places * self.step
 
     def keys(self, branch: Whole, places: Whole) -> Whole:
-        """Of nodes, by branches and places."""
+        """Return the keys of nodes, given their branches and places."""
         return (branch << _BITS * self.d) + (places << _BITS * np.arange(self.d)).sum(axis=-1)

@@ -31,10 +31,10 @@ def written_line(said: Mapping[str, Any]) -> str:
 
 
 def read_line(line: bytes) -> dict[str, Any] | None:
-    """What a line says; None of one that is not as it was written, or not whole: its writer was killed in the middle.
+    """Parse a line; None if it has changed since it was written, or is incomplete as its writer was killed.
 
-    There is a line for each brick, and `refuse_no_brick` looks at all that is used of it: these are read without the
-    care that other documents need, eight times as fast.
+    There is a line for each brick, and `refuse_no_brick` checks all that is used of it: these are read without the
+    checks that other documents need, eight times as fast.
     """
     text, told, checksum = line.rpartition(_LAST.encode())
     if not told or b"%d}" % zlib.crc32(text + b"}") != checksum:
@@ -50,14 +50,14 @@ def read_line(line: bytes) -> dict[str, Any] | None:
 
 
 def cut_off(line: bytes) -> bool:
-    """Whether a line that says nothing ends where its writer may have been killed, and is no whole one that changed."""
+    """Return True if an unreadable line was cut off, as by a killed writer, and is not a complete one that changed."""
     _, told, checksum = line.rpartition(_LAST.encode())
     return not checksum.strip(b"0123456789") if told else line.count(b"{") != line.count(b"}")
 
 
 @contextmanager
 def told_of_damage(name: str) -> Iterator[None]:
-    """What a file of another hand holds in place of what was written, in plain words."""
+    """Turn errors over the content of a file into a `PeriluneError` that calls the file damaged."""
     try:
         yield
     except PeriluneError:

@@ -29,17 +29,17 @@ _TOGETHER = 4096  # points, so that what lies at the corners of their cells fits
 
 
 def clearly_worse(cost: Any, best: Any) -> Any:
-    """Whether what a cell gives for J cannot be better than what was found, numbers or arrays."""
+    """Return True where the J that a cell gives cannot be better than what was found; numbers or arrays."""
     return cost > best + _CLEARLY * (1.0 + abs(best))
 
 
 def equal(cost: Any, best: Any) -> Any:
-    """Whether two J are the same but for rounding, numbers or arrays."""
+    """Return True where two J are equal to rounding; numbers or arrays."""
     return abs(cost - best) <= _SAME * (1.0 + abs(best))
 
 
 class Answered(IntEnum):
-    """What became of a point."""
+    """Reason why a point has an answer or none."""
 
     YES = 0
     OUTSIDE = 1  # of the region, or no number
@@ -85,7 +85,7 @@ class Answers:
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """Which points have an answer."""
+        """Return a mask of the points that have an answer."""
         return self.answered == Answered.YES
 
 
@@ -105,10 +105,10 @@ def answers(atlas: Reader, points: Matrix) -> Answers:
 
 @dataclass(frozen=True)
 class _Offered:
-    """What one branch of a sheet gives for J and y at points; NaN and inf where nothing, J alone where it `breaks`.
+    """J and y that one branch of a sheet gives at points; inf and NaN where none, only J where it `breaks`.
 
-    `first` is the number of the first sheet of its chart; of what breaks y is in `broken`, and `short` is what does so
-    by an arc that is shorter than nothing.
+    `first` is the number of the first sheet of its chart; `broken` has y where it breaks, and `short` is True where it
+    does so by a negative arc duration.
     """
 
     charted: Charted
@@ -151,7 +151,7 @@ class _Work:
         self.rank = np.full(count, len(self.charts))  # of the chart of each answer among them
 
     def place(self) -> None:
-        """Which points lie in the region, and which of them physics allows."""
+        """Determine the points that lie in the region, and those of them that physics allows."""
         region = self.atlas.region
         inside = ((self.points >= region.low) & (self.points <= region.high)).all(axis=1)
         self.answered[~inside] = Answered.OUTSIDE
@@ -240,7 +240,7 @@ class _Work:
         return doubt, followed
 
     def _outdoing(self, one: _Breaking, offer: _Offered) -> _Breaking:
-        """Those that outdo what is known, by J as Newton's method meets it."""
+        """Return the extremals that are better than the known answers, by J as Newton's method reaches it."""
         known, charted = self.cost[self.some], offer.charted
         one = one.of(outdoing(charted, one.cost, known[one.lanes]))
         its = np.nonzero(~one.short)[0]
@@ -265,7 +265,7 @@ class _Work:
     def _looked_over(
         self, lanes: Lanes, best: Known, cost: Vector, offers: Sequence[_Offered], standing: Sequence[_Breaking]
     ) -> Vector:
-        """What J doubt is cast by where J is looked at all over what lies between bounds, as one by one."""
+        """Search along all parameters between bounds; return the J that still casts doubt, inf for none, (lanes,)."""
         atlas, points = self.atlas, self.points[self.some[lanes]]
         begins, doubt, known = atlas.begins(points), np.full(len(lanes), np.inf), np.ones(len(lanes), dtype=bool)
         for one in [None, *(standing if len(atlas.descents.names) > 1 else [])]:
@@ -287,7 +287,7 @@ class _Work:
         return found
 
     def _settled(self, lanes: NDArray[np.int64], becomes: Known, cost: Vector) -> Vector:
-        """What J doubt is cast by where something becomes another, `cost` where that is not known; it may answer."""
+        """Polish better minima as answers; return the J that casts doubt, `cost` where no minimum was reached."""
         atlas, found, known = self.atlas, becomes.chart >= 0, self.cost[self.some[lanes]]
         better = found & (becomes.cost < known) & ~(np.isfinite(known) & equal(becomes.cost, known))
         for chart, sheet in np.unique(np.column_stack([becomes.chart, becomes.sheet])[better], axis=0).tolist():
@@ -297,7 +297,7 @@ class _Work:
         return np.where(found, becomes.cost, cost)
 
     def _where(self, some: NDArray[np.int64], says: Callable[[tuple[int, ...]], bool]) -> NDArray[np.bool_]:
-        """Which of some points lie in bricks of which something is so."""
+        """Return True for points in bricks that satisfy a predicate, which is called once for each brick."""
         rows, which = np.unique(self.bricks[some], axis=0, return_inverse=True)
         return np.array([says(tuple(row)) for row in rows.tolist()], dtype=bool)[which.reshape(-1)]
 
@@ -323,7 +323,7 @@ class _Work:
         return polished
 
     def _offers(self, some: NDArray[np.int64]) -> list[_Offered]:
-        """What all sheets give."""
+        """Return the candidates of all sheets at some points."""
         atlas, found, first, count = self.atlas, list[_Offered](), 0, len(some)
         bricks = np.unique(self.bricks[some], axis=0)
         for number, charted in enumerate(atlas.charted):
@@ -351,7 +351,7 @@ class _Work:
         return found
 
     def answers(self) -> Answers:
-        """What was found."""
+        """Return the answers in SI."""
         good, problem = self.answered == Answered.YES, self.atlas.problem
         for rows in (self.free, self.slopes):
             rows[~good] = np.nan
@@ -374,9 +374,20 @@ def _no_offer(charted: Charted, sheet: int, first: int, count: int) -> _Offered:
 
 
 def _fill(offer: _Offered, brick: Brick, root: int, lanes: Lanes, values: Matrix, inside: Matrix) -> None:
-    """What the cells of a branch give at points of a brick, `inside` it in lattice steps.
+    """Fill in what the cells of a branch give at points of a brick.
 
-    `values` are those of the axes, canonical.
+    Parameters
+    ----------
+    offer
+        The candidates to fill.
+    brick, root
+        The brick, and the first cell of the branch.
+    lanes
+        Rows of the candidates.
+    values
+        Values of the axes, canonical, (lanes, d).
+    inside
+        Places in the brick, in lattice steps, (lanes, d).
     """
     cells = brick.leaves(root, inside)
     status = brick.arrays[3][cells]

@@ -11,7 +11,7 @@ from perilune.problem.solution import Solution
 
 @dataclass(frozen=True, kw_only=True)
 class Query:
-    """How an answer was read.
+    """Record of the reading of an answer.
 
     Parameters
     ----------

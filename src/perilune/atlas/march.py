@@ -37,7 +37,7 @@ _NEAR = 0.1  # how far from the control that is flown an unbounded one is tried,
 
 
 class Seen(NamedTuple):
-    """What a second flight shows, canonical: symbols, or columns of numbers.
+    """Margins and errors of a second flight, canonical: symbols, or columns of numbers.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Seen(NamedTuple):
     minimum
         The least of H of another control minus H of the one that is flown.
     drift
-        By how much H changes along a phase.
+        Change of H along a phase.
     cost
         J.
     pays
@@ -95,7 +95,7 @@ def _end(conditions: Conditions, k: int, state: ca.SX) -> ca.SX:
 
 
 def ended(conditions: Conditions, rides: Rides) -> ca.Function:
-    """What the ends say: (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
+    """Build the function (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
 
     Choice and results are those of `perilune.atlas.reflight`.
     """

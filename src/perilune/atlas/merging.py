@@ -169,7 +169,7 @@ def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _
 
 
 def _nodes(lines: Iterable[Mapping[str, Any]]) -> int:
-    """How many nodes bricks have, by their lines."""
+    """Return the number of nodes of bricks, given their lines."""
     return sum(line["nodes"]["rows"] for line in lines)
 
 
@@ -283,7 +283,7 @@ def _proofs(
 
 
 def _shift(a: Axis, b: Axis, joined: Axis) -> int:
-    """What is added to the numbers of the second's bricks along an axis."""
+    """Return the shift of the numbers of the second atlas's bricks along an axis."""
     begins = 0 if a.edges == b.edges else len(joined.edges) - len(b.edges)
     return joined.first + begins - b.first
 

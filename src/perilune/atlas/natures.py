@@ -21,12 +21,12 @@ _TOLD_BY = ("conjugate_point", "second_variation")  # checks of the proof
 
 
 def nature_behind_folds(problem: Problem, region: Region, said: Mapping[str, Any], values: Vector, y: Vector) -> Nature:
-    """What an extremal is of which no solve has told.
+    """Classify an extremal behind a fold, at which no solve has been, by its second variation.
 
     Parameters
     ----------
     problem, region
-        What is mapped.
+        The problem, and the region that is mapped.
     said
         Its chart, as the survey's line has it, with its sheet alone.
     values, y

@@ -20,9 +20,9 @@ _HERE = np.zeros(1, dtype=np.int64)  # one point is one lane
 
 @dataclass(slots=True)
 class Offer:
-    """What a cell of one sheet gives at the point: unknowns (None where there are none to polish) and J, canonical.
+    """Candidate of one sheet at a point, as its cell gives it: unknowns (None with nothing to polish) and J, canonical.
 
-    Where it was `polished`, and is an answer, J is that.
+    J is exact once it was `polished` and is an answer.
     """
 
     charted: Charted
@@ -36,12 +36,12 @@ class Offer:
 
     @property
     def label(self) -> str:
-        """Of its sheet."""
+        """Return the label of its sheet."""
         return self.charted.labels[self.number]
 
     @property
     def vouches(self) -> bool:
-        """Whether it is an answer, good or bad, as far as is known."""
+        """Return True if the candidate is a valid extremal as far as is known, whether or not it is the best."""
         known = self.y is not None if self.polished is None else bool(self.polished.answers[0])
         return known and not self.breaks
 
@@ -75,7 +75,15 @@ class Offer:
 
 
 def outdoing(charted: Charted, cost: Any, best: Any) -> Any:
-    """Whether extremals of a chart that are no flights outdo what is known, J inf for nothing; numbers or arrays."""
+    """Return True where inadmissible extremals of a chart have less J than the best answer, inf for none.
+
+    Parameters
+    ----------
+    charted
+        Their chart.
+    cost, best
+        J of the extremals and of the best answer, canonical; numbers or arrays.
+    """
     return np.isinf(best) | ((cost < best) & (not charted.breaks_controls_alone))
 
 
@@ -84,19 +92,19 @@ def unanswered(
     vouching: Sequence[tuple[Charted, NDArray[np.bool_]]],
     of_arcs: NDArray[np.bool_],
 ) -> list[NDArray[np.bool_]]:
-    """Of which extremals that outdo the answer, and are no flights, no answer may be what becomes of them.
+    """Return masks of the better, inadmissible extremals whose basin may have no answer among those known.
 
-    Each well has one extremal of each chart at most, and one answer, of which there are as many. What breaks the path
-    becomes one of arcs; what has an arc that is shorter than nothing one of other arcs, or of none.
+    Each basin has at most one extremal of each chart, and one answer. An extremal that breaks the path leads to one of
+    several arcs; one with a negative arc duration to one of other arcs, or of a single arc.
 
     Parameters
     ----------
     better
-        Their charts, in which lanes there is one, and which of these have such an arc.
+        Their charts, the lanes in which there is one, and True for those with a negative arc duration.
     vouching
-        Charts of extremals, and in which lanes they are answers, good or bad, (lanes,).
+        Charts of extremals, and the lanes in which they are valid, best or not, (lanes,).
     of_arcs
-        Whether the best answer is made of arcs, (lanes,).
+        True where the best answer consists of several arcs, (lanes,).
     """
     arcs, answers = np.zeros((2, len(of_arcs)), dtype=np.int64)
     wells = {charted: np.zeros_like(arcs) for charted, *_ in [*better, *vouching]}
@@ -112,11 +120,20 @@ def unanswered(
 
 
 def doubted(short: Any, left: Any, *, follows: bool, settles: bool) -> tuple[Any, Any]:
-    """Which of them cast doubt, and which are followed to what they become, where that can be; one or arrays.
+    """Return masks of the extremals that cast doubt, and of those that are followed to the minimum of their basin.
 
-    What breaks the path is followed in any case: it may become another well than the one that vouches for it. What has
-    an arc that is shorter than nothing most often has gone on as what vouches, and else casts doubt by what it becomes.
-    Where following `settles` nothing, as wells may differ in what is not followed, all that is left casts doubt.
+    An extremal that breaks the path is always followed: it may lead to another basin than the one of the known answer.
+    One with a negative arc duration usually continues as a known answer, and else casts doubt by where it leads. All
+    that are left cast doubt if following settles nothing, as basins may differ in parameters that are not followed.
+
+    Parameters
+    ----------
+    short
+        True for those with a negative arc duration; one or an array.
+    left
+        True for those whose basin may have no known answer; one or an array.
+    follows, settles
+        True if extremals can be followed, and if that decides.
     """
     cast, each = left & ~(short & settles), (left | ~short) if settles else ~(left | short)
     return cast, each & follows

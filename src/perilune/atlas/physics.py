@@ -25,9 +25,16 @@ _LEAVING = {"p", "div", "pow", "sqrt", "log", "exp", "asin", "acos", "tan", "sin
 
 
 def allowed(problem: Problem, names: Sequence[str]) -> Allowed:
-    """Whether no binding comparison of a problem is missed at values [SI] of some parameters, (points, d) -> (points,).
+    """Build the test, (points, d) -> (points,), if all binding comparisons of a problem hold at parameter values [SI].
 
-    There may be extremals of others all the same: of a parking orbit below its perilune equations know nothing.
+    Extremals may exist where it fails: the equations know nothing of a parking orbit below its perilune.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    names
+        Names of the parameters that vary, d of them.
     """
     if problem.preflight is None and not between_bounds(problem, problem.parameters({})):
         return lambda points: np.ones(len(points), dtype=bool)

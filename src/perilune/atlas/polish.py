@@ -107,43 +107,43 @@ class Polished:
 
     @property
     def steps(self) -> Vector:
-        """Of Newton's method."""
+        """Return the number of Newton steps, (lanes,)."""
         return self.course[:, _STEPS]
 
     @property
     def answers(self) -> NDArray[np.bool_]:
-        """Whether they keep their bounds and the path, and their second flights end where they should."""
+        """Return True for those that keep bounds and path, and whose second flights meet the end conditions."""
         return self.told[:, _ANSWERS] > 0.0
 
     @property
     def doubtful(self) -> NDArray[np.bool_]:
-        """Whether they might be answers all the same.
+        """Return True for those that might still be answers.
 
-        Not reached, or within their sheet but not borne out by their second flights.
+        They were not reached, or lie within their sheet but are not confirmed by their second flights.
         """
         return self.told[:, _DOUBTFUL] > 0.0
 
     @property
     def breaking(self) -> NDArray[np.bool_]:
-        """Whether they are extremals of their sheets but for breaking the path.
+        """Return True for those that are extremals of their sheets but for breaking the path.
 
-        A flight that keeps that may still be better than other sheets.
+        A flight that keeps the path may still be better than other sheets.
         """
         return self.told[:, _BREAKING] > 0.0
 
     @property
     def short(self) -> NDArray[np.bool_]:
-        """Whether they are extremals but for an arc that is shorter than nothing: they become others there."""
+        """Return True for those that are extremals but for a negative arc duration."""
         return self.told[:, _SHORT] > 0.0
 
     @property
     def gains(self) -> NDArray[np.bool_]:
-        """Whether they can be flown, but would gain by leaving what they hold: there is a flight that is better."""
+        """Return True for those that can be flown, but gain by leaving an active bound: a better flight exists."""
         return self.told[:, _GAINS] > 0.0
 
     @property
     def beyond(self) -> NDArray[np.bool_]:
-        """Which bounds of what the user states they lie beyond, being extremals but for that, as `Borders.beyond`.
+        """Return True for bounds, stated by the user, that otherwise valid extremals lie beyond, as `Borders.beyond`.
 
         A flight that is held there may still be better.
         """
@@ -151,12 +151,12 @@ class Polished:
 
     @property
     def bound(self) -> Vector:
-        """How far y can be from the extremal, relative."""
+        """Return the bound on the error of y relative to the extremal, (lanes,)."""
         return self.told[:, _BOUND]
 
     @property
     def away(self) -> Vector:
-        """How far what the cell gave was from it, relative."""
+        """Return the relative error of what the cell gave, (lanes,)."""
         return self.told[:, _AWAY]
 
 
@@ -210,7 +210,7 @@ class Polisher:
 
     @cached_property
     def opening(self) -> Map:
-        """How Newton's method begins.
+        """Compile the start of Newton's method.
 
         (values, guess, sides, lower and upper bounds) -> what is held, unknowns that Newton moves, `Polished.course`.
         """
@@ -228,10 +228,10 @@ class Polisher:
 
     @cached_property
     def advance(self) -> Map:
-        """What an evaluation leads to.
+        """Compile the step that follows an evaluation.
 
         (row, unknowns that Newton moves, what is held, `Polished.course`) -> unknowns and course behind its step, where
-        it goes on; and all unknowns behind the last step, with whether it has converged.
+        it goes on; and all unknowns behind the last step, with 1 if it has converged.
         """
         plan = self.chart.shooting.plan
         row, y = ca.SX.sym("row", plan.columns.width), ca.SX.sym("y", len(plan.active))
@@ -257,7 +257,7 @@ class Polisher:
 
     @cached_property
     def told(self) -> Map:
-        """What second flights and inverse Jacobians say of lanes.
+        """Compile the judgement of lanes by their second flights and inverse Jacobians.
 
         (y, choice, rows of `Reflown`, J^-1, guess, reached, sides, lower and upper bounds) -> y behind a step of what
         is left, `Polished.told`, and `Polished.passed`.

@@ -161,7 +161,7 @@ class Atlas(Reader):
         return at
 
     def _offers(self, at: Vector) -> list[Offer]:
-        """What the cells in which a point lies give of sheets that can be answers, the least J first."""
+        """Return the candidates of the cells around a point, of sheets that can answer, the least J first."""
         place, offers = self.region.brick_of(at), list[Offer]()
         low, width, part = self._extents(place)
         inside = (at - low) / width * WHOLE
@@ -199,7 +199,7 @@ class Atlas(Reader):
     def _doubts(
         self, at: Vector, offers: Sequence[Offer], tried: list[Offer], turns: Sequence[Offer], breaking: list[Offer]
     ) -> list[Offer]:
-        """Those of the extremals beyond bounds, and of those that break the path, which leave the answer in doubt."""
+        """Return the extremals beyond bounds, and those that break the path, which leave the answer in doubt."""
         best, settles = min(tried, key=lambda one: one.cost, default=None), self.descents.settles
         alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
         ways = {"follows": bool(self.descents.names), "settles": settles}
@@ -224,16 +224,16 @@ class Atlas(Reader):
         return one.cost
 
     def _beside(self, at: Vector, followed: Sequence[Offer], best: Offer | None) -> bool:
-        """Whether the best answer lies where all those do that would be followed, so that none need be."""
+        """Return True if the best answer lies at each extremal that would be followed, so that none need be."""
         return all(self.descents.beside(at[None], self._known(one, -1), self._known(best, -1))[0] for one in followed)
 
     def _become(
         self, at: Vector, best: Offer | None, turns: Sequence[Offer], breaking: Sequence[Offer], tried: list[Offer]
     ) -> list[Offer]:
-        """Those of the extremals that are no answers which cast doubt.
+        """Follow inadmissible extremals to the minima of their basins; return those that cast doubt.
 
-        What lies beyond a bound, or gains by leaving one, and what breaks the path becomes another where it keeps all
-        of that. If it is one that is known or worse than that it is no matter; if it is better it joins what is tried.
+        An extremal beyond a bound, one that gains by leaving a bound, and one that breaks the path lead to a minimum
+        that does not. A known or worse minimum settles it; a better one joins `tried`.
         """
         doubts = list[Offer]()
         if not (turns or breaking):
@@ -246,7 +246,7 @@ class Atlas(Reader):
         return doubts
 
     def _unanswered(self, at: Vector, best: Offer | None, doubts: list[Offer], tried: list[Offer]) -> list[Offer]:
-        """Those of the extremals which cast doubt where J has been looked at all over what lies between bounds."""
+        """Return the extremals that cast doubt after a search along all parameters between bounds."""
         if not doubts or best is None or not self.descents.names:
             return doubts
         begins, known = self.begins(at[None]), self._known(best, -1)
@@ -258,7 +258,7 @@ class Atlas(Reader):
         return []
 
     def _settled(self, at: Vector, becomes: Known, best: Offer | None, one: Offer, tried: list[Offer]) -> bool:
-        """Whether what something becomes is known and no matter, or joins what is tried; else `one` has its J."""
+        """Return True if the minimum reached is no better, or joins `tried` as an answer; else set the J of `one`."""
         if (number := int(becomes.chart[0])) < 0:
             return False
         if best is None or (becomes.cost[0] < best.cost and not equal(becomes.cost[0], best.cost)):

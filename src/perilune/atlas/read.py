@@ -44,7 +44,7 @@ Whole = NDArray[np.int64]
 
 
 class Brick:
-    """What is looked at of a brick: cells as lists, which Python reads fastest, and nodes as they lie on disk.
+    """Brick as it is read: cells as lists, which Python reads fastest, and nodes as they lie on disk.
 
     `step` is that of the lattice, canonical.
     """
@@ -80,7 +80,7 @@ class Brick:
 
     @cached_property
     def _wholes(self) -> Whole:
-        """Of which cell each is a half, -1 for the first of a sheet."""
+        """Return the cell of which each is a half, -1 for the first of a sheet."""
         found, cut = np.full(len(self.cells), -1), np.nonzero(self.cells["child"] >= 0)[0]
         for half in (0, 1):
             found[self.cells["child"][cut] + half] = cut
@@ -104,7 +104,15 @@ class Brick:
         return found.min(axis=1)
 
     def given(self, number: int, place: Vector) -> Vector:
-        """What a cell with all its corners gives at a place: unknowns, J."""
+        """Interpolate unknowns and J at a place in a cell that has all its corners.
+
+        Parameters
+        ----------
+        number
+            Of the cell.
+        place
+            In lattice steps, (d,).
+        """
         low, size, canonical, terms = self.cell(number)
         return interpolated_at(terms, (place - low) / size, canonical)
 
@@ -181,7 +189,7 @@ class Reader:
 
     @property
     def rows(self) -> int:
-        """How many nodes there are."""
+        """Return the number of nodes."""
         return sum(line["nodes"]["rows"] for line in self.said.values())
 
     @cached_property
@@ -198,12 +206,12 @@ class Reader:
 
     @cached_property
     def descents(self) -> Descents:
-        """What follows extremals that are no answers over its charts."""
+        """Return the search for minima over its charts."""
         return Descents(self.charted)
 
     @cached_property
     def allowed(self) -> Allowed:
-        """Whether physics allows points of the region [SI], (points, d) -> (points,), one by one."""
+        """Return the test, (points, d) -> (points,), if physics allows points of the region [SI]."""
         return allowed(self.problem, self.region.names)
 
     @called_in_words
@@ -235,15 +243,15 @@ class Reader:
 
     @called_in_words
     def damage(self, brick: tuple[int, ...]) -> list[str]:
-        """What is damaged at a place, in words; of bricks that were looked at."""
+        """Describe the damage at a place, one text for each damaged brick; only bricks that were read are known."""
         keys = [(number, *self._place(brick)) for number in range(len(self.charted))]
         return [self.damaged[key] for key in keys if key in self.damaged]
 
     @called_in_words
     def missing(self, brick: tuple[int, ...]) -> bool:
-        """Whether the survey has a sheet for a place whose brick is not there, or is not there itself.
+        """Return True if there is no survey, or it has a sheet for a place whose brick is missing.
 
-        What is there then need not be the best.
+        An answer there then need not be the best.
         """
         place = self._place(brick)
         return not self.survey["charts"] or any(key[1:] == place for key in self.unbuilt)
@@ -313,7 +321,15 @@ class Reader:
 
 
 def may_be_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.bool_]:
-    """Which nodes of a shard may be answers: within their sheet, and borne out by their second flight."""
+    """Return a mask of the nodes of a shard that may be answers: within their sheet, and confirmed by a second flight.
+
+    Parameters
+    ----------
+    nodes
+        Rows of the shard.
+    sheets
+        All sheets of the chart, by number.
+    """
     minimum = np.array([sheet.minimum for sheet in sheets])
     good = (nodes["margin"] >= 0) & (nodes["residual"] <= SLACK) & (nodes["path"] >= -SLACK)
     return good & minimum[nodes["sheet"]]

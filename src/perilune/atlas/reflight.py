@@ -42,7 +42,7 @@ Arcs = tuple[Lanes, tuple[int, ...]]  # lanes, and the modes that they go throug
 
 @dataclass(frozen=True, kw_only=True)
 class Reflown:
-    """What second flights show, in lanes; canonical.
+    """Results of second flights, in lanes; canonical.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Reflown:
 
     @property
     def seen(self) -> Seen:
-        """What was seen, (lanes,) each."""
+        """Return margins and errors, (lanes,) each."""
         return Seen(*self.shown.T)
 
     @property
@@ -86,7 +86,7 @@ class Reflown:
 
     @property
     def told(self) -> str:
-        """What speaks the most against the first extremal, in words."""
+        """Describe the largest violation of the first extremal."""
         first = Seen(*self.shown[0].tolist())
         against = {
             "its ends are missed by": first.residual,
@@ -185,7 +185,15 @@ class Reflights:
         return flown
 
     def fine_enough(self, y: Matrix, p: Matrix) -> tuple[int, ...]:
-        """How many times `STEPS` each phase needs, so that twice as many end at the same; for extremals, (lanes, n)."""
+        """Return the multiple of `STEPS` that each phase needs so that twice as many steps end at the same state.
+
+        Parameters
+        ----------
+        y
+            Unknowns of extremals, canonical, (lanes, n).
+        p
+            Given numbers, canonical.
+        """
         before, found = np.zeros((len(y), 0)), list[int]()
 
         def flown(k: int, times: int) -> Matrix:

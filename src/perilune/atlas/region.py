@@ -49,17 +49,17 @@ class Axis:
 
     @property
     def low(self) -> float:
-        """Where it begins [SI]."""
+        """Return the lower end [SI]."""
         return self.edges[0]
 
     @property
     def high(self) -> float:
-        """Where it ends [SI]."""
+        """Return the upper end [SI]."""
         return self.edges[-1]
 
     @property
     def key(self) -> str:
-        """What a user calls it: ``vehicle.thrust``."""
+        """Return the user's name of the axis, such as ``vehicle.thrust``."""
         return key_of(self.name)
 
     @property
@@ -73,11 +73,11 @@ class Axis:
 
     @property
     def numbers(self) -> range:
-        """Of the bricks along it."""
+        """Return the numbers of the bricks along it."""
         return range(self.first, self.first + len(self.edges) - 1)
 
     def edge(self, number: int) -> float:
-        """Where a brick begins [SI]."""
+        """Return the lower end of a brick [SI]."""
         return self.edges[number - self.first]
 
 
@@ -95,7 +95,7 @@ class Region:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Return the names of the parameters."""
         return tuple(axis.name for axis in self.axes)
 
     @cached_property
@@ -154,7 +154,7 @@ class Region:
         return ", ".join(axis.told(value) for axis, value in zip(self.axes, values, strict=True))
 
     def outside(self, values: Sequence[float]) -> str | None:
-        """What of a point lies outside, in words; None for a point of the region."""
+        """Describe the first value of a point that lies outside; None for a point of the region."""
         for axis, value in zip(self.axes, values, strict=True):
             if not axis.low <= value <= axis.high:
                 near = axis.low if value < axis.low else axis.high

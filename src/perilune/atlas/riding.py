@@ -66,7 +66,7 @@ class Ride:
 
     @property
     def order(self) -> int:
-        """How many derivatives it takes until a control appears."""
+        """Return the order: the number of derivatives until a control appears."""
         return len(self.rates)
 
 
@@ -132,7 +132,7 @@ class Rides:
             )
 
     def singular(self, part: int) -> bool:
-        """Whether a control is singular along a part."""
+        """Return True if a control is singular along a part."""
         return bool(self._arcs) and any(regime == "singular" for _, regime in self._arcs[part][1].regimes)
 
     # -- along an arc -------------------------------------------------------------------------------------------------
@@ -169,7 +169,7 @@ class Rides:
     # -- where a condition is met and left ----------------------------------------------------------------------------
 
     def turns(self, y: ca.SX, begins: Sequence[ca.SX], ends: Sequence[ca.SX], p: ca.SX) -> ca.SX:
-        """What must not be negative for S not to be so just before it is met and just behind, where nothing else looks.
+        """Return terms that are not negative if S is not, just before and behind a boundary arc or contact point.
 
         There S is as its first derivative with a control in it, of order q, times (t - t0)^q. Arguments as of `jumps`.
         """
@@ -251,7 +251,7 @@ class Rides:
         return nu, fall - ca.mtimes(C, nu)
 
     def _beside(self, part: int, ride: Ride, slopes: Sequence[ca.SX], z: ca.SX, p: ca.SX) -> ca.SX:
-        """What the costates of S itself have beside the others."""
+        """Return the terms of the costates of S itself in addition to the others."""
         extremal = self.conditions.phases[part]
         each = [self._eta(extremal, ride, mode, z, p) for mode in range(len(extremal.modes))]
         number = extremal.mode(z, p) if len(each) > 1 else ca.SX(0)
@@ -267,7 +267,7 @@ class Rides:
         return self._at([x], [at], known, [ca.gradient(value, x) for value in S], y, p)
 
     def _back(self, joint: int, at: ca.SX, y: ca.SX, p: ca.SX) -> ca.SX:
-        """How the states behind a joint between phases of the user's change by those before it."""
+        """Return the Jacobian of the states behind a joint between the user's phases by those before it."""
         phase, known = self.stated.phases[joint - 1], trace_parameters(self.stated)
         x = ca.SX.sym("x", len(phase.states))
         behind = column(self.stated.links[joint - 1](phase.state_record(*elements(x)), known.record, SYMBOLIC))
@@ -310,7 +310,7 @@ class Rides:
         return list(traced.call([*values, *self._told(y, p)]))
 
     def _told(self, y: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """What is given, and the free parameters, of the problem of the chart."""
+        """Return the given numbers and the free parameters of the problem of the chart."""
         return p[: len(self.stated.given)], y[self.conditions.free_at]
 
     def _users_free(self, y: ca.SX) -> ca.SX:
@@ -328,7 +328,7 @@ def _onto(columns: ca.SX) -> ca.SX:
 
 
 def _apart(columns: Sequence[ca.SX]) -> list[ca.SX]:
-    """Those of columns that point where no other before does, as one condition's on both sides of a user's joint do."""
+    """Return the columns parallel to no earlier one, as those of one condition on both sides of a user's joint are."""
     found = list[ca.SX]()
     for one in columns:
         way = one / ca.norm_2(one)
@@ -338,7 +338,7 @@ def _apart(columns: Sequence[ca.SX]) -> list[ca.SX]:
 
 
 def _vanishes(part: ca.SX, whole: ca.SX) -> bool:
-    """Whether nothing is left of a column whatever its symbols are: seen at a few points."""
+    """Return True if a column is zero relative to another for any values of its symbols, judged at a few points."""
     symbols = ca.symvar(ca.vertcat(part, whole))
     evaluate = ca.Function("left", [ca.vertcat(ca.SX(0, 1), *symbols)], [ca.norm_2(part), ca.norm_2(whole)])
     rng, shares = np.random.default_rng(0), list[float]()

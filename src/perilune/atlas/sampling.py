@@ -45,7 +45,7 @@ _TRIES = 50  # nodes that are looked at for each that is wanted
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What the proof of one answer reached.
+    """Result of the proof of one answer.
 
     Parameters
     ----------
@@ -63,24 +63,24 @@ class Certificate:
 
     @property
     def proved(self) -> bool:
-        """Whether the level that was asked for was reached."""
+        """Return True if the level that was asked for was reached."""
         return self.level >= LEVEL and not self.failed
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """What was drawn.
+    """Answers that were drawn, with their proofs.
 
     Parameters
     ----------
     drawn
-        At random.
+        Answers drawn at random.
     thin, thin_nodes
-        Of those with a thin margin, and how many of these there are.
+        Answers drawn among nodes with a thin margin, and the number of these nodes.
     kept
-        Of atlases that were merged to this one: drawn of parts of it, they say nothing of the whole.
+        Proofs of atlases that were merged to this one: drawn of parts of it, they say nothing of the whole.
     refused
-        How many places were drawn beside those of `drawn` at which a query has no answer.
+        Number of places, drawn in addition to those of `drawn`, at which a query has no answer.
     """
 
     drawn: tuple[Certificate, ...] = ()
@@ -91,17 +91,17 @@ class Sample:
 
     @property
     def proved(self) -> int:
-        """How many of those drawn at random are proved."""
+        """Return the number of answers drawn at random that are proved."""
         return sum(one.proved for one in self.drawn)
 
     @property
     def share(self) -> float:
-        """Of all answers of queries at nodes at least so many would be proved, at 99 %; 0 where one is not."""
+        """Return the least share of answers at nodes that would be proved, at 99 % confidence; 0 if one is not."""
         return assured(self.proved, len(self.drawn))
 
     @property
     def unproved(self) -> tuple[Certificate, ...]:
-        """Those that are not."""
+        """Return the answers that are not proved."""
         return tuple(one for one in (*self.drawn, *self.thin, *self.kept) if not one.proved)
 
     def told(self, atlas: Atlas) -> list[str]:
@@ -124,30 +124,30 @@ def demand_count(sample: Any) -> None:
 
 
 def assured(proved: int, drawn: int) -> float:
-    """Of all at least so many would be proved, at 99 % confidence; 0 where one of the drawn was not."""
+    """Return the least share of all that would be proved, at 99 % confidence; 0 if one of those drawn was not."""
     return _DOUBT ** (1.0 / drawn) if drawn and proved == drawn else 0.0
 
 
 def proved_text(proved: int, drawn: int) -> str:
-    """What a draw says of all."""
+    """Describe the result of a draw, with the share of all answers that it assures."""
     share = assured(proved, drawn)
     said = f": at least {100 * share:.1f} % of all, at 99 % confidence" if share else ""
     return f"{proved} of {drawn} answers drawn at random proved to level {LEVEL}{said}"
 
 
 def refused_text(refused: int, drawn: int) -> list[str]:
-    """Of how many places that were drawn nothing is said; nothing where there are none."""
+    """Describe the number of drawn places that a query refuses; an empty list for none."""
     told = f"of {drawn + refused} places that were drawn {refused} are refused by a query, of which nothing is said"
     return [told] if refused else []
 
 
 def unproved_text(atlas: Atlas, one: Certificate) -> str:
-    """Which, and why."""
+    """Describe an answer that is not proved: its point, level and failed checks."""
     return f"at {atlas.region.told(one.values)}: level {one.level}, not {', '.join(one.failed[:3])}"
 
 
 def thin_ones(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.int64]:
-    """Which of them have a thin margin, the thinnest first."""
+    """Return the numbers of nodes with a thin margin, the thinnest first."""
     found = np.nonzero(may_be_answers(nodes, sheets) & (nodes["margin"] < _THIN))[0]
     return found[np.argsort(nodes["margin"][found], kind="stable")]
 
@@ -257,7 +257,7 @@ def sample_lines(atlas: Atlas) -> list[dict[str, Any]]:
 
 
 def sample_of(atlas: Atlas) -> Sample:
-    """What was drawn of the atlas as it is now, while it was built."""
+    """Return the sample that was drawn of the atlas in its present state while it was built."""
     lines = sample_lines(atlas)
     thin = {one.values: one for line in lines for one in map(_certificate, line["thin"])}
     return Sample(

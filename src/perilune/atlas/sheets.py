@@ -58,16 +58,16 @@ class Sheet:
 
     @property
     def minimum(self) -> bool:
-        """Whether its extremals can be answers; those that are locally worst are none."""
+        """Return True unless its extremals are locally worst, which are no answers."""
         return self.nature is not Nature.WORST
 
     def alike(self, other: Sheet) -> bool:
-        """Whether extremals of another can be layers of this one: they hold the same, on the same side of folds."""
+        """Return True if extremals of another can be layers of this one: same active bounds, same side of folds."""
         return self.holds == other.holds and self.orientation == other.orientation
 
     @property
     def label(self) -> str:
-        """What tells it, in words."""
+        """Return its active bounds and nature in words."""
         held = ", ".join(f"{name} at its {side} bound" for name, side in self.holds.items())
         return f"{held or 'nothing at a bound'}: {self.nature.outdone.value}"
 
@@ -196,7 +196,17 @@ class Borders:
     def holds(
         self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix, limits: Limits | None = None
     ) -> Holds:
-        """What each lane holds beside the parameters; `which` is each lane's sheet."""
+        """Return the active bounds that each lane holds in addition to the parameters.
+
+        Parameters
+        ----------
+        sheets, which
+            The sheets, and the number of each lane's, (lanes,).
+        values
+            Values of the parameters, canonical, (lanes, d).
+        limits
+            Lower and upper bounds there, if known already.
+        """
         sides = self.sides(sheets)[which]
         count = sides.shape[1]
         out = np.zeros((len(values), 2 * count))
@@ -209,7 +219,7 @@ class Borders:
         return Holds(out, self.moves(sides, values))
 
     def moving(self, sides: Matrix) -> NDArray[np.bool_]:
-        """Of which lanes anything that they hold at such sides is moved by the parameters."""
+        """Return True for lanes that hold, at such sides, a bound that moves with the parameters."""
         found = np.zeros(len(sides), dtype=bool)
         for i, upper in self._moving:
             found |= sides[:, i] == _SIDES[upper]
@@ -227,7 +237,7 @@ class Borders:
 
     @cached_property
     def _moving(self) -> set[tuple[int, int]]:
-        """What can be held, and at which of its bounds, where parameters that vary move that."""
+        """Return (number, 1 for upper) of each bound of what can be held that moves with the varied parameters."""
         found = {
             (k, upper)
             for k, condition in enumerate(self._ranged, self.chart.shooting.plan.free)
@@ -250,7 +260,7 @@ class Borders:
         return np.einsum("k,lkd->ld", np.array([1.0, -8.0, 8.0, -1.0]) / 12.0, bounds) / step
 
     def missed(self, sheet: Sheet, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
-        """Where what cells give of free parameters that a sheet holds is not at the bound, which moves, (lanes,).
+        """Return True where a cell's value of a free parameter that its sheet holds misses its moving bound, (lanes,).
 
         A bound that goes and comes back between the corners and the middle of a cell moves nothing that it knows.
         """
@@ -269,18 +279,18 @@ class Borders:
 
     @cached_property
     def users(self) -> NDArray[np.bool_]:
-        """Which of what can be held the user states: an arc that would be shorter than nothing is no such bound."""
+        """Return a mask of what can be held that the user states; the bound of an arc's duration at zero is not."""
         user = self.chart.user
         stated = {*user.free_names, *(c.name for phase in user.phases for c in phase.end_conditions)}
         return np.array([name in stated for name in self.names], dtype=bool)
 
     @cached_property
     def of_arcs(self) -> bool:
-        """Whether any of what can be held is how long an arc is."""
+        """Return True if anything that can be held is the duration of an arc."""
         return bool((np.isfinite(self._lower) & ~self.users).any())
 
     def backwards(self, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
-        """Which extremals, canonical, fly an arc that is shorter than nothing, whatever else speaks against them."""
+        """Return True for extremals, canonical, with a negative arc duration, whatever else they violate."""
         if not self.of_arcs:
             return np.zeros(len(y), dtype=bool)
         free = self.chart.shooting.plan.free
@@ -289,16 +299,16 @@ class Borders:
             return np.any((at < lower - SLACK) & ~self.users[:free], axis=1)
 
     def short(self, y: Matrix, at: Matrix, limits: Limits) -> NDArray[np.bool_]:
-        """Which lanes are answers but for an arc that is shorter than nothing, as far as values tell; as of `margins`.
+        """Return True for lanes that are answers but for a negative arc duration, judged by values only.
 
-        NaN in `at` is not looked at.
+        Arguments as of `margins`; NaN in `at` is ignored.
         """
         if not self.of_arcs:
             return np.zeros(len(y), dtype=bool)
         return self._maps["short"](at, *limits, y[:, self.touched])[0][:, 0] > 0.0
 
     def beyond(self, at: Matrix, choice: Matrix, limits: Limits) -> NDArray[np.bool_]:
-        """Which `bounds` of what the user states, and is not held, lanes lie beyond, (lanes, bounds)."""
+        """Return True for `bounds`, stated by the user and not held, that lanes lie beyond, (lanes, bounds)."""
         return self._maps["beyond"](at, choice[:, : self.chart.shooting.plan.held], *limits)[0] > 0.0
 
     @cached_property
@@ -308,7 +318,7 @@ class Borders:
 
     @cached_property
     def _maps(self) -> dict[str, Map]:
-        """What `Standing` says of lanes."""
+        """Compile the verdicts of `Standing` for lanes."""
         s = self.symbols
         asked = {
             "short": ([s.at, s.lower, s.upper, s.touched], s.short(self.users)),
@@ -320,7 +330,7 @@ class Borders:
     def crossed(
         self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals, limits: Limits | None = None
     ) -> NDArray[np.bool_]:
-        """Which `bounds` of the user's lanes have crossed, (lanes, bounds): they lie beyond, or gain by leaving it."""
+        """Return True for user's `bounds` that lanes cross, (lanes, bounds): they lie beyond, or gain by leaving."""
         at, rises = self.chart.shooting.held_values(found.roots)
         out = self.beyond(at, found.roots.choice, limits or self.at(found.values))
         for number in set(which.tolist()):
@@ -364,12 +374,12 @@ class Borders:
 
 
 def held_at(borders: Borders, values: Vector, y: Vector) -> dict[str, str]:
-    """Which free parameters and ranges an extremal holds at a bound, and at which.
+    """Return the free parameters and ranges that an extremal holds at a bound, each with its side.
 
     Parameters
     ----------
     borders
-        Of its chart.
+        The bounds of its chart.
     values, y
         Of the parameters, (d,), and its unknowns there, (n,), canonical.
     """
