@@ -24,11 +24,11 @@ class Starts:
     within: float = 1e-5
 
     def found(self, flight_time: float) -> int:
-        """How many found the answer that has this time of flight."""
+        """Return how many found the answer that has this time of flight."""
         return len(self._near(flight_time))
 
     def elsewhere(self, flight_time: float) -> int:
-        """How many found another answer."""
+        """Return how many found another answer."""
         return sum(math.isfinite(t) for t in self.flight_times) - self.found(flight_time)
 
     def spread(self, flight_time: float) -> float:

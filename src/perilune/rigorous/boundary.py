@@ -39,7 +39,7 @@ class Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Sides:
-    """Which bounds the extremal is on.
+    """Bounds on which the extremal lies.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Sides:
     states: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
     def held(self, phase: Phase) -> list[int]:
-        """Which states of a phase a bound holds at its end."""
+        """Return the states of a phase that a bound holds at its end."""
         return [i for i, name in enumerate(phase.state_names) if (phase.name, name) in self.states]
 
 
@@ -95,7 +95,7 @@ class Differentiated:
         return found[: self.count], matrices
 
     def moved_by(self, group: int) -> set[int]:
-        """Which of a group's entries any output depends on."""
+        """Return the entries of a group on which any output depends."""
         return {j for _, j in self._places[group]}
 
 
@@ -169,7 +169,7 @@ class BoundaryProblem:
 
     @property
     def untold(self) -> set[int]:
-        """Which entries of y no solution tells: costates of constant states, which may be called as states are."""
+        """Return the entries of y that no solution gives: costates of constant states, whose names states may share."""
         return {i for own, phase in zip(self.costates, self.problem.phases, strict=True)
                 for i in own[len(phase.states) :]}  # fmt: skip
 
@@ -320,7 +320,7 @@ class _Stating:
         return [*before, *self.w[i]]
 
     def _equations(self, k: int, psi: list[Expression]) -> list[Expression]:
-        """What vanishes where a phase ends; of a range its distance to the bound that it is on, or else nu."""
+        """Return what vanishes where a phase ends; for a range its distance to the bound that it is on, or else nu."""
         phase, found = self.problem.phases[k], list[Expression]()
         held = [phase.states[i] for i in self.sides.held(phase)]
         sided = [(c, c.name, self.sides.ranges.get((phase.name, c.name), "")) for c in phase.end_conditions]
@@ -377,7 +377,7 @@ class _Stating:
         return [*self.reader.function(("links", k - 1), end, free=self.free, phase=phase), *constants]
 
     def _switching(self, i: int, scalar: Scalar) -> Expression:
-        """What vanishes where a scalar leaves its regime: dH/du on a bound, between them the distance to the bound."""
+        """Return what vanishes where a scalar leaves its regime: dH/du on a bound, else its distance to the bound."""
         follows = self.pieces[i + 1].regimes[scalar.control.name]
         if scalar.regime != "interior":
             if follows != "interior" and not scalar.curvature.vanishes():
@@ -395,7 +395,7 @@ class _Stating:
 
 
 def lasting(pieces: Sequence[Piece], i: int, lengths: Mapping[int, Expression], duration: Expression) -> Expression:
-    """How long an arc lasts: by a length of its own, or what others leave of its phase's duration."""
+    """Return the duration of an arc: a length of its own, or what others leave of its phase's duration."""
     if i in lengths:
         return lengths[i]
     for j in lengths:
@@ -405,10 +405,10 @@ def lasting(pieces: Sequence[Piece], i: int, lengths: Mapping[int, Expression], 
 
 
 def matrix(columns: Sequence[int], of: Any) -> Any:
-    """Some columns of a matrix."""
+    """Return a matrix made of some columns of another."""
     return arb_mat([[of[i, j] for j in columns] for i in range(of.nrows())]) if columns else arb_mat(of.nrows(), 0)
 
 
 def balls(values: Sequence[Any]) -> list[Ball]:
-    """Numbers as exact balls."""
+    """Return numbers as exact balls."""
     return [arb(value) for value in values]

@@ -66,7 +66,7 @@ def small(rates: Any, z: list[Any], length: Any, most: float) -> list[Any]:
 
 
 def parted(z: list[Any]) -> tuple[list[Any], Any]:
-    """Middles, and what is about them."""
+    """Return the middles, and the balls about 0 that are left."""
     return [v.mid() for v in z], column([v - v.mid() for v in z])
 
 
@@ -80,7 +80,7 @@ def frame(V: Any) -> tuple[Any, Any]:
 
 
 def both(a: list[Any], b: list[Any]) -> list[Any]:
-    """What two enclosures of the same have in common."""
+    """Return the intersection of two enclosures of the same."""
     return [own.intersection(other) for own, other in zip(a, b, strict=True)]
 
 

@@ -104,7 +104,7 @@ class Arc:
 
     @property
     def idle(self) -> bool:
-        """Whether what multiplies a direction may vanish."""
+        """Return True if the factor of a direction in H may vanish."""
         return bool(self.strengths) and any(scalar.regime == "lower" for scalar in self.scalars)
 
     @property
@@ -119,7 +119,7 @@ class Arc:
 
     @cached_property
     def pattern(self) -> list[tuple[int, int]]:
-        """Where the Jacobian of the rates does not vanish for all z."""
+        """Return the places where the Jacobian of the rates does not vanish for all z."""
         return [place for place, _ in self._slopes]
 
     @cached_property
@@ -253,7 +253,7 @@ class Reader:
 
 
 def _bends_on_bounds(graph: Graph, rate: Expression, phase: Phase, regimes: Regimes) -> bool:
-    """Whether a rate is not linear in the controls together, and all that are in it are on their bounds."""
+    """Return True if a rate is not linear in the controls together, and all those in it are on their bounds."""
     keys = {("u", name) for name in phase.control_names} & rate.inputs()
     held = all(regimes.get(name, "interior") != "interior" for _, name in keys)
     return held and any(keys & slope.inputs() for slope in graph.gradient(rate, [*keys]))

@@ -27,12 +27,12 @@ Grid = Sequence[Sequence[float]]  # for each arc the times where its steps begin
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flight:
-    """What was flown.
+    """Propagated arcs of a boundary value problem.
 
     Attributes
     ----------
     ends, tangents
-        z at the end of each arc, and its derivative by y (None where it was not asked for).
+        z at the end of each arc, and its derivative by y (None where not requested).
     nodes
         z where each step begins, and at the end.
     steps
@@ -117,14 +117,14 @@ def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: in
 
 
 class _Pace:
-    """How long steps may be: those of a grid, or as long as their remainders allow.
+    """Lengths of steps: those of a grid, or as long as their remainders allow.
 
     Parameters
     ----------
     begins, lasting
         Where the steps of the grid begin, and how long the arc lasts.
     finest
-        Of a remainder, beside the size of each entry, at most; infinite where the grid is to be kept to.
+        Largest remainder relative to the size of each entry; infinite where the grid is to be kept.
     """
 
     def __init__(self, begins: Sequence[float], lasting: float, finest: float) -> None:
@@ -133,18 +133,18 @@ class _Pace:
         self._longest, self._shortest = lengths[0], min(lengths) * _SHORTEST
 
     def following(self, begin: float) -> float | None:
-        """Where a step ends; None where that is the end of the arc."""
+        """Return where a step ends; None where that is the end of the arc."""
         if self._finest == math.inf:
             return next((time for time in self._begins if time > begin), None)
         return begin + self._longest if self._lasting - begin > self._longest else None
 
     def slower(self, length: float, by: float = 0.5) -> bool:
-        """Whether a step that is no step may be tried again, shorter."""
+        """Shorten the steps after one that failed; return True if it may be tried again."""
         self._longest = by * length
         return self._shortest < self._longest and self._finest < math.inf
 
     def kept(self, length: float, proved: Step) -> bool:
-        """Whether the remainder of a step is small enough, or could not be made so."""
+        """Return True if the remainder of a step is small enough, or cannot be made so; adapt the length of steps."""
         order = len(proved.polynomial[0])
         lost = [float((own * proved.length**order).abs_upper()) for own in proved.remainder]
         sizes = [float(value.abs_upper()) for value in proved.at(arb(0).union(proved.length))]
@@ -250,7 +250,7 @@ def plainly(
 
 
 def _length(c: Sequence[Sequence[Ball]], sizes: Sequence[float], tolerance: float) -> float:
-    """How long a step may be for its last coefficients to be below the tolerance."""
+    """Return the longest step whose last coefficients are below the tolerance."""
     most = float("inf")
     for own, size in zip(c, sizes, strict=True):
         reference = max(size, 1e-3 * abs(float(own[1])))

@@ -74,7 +74,7 @@ class Expression:
         return node[1] if node[0] == "const" else None
 
     def vanishes(self) -> bool:
-        """Whether it is the constant 0."""
+        """Return True if it is the constant 0."""
         return self.constant is not None and self.constant == 0
 
     def inputs(self) -> set[Hashable]:
@@ -185,7 +185,7 @@ class Graph:
 
 
 def operands(node: Node) -> tuple[int, ...]:
-    """Which nodes a node works on."""
+    """Return the nodes on which a node operates."""
     return node[1:] if node[0] in OPERANDS else ()
 
 

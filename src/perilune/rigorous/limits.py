@@ -149,7 +149,7 @@ class Limits:
         return Statement(words=words, proved=seen.proved, least=seen.least, where=_told(seen), slack=seen.slack)
 
     def _zeros(self, i: int, quantity: Quantity, side: int) -> int:
-        """How many derivatives of a quantity vanish at the begin (side -1) or the end (0) of arc i."""
+        """Return how many derivatives of a quantity vanish at the begin (side -1) or the end (0) of arc i."""
         at = i + side
         if at < 0 or (side and self.boundary.pieces[at].phase != self.boundary.pieces[i].phase):
             return 0

@@ -64,7 +64,7 @@ class Minimum:
         return None
 
     def _only(self, z: Sequence[Ball]) -> bool:
-        """Whether no other control is as good, for all z of a box."""
+        """Return True if no other control is as good, for all z of a box."""
         W, limits = self._controls.values(z), self._limits.values(z)
         low, high = limits[::2], limits[1::2]
         waiting = [[a.union(b) for a, b in zip(low, high, strict=True)]]
@@ -84,7 +84,7 @@ class Minimum:
         return False
 
     def _left(self, z: Sequence[Ball], B: Box, W: Box, low: Box, high: Box) -> Box | None:
-        """What of a box may hold another minimum."""
+        """Return the part of a box that may hold another minimum; None where there is none."""
         B, other = list(B), list[int]()  # in which entries it may differ from the control
         *slopes, H = self._slopes.values([*z, *B])
         if H > self._slopes.values([*z, *W])[-1]:
@@ -108,7 +108,7 @@ class Minimum:
 
 
 def positive_definite(form: Any) -> bool:
-    """Whether every symmetric matrix in these balls is positive definite: pivots of its elimination."""
+    """Return True if every symmetric matrix in these balls is positive definite, by its elimination's pivots."""
     rows = form.tolist()
     for k in range(len(rows)):
         if not rows[k][k] > 0:

@@ -15,7 +15,7 @@ from perilune.words.outcome import PeriluneError
 
 
 class Unsupported(PeriluneError):
-    """What the theorem cannot be stated for yet."""
+    """Property of a problem for which no theorem can be stated yet."""
 
     def __init__(self, what: str) -> None:
         super().__init__(what, advice="levels 1 to 4 do not need it")

@@ -41,7 +41,7 @@ def _about(polynomial: Sequence[Any], middle: Ball) -> list[Any]:
 
 
 def _regular(c: Sequence[Any], missing: Any, away: Ball) -> bool:
-    """Whether X = sum of c[k] s^k + missing is regular for all |s| <= away.
+    """Return True if X = sum of c[k] s^k + missing is regular for all |s| <= away.
 
     X C = 1 + E with C about the inverse of its centre. From this side, and for each coefficient by itself, E is as
     small as what the control does, though X is nearly singular: costates may grow together without moving anything.

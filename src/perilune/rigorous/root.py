@@ -36,7 +36,7 @@ class NotProved(PeriluneError):
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How much effort.
+    """Effort of a proof: precision, orders and tolerances.
 
     Attributes
     ----------
@@ -45,11 +45,11 @@ class Settings:
     order
         Of the Taylor series.
     tolerance
-        Size of a step's last terms beside those that count.
+        Size of a step's last terms relative to those that count.
     box
-        Radius of the box in which the root is proved, beside the unknowns.
+        Radius of the box in which the root is proved, relative to the unknowns.
     enough
-        A step of Newton's method, beside the unknowns, after which there is nothing more to gain.
+        Step of Newton's method, relative to the unknowns, after which there is nothing more to gain.
     newton
         How many of them at most.
     """
@@ -64,7 +64,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """Where Newton's method ended: y, the inverse of F' there, the grid of the flights, and the steps it took."""
+    """Result of Newton's method: y, the inverse of F' there, the grid of the flights, and the steps it took."""
 
     y: list[Ball]
     inverse: Any
@@ -73,7 +73,7 @@ class Refined:
 
     @property
     def sizes(self) -> list[float]:
-        """Of the unknowns; one that may be zero beside the others has a part of the largest."""
+        """Return the sizes of the unknowns; one that may be zero relative to the others has a part of the largest."""
         each = [abs(float(c)) for c in self.y]
         return [max(size, _ZERO * max(each)) for size in each]
 

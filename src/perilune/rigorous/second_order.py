@@ -57,7 +57,7 @@ _HALVED = 5  # times at most is a step
 
 @dataclass(frozen=True, kw_only=True)
 class Optimum(Statement):
-    """That an extremal is a strict local optimum.
+    """Statement that an extremal is a strict local optimum.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Optimum(Statement):
 
 
 def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Callable[[str], None]) -> Optimum:
-    """Whether a proved extremal is a strict local optimum.
+    """Prove, if possible, that a proved extremal is a strict local optimum.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Calla
 
 
 def _not_covered(boundary: BoundaryProblem, root: Root) -> Iterator[str]:
-    """What the theory above asks of scalars on bounds and at switches and is not seen, in words."""
+    """Yield the requirements on scalars on bounds and at switches that are not proved, in words."""
     for i, (piece, arc) in enumerate(zip(boundary.pieces, boundary.arcs, strict=True)):
         if arc.idle:
             yield "nothing may multiply a direction for a while"
@@ -161,7 +161,7 @@ class _Form:
         self.w = [nodes[0][2 * arc.half :] for nodes, arc in zip(root.flight.nodes, boundary.arcs, strict=True)]
 
     def _junction(self, k: int) -> tuple[Junction, list[Ball]]:
-        """What lies before phase k, or behind the last one; and its multipliers."""
+        """Return the junction before phase k, or behind the last one, and its multipliers."""
         graph, reader = self.reader.graph, self.reader
         psi, nu = list[Expression](), list[Ball]()
         if k == 0:
@@ -217,7 +217,7 @@ class _Form:
         ]
 
     def fails(self, order: int, weight: float) -> str:
-        """Which condition is not enclosed, in words; "" where all are."""
+        """Return the condition that is not enclosed, in words; "" where all are."""
         W, z, before = None, self.constants, [1.0] * len(self.moving)
         for k, weights in enumerate(self._weights(weight)):
             (junction, multipliers), half = self.junctions[k], len(weights)
@@ -243,7 +243,7 @@ def _flown(
     arc: Arc, z: list[Ball], W: Any, times: Sequence[Ball], nodes: Sequence[Sequence[Ball]], weights: Sequence[float],
     order: int,
 ) -> tuple[list[Ball], Any, Ball | None]:  # fmt: skip
-    """Where an arc ends z and an exact W; and a time at which X is not seen to be regular, None where it is all along.
+    """Return z and an exact W at the end of an arc, and a time at which X is not seen to be regular, else None.
 
     Each step begins with X = 1 and an exact W, hardly larger than where the one before ends it: tangents of a whole arc
     would be lost by wrapping, whatever W is like. Where z is at the times is known from the flight, as
@@ -278,7 +278,7 @@ def _flown(
 
 
 def _without_constants(z: Sequence[Any], arc: Arc) -> list[Any]:
-    """What of z all statements of an arc have: its states, their costates, and what no formula gives of the control."""
+    """Return the entries of z without constant states and their costates."""
     n = len(arc.phase.states)
     return [*z[:n], *z[arc.half : arc.half + n], *z[2 * arc.half :]]
 

@@ -29,18 +29,18 @@ Affine = dict[Any, Any]  # input key (None: the constant) -> rational
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """What was found of a sign.
+    """Result of the proof of a sign.
 
     Attributes
     ----------
     proved
-        Whether it is positive all along.
+        True if it is positive all along.
     least
         Lower bound over all pieces that needed no derivative; infinite where there is none.
     at
         Where it is not proved [s] of its arc.
     slack
-        By so much it may fall below 0 towards the end of its arc, where nothing says that it vanishes there exactly.
+        Amount by which it may fall below 0 towards the end of its arc, where nothing says that it vanishes exactly.
     """
 
     proved: bool
@@ -80,12 +80,12 @@ class Quantity:
 def positive(
     quantity: Quantity, steps: Sequence[Step], zeros: tuple[int, int] = (0, 0), touching: bool = False
 ) -> Seen:
-    """Whether a quantity is positive along an arc.
+    """Prove, if possible, that a quantity is positive along an arc.
 
     Parameters
     ----------
     quantity, steps
-        What, and the proved steps of the arc.
+        The quantity, and the proved steps of the arc.
     zeros
         How many of its derivatives, itself the first, vanish where the arc begins, and where it ends: there it has to
         be positive only inside.
@@ -142,16 +142,16 @@ def _falls(quantity: Quantity, step: Step, span: Ball, z: Sequence[Ball]) -> flo
 
 
 def vanishing(quantity: Quantity, known: Sequence[Expression], at: Mapping[Any, Expression]) -> int:
-    """How many derivatives of a quantity, itself the first, vanish where equations hold.
+    """Return how many derivatives of a quantity, itself the first, vanish where equations hold.
 
     Parameters
     ----------
     quantity
-        What.
+        The quantity.
     known
         Expressions of which each is zero there.
     at
-        What stands for z there.
+        Expressions that stand for z there.
     """
     graph = quantity.arc.graph
     same = {e.index for one in known for e in (one, -one)}

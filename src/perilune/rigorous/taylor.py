@@ -173,7 +173,7 @@ Step = Callable[[int], None]
 
 
 class _Recurrences:
-    """What appends the next coefficient of each node to its list, where those of its operands are there already."""
+    """Recurrences that append the next coefficient of each node to its list, once those of its operands are there."""
 
     def __init__(self, table: dict[int, Coefficients], known: dict[int, Ball]) -> None:
         self.table, self.known = table, known

@@ -59,13 +59,13 @@ class Proved:
 
     @property
     def missing(self) -> tuple[Statement, ...]:
-        """What is not proved."""
+        """Return the statements that are not proved."""
         return tuple(statement for statement in self.statements if not statement.proved)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Attempt:
-    """What came of it: a proved root, or why there is none; and how long it took [s]."""
+    """Result of an attempt: a proved root, or why there is none; and its duration [s]."""
 
     proved: Proved | None
     unsaid: str

@@ -41,7 +41,7 @@ def _at_most(value: float) -> str:
 
 
 def theorem_text(proved: Proved) -> str:
-    """What is proved, in one paragraph."""
+    """Return the theorem that is proved, in one paragraph."""
     boundary, problem = proved.boundary, proved.boundary.problem
     y = dict(zip(boundary.names, proved.root.y, strict=True))
     told = [f"J = {_ball(proved.objective)} {problem.objective_unit}"]
@@ -61,7 +61,7 @@ def theorem_text(proved: Proved) -> str:
 
 
 def _taken(problem: Problem) -> str:
-    """Which numbers a theorem is about."""
+    """Return which numbers a theorem is about, in words."""
     stated = sum(bool(exactly(given).text) for given in problem.given.values())
     doubles = "number taken as the rational number that its double is"
     if not stated:
@@ -102,7 +102,7 @@ def _kept(proved: Proved) -> str:
 
 
 def missing_text(missing: Sequence[Statement]) -> str:
-    """What could not be proved, in one sentence."""
+    """Return what could not be proved, in one sentence."""
     told = "; ".join(f"{s.words}{f' {s.where}' if s.where else ''}" for s in missing)
     return f"an extremal is proved, but not that {told}"
 

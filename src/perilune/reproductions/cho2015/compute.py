@@ -33,12 +33,12 @@ class Reproduction:
 
     @property
     def outcome(self) -> Outcome:
-        """Of the landing that is proved worse."""
+        """Return the outcome of the landing with the worse proof."""
         return self.proved.outcome
 
     @property
     def proved(self) -> Solution:
-        """Of the two landings that are proved, the worse."""
+        """Return the landing with the worse proof of the two."""
         return worst(self.hybrid, self.ordinary)
 
 

@@ -106,12 +106,12 @@ class Reproduction:
 
     @property
     def outcome(self) -> Outcome:
-        """Of the flight that is proved worst."""
+        """Return the outcome of the flight with the worst proof."""
         return self.proved.outcome
 
     @property
     def proved(self) -> Solution:
-        """Of the flights that are proved, the worst."""
+        """Return the flight with the worst proof."""
         return worst(self.site_fixed, self.slowest, *self.site_free.values())
 
 
@@ -174,7 +174,7 @@ def burn_until(mass: float) -> float:
 
 
 def refusal(going: str) -> str:
-    """What physics says of the printed example, with all the propellant that the longest printed t_a burns."""
+    """Return why physics excludes the printed example, with all the propellant that the longest printed t_a burns."""
     findings = preflight(as_printed(going, mass_after(max(row.time for row in TABLE_2))))
     return "; ".join(
         f"{f.name}: {f.value:.1f} {f.unit}, at most {f.limit:.1f} {f.unit}; {f.meaning}"
@@ -183,12 +183,12 @@ def refusal(going: str) -> str:
 
 
 def off_plane(entry_time: float) -> OffPlane:
-    """How far the printed site is from the plane of the orbit when each grid point's vehicle would land.
+    """Return the angle from the printed site to the plane of the orbit when each grid point's vehicle would land.
 
     Parameters
     ----------
     entry_time
-        From the interface to the end [s], which is ours: the paper does not print it.
+        Time from the interface to the end [s], which is ours: the paper does not print it.
     """
     away = {
         going: np.array([
@@ -287,7 +287,7 @@ def thrust_angles(x: Any, costates: Any, sign: float) -> tuple[Any, Any]:
 
 
 def along_thrust(x: Any, costates: Any) -> tuple[Any, Any, Any]:
-    """What a thrust along each of the path's axes adds to H, per acceleration."""
+    """Return what a thrust along each of the path's axes adds to H, per acceleration."""
     return costates[0], costates[1] / x[0], costates[2] / (x[0] * np.cos(x[1]))
 
 
@@ -299,6 +299,6 @@ def _extremal_rates(y: Matrix, sign: float) -> Matrix:
 
 
 def hamiltonian_by_thrust() -> Vector:
-    """Of every grid point: what turning the thrust from (9) to the opposite takes from H at t0, paper's units."""
+    """Return how much H at t0 falls at every grid point with the thrust opposite to (9), paper's units."""
     x, costates = _printed_start(1.0)
     return 2 * constants().thrust / x[6] * np.linalg.norm(np.array(along_thrust(x, costates)), axis=0)

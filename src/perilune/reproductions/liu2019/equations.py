@@ -59,7 +59,7 @@ class Coefficient:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """What the sampled states show.
+    """Printed equations compared with the right ones at the sampled states.
 
     Parameters
     ----------
@@ -303,7 +303,7 @@ def printed_costate_matrix(x: Any, alpha: Any, beta: Any) -> Any:
 
 
 def _coefficients(x: Matrix, alpha: Vector, beta: Vector) -> tuple[Coefficient, ...]:
-    """Those of (6) that no differentiation of the right (1) gives."""
+    """Return the coefficients of (6) that no differentiation of the right (1) gives."""
     printed = printed_costate_matrix(x, alpha, beta)
     own, right = (costate_matrix(of, x, alpha, beta) for of in (printed_rates, corrected_rates))
     found = []

@@ -35,12 +35,12 @@ AXES: tuple[str, ...] = ("manoeuvre_longitude", "manoeuvre_latitude")
 
 @dataclass(frozen=True, kw_only=True)
 class Fast:
-    """What the fast methods do at the manoeuvre points of Table 1; processor times [s], NaN for what failed.
+    """Results of the fast methods at the manoeuvre points of Table 1; processor times [s], NaN for what failed.
 
     Parameters
     ----------
-    built, nodes, arcs
-        How long the atlas took, how many extremals it has, and of how many kinds they are.
+    built, nodes, kinds
+        Time to build the atlas [s], the number of its extremals, and their kinds.
     searched
         The paper's method at some of the points: a genetic search within 2 % of the prediction (16), then Newton's.
     predicted
@@ -137,14 +137,14 @@ def _queried(atlas: Atlas, points: np.ndarray) -> tuple[Vector, tuple[str, ...],
 
 @dataclass(frozen=True)
 class _Prediction:
-    """What (16) says of all unknowns at a manoeuvre point, and an extremal of these arcs."""
+    """Unknowns predicted by (16) at a manoeuvre point, and an extremal of these arcs."""
 
     near: Nearby
     values: dict[str, float]
     guess: Vector
 
     def missed(self, Y: Matrix) -> Vector:
-        """How far flights with such unknowns are from an extremal: the largest residual of each."""
+        """Return the largest residual of flights with such unknowns: how far each is from an extremal."""
         return self.near.shooting.at(Y, self.near.numbers(self.values), self.near.root.choice[None]).residuals
 
 
@@ -170,7 +170,7 @@ def _by_search(one: _Prediction, guess: Vector) -> Vector:
 
 
 def _took(one: _Prediction, begin: Callable[[_Prediction, Vector], Vector]) -> float:
-    """How long Newton's method takes from where it begins, and to find that; NaN where it fails."""
+    """Return the processor time [s] of Newton's method and of its initial guess; NaN where it fails."""
     took = math.nan
     for _ in range(2):  # the first makes what is made once
         began = time.process_time()

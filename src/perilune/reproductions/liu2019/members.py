@@ -91,6 +91,6 @@ def by_cubic(grid: Sequence[Member], at: Member, known: Matrix) -> Vector:
 
 
 def varies(values: Vector) -> bool:
-    """Whether a quantity is more than one number and the noise of its last digits."""
+    """Return True if a quantity is more than one number and the noise of its last digits."""
     known = values[np.isfinite(values)]
     return bool(len(known) and np.ptp(known) > 1e-6 * np.abs(known).max())

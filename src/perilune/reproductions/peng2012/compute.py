@@ -100,7 +100,7 @@ class Reproduction:
 
     @property
     def outcome(self) -> Outcome:
-        """Of the solution that is proved."""
+        """Return the outcome of the solution that is proved."""
         return self.proved.outcome
 
     @property

@@ -127,7 +127,7 @@ class Equations:
         )
 
     def acts(self, k: int, name: str) -> bool:
-        """Whether a free parameter moves a phase."""
+        """Return True if a free parameter moves a phase."""
         limits = [c.get(side) for c in self.phases[k]["controls"] for side in ("lower", "upper")]
         return ["p", name] in self.problem["tapes"][f"dynamics {k}"]["instructions"] or name in limits
 
@@ -143,7 +143,7 @@ class Equations:
         return known[stated] if stated in known else Expression("number", number(stated))
 
     def room(self, value: Any, told: dict[str, Any], free: dict[str, Any]) -> list[Expression]:
-        """How far a value is above its lower and below its upper bound, where it has them."""
+        """Return the distances of a value to its lower and its upper bound, where it has them, positive inside."""
         signs = (("lower", 1), ("upper", -1))
         return [(value - self.limit(told[s], free)) * sign for s, sign in signs if told[s] is not None]
 
@@ -171,7 +171,7 @@ class Equations:
         return [found[j] for j in tape["outputs"]]
 
     def end(self, k: int) -> list[tuple[Any, ...]]:
-        """What a phase ends on: the name of its multiplier, its value, itself, and its side if it has sides."""
+        """Return the end conditions of a phase: name of the multiplier, value, condition, and the side of a range."""
         phase, z = self.phases[k], self.z[self.last[k]]
         side, held = ({n: s for p, n, s in self.on[what] if p == phase["name"]} for what in ("ranges", "states"))
         conditions = zip(self.traced(f"end {k}", k, z, {}, self.q), phase["end"], strict=True)
@@ -182,7 +182,7 @@ class Equations:
         ]  # fmt: skip
 
     def conditions(self, before: list[Any]) -> tuple[list[Any], list[Any], list[Any]]:
-        """Where arcs begin, what vanishes, and what has to be positive beside it."""
+        """Return where arcs begin, what vanishes, and what has to be positive in addition."""
         L, F, asked = self.J, list[Any](), list[Any]()
         starts = [z[: 2 * len(self.lam[arc["phase"]])] for z, arc in zip(before, self.arcs, strict=True)]
         for k, i in enumerate(self.first):
@@ -219,7 +219,7 @@ class Equations:
         return starts, F, asked
 
     def steered(self, i: int, z: list[Expression]) -> dict[str, Any]:
-        """Of an arc: z', the u that minimises H, dH/du, H, limits, and signs by which that is the only minimum."""
+        """Return an arc's z', the u that minimises H, dH/du, H, limits, and signs by which that is the only minimum."""
         k, regimes, half = self.arcs[i]["phase"], self.arcs[i]["regimes"], len(z) // 2  # w comes behind it
         phase, n = self.phases[k], len(self.phases[k]["states"])
         u = {name: symbol() for c in phase["controls"] for name in c["names"]}
@@ -270,7 +270,7 @@ class Equations:
         }  # fmt: skip
 
     def bends(self, rate: Expression, u: dict[str, Any], regimes: dict[str, str]) -> bool:
-        """Whether a rate is not linear in the controls together, and all that are in it are on their bounds."""
+        """Return True if a rate is not linear in the controls together, and all those in it are on their bounds."""
         slopes = dict(zip(u, gradient(rate, [*u.values()]), strict=True))
         held = all(slope is ZERO or regimes.get(name, "interior") != "interior" for name, slope in slopes.items())
         return held and any(d is not ZERO for slope in slopes.values() for d in gradient(slope, [*u.values()]))

@@ -17,15 +17,15 @@ _ORDER = count()  # an expression is made after its parts
 
 
 class Failed(Exception):
-    """What the certificate claims is not so, or cannot be seen."""
+    """Claim of the certificate that is false, or cannot be proved."""
 
 
 class Loose(Failed):
-    """What shorter steps may show."""
+    """Failure that shorter steps may avoid."""
 
 
 def demand(held: bool, told: str, kind: type[Failed] = Failed) -> None:
-    """Go on only if it is so."""
+    """Raise `kind` with a text unless a claim holds."""
     if not held:
         raise kind(told)
 
@@ -80,7 +80,7 @@ def symbol() -> Expression:
 
 
 def made(word: str, *parts: Any) -> Expression:
-    """An operation; of Python's numbers it knows these few."""
+    """Return an operation on expressions, or on the few numbers in `NUMBERS`."""
     own = [p if isinstance(p, Expression) else NUMBERS[p] for p in parts]
     for i, part in enumerate(own):
         if part is ZERO and (word, i) in SIMPLE:
@@ -106,7 +106,7 @@ SLOPES: dict[str, Any] = {  # by its parts, of e = word(a, b)
 
 
 def reached(outputs: Iterable[Expression]) -> list[Expression]:
-    """All that they are made of, each behind its parts."""
+    """Return all expressions of which the outputs are made, each behind its parts."""
     found, waiting = dict[int, Expression](), [*outputs]
     while waiting:
         e = waiting.pop()
@@ -117,7 +117,7 @@ def reached(outputs: Iterable[Expression]) -> list[Expression]:
 
 
 def gradient(output: Expression, by: Sequence[Expression]) -> list[Any]:
-    """Derivatives by symbols, backwards from the output."""
+    """Return derivatives by symbols, backwards from the output."""
     slopes: dict[int, Any] = {output.at: ONE}
     for e in reversed(reached([output])):
         if e.at in slopes and e.word in SLOPES:
@@ -127,7 +127,7 @@ def gradient(output: Expression, by: Sequence[Expression]) -> list[Any]:
 
 
 def put(outputs: Sequence[Expression], values: Mapping[Expression, Any]) -> list[Any]:
-    """Expressions with others in the place of symbols."""
+    """Return expressions with symbols replaced by others."""
     new: dict[int, Any] = {own.at: made("add", value, ZERO) for own, value in values.items()}
     for e in reached(outputs):
         if e.at not in new:

@@ -16,7 +16,7 @@ BITS, BOXES, NARROWEST = 80, 4000, 2.0**-24  # of a piece of the flight; the lea
 
 
 def positive(form: Any) -> bool:
-    """Whether every symmetric matrix in these balls is positive definite: pivots of its elimination."""
+    """Return True if every symmetric matrix in these balls is proved positive definite, by its elimination's pivots."""
     return all(row[k] > 0 for k, row in enumerate(eliminated(form.tolist())))
 
 
@@ -33,7 +33,7 @@ class Others:
         self.sides = [{"lower": 1, "upper": -1}.get(equations.arcs[i]["regimes"][name], 0) for name in named]
 
     def are_worse(self, z: list[Any]) -> bool:
-        """Whether it is seen, for all z of a box."""
+        """Return True if all other controls are proved worse, for all z of a box."""
         with ctx.workprec(BITS):
             own, bounds = self.controls(z), self.ranges(z)
             waiting = [[a.union(b) for a, b in zip(bounds[::2], bounds[1::2], strict=True)]]

@@ -40,7 +40,7 @@ def above(W: Any, weights: list[Any]) -> Any:
 
 
 def regular(c: list[Any], size: int, length: Any) -> bool:
-    """Whether X, of which these are the polynomials, is regular all along a step: |E|^k 1 < 1 with X C = 1 + E."""
+    """Return True if X, given by its polynomials, is regular all along a step: |E|^k 1 < 1 with X C = 1 + E."""
     C = arb_mat(size, size, [horner(own, length / 2) for own in c]).mid().inv().mid()
     E = arb_mat(size, size, [over(own, arb(0).union(length)) for own in c]) * C - identity(size)
     sizes, sums = [[e.abs_upper() for e in row] for row in E.tolist()], [arb(1)] * size
@@ -141,7 +141,7 @@ class SecondVariation:
     def carried(
         self, i: int, z: list[Any], W: Any, length: Any, y: list[Any], weights: list[Any], depth: int = 0
     ) -> Any:
-        """Where a step ends z, and no less than W there; halved where X is not seen to be regular."""
+        """Return z behind a step, and no less than W there; the step is halved where X is not seen to be regular."""
         size, start = W.nrows(), identity(W.nrows()).tolist() + W.tolist()
         try:
             if z[2 * size :]:  # H_w stays 0
