@@ -39,7 +39,7 @@ def smooth_joints(
     numbers: ca.SX,
     slopes: ca.SX,
 ) -> Iterator[tuple[int, str, ca.SX]]:
-    """Rows of free durations that are told by a control without a jump: number of the free parameter, name, expression.
+    """Yield rows of free durations that a control without a jump fixes: number of the free parameter, name, expression.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ class Assembled:
 
 
 def assembled(layouts: Sequence[Layout], blocks: Sequence[tuple[Block, Block]], free: int, nearest: bool) -> Assembled:
-    """The program of phases laid out one after the other.
+    """Assemble the program of phases laid out one after the other.
 
     With `nearest` every path condition may be missed by as much all along, and every end condition to either side; the
     sum of all misses, which are unknowns behind all others, stands in place of J.
@@ -106,7 +106,7 @@ class _Place:
         return self.rows[kind].reshape(self.layout.nodes, -1)
 
     def linear(self) -> Triplets:
-        """What the rows hold of the states alone."""
+        """Return the entries of the rows that are constants times states."""
         layout, states = self.layout, self.states
         defects, node = self.at_nodes("defect"), 0
         found = [_spread(self.rows["start"], states[0], 1.0)]
@@ -121,7 +121,7 @@ class _Place:
         return _joined(found)
 
     def taken(self) -> Matrix:
-        """What the dynamics and conditions at each collocation point take."""
+        """Return the unknowns that the dynamics and conditions at each collocation point take."""
         segment = np.repeat(np.arange(len(self.layout.degrees)), self.layout.degrees)
         free = np.tile(self.free, (self.layout.nodes, 1))
         return np.hstack([
@@ -145,7 +145,7 @@ class _Place:
         return _joined(found)
 
     def taken_once(self, before: Vector) -> Matrix:
-        """What start, end and J take."""
+        """Return the unknowns that start, end and J take."""
         return np.concatenate([before, self.states[-1], self.free])[None]
 
     def added_once(self, objective: int | None) -> Triplets:
@@ -160,7 +160,7 @@ class _Place:
         return _joined(found)
 
     def missed(self, at: int, objective: int) -> Triplets:
-        """What misses, unknowns from `at` on, add to path, end and the sum of them."""
+        """Return the entries that misses, unknowns from `at` on, add to path, end and the sum of them."""
         path, end = self.layout.path, self.layout.end
         below, above = np.split(np.arange(at, at + path + 2 * end), [path + end])
         return _joined([
@@ -265,7 +265,7 @@ def _matrix(triplets: Triplets, shape: tuple[int, int]) -> ca.MX:
 
 
 def _spread(rows: Vector, columns: Vector, values: Vector | float) -> Triplets:
-    """One entry for each place after broadcasting."""
+    """Broadcast places and values to one entry for each place."""
     a, b, c = np.broadcast_arrays(rows, columns, np.asarray(values, dtype=float))
     return a.ravel(), b.ravel(), c.ravel()
 

@@ -61,18 +61,18 @@ class Block:
 
     @property
     def values(self) -> int:
-        """How many values it has."""
+        """Return the number of its values."""
         return self.value.numel_out(0)
 
     @property
     def unknowns(self) -> int:
-        """How many unknowns it takes."""
+        """Return the number of unknowns that it takes."""
         return self.value.numel_in(0)
 
 
 @lru_cache(maxsize=32)
 def blocks(unnumbered: Unnumbered) -> tuple[tuple[Block, Block], ...]:
-    """For each phase what is repeated at its points and what is there once, in canonical units."""
+    """Return for each phase what is repeated at its points and what is there once, in canonical units."""
     problem, p = unnumbered.problem, trace_parameters(unnumbered.problem)
     return tuple((_at_point(phase, p), _once(problem, k, p)) for k, phase in enumerate(problem.phases))
 

@@ -71,7 +71,7 @@ class Rule:
 
 @lru_cache(maxsize=256)
 def rule(scheme: Scheme, degree: int) -> Rule:
-    """The rule with `degree` collocation points.
+    """Return the rule with `degree` collocation points.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def _radau(n: int) -> tuple[Vector, Vector]:
 
 
 def barycentric_weights(points: Vector) -> Vector:
-    """Weights 1/prod(x_j - x_k), scaled by the interval's capacity so that no product under- or overflows."""
+    """Return weights 1/prod(x_j - x_k), scaled by the interval's capacity so that no product under- or overflows."""
     return _weights(points.tobytes())
 
 
@@ -128,7 +128,7 @@ def _weights(of: bytes) -> Vector:
 
 
 def differentiation_matrix(points: Vector) -> Matrix:
-    """Derivatives at the points of the polynomial through values at the points, shape (n, n)."""
+    """Return derivatives at the points of the polynomial through values at the points, shape (n, n)."""
     return _differentiation(points.tobytes())
 
 
@@ -146,7 +146,7 @@ def _differentiation(of: bytes) -> Matrix:
 
 
 def interpolation_matrix(points: Vector, at: Vector) -> Matrix:
-    """Values at `at` of the polynomial through values at the points, shape (len(at), len(points))."""
+    """Return values at `at` of the polynomial through values at the points, shape (len(at), len(points))."""
     difference = np.asarray(at, dtype=float)[:, None] - points[None, :]
     hit = np.abs(difference) < 1e-200  # its inverse would overflow
     difference[hit] = 1.0

@@ -97,7 +97,7 @@ class _Fixed(NamedTuple):
 
 @lru_cache(maxsize=32)
 def _known(unnumbered: Unnumbered) -> tuple[ca.Function, tuple[_Fixed, ...]]:
-    """The end conditions that fix a state, which ranges do not; and the states at the start, then what these fix."""
+    """Return states at the start and then those that end conditions (not ranges) fix, and these conditions."""
     problem = unnumbered.problem
     p = trace_parameters(problem)
     values, found = [column(problem.start(p.record, SYMBOLIC))], []

@@ -125,7 +125,7 @@ def _simulated(phase: Phase, pieces: Sequence[_Fine], p: Any, tolerance: float, 
 
 
 def _left(piece: _Fine, before: Matrix, after: Matrix, fine: Vector) -> float:
-    """The last change of a flight, relative to what is asked of it, or to a thousandth of the error if that is more."""
+    """Return the last change of a flight, relative to what is asked of it, or to a thousandth of the error if more."""
     error = np.abs(after - piece.x).max(axis=0)
     return float(np.max(np.abs(after - before) / np.maximum(fine, 1e-3 * error)))
 
@@ -160,7 +160,7 @@ def _stepwise(phase: Phase, piece: _Fine, p: Any, tolerance: float, least: Vecto
 
 
 def relative_errors(problem: Problem, segments: Sequence[Sequence[Segment]], errors: Sequence[Matrix]) -> list[Matrix]:
-    """The same relative to 1 + max|x| in canonical units; what cannot be flown counts as infinitely wrong."""
+    """Return errors relative to 1 + max|x| in canonical units; what cannot be flown counts as infinitely wrong."""
     found = []
     for phase, flown, error in zip(problem.phases, segments, errors, strict=True):
         largest = np.max([np.abs(s.state.values).max(axis=0) for s in flown], axis=0)
@@ -171,7 +171,7 @@ def relative_errors(problem: Problem, segments: Sequence[Sequence[Segment]], err
 
 
 def error_text(problem: Problem, errors: Sequence[Matrix]) -> str:
-    """The largest error of each state and condition on the way of each phase, in SI, as one line."""
+    """Format the largest error of each state and condition on the way of each phase, in SI, as one line."""
     return "; ".join(
         f"{phase.name}: " + ", ".join(
             f"{named.name} {value:.1e} {named.unit}".removesuffix(" 1")

@@ -58,7 +58,7 @@ def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Ve
 
 
 def trusted(problem: Problem) -> Problem:
-    """The problem, without its rough ends where these are worse than none.
+    """Return the problem without its rough ends where these are worse than none.
 
     They are if they miss end conditions and bounds by more than a flight does that stays where it starts.
 
@@ -76,7 +76,7 @@ def trusted(problem: Problem) -> Problem:
 
 
 def _ends_missed(problem: Problem, end_of: Callable[[Phase, Vector, Any], Vector]) -> float:
-    """By how much rough ends of the phases miss end conditions and bounds, in canonical units."""
+    """Return by how much rough ends of the phases miss end conditions and bounds, in canonical units."""
     p = problem.parameters({f.name: f.typical for f in problem.free})
     missed, before = 0.0, None
     for k, phase in enumerate(problem.phases):
@@ -92,7 +92,7 @@ def _ends_missed(problem: Problem, end_of: Callable[[Phase, Vector, Any], Vector
 
 
 def _rough_end(phase: Phase, begin: Vector, p: Any) -> Vector:
-    """Where a phase ends roughly [SI]; where it begins, if nothing is said."""
+    """Return the guess of the state at the end of a phase [SI]; its begin, if none is stated."""
     if phase.typical_end is None:
         return begin
     end = np.array(phase.typical_end(p, NUMERIC), dtype=float)
@@ -136,7 +136,17 @@ def _flown(trajectory: Trajectory) -> Sampler:
 
 
 def begin_of(problem: Problem, k: int, before: Vector | None, p: Any) -> Vector:
-    """Where phase k begins [SI], after the end of the one before."""
+    """Return the state at which phase k begins [SI].
+
+    Parameters
+    ----------
+    problem, k
+        The problem and the number of the phase.
+    before
+        State at the end of the phase before [SI]; None for the first phase.
+    p
+        Record of all parameters in SI.
+    """
     if before is None:
         return np.array(problem.start(p, NUMERIC), dtype=float)
     ended = problem.phases[k - 1].state_record(*before)
@@ -171,7 +181,7 @@ def _along(problem: Problem, k: int, states: Matrix, free: dict[str, float]) -> 
 
 
 def _between(at: Vector, times: Vector, values: Matrix) -> Matrix:
-    """Columns of values at times, interpolated linearly."""
+    """Interpolate columns of values linearly at times."""
     found = np.empty((len(at), values.shape[1]))
     for j, column in enumerate(values.T):
         found[:, j] = np.interp(at, times, column)
@@ -179,7 +189,7 @@ def _between(at: Vector, times: Vector, values: Matrix) -> Matrix:
 
 
 def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Matrix, free: dict[str, float]) -> Matrix:
-    """Controls (points, nu) in SI whose rates come nearest to the slopes at the states, both (points, nx) in SI."""
+    """Fit controls (points, nu) in SI to the slopes at the states, both (points, nx) in SI."""
     x_scale, u_scale = state_scales(problem, phase), control_scales(phase.controls, problem.scales)
     middle, reach = _control_middle(problem, phase)
     if not len(middle):
@@ -211,7 +221,7 @@ def _linear_in_control(unnumbered: Unnumbered, index: int) -> ca.Function:
 
 
 def _control_middle(problem: Problem, phase: Phase) -> tuple[Vector, Vector]:
-    """Middle of each control's range and how far it may go from there, in canonical units."""
+    """Return the middle of each control's range and how far it may go from there, in canonical units."""
     p, scale = problem.parameters({}), control_scales(phase.controls, problem.scales)
     both = [control.middle(p) for control in phase.controls for _ in control.names]
     middle, reach = np.array(both).reshape(-1, 2).T / scale

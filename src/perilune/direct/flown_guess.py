@@ -27,7 +27,7 @@ SEGMENTS, NODES = 2.0, 8  # for each time that a flight goes through its range, 
 
 
 def flown_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> list[Sampler] | None:
-    """Flights under the controls of other samplers, one for each phase; None where they cannot be flown to the end."""
+    """Fly each phase under the controls of other samplers; None where they cannot be flown to the end."""
     values = dict(zip(problem.free_names, (free * free_scales(problem.free, problem)).tolist(), strict=True))
     p, before, found = problem.parameters(values), None, list[Sampler]()
     for k, (phase, line) in enumerate(zip(problem.phases, lines, strict=True)):
@@ -53,7 +53,7 @@ def flown_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> lis
 
 
 def swings(guess: Sequence[Sampler]) -> tuple[float, ...]:
-    """How many times, at most, a state goes through all that it goes through, for each phase of a guess."""
+    """Return for each phase of a guess the largest total variation of a state relative to its range."""
     times = []
     for sample in guess:
         x = sample(np.linspace(0.0, 1.0, LOOKS))[0]
@@ -68,5 +68,5 @@ def fitting_segments(guess: Sequence[Sampler]) -> tuple[int, ...]:
 
 
 def winds(guess: Sequence[Sampler]) -> bool:
-    """Whether a guess goes through its range more often than there and back."""
+    """Return True if a guess goes through its range more often than there and back."""
     return max(swings(guess)) > WINDING

@@ -93,7 +93,7 @@ class _Step(NamedTuple):
 
 
 def optimum(posed: Posed, w: Vector, iterations: int, tolerance: float) -> Optimum | None:
-    """The local optimum that the search reaches from w, or None."""
+    """Return the local optimum that the search reaches from w, or None."""
     fixed = posed.lower == posed.upper
     if fixed[posed.states].any() or any(fixed[columns].any() for _, columns in posed.lengths):
         return None
@@ -168,7 +168,7 @@ class _Search:
         return np.bincount(self.at, values, minlength=len(self.lower)) + 0.0
 
     def first_multipliers(self, v: Vector) -> _Point:
-        """Of bounds those of a barrier, and of the others those that fit the slopes best, by least squares."""
+        """Return barrier multipliers of bounds, and of the others the least-squares fit to the slopes."""
         here, d = self.here, self.sign * (v[self.at] - self.bound)
         z = BARRIER / np.maximum(d, 1.0)
         pull = self.onto(self.sign * z)
@@ -193,7 +193,7 @@ class _Search:
         return error, float((z * d).max(initial=0.0)) / scale
 
     def violations(self, here: _Evaluated, v: Vector) -> tuple[Vector, Vector]:
-        """Of equations and of ranges, whose slacks are not their values yet."""
+        """Return the violations of equations and of ranges, whose slacks are not their values yet."""
         return np.abs(here.g - self.wanted), np.abs(here.g_ranged - v[self.n :])
 
     def missed(self, v: Vector) -> float:
@@ -339,7 +339,7 @@ class _Call:
 
 
 def _longest(values: Vector, change: Vector, stay: float) -> float:
-    """The longest step, at most 1, that leaves positive values (1 - stay) of what they are."""
+    """Return the longest step, at most 1, that leaves positive values at least `1 - stay` of what they are."""
     ratio = change / values
     steepest = -float(ratio.min(initial=0.0))
     return 1.0 if steepest <= stay else stay / steepest

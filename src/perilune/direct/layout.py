@@ -16,7 +16,7 @@ from perilune.words.types import Matrix, Vector
 
 
 class Layout(NamedTuple):
-    """Where one phase's unknowns and rows lie; hashable, it is half of the key of a program."""
+    """Places of one phase's unknowns and rows; hashable, it is half of the key of a program."""
 
     scheme: Scheme
     degrees: tuple[int, ...]
@@ -123,7 +123,7 @@ def by_kind(layouts: tuple[Layout, ...], values: Vector) -> dict[tuple[int, str]
 
 @lru_cache(maxsize=64)
 def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, list[slice]]:
-    """Unknowns that are states, rows that determine them when all else is known, and the segments of both, in order.
+    """Return unknowns that are states, rows that determine them when all else is known, and the segments of both.
 
     The first segment of a phase has its start too; of each the rows are as many as the states, and take those before
     only.

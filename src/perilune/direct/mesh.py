@@ -41,7 +41,7 @@ REACH = 0.45
 
 
 def switches(phase: Phase, flown: Sequence[Segment], known: set[float], p: Any) -> list[float]:
-    """Fractions of the phase where a control jumps or a bound is met or left, as far as collocation points tell.
+    """Return fractions of the phase where a control jumps or a bound is met or left, as far as points tell.
 
     What happens between two points that a `known` joint lies between happens there, and is not listed.
 
@@ -63,7 +63,7 @@ def switches(phase: Phase, flown: Sequence[Segment], known: set[float], p: Any) 
 
 
 def _jumps(share: Vector) -> set[float]:
-    """Places where a control jumps, from its share of its range; two jumps to the same side are one, at their point."""
+    """Return places where a control jumps, from its share of its range; two jumps to one side are one, at a point."""
     change = np.diff(share)
     jump = np.where(np.abs(change) > SWITCH, np.sign(change), 0.0)
     found, before = set[float](), -1
@@ -77,7 +77,7 @@ def _jumps(share: Vector) -> set[float]:
 
 
 def _met(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -> set[float]:
-    """Places i + 1/2 such that points i - 1, i lie at a bound and i + 1, i + 2 do not, or the other way round."""
+    """Return places i + 1/2 where points i - 1, i lie at a bound and i + 1, i + 2 do not, or the other way round."""
     found: set[float] = set()
     for value, (lower, upper) in zip(values.T, limits, strict=True):
         reach = within * (upper - lower if math.isfinite(upper - lower) else float(np.ptp(value)))
@@ -88,7 +88,7 @@ def _met(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -
 
 
 def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix, tolerance: float, p: Any) -> Mesh:
-    """A mesh for the next solve; `relative` (segments, states) are the errors of the last one, p all parameters.
+    """Refine the mesh for the next solve; `relative` (segments, states) are the last errors, p all parameters.
 
     Of a phase that the optimum does without, and that has no length, it is the last one.
     """
@@ -123,7 +123,7 @@ def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix
 def _pins(
     phase: Phase, flown: Sequence[Segment], joints: Sequence[float], movable: set[float], p: Any
 ) -> tuple[tuple[int, ...], ...]:
-    """Bound at which each segment next to a free joint holds each bounded control: that of its middle."""
+    """Return the bound at which each segment next to a free joint holds each bounded control: that of its middle."""
     begin, total = flown[0].begin, flown[-1].end - flown[0].begin
     fraction = np.concatenate([(s.time(s.control.points) - begin) / total for s in flown])
     values = np.concatenate([s.control.values for s in flown])

@@ -49,7 +49,7 @@ SUCCESS = "Solve_Succeeded"
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What was found, in canonical units.
+    """The result of a solve, in canonical units.
 
     `free` are the free parameters, `phases` the values, `rows` the multipliers and `residuals` the
     violations, by (phase, kind of condition); `status` is in IPOPT's words.
@@ -75,12 +75,12 @@ class Answer:
 
     @property
     def infeasible(self) -> bool:
-        """Whether the least violation near this start is not zero."""
+        """Return True if the least violation near this start is not zero."""
         return self.status == "Infeasible_Problem_Detected"
 
     @property
     def converged(self) -> bool:
-        """Whether the optimality conditions of the program hold."""
+        """Return True if the optimality conditions of the program hold."""
         return self.status in (SUCCESS, "Solved_To_Acceptable_Level")
 
 
@@ -158,7 +158,7 @@ class Program:
         )
 
     def _lent(self, missed: Vector) -> Vector:
-        """What the misses add to the rows."""
+        """Return what the misses add to the rows."""
         lent = []
         for layout in self.layouts:
             below, over, missed = np.split(missed, np.cumsum([layout.path + layout.end, layout.end]))
@@ -193,7 +193,7 @@ class Program:
 
 
 def _sizes(guesses: tuple[PhaseValues, ...]) -> Vector:
-    """Of every state value: how large that state is along its phase, or 1."""
+    """Return for every state value how large that state is along its phase, or 1."""
     found = []
     for values in guesses:
         largest = np.abs(values.state).max(axis=0)
@@ -202,7 +202,7 @@ def _sizes(guesses: tuple[PhaseValues, ...]) -> Vector:
 
 
 def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
-    """Canonical bounds of an end condition's value."""
+    """Return the canonical bounds of an end condition's value."""
     if not condition.ranged:
         return 0.0, 0.0
     scale = problem.size_of(condition)
@@ -211,7 +211,7 @@ def _end_range(problem: Problem, condition: Variable) -> tuple[float, float]:
 
 
 def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> Matrix:
-    """Lower (sign -1) or upper bounds (nodes, nu); a direction's only keep the search near the sphere."""
+    """Return lower (sign -1) or upper bounds (nodes, nu); a direction's only keep the search near the sphere."""
     p, both = problem.parameters({}), list[tuple[float, float]]()
     for control in phase.controls:
         limits = control.limits(p) if control.scalar else (-1.5, 1.5)
@@ -247,7 +247,7 @@ class _Lines(io.StringIO):
 
 @contextmanager
 def _told_in_our_words() -> Iterator[None]:
-    """Standard error in the main thread, the only one that Ctrl-C reaches."""
+    """Rewrite the interrupt messages on standard error, in the main thread, the only one that Ctrl-C reaches."""
     if current_thread() is not main_thread():
         yield
         return
@@ -302,7 +302,7 @@ class _Solver:
     lock: Lock
 
     def __call__(self, posed: Posed, first: Vector) -> tuple[Optimum, str]:
-        """What IPOPT reaches from the first values, and its word for it.
+        """Return the point that IPOPT reaches from the first values, and its status.
 
         Raises
         ------
@@ -333,7 +333,7 @@ def _assembled(unnumbered: Unnumbered, layouts: tuple[Layout, ...], nearest: boo
 def _solver(
     unnumbered: Unnumbered, layouts: tuple[Layout, ...], iterations: int, tolerance: float, nearest: bool, close: bool
 ) -> _Solver:
-    """The compiled program: its cache is what makes the second solve of the same physics cheap."""
+    """Compile the program: its cache is what makes the second solve of the same physics cheap."""
     program = _assembled(unnumbered, layouts, nearest)
     value = program.value
     alive = _Alive(value.size1_in("x"), value.size1_out("g"), value.size1_in("p"))

@@ -103,7 +103,7 @@ class Lengths:
 
 
 class Weighed(NamedTuple):
-    """What is added to the second derivatives H: weights of the unknowns themselves, and of the ranges."""
+    """Weights added to the second derivatives H: of the unknowns themselves, and of the ranges."""
 
     unknowns: Vector
     ranges: Vector
@@ -213,7 +213,7 @@ class Reduced:
         return dw, ds, np.concatenate([*self._multipliers(slope), y_rest])
 
     def _multipliers(self, slope: Matrix) -> Iterator[Matrix]:
-        """Those of the dynamics and of lengths, for what is not balanced yet."""
+        """Yield the multipliers of the dynamics and of lengths, for what is not balanced yet."""
         y = self.chain.transposed(-slope[: self.m])
         yield y
         for lengths in self.lengths:
@@ -222,6 +222,6 @@ class Reduced:
 
 
 def negative(factor: Matrix, places: Vector) -> int:
-    """Negative eigenvalues of a symmetric matrix from its factors: two rows that were pivoted together have one."""
+    """Count negative eigenvalues of a symmetric matrix from its factors: two rows pivoted together have one."""
     alone = places > 0
     return int((~alone).sum()) // 2 + int((factor.diagonal()[alone] < 0).sum())

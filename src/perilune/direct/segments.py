@@ -56,7 +56,7 @@ class Segment:
 
 
 def _costate(r: Rule, rows: dict[str, Vector], states: int, segment: int, node: int) -> Polynomial:
-    """Canonical costate of one segment, whose points start at `node`, from the multipliers of its rows."""
+    """Return the canonical costate of one segment, whose points start at `node`, from the multipliers of its rows."""
     Lambda = rows["defect"].reshape(-1, states)[node : node + r.degree]
     if r.scheme == "gauss":
         M = rows["quadrature"].reshape(-1, states)[segment]
@@ -67,7 +67,7 @@ def _costate(r: Rule, rows: dict[str, Vector], states: int, segment: int, node: 
 
 
 def flown_segments(program: Program, answer: Answer) -> list[list[Segment]]:
-    """Segments of every phase in SI, with costates in J per unit."""
+    """Return segments of every phase in SI, with costates in J per unit."""
     problem, found = program.problem, []
     p = problem.parameters(answer.free_si(problem))
     objective_scale = problem.objective_size
@@ -92,7 +92,7 @@ def flown_segments(program: Program, answer: Answer) -> list[list[Segment]]:
 
 
 def sampler(flown: Sequence[Segment]) -> Sampler:
-    """State and control [SI] at fractions of the phase, for the first guess on another mesh."""
+    """Return a function for state and control [SI] at fractions of the phase: the first guess on another mesh."""
     ends = np.array([s.end for s in flown])
     begin, total = flown[0].begin, flown[-1].end - flown[0].begin
 
@@ -111,7 +111,7 @@ def sampler(flown: Sequence[Segment]) -> Sampler:
 
 
 def sampled(program: Program, samplers: Sequence[Sampler]) -> tuple[PhaseValues, ...]:
-    """First values of a program's unknowns from one sampler for each phase."""
+    """Return the first values of a program's unknowns from one sampler for each phase."""
     problem, p, found = program.problem, program.problem.parameters({}), []
     for phase, mesh, layout, sample in zip(problem.phases, program.meshes, program.layouts, samplers, strict=True):
         joints = np.array(mesh.joints)
@@ -132,7 +132,7 @@ def sampled(program: Program, samplers: Sequence[Sampler]) -> tuple[PhaseValues,
 
 
 def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: float) -> Trajectory:
-    """Curves of phase k, interpolated within `tolerance` (canonical; costates ten times that).
+    """Return curves of phase k, interpolated within `tolerance` (canonical; costates ten times that).
 
     A joint at which a curve is not smooth is there twice, with the values of either side.
     """
@@ -162,7 +162,7 @@ def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: fl
 
 
 def _nodes(phase: Phase, segment: Segment, fine: Vector, p: Any) -> tuple[Vector, Matrix, Matrix]:
-    """Times, values and rates of state, costate and control along one segment."""
+    """Return times, values and rates of state, costate and control along one segment."""
     slope = 2.0 / (segment.end - segment.begin or 1.0)
     parts = (segment.state, segment.costate, segment.control)
 

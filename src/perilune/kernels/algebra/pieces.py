@@ -82,7 +82,7 @@ class _Inside:
         self._at: dict[int, int] = {}  # number in the program -> number here
 
     def at(self, n: int) -> int:
-        """Where a value of the program is here: what is plain is written again, what was computed before is read."""
+        """Return the place of a value here: what is plain is written again, what was computed before is read."""
         if n not in self._at:
             one = self._program.instructions[n]
             self._add(n, one if one[0] in PLAIN else ("input", HELD, self._place[n]))

@@ -71,7 +71,7 @@ class Program:
 
     @property
     def operations(self) -> Counter[str]:
-        """How often each operation occurs."""
+        """Count how often each operation occurs."""
         return Counter(op[0] for op in self.instructions if op[0] not in PLAIN)
 
 

@@ -87,7 +87,7 @@ def prune(rhs: Any, outputs: Iterable[int] | Sequence[Any], *, fixed: Mapping[in
 
 
 def _dependence(rate: Any, z: Any) -> list[set[int]]:
-    """Which entries of z each rate depends on."""
+    """Return the entries of z that each rate depends on."""
     import casadi as ca
 
     rows, columns = ca.jacobian(rate, z).sparsity().get_triplet()

@@ -76,7 +76,7 @@ class Event:
             )
 
     def watched(self, mode: int) -> bool:
-        """Whether it is looked for in a mode."""
+        """Return True if the event is looked for in a mode."""
         return mode in self.switches if self.switches else True
 
 
@@ -181,7 +181,7 @@ class ArcSystem:
 
     @property
     def offsets(self) -> NDArray[np.int64]:
-        """Where the entries of S kept in Y lie in a (nz, nc) array, row by row."""
+        """Return the places of the entries of S kept in Y in a (nz, nc) array, row by row."""
         rows, columns = self.pattern.get_triplet()
         return np.array(rows, dtype=np.int64) * self.nc + np.array(columns, dtype=np.int64)
 
@@ -241,7 +241,7 @@ class ArcSystem:
 
     @property
     def course(self) -> str:
-        """How events are met, whatever they are: all that the stepping loop depends on."""
+        """Return a key of how events are met, whatever they are: all that the stepping loop depends on."""
         met = [
             (e.direction, e.terminal, e.steady, bool(e.levels), *map(e.watched, range(len(self.modes))))
             for e in self.events
@@ -319,7 +319,7 @@ def _jacobian(function: Any) -> Any:
 
 
 def _closed(pattern: Any, factor: Any) -> Any:
-    """Pattern of S + factor S."""
+    """Return the pattern of S + factor S."""
     import casadi as ca
 
     return pattern.unite(ca.mtimes(ca.DM.ones(factor), ca.DM.ones(pattern)).sparsity())

@@ -26,7 +26,7 @@ class _Chain:
 
 
 class _Chains:
-    """Which values of a program are chains, in order of computation."""
+    """The values of a program that are chains, in order of computation."""
 
     def __init__(self, instructions: tuple[Instruction, ...]) -> None:
         self._of, self.found = instructions, dict[int, _Chain]()
@@ -52,7 +52,7 @@ class _Chains:
         return self._longer(condition, number_there, no.get(condition))
 
     def _longer(self, condition: int, value: float | None, before: int | None) -> _Chain | None:
-        """What is chosen before, and from a knot on a number."""
+        """Return the chain of what is chosen before, with a number from a knot on; None where it is none."""
         op, *operands = self._of[condition]
         if op != "le" or value is None:
             return None
@@ -100,7 +100,7 @@ def with_tables(
 
 
 def _used(program: tuple[Instruction, ...], outputs: tuple[int, ...], chains: Mapping[int, _Chain]) -> list[int]:
-    """Which values are asked for once chains are read: of the many that a chain is made of none but x."""
+    """Return the values in use once chains are read off tables: of all that a chain is made of only x."""
     used = set(outputs)
     for number in reversed(range(len(program))):
         if number in used:

@@ -34,7 +34,7 @@ VARIABLE, OFF = "PERILUNE_CACHE", "off"
 
 @dataclass(frozen=True, kw_only=True)
 class CacheReport:
-    """What `doctor` shows: where (None if nothing is kept), how many files, how many bytes, whether it can be used."""
+    """The cache as `doctor` shows it: path (None if nothing is kept), files, bytes, whether it can be used."""
 
     path: Path | None
     files: int
@@ -68,7 +68,7 @@ def source_digest() -> str:
 
 
 def key(*parts: str) -> str:
-    """Digest of everything an object depends on."""
+    """Return the digest of everything an object depends on."""
     digest = hashlib.sha256()
     for part in (source_digest(), *parts):
         digest.update(f"{len(part)}:".encode() + part.encode())
@@ -99,7 +99,7 @@ def load(name: str) -> bytes | None:
 
 
 def kept(name: str) -> bool:
-    """Whether the object of a key is on disk; whether it is whole shows when it is loaded."""
+    """Return True if the object of a key is on disk; whether it is whole shows when it is loaded."""
     folder = directory()
     return folder is not None and (folder / (name + _SUFFIX)).is_file()
 
@@ -193,7 +193,7 @@ def _digest(name: str, body: bytes) -> bytes:
 
 
 def _owned(path: Path) -> bool:
-    """Whether nobody but this user could have written it (where the operating system tells)."""
+    """Return True if nobody but this user could have written it (where the operating system tells)."""
     if not hasattr(os, "getuid"):
         return True
     status = path.stat()

@@ -82,7 +82,7 @@ def _function(name: str, piece: Piece, arguments: list[int], width: int, left: S
 
 
 def _defined(name: str, arguments: list[int], w: Writer) -> str:
-    """A function of a body, its buffers apart from each other but for what is held, which is read and written."""
+    """Define a function of a body, its buffers distinct from each other but for what is held, read and written."""
     pointers = [f"ptr noalias nocapture {'' if i == HELD else 'readonly '}align 8 {_argument(i)}" for i in arguments]
     result = "ptr noalias nocapture writeonly align 8 %out"
     head = f"define internal void @{name}({', '.join([*pointers, result])})"

@@ -49,7 +49,7 @@ Index = Int | int
 
 @dataclass(frozen=True)
 class Kind(Generic[T]):
-    """How LLVM writes a type, what names of its values are made of, and the alignment in bytes that buffers keep."""
+    """A type as LLVM writes it, the class that names its values, and the alignment in bytes that buffers keep."""
 
     text: str
     named: Callable[[str], T]

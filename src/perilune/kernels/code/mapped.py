@@ -142,7 +142,7 @@ def compile_map(function: Any, *, times: int = 1, cache: bool = True, backend: s
 
 
 def _flat(function: Any) -> Any:
-    """The function with one output, a column: all of its outputs row by row."""
+    """Return the function with one output, a column: all of its outputs row by row."""
     import casadi as ca
 
     symbols = [ca.SX.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
@@ -151,7 +151,7 @@ def _flat(function: Any) -> Any:
 
 
 def _evaluation(kernel: _Kernel, bound: BoundMap) -> Callable[[], Any]:
-    """What evaluates a bound map, whose arrays live as long as it does, in machine code."""
+    """Return what evaluates a bound map in machine code; its arrays live as long as it does."""
     counts = [len(bound.inputs), len(bound.outputs)]
     sizes = [sum(a.shape[1] for a in arrays) for arrays in (bound.inputs, bound.outputs)]
     entries = [kernel.place, kernel.times, bound.lanes, *counts, *sizes]
@@ -172,7 +172,7 @@ def _evaluation(kernel: _Kernel, bound: BoundMap) -> Callable[[], Any]:
 
 
 def _in_rows(array: Matrix) -> Matrix:
-    """The array with the entries of a row beside each other; rows may lie apart, as in a slice."""
+    """Return the array with the entries of a row next to each other; rows may lie apart, as in a slice."""
     rows = np.asarray(array, dtype=float)
     apart, beside = rows.strides
     whole = beside == rows.itemsize and apart >= 0 and apart % rows.itemsize == 0

@@ -19,7 +19,7 @@ _TOGETHER = 2**31 - 2**27
 
 
 def available() -> bool:
-    """Whether machine code can be made here."""
+    """Return True if machine code can be made here."""
     try:
         import llvmlite.binding  # noqa: F401
     except ImportError:
@@ -28,7 +28,7 @@ def available() -> bool:
 
 
 def chosen(backend: str | None) -> bool:
-    """Whether a caller's choice means machine code: "native", "scipy", or None for native where it can be made.
+    """Return True if a backend means machine code: "native", "scipy", or None for native where it can be made.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def _versions() -> tuple[str, ...]:
 
 
 def _near() -> bool:
-    """Whether memory that is asked for now lies together: LLVM aborts where code is 2 GB from its constants.
+    """Return True if memory that is asked for now lies together: LLVM aborts where code is 2 GB from its constants.
 
     In a process that holds more than that the system puts small pieces into gaps, far from larger ones. Code for
     anywhere is slower by a quarter, and made only then.

@@ -49,7 +49,7 @@ INFO = ("time", "status", "steps", "mode", "events")
 
 
 class ArcStatus(IntEnum):
-    """How an arc ended."""
+    """The ways in which an arc ends."""
 
     REACHED = 0  # flown for its whole duration
     EVENT = 1  # at a terminal event

@@ -104,7 +104,7 @@ class BoundArcs:
 
 
 class Engine(Protocol):
-    """What `compile_arcs` returns, whichever way it computes."""
+    """The engine that `compile_arcs` returns, whichever way it computes."""
 
     backend: str
     system: Any

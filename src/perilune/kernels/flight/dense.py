@@ -81,7 +81,7 @@ class DenseArc:
 
 
 def _inside(slopes: Matrix, start: Matrix, after: Matrix, mode: Vector, rates: Rates) -> Matrix:
-    """Slopes at the ends of steps, the last of them a moment before where it is another there.
+    """Return slopes at the ends of steps, the last of them a moment before where it is another there.
 
     Where what points a control vanishes as the arc ends, rounding may turn it.
     """

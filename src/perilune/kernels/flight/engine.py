@@ -216,7 +216,7 @@ def _stepping(system: ArcSystem, width: int) -> native.MachineCode:
 
 
 def _flying(flown: _Flown, width: int, flight: BoundArcs) -> Callable[[int | None], None]:
-    """What flies bound arcs, whose arrays live as long as they do."""
+    """Return what flies bound arcs, whose arrays live as long as they do."""
     asked, order, duration, lanes = flight.asked, flight.order, flight.asked.duration, len(flight.order)
     call = flown.call
     counts = {"lanes": lanes, "p_stride": asked.p.shape[1] if len(asked.p) > 1 else 0}

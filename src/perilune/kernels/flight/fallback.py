@@ -252,7 +252,7 @@ def _crosses(direction: int, before: float, after: float) -> bool:
 
 
 def _root(function: Callable[[float], float], start: tuple[float, float], end: tuple[float, float]) -> float:
-    """Zero between two points (time, value) of opposite signs, whose values are taken as told."""
+    """Return the zero between two points (time, value) of opposite signs, whose values are taken as given."""
     if end[1] == 0.0:
         return end[0]
     told = dict((start, end))

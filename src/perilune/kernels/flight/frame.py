@@ -24,7 +24,7 @@ def blend(w: Writer, mask: Mask, source: Ptr[Vec], target: Ptr[Vec], count: Inde
 
 
 class Table:
-    """What a call is handed, read in the order of `arcs.TABLE`: numbers, and where arrays of doubles lie."""
+    """The table that a call takes, read in the order of `arcs.TABLE`: numbers, and addresses of arrays of doubles."""
 
     def __init__(self, w: Writer) -> None:
         table = Ptr("%table", INT)
