@@ -185,5 +185,5 @@ def __dir__() -> list[str]:
 
 
 def _method(name: str) -> Callable[..., Any]:
-    """What a method of this name does."""
+    """Return the function that does the work of a method, by its name."""
     return getattr(importlib.import_module(_METHODS[name]), name)

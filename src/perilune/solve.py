@@ -152,12 +152,12 @@ def _out_of_time(problem: Problem, work: Progress, limit: float, end: TimeLimitR
 
 
 def _no_minimum(solution: Solution) -> bool:
-    """Whether its second variation tells of a better arc close by."""
+    """Return True if the second variation shows a better arc close by."""
     return solution.verification.level == 2 and any(c.name in SECOND_VARIATION for c in solution.verification.failed)
 
 
 def _answered(method: Method, problem: Problem, guess: Solution | None, watch: Watch | None) -> Solution:
-    """What a method says, made exact where it is one that asks for that."""
+    """Return the solution of a method, polished if the method asks for it."""
     try:
         if not getattr(method, "polish", False):
             return method.run(problem, guess, watch)
@@ -234,7 +234,7 @@ def prove(
 
 
 def as_far_as(nature: Nature, level: int) -> Nature:
-    """What is left of a nature where the proof failed beyond a level: of a proved optimum not that it is the best."""
+    """Return the nature that a proof up to a level confirms; an optimum is then only a local one."""
     local = nature.outdone
     optimum = local in (Nature.LOCAL_OPTIMUM, Nature.LOCAL_OPTIMUM_AT_BOUND)
     return local if level >= (3 if optimum else 2) else Nature.UNPROVED
@@ -300,7 +300,7 @@ def verify(
 
 
 def _theorem() -> Callable[[Verification, Solution, Watch | None], Verification]:
-    """What adds level 5.
+    """Return the function that adds level 5.
 
     Raises
     ------

@@ -85,7 +85,7 @@ class Answering:
     _saved: bool = field(default=False, init=False)  # whether the last flight is that of a file, as it stands there
 
     def __post_init__(self) -> None:
-        """What is known at first is of a file."""
+        """Note that a flight known at the start comes from a file."""
         self._saved = self.last is not None
 
     def at(self, values: Mapping[str, float], watch: Watch = silent, patient: Watch | None = None) -> Flown:
@@ -255,7 +255,7 @@ class Answering:
         return problem.with_given(**{name: a + share * (b - a) for name, (a, b) in ways.items() if a != b})
 
     def _stepped(self, problem: Problem, last: Solution, watch: Watch, limit: float) -> Solution | None:
-        """What a flight leads to within so many seconds of CPU, if that keeps the path.
+        """Follow a flight to other values within `limit` seconds of CPU; None if that fails or breaks the path.
 
         Raises
         ------
@@ -276,12 +276,12 @@ class Answering:
 
 
 def _alike(problem: Problem, other: Problem) -> bool:
-    """Whether the given values are the same, however they were stated."""
+    """Return True if the given values of two problems are equal, however they were stated."""
     return all(given.value == other.given[name].value for name, given in problem.given.items())
 
 
 def keeps(solution: Solution) -> bool:
-    """Whether a flight keeps the bounds and conditions along its path: what is near a flight that does need not."""
+    """Return True if a flight keeps the bounds and conditions along its path, which a neighbour of one need not."""
     return next(breaches_of(solution, _SLACK), None) is None
 
 

@@ -39,7 +39,7 @@ _T = TypeVar("_T")
 
 
 class Shown(NamedTuple):
-    """What a page shows: the number and values of its request, and the flight; None where there is none."""
+    """Flight on a page, with the number and values of its request; None without a flight."""
 
     number: int
     values: dict[str, float]
@@ -169,7 +169,7 @@ class Client:
     # -- at rest --------------------------------------------------------------------------------------------------
 
     async def _rested(self, request: dict[str, Any], found: Flown | PeriluneError) -> None:
-        """What takes longer than a frame, as long as nothing newer comes."""
+        """Compute what takes longer than a frame, until newer values come."""
         number, killed, told = request["number"], self.beside.killed, ""
         try:
             if isinstance(found, Flown) and self.subject.atlas is not None:
@@ -197,7 +197,7 @@ class Client:
     async def _beside_it(
         self, kind: str, request: dict[str, Any], words: str, work: Callable[[], dict[str, Any] | None]
     ) -> None:
-        """What is shown beside a flight, unless newer values come."""
+        """Compute and send what is shown next to a flight, unless newer values come."""
         if self._stale:
             return
         self._doing = words
@@ -251,9 +251,9 @@ class Client:
     async def _done(
         self, request: dict[str, Any], words: str, limit: float | None, work: Callable[..., _T], *arguments: Any
     ) -> _T | None:
-        """What comes of work in the process that all pages share, and telling meanwhile.
+        """Return the result of work in the process that all pages share, and report progress meanwhile.
 
-        None, and it is dropped, where newer values come before. TimeoutError after so long from when it begins.
+        Returns None, and drops the work, if newer values come before. TimeoutError after `limit` seconds of work.
         """
         begun, self._doing = asyncio.Event(), "waiting for another page, whose flight is compared or proved"
 
@@ -267,7 +267,7 @@ class Client:
 
     @property
     def _stale(self) -> bool:
-        """Whether nobody waits for what is computed now."""
+        """Return True if nobody waits for the present computation."""
         return self._gone or self._new.is_set()
 
     async def _unless_newer(
@@ -328,7 +328,7 @@ def asked(text: str, subject: Subject) -> dict[str, Any]:
 
 
 def _quietly(work: Any) -> Any:
-    """What comes of it; None where the physics or the map say no."""
+    """Return the result of work; None if the physics or the map refuse it."""
     try:
         return work()
     except PeriluneError:

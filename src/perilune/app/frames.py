@@ -29,7 +29,7 @@ _FLAT = 1e-9  # of its size: what spans less is rounding
 
 
 def hello(subject: Subject) -> dict[str, Any]:
-    """What a page has to know before anything is asked."""
+    """Return the first message to a page: the problem, its title, and what can be moved."""
     problem = subject.problem
     return {
         "title": subject.title,
@@ -90,7 +90,7 @@ def flight(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> d
 
 
 def _labels(solution: Solution) -> dict[str, str]:
-    """What quantities are called on axes and beside numbers, where that is not their name, nor what another is called.
+    """Return the labels of quantities for axes and numbers, except those equal to the label of another.
 
     A figure of several may leave to its caption that they are speeds; a panel of one may not.
     """
@@ -108,7 +108,7 @@ def extremals(solution: Solution) -> dict[str, Any]:
 
 
 def _views(solution: Solution) -> dict[str, Any]:
-    """Which quantities are worth a picture, and which of them place the flight on a globe."""
+    """Return the histories to draw, the coordinates of the ground track, and the names of the controls."""
     views = solution.problem.views
     ground = views.ground or views.space
     return {
@@ -177,7 +177,7 @@ def _short(value: float, digits: int = _DIGITS) -> float | None:
 
 
 def _way(solution: Solution, k: int, t: Vector, plane: Matrix | None) -> dict[str, Any] | None:
-    """Where a phase leads: over the limb by angle and height in the plane of flight, or over flat ground; else None."""
+    """Return the path of a phase: angle and height over the limb, or a track over flat ground; None with neither."""
     phase = solution.problem.phases[k]
     if plane is not None:
         r, _, push = solution.inertial(k, t)

@@ -36,7 +36,7 @@ window.PERILUNE_FROZEN = (() => {
 
 
 def moving(subject: Subject) -> tuple[Knob, ...]:
-    """What moves on a page if nobody says: the first two axes of an atlas, the first parameter where there is none."""
+    """Return the default knobs of a page: the first two axes of an atlas, or the first parameter without an atlas."""
     return tuple(knob for knob in subject.knobs if knob.mapped)[:2] or subject.knobs[:1]
 
 
@@ -85,7 +85,7 @@ def _counted(found: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _outside(subject: Subject, chosen: Sequence[Knob]) -> Iterator[str]:
-    """Of what moves in a range that was chosen the value that was stated, where it is not in that."""
+    """Yield a sentence for each knob whose stated value lies outside the range chosen for it."""
     for knob in chosen:
         stated = subject.problem.given.get(knob.name)
         if stated is not None and not knob.mapped and not knob.low <= stated.value <= knob.high:

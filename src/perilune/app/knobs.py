@@ -98,7 +98,7 @@ def _reach(problem: Problem, name: str) -> tuple[float, float] | None:
 
 
 def _room(problem: Problem, name: str) -> float:
-    """How far a value may be moved to either side: by its own size, else by those beside it, else by all alike."""
+    """Return the half-width of a range: by the value's size, else by those of its section, else of its unit."""
     given = problem.given[name]
     if given.value:
         room = _WIDE * abs(given.value)

@@ -27,14 +27,14 @@ _SAME = 1e-7  # of J: far above what Newton's method leaves, far below what anyb
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """What is to be shown, and how it stands among what was found from nothing.
+    """Better flight of a followed one and a cold start, with the relation between the two.
 
     Parameters
     ----------
     solution
         The better one, with all extremals of both.
     jumped
-        Whether it is another than the one that was followed.
+        True if it is not the one that was followed.
     words
         The same for people.
     family
@@ -58,7 +58,7 @@ class Proved:
 
     @property
     def document(self) -> dict[str, Any]:
-        """What a page is told."""
+        """Return the message to a page."""
         level, shown = self.verification.level, proof(self.verification)
         return {"outcome": self.outcome.name, "level": level, "proof": shown, "took": self.took}
 
@@ -113,12 +113,12 @@ def proved(solution: Solution, watch: Watch) -> Proved:
 
 
 def cost(solution: Solution) -> str:
-    """What is minimised or maximised, in words."""
+    """Return the objective in words."""
     return objective_text(solution).replace("J = ", "J ")
 
 
 def _own(followed: Solution) -> Extremal:
-    """What is known of the extremal itself: nothing of one as it was saved."""
+    """Return the extremal that was followed; of a saved flight its nature is not proved."""
     if not followed.extremals:
         return Extremal(free=followed.free, objective=followed.objective, nature=Nature.UNPROVED)
     return replace(followed.extremals[0], nature=followed.extremals[0].nature.unguided)

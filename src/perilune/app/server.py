@@ -81,7 +81,7 @@ class Explorer:
         return Response(self._files[name], media_type=f"{kind}; charset=utf-8", headers=_HEADERS)
 
     async def _taken(self, name: str, query: Mapping[str, str]) -> Response:
-        """What a page takes away of the flight that it shows, by its name and the number that it was told."""
+        """Return a file of the flight that a page shows, by the file's name and the number of the request."""
         client = self._open.get(query.get("client", ""))
         if client is None or str(client.shown.number) != query.get("number"):
             return PlainTextResponse("this flight is shown no longer: ask again", status_code=409, headers=_HEADERS)

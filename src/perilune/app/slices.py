@@ -18,7 +18,7 @@ _GROWS = 4.0  # times as long as the grid before
 
 
 class Slices:
-    """What is drawn of the map: one after the other, the last kept, as moving along its axes changes nothing of it."""
+    """Slices of the map, computed one at a time; the last is kept, as moves along its axes do not change it."""
 
     def __init__(self, subject: Subject) -> None:
         self.subject = subject

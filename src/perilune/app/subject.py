@@ -22,7 +22,7 @@ from perilune.words.units import parse_quantity
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What is explored.
+    """Problem to explore, with an atlas, a flight and a scenario of it where there are such.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Subject:
 
     @property
     def title(self) -> str:
-        """What the page is called."""
+        """Return the title of the page."""
         return self.problem.title or self.problem.name
 
     def scenario(self, values: Mapping[str, float]) -> str:
@@ -123,7 +123,7 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
 
 
 def _stated(problem: Problem, text: str, known: Solution | None = None, unwritten: str = "") -> Subject:
-    """What a scenario states, and moves; all that can be moved where there is none."""
+    """Return the subject of a scenario, whose sections decide what can be moved; everything movable without one."""
     sections = parse(text) if text else {}
     movable = [knob for knob in knobs(problem) if not sections or knob.key.partition(".")[0] in sections]
     # A section more would state another problem.

@@ -81,12 +81,12 @@ class Slice:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of an array over its points."""
+        """Return the shape of an array over its points."""
         return tuple(len(values) for values in self.values)
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many points have an answer on each sheet, and how many have none for each reason."""
+        """Return the number of points answered by each sheet, and of those refused for each reason."""
         found = Counter[str]()
         for number, label in enumerate(self.sheets):  # two of them may be called alike
             found[label] += int((self.answers.sheet == number).sum())

@@ -49,10 +49,10 @@ class Standing(NamedTuple):
 
     @property
     def margin(self) -> ca.SX:
-        """How far it is from where its sheet ends to be an answer; below zero beyond it.
+        """Return the margin to the border within which its sheet answers; below zero beyond it.
 
-        Of what is free the distance to its bounds, of what is held dJ/d(value) into the interior, and of what is
-        touched by how much J would fall if it gave way.
+        It is the least of three: for what is free the distance to its bounds, for what is held dJ/d(value) into the
+        interior, and for each contact point the multiplier by which J would fall if the condition gave way.
         """
         least = ca.SX(ca.inf)
         for i in range(self.at.numel()):
@@ -67,22 +67,22 @@ class Standing(NamedTuple):
 
     @property
     def outside(self) -> tuple[ca.SX, ca.SX]:
-        """Which lie below their lower bound, and above their upper one; NaN does neither."""
+        """Return masks of values below their lower bound, and above their upper one; NaN is neither."""
         return self.at < self.lower - SLACK, self.at > self.upper + SLACK
 
     @property
     def free_outside(self) -> ca.SX:
-        """Whether anything that is not held lies beyond a bound."""
+        """Return 1 if anything that is not held lies beyond a bound."""
         below, above = self.outside
         return ca.mmax(ca.logic_and(ca.logic_not(self.held > 0), ca.logic_or(below, above)))
 
     def beyond(self, users: NDArray[np.bool_]) -> ca.SX:
-        """Which bounds of what the user states, and is not held, it lies beyond: lower ones, then upper ones."""
+        """Return a mask of bounds, user-stated and not held, that it lies beyond: lower ones, then upper ones."""
         free = ca.logic_and(ca.logic_not(self.held > 0), ca.DM(users.astype(float)))
         return ca.vertcat(*(ca.logic_and(free, side) for side in self.outside))
 
     def short(self, users: NDArray[np.bool_]) -> ca.SX:
-        """Whether it is an answer but for an arc that is shorter than nothing, as far as values tell."""
+        """Return 1 if it is an answer but for a negative arc duration, judged by values only."""
         (below, above), stated, touched = self.outside, ca.DM(users.astype(float)), self.touched > SLACK
         against = ca.vertcat(ca.logic_and(ca.logic_or(below, above), stated), touched)
         arc = ca.mmax(ca.logic_and(below, 1 - stated))
@@ -94,5 +94,5 @@ class Standing(NamedTuple):
 
 
 def all_of(*conditions: ca.SX) -> ca.SX:
-    """Whether all hold."""
+    """Return the logical conjunction of conditions."""
     return reduce(ca.logic_and, conditions)

@@ -112,7 +112,7 @@ class Store:
                     self.directory.rmdir()
 
     def header(self) -> dict[str, Any]:
-        """What ``atlas.json`` says.
+        """Read ``atlas.json``.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class Store:
         return self._seal
 
     def lines(self) -> list[dict[str, Any]]:
-        """What the manifest says so far, line by line; a last line that is not whole was never written.
+        """Read the lines of the manifest so far; an incomplete last line counts as not written.
 
         Lines are never changed, so each is read once.
         """
@@ -225,7 +225,15 @@ class Store:
         return {(line["chart"], *line["brick"]): line for line in lines}
 
     def ended(self, survey: Mapping[str, Any], d: int) -> bool:
-        """Whether a builder came to the end of a survey, and no line of a brick was lost since; errors of `survey`."""
+        """Return True if a builder completed a survey, and no line of a brick was lost since; errors of `survey`.
+
+        Parameters
+        ----------
+        survey
+            Line of the survey.
+        d
+            Number of axes.
+        """
         return end_line(survey, self.bricks(survey, d)) in self.lines()
 
     def samples(self, digest: Any, nodes: int, d: int) -> list[dict[str, Any]]:
@@ -237,7 +245,7 @@ class Store:
         return [line for line in found if line.get("survey") == digest and line.get("nodes") == nodes]
 
     def there(self, name: str) -> bool:
-        """Whether a brick was written, perhaps by another builder meanwhile."""
+        """Return True if a brick was written, perhaps by another builder meanwhile."""
         self.lines()
         return name in self._names
 
@@ -271,7 +279,15 @@ class Store:
         self._put(MANIFEST, "".join(written_line(line) + "\n" for line in lines).encode())
 
     def has(self, name: str, said: Mapping[str, Any]) -> bool:
-        """Whether a shard of a name is there, and has the content that is said of another."""
+        """Return True if a shard of a name exists with the content that a line states of another.
+
+        Parameters
+        ----------
+        name
+            File name of the shard.
+        said
+            Entry of the other, with its ``sha256``.
+        """
         try:
             return hashlib.sha256((self.directory / name).read_bytes()).hexdigest() == said.get("sha256")
         except OSError:
@@ -312,7 +328,7 @@ class Store:
 
     @contextlib.contextmanager
     def claimed(self, name: str) -> Iterator[bool]:
-        """Whether a brick is this process's to compute, for as long as the block lasts; a process that dies lets go."""
+        """Lock a brick for the block; yields False if another process has it. A process that dies releases its lock."""
         if fcntl is None:
             yield True
             return
@@ -375,7 +391,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def digest_of(said: Any) -> str:
-    """What tells one tree from another, as JSON has them."""
+    """Return the SHA-256 of a tree as JSON with sorted keys."""
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
@@ -408,7 +424,7 @@ def clear(directory: Path) -> None:
 
 
 def ours(name: str) -> bool:
-    """Whether a file of this name is an atlas's."""
+    """Return True if a file of this name belongs to an atlas."""
     return name in (HEADER, MANIFEST) or name.startswith((".claim-", ".writing-")) or bool(_OURS.fullmatch(name))
 
 

@@ -311,10 +311,10 @@ def _courses(
 
 
 def _backwards(borders: Borders, corners: Matrix, there: Matrix, values: Vector, y: Vector) -> bool:
-    """Whether a sheet flies an arc that is shorter than nothing from the fold behind which it begins to all corners.
+    """Return True if a sheet has a negative arc duration from the fold behind which it begins to all corners.
 
-    What flies on as other arcs where one vanished goes around folds of its own. This one does so beyond: no flight
-    becomes what is behind it, and none that is seen there is one.
+    Where an arc vanishes the flight continues with other arcs, around folds of their own. This fold lies beyond: no
+    flight leads to the sheet behind it, and none of its extremals there is a flight.
     """
     reached = np.isfinite(there[:, 0])
     return bool(borders.backwards(np.vstack([values, corners[reached]]), np.vstack([y, there[reached]])).all())
@@ -323,7 +323,7 @@ def _backwards(borders: Borders, corners: Matrix, there: Matrix, values: Vector,
 def _at_ends(
     borders: Borders, sheet: Sheet, values: Vector, y: Vector, ranges: list[int]
 ) -> list[tuple[Vector, Vector, Sheet]]:
-    """Where those begin that are held at the ends of ranges over which J has a maximum between them."""
+    """Return starts of sheets held at the ends of ranges within which J has a maximum: values, unknowns, sheet."""
     first, limits = borders.chart.shooting.plan.free, borders.at(values[None])
     return [
         (values, y, Sheet(holds={**sheet.holds, borders.names[k]: side}, orientation=0.0, nature=Nature.UNPROVED))
@@ -334,7 +334,7 @@ def _at_ends(
 
 
 def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
-    """Whether an extremal has no side of folds: a switch exactly at a joint is there or not as rounding has it."""
+    """Return True if rounding decides an extremal's side of folds, as with a switch exactly at a joint."""
     rng, again = np.random.default_rng(0), np.zeros(_AGAIN, dtype=np.int64)
     y = found.y[again] * (1.0 + _ROUNDING * rng.uniform(-1.0, 1.0, (_AGAIN, found.y.shape[1])))
     choice = found.roots.choice[again]
@@ -382,7 +382,7 @@ def _with_promised(known: Found, corners: Matrix) -> Found:
 
 
 def said_of(found: Found) -> dict[str, Any]:
-    """What a survey's line says of a chart."""
+    """Return the entry of a chart in a survey's line."""
     sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
     said = {"widths": found.widths.tolist(), "times": list(found.times), "unknowns": found.y.shape[2]}
     return {**found.chart.course.document(), **said, "sheets": sheets}

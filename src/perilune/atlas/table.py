@@ -98,7 +98,7 @@ class Table:
 
     @property
     def rows(self) -> int:
-        """How many nodes there are."""
+        """Return the number of nodes."""
         return self.atlas.rows
 
     @property
@@ -108,7 +108,7 @@ class Table:
 
     @property
     def provenance(self) -> dict[str, str]:
-        """What is mapped, by what, how well."""
+        """Return the problem, axes, versions and tolerance of the atlas, one text each."""
         atlas, header = self.atlas, self.atlas.store.header()
         names = {
             f"unknowns_of_chart_{number}": ", ".join(

@@ -67,7 +67,7 @@ class Task:
 
     @property
     def size(self) -> int:
-        """How much there may be to do, beside others: a brick is cut most where its sheets do not reach all corners."""
+        """Return an estimate of the work relative to other bricks: those whose sheets miss corners are cut most."""
         return 1 + max(0, len(np.unique(self.sheet)) * 2 ** len(self.low) - len(self.sheet))
 
 
@@ -94,7 +94,7 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
 
 
 def _cut_of(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> Cut:
-    """What shards say, as `computed` has it."""
+    """Build the cut of a brick from its shards, as `computed` makes it."""
     columns = [name for name in nodes.dtype.names or () if name not in ("values", "sheet")]
     said = {
         name: np.array(nodes[name], dtype=np.float64 if nodes[name].dtype.kind == "f" else np.int64) for name in columns
@@ -167,7 +167,7 @@ def tasks_going_on(
 
 
 def _passed_over(before: Cut, step: Vector, sheets: Sequence[Sheet], found: Any) -> NDArray[np.bool_]:
-    """Which extremals on the sides of a brick lie in cells of their sheets that answer, and are given by none."""
+    """Return a mask of extremals on the sides of a brick that lie in answering cells, and are given by none."""
     out, cells, nodes = np.zeros(len(found), dtype=bool), before.cells, Nodes()
     nodes.add(np.arange(len(before.nodes["branch"])), **before.nodes)
     sided = some(cells, ((cells.low == 0) | (cells.low + cells.size == WHOLE)).any(axis=1))

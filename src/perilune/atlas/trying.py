@@ -29,16 +29,16 @@ _STRAIGHT = 1e-15  # relative, for each lattice step: by so little an edge is be
 def tried(
     lattice: Lattice, cells: Cells, tolerance: float, begun: Callable[[Cells], NDArray[np.bool_]]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Whole]:
-    """Whether one step from what cells give is enough, whether nothing there is an answer, and where to cut.
+    """Test cells: return masks of those where one step is enough and of those without an answer, and axes to cut.
 
     Parameters
     ----------
     lattice, cells
         Cells with all their corners.
     tolerance
-        Relative, to which a step has to lead.
+        Relative error to which a step has to lead.
     begun
-        In which cells a sheet began.
+        Returns a mask of the cells in which a sheet began.
     """
     minimum, size = lattice.minimum[cells.branch], cells.size * lattice.step
     given, stepped, near, margin = _at(lattice, cells, np.full(size.shape, 0.5), tolerance)
@@ -97,12 +97,12 @@ def _told(lattice: Lattice, cells: Cells, share: Matrix, beyond: NDArray[np.bool
 
 
 def _alike(length: Vector, cost: Vector, given: Vector) -> NDArray[np.bool_]:
-    """Whether extremals are so near, and J of a cell is theirs."""
+    """Return True for extremals that are near, and whose J agrees with the cell's."""
     return (length <= _AFAR) & (np.abs(given - cost) <= _COST * (1.0 + np.abs(cost)))
 
 
 def _around(cells: Cells, which: NDArray[np.bool_]) -> tuple[Whole, Matrix]:
-    """Where some of the cells are tried beside their middle: (lanes,) numbers and (lanes, d) places in them."""
+    """Return where cells are tested in addition to their middle: (lanes,) numbers and (lanes, d) places in them."""
     long = cells.size > _LONG
     lanes, shares = list[Whole](), list[Matrix]()
     for i in np.nonzero(which & long.any(axis=1))[0].tolist():

@@ -31,24 +31,24 @@ _TOLD = 10  # places that a query refuses, in words
 
 @dataclass(frozen=True, kw_only=True)
 class Verified:
-    """What was found.
+    """Result of the verification of an atlas.
 
     Attributes
     ----------
     shards, damaged
-        How many files were looked at, and what is wrong with some of them, in sentences.
+        Number of files that were read, and a sentence for each that is damaged.
     nodes, answers
-        How many nodes there are, and how many of them may be answers.
+        Number of nodes, and of those that may be answers.
     proved, drawn
-        How many of the drawn answers are proved to level 3.
+        Number of answers that are proved to level 3, and of those that were drawn.
     unproved
-        Which were not, and why, in sentences.
+        A sentence for each answer that is not proved, with the reason.
     ended
-        Whether all bricks are there that a builder came to: of others nothing is said.
+        True if all bricks that a builder completed are there; the verification says nothing of others.
     refused
-        How many places were drawn beside these at which a query has no answer: of them nothing is said.
+        Number of places, drawn in addition, at which a query has no answer; the verification says nothing of them.
     refusals
-        Ten of them at most, and why, in sentences.
+        A sentence for each of at most ten of them, with the reason.
     """
 
     shards: int
@@ -64,14 +64,14 @@ class Verified:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing is damaged or missing, and all that was drawn is proved."""
+        """Return True if nothing is damaged or missing, and all answers that were drawn are proved."""
         return not self.damaged and self.ended and self.proved == self.drawn
 
     @property
     def share(self) -> float:
-        """Of all answers of queries at nodes at least so many would be proved, at 99 % confidence.
+        """Return the least share of answers at nodes that would be proved, at 99 % confidence.
 
-        0 where one of the drawn was not.
+        It is 0 if one of those drawn was not proved.
         """
         return assured(self.proved, self.drawn)
 

@@ -126,7 +126,7 @@ class Walk:
         return seen[0], seen[1], seen[2]
 
     def _leads_back(self, lanes: Lanes, there: Matrix, found: Extremals) -> NDArray[np.bool_]:
-        """Whether a way leads back: another layer may lie where a steep one was to lead, and from there none does."""
+        """Return True for steps that can be reversed: one that jumped to another layer from a steep one cannot."""
         if not len(lanes):
             return np.zeros(0, dtype=bool)
         back = self._places[lanes]
@@ -218,7 +218,7 @@ def from_one(start: Vector, y: Vector, targets: Matrix) -> tuple[NDArray[np.int6
 
 
 def reached_at(places: NDArray[np.int64], y: Matrix) -> Corners:
-    """What a sheet is at the corners that it reaches."""
+    """Return the unknowns of a sheet at the corners that it reaches."""
     return {tuple(corner): row for corner, row in zip(places.tolist(), y, strict=True) if np.isfinite(row[0])}
 
 
@@ -259,7 +259,7 @@ def _within(
     numbers: Mapping[tuple[int, ...], int],
     corners: Corners,
 ) -> list[tuple[int, ...]]:
-    """Those of the corners at which a sheet can be an answer."""
+    """Return the corners at which a sheet can be an answer."""
     if not corners:
         return []
     values, which = canonical[[numbers[corner] for corner in corners]], np.zeros(len(corners), dtype=np.int64)

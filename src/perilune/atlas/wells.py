@@ -90,7 +90,7 @@ class _Family:
         self._chart, self._k, self._values, self._holds = chart, k, values, holds
 
     def minima(self, y: Matrix, ends: Vector) -> Iterator[tuple[bool, int, Vector]]:
-        """Whether it lies between the bounds, its lane, and unknowns of each minimum on the way to some ends."""
+        """Yield each minimum on the way to some ends: True if it lies between the bounds, its lane, and unknowns."""
         begins, last = self._at(self._values, y, self._holds), np.column_stack([self._values, ends])
         walk = Walk(self._chart, self._held, np.column_stack([self._values, begins]), y, at=[self._k])
         found, cost, slopes = walk.along(last, _STEPS, _SHORTEST)

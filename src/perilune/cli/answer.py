@@ -20,7 +20,7 @@ OUTCOME_OF_CODE = {1: "FAULT", **{outcome.exit_code: outcome.name for outcome in
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What a command says: for people, for programs, and its exit code."""
+    """Answer of a command: text for people, document for programs, and exit code."""
 
     text: str
     document: dict[str, Any]
@@ -148,12 +148,12 @@ def _worded(error: Exception) -> PeriluneError:
 
 
 def stopped(advice: str = "") -> PeriluneError:
-    """What is said of Ctrl-C."""
+    """Return the error for Ctrl-C."""
     return PeriluneError("stopped by the user", advice=advice)
 
 
 def refusal(error: PeriluneError, code: int) -> Answer:
-    """What is said of an error."""
+    """Return the answer that reports an error."""
     parts = _parts(error)
     document: dict[str, Any] = {"outcome": OUTCOME_OF_CODE.get(code, "REFUSED"), "error": parts}
     if isinstance(error, InfeasibleError):

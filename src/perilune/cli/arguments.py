@@ -34,7 +34,7 @@ _EXIT_CODES = "Exit codes: 0 proved, 2 bad scenario, 3 infeasible, 4 not converg
 
 
 class Told(Exception):
-    """What was asked for is a text: the help or the version."""
+    """Request for a text, the help or the version, which is printed in place of any work."""
 
 
 def parsed(arguments: Sequence[str]) -> argparse.Namespace:
@@ -77,7 +77,7 @@ def help_text() -> str:
 
 
 def _unknown_argument(word: str, parser: argparse.ArgumentParser) -> PeriluneError:
-    """What is said of a word that a command has no use for."""
+    """Return the error for a word that a command does not take."""
     if not word.startswith("-"):
         takes = [action.option_strings[0] for action in parser._actions if str(action.metavar).startswith("KEY=")]
         advice = f'{takes[0]} "{word[:60]}"' if takes and "=" in word else f"{parser.prog} --help"
@@ -109,14 +109,14 @@ class _Version(argparse.Action):
 
 
 def _kinds() -> str:
-    """What `perilune new` can write, those of installed packages included: looked for only where it is asked."""
+    """Return the kinds that `perilune new` can write, those of installed packages included; looked up only for help."""
     from perilune.scenario import kind_names
 
     return f"{', '.join(kind_names())}; or examples. Usually hybrid_landing.".replace("%", "%%")
 
 
 def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
-    """That of the whole program, and that of each command; `kinds` are what help says there are of problems."""
+    """Build the parser of the program and that of each command; `kinds` is the text of help on kinds of problems."""
     parser = _Parser(
         prog="perilune",
         description="Optimal finite-thrust landings, each with its proof.",

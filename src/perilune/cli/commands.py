@@ -107,7 +107,7 @@ def _solution_answer(solution: Solution, verbose: bool) -> Answer:
 
 
 def _plain_answer(solution: Solution, fault: Answer) -> Answer:
-    """What is known of a flight without computing anything of it, where a fault keeps its results from being told."""
+    """Return the answer for a flight whose results cannot be computed by a fault: objective and free parameters."""
     problem = solution.problem
     units = {"objective": problem.objective_unit, **{free.name: free.unit for free in problem.free}}
     values = {"objective": float(solution.objective), **solution.free}

@@ -58,7 +58,7 @@ def _build(typed: Namespace) -> Answer:
 
 
 def _written(file: Path) -> tuple[int, int] | None:
-    """What tells a file from one that replaces it; None of one that is not there."""
+    """Return a signature that differs between a file and its replacement; None for a missing file."""
     return (found.st_ino, found.st_mtime_ns) if file.is_file() and (found := file.stat()) else None
 
 
@@ -227,7 +227,7 @@ def _values(atlas: Atlas, at: list[str]) -> dict[str, float]:
 
 
 def _described(atlas: Atlas, **more: str) -> Answer:
-    """What an atlas is, and how much of it is there; with exit code 5 where what was built is not all proved."""
+    """Describe an atlas and how complete it is; exit code 5 if not all of the answers drawn at building are proved."""
     from perilune.atlas.covering import LOOKED_AT, covered
     from perilune.atlas.sampling import sample_of
 

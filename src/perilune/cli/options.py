@@ -11,7 +11,7 @@ from perilune.words.outcome import PeriluneError
 
 
 def whole(least: int, most: int | None = None) -> Callable[[str], int]:
-    """What reads a whole number in a range."""
+    """Return a reader of whole numbers in a range."""
 
     def read(text: str) -> int:
         number = int(text)

@@ -72,7 +72,7 @@ def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | s
 
 @dataclass
 class WorkClock:
-    """How long a command is at work, and on what."""
+    """Clock of a command at work, with the present line of progress."""
 
     began: float = field(default_factory=time.monotonic)
     printed: float = field(default_factory=time.monotonic)
@@ -126,7 +126,7 @@ class WorkClock:
 
 @dataclass
 class Told:
-    """What a spinner says: how many are done, which stays until there is another number, and what is at work."""
+    """Text of a spinner: the count of what is done, kept until the next one, and the work in progress."""
 
     count: str = ""
 

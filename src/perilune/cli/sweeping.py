@@ -112,7 +112,7 @@ def workers(count: int) -> Iterator[Executor | None]:
 
 @contextmanager
 def elsewhere(order: Namespace) -> Iterator[Submits | None]:
-    """Where it is computed: on the cluster of ``--scheduler``, or in ``--workers`` processes."""
+    """Enter the executor of a sweep: the cluster of ``--scheduler``, or ``--workers`` processes; None for one."""
     if order.scheduler is None:
         with workers(order.workers) as pool:
             yield pool
@@ -134,7 +134,7 @@ def _begin() -> None:
 
 
 def ranges(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]) -> dict[str, Kind]:
-    """What is `read` of the range of each key that is varied."""
+    """Return what `read` makes of the range of each key that is varied."""
     from perilune.scenario import quantities_of
 
     known, over = quantities_of(order.file, order.changes), dict[str, Kind]()

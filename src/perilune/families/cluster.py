@@ -63,7 +63,7 @@ class _Future:
         self._future = future
 
     def result(self) -> Any:
-        """What the call returned."""
+        """Return the result of the call."""
         from distributed import KilledWorker
 
         try:
@@ -113,7 +113,7 @@ def cluster(address: str, tell: Callable[[str], None] = silent) -> Iterator[Clus
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What Dask says of connections that break is said in our words."""
+    """Silence Dask's own log of broken connections for the block; errors here report them."""
     levels = [(log := logging.getLogger(name), log.level) for name in ("distributed", "distributed.client")]
     for log, _ in levels:
         log.setLevel(logging.CRITICAL + 1)

@@ -21,7 +21,7 @@ from perilune.words.watch import Watch
 
 
 class Continuation:
-    """What is known of the member before."""
+    """State of the continuation: the base extremal of the member before."""
 
     def __init__(self, settings: Indirect, name: str) -> None:
         self.settings, self.name = settings, name

@@ -112,7 +112,7 @@ def grid_of(family: Family) -> np.ndarray | None:
 
 
 def parameter_fields(family: Family) -> list[Field]:
-    """What is varied, at each member."""
+    """Return the varied parameters, at each member."""
     columns = list(zip(*(p.values for p in family.points), strict=True)) or [()] * len(family.parameters)
     return [
         _field(name, unit, np.array(values, dtype=float), "", ())
@@ -163,7 +163,7 @@ def _field(name: str, unit: str, values: Vector, about: str, taken: tuple[str, .
 
 
 def _endings(family: Family) -> dict[str, list[Any]]:
-    """How each member ended, in words."""
+    """Return outcome, level, tolerance used and message of each member."""
     return {
         "outcome": [p.outcome.name for p in family.points],
         _LEVEL: [p.solution.verification.level if p.solution is not None else 0 for p in family.points],

@@ -23,7 +23,7 @@ _PATIENCE = 0.2  # seconds between looks whether the user pressed Ctrl-C
 
 
 class Submits(Protocol):
-    """What a `concurrent.futures.Executor` and a Dask client have in common."""
+    """Common protocol of a `concurrent.futures.Executor` and a Dask client."""
 
     def submit(self, function: Any, /, *arguments: Any) -> Any:
         """Begin a call; what is returned has ``result``, ``cancel`` and ``add_done_callback``."""
@@ -38,7 +38,7 @@ class Waits(Protocol):
 
 
 def answers(executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = _AHEAD) -> Iterator[tuple[Name, Any]]:
-    """What each call returns, with its name, in the order in which they come back; `ahead` are begun at once."""
+    """Yield the name and result of each call in the order of completion; `ahead` calls are begun at once."""
     begun: dict[Name, Any] = {}
     back: SimpleQueue[Name] = SimpleQueue()
     try:
@@ -62,7 +62,7 @@ def answers(executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = 
 
 
 def here(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
-    """What each call returns, one after the other."""
+    """Yield the name and result of each call, made here one after the other."""
     for name, (function, *arguments) in calls:
         yield name, function(*arguments)
 

@@ -62,7 +62,7 @@ class FamilyPoint:
 
     @property
     def within(self) -> str:
-        """What of a stated tolerance the proof needed, in words; empty for nothing."""
+        """Return the part of a stated tolerance that the proof needed, in words; empty for none."""
         return "" if self.solution is None else self.solution.verification.within
 
 

@@ -63,7 +63,7 @@ class Members:
     def taken_over(
         self, stored: Mapping[int, FamilyPoint], executor: Submits | None, note: Callable[[str], None]
     ) -> Found:
-        """Those of the stored members that hold, with their number: proved again, or marked as nothing but stored.
+        """Yield the stored members that hold, with their numbers: proved again, or marked as only stored.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class Members:
 
     @cached_property
     def _findings(self) -> Sequence[Finding]:
-        """What physics says of all members at once."""
+        """Return the comparisons with what physics allows, for all members at once."""
         return preflight(self.problem, dict(zip(self.names, zip(*self.values, strict=True), strict=True)))
 
     def _gate(self, i: int) -> Problem:

@@ -102,7 +102,7 @@ class Store:
         self._put(f"{i:06d}.json", json.dumps(finite(document), allow_nan=False).encode())
 
     def _identity(self) -> dict[str, Any]:
-        """What makes it this sweep, as a tree that JSON gives back as it is."""
+        """Return the identity of the sweep, as a tree that JSON gives back unchanged."""
         members, problem = self.members, self.members.problem
         name, given, free, bounds, scales = problem.numbers
         fixed = tuple(pair for pair in given if pair[0] not in members.names)

@@ -42,7 +42,7 @@ Places = Sequence[Mapping[str, float]]  # values [SI] of given parameters
 
 
 def compared_alike(problem: Problem, other: Problem, places: Places) -> bool:
-    """Whether physics says the same of two problems of one form at all of some places."""
+    """Return True if the comparisons of two problems of one form agree at all of some places."""
     if problem.preflight is None or other.preflight is None:
         return problem.preflight is other.preflight
     return all(
@@ -108,7 +108,7 @@ def read_comparisons(document: Any, problem: Problem) -> Comparisons:
 
 
 def _differing(problem: Problem, kept: Comparisons, place: Mapping[str, float]) -> str | None:
-    """What of comparisons says something else at a place than what is kept of them, in words."""
+    """Describe the first comparison that differs, at a place, from its saved expressions; None if all agree."""
     said, again = preflight(problem, place), preflight(problem.changed(preflight=kept), place)
     if [_plain(f) for f in said] == [_plain(f) for f in again]:
         return None
@@ -118,7 +118,7 @@ def _differing(problem: Problem, kept: Comparisons, place: Mapping[str, float]) 
 
 
 def _plain(found: Finding) -> list[Any]:
-    """What a finding says, of what two can be compared by: NaN equals nothing."""
+    """Return the content of a finding in a form that compares NaN as equal."""
     return [
         *(repr(np.asarray(getattr(found, n), dtype=float).tolist()) for n in _NUMBERS),
         *(getattr(found, n) for n in (*_TEXTS, *_FLAGS)),

@@ -69,7 +69,7 @@ _FIELDS = {
 
 
 def results(solution: Solution) -> dict[str, dict[str, Any]]:
-    """What the problem asks of its solution, each ``{"value": float, "unit": str, "description": str}``, SI."""
+    """Return the results of a solution, each ``{"value": float, "unit": str, "description": str}``, SI."""
     return {name: asdict(result) for name, result in solution.results.items()}
 
 

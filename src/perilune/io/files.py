@@ -213,7 +213,7 @@ def unwritten(what: str, error: Exception) -> PeriluneError:
 
 
 def in_use(target: Path) -> bool:
-    """Whether a directory holds more than what a run that failed left of itself."""
+    """Return True if a directory holds more than the record of a failed run."""
     return target.is_dir() and any(path.name != FAILURE_FILE for path in target.iterdir())
 
 

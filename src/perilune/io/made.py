@@ -20,7 +20,7 @@ from perilune.words.outcome import PeriluneError
 
 
 def made_document(problem: Problem) -> dict[str, Any] | None:
-    """What the problem is made of; None where no model makes just this one."""
+    """Return the model and records that make a problem; None if no model makes exactly this one."""
     if problem.name not in KINDS:
         return None
     sections = {

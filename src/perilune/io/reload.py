@@ -89,13 +89,13 @@ def opened(
 
 
 def claims_of(document: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
-    """What a file says of itself that nothing here has seen: the scenario, and versions of programs."""
+    """Return the unverified claims of a file: the text of its scenario, and versions of programs."""
     told = {one_line(str(name)): one_line(str(v)) for name, v in part(document, "versions", dict).items()}
     return "" if document.get("scenario") is None else _scenario_text(document), told
 
 
 def _claimed_proof(document: Mapping[str, Any]) -> str:
-    """What a file says of its own proof; nothing where it says none, as those of earlier versions."""
+    """Return the claim of a file about its own proof; empty for none, as in files of earlier versions."""
     verification = document.get("verification")
     if not isinstance(verification, dict) or "level" not in verification:
         return ""
@@ -134,7 +134,7 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
 
 
 def _tolerance(said: Any) -> Tolerance:
-    """What the file's proof was asked with. It proves nothing, and a new proof says what it needed of it."""
+    """Return the tolerance with which the file was proved. It proves nothing; a new proof says what it needed of it."""
     if not isinstance(said, Mapping) or not said.get("tolerance"):
         return Tolerance()
     values, known = numbers(said, "tolerance"), keys_of(Tolerance)
@@ -221,7 +221,7 @@ def _no_scenario(_: str) -> Problem:
 
 
 def _close(one: Any, other: Any) -> bool:
-    """Whether two trees of names and numbers are the same but for rounding."""
+    """Return True if two trees of names and numbers are equal to rounding."""
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_close, one, other))
     if isinstance(one, float | int) and isinstance(other, float | int):

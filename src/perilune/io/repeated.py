@@ -37,7 +37,7 @@ _PARTS = ("objective", "free", "results", "multipliers")  # of `solution.json`, 
 
 @dataclass(frozen=True)
 class Repeated:
-    """What the files of one solution say a second time.
+    """Derived content of the files of one solution, which repeats the solution.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Repeated:
 
 
 def is_table(name: str) -> bool:
-    """Whether a file would be taken for the trajectory of a phase."""
+    """Return True if a file would be taken for the trajectory of a phase."""
     return name.startswith("trajectory") and name.endswith(".csv")
 
 

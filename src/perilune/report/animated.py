@@ -32,7 +32,7 @@ _STROKE = 0.2  # of the height of the picture, for the largest thrust
 
 @dataclass(frozen=True, kw_only=True)
 class _Way:
-    """What is drawn: places (2, n) at times (n,), exhaust (2, n) in parts of the largest thrust, texts of the axes."""
+    """Drawn path: places (2, n) at times (n,), exhaust (2, n) in parts of the largest thrust, texts of the axes."""
 
     time: Vector
     places: Matrix

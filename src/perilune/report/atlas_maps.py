@@ -148,7 +148,7 @@ def _filled(shown: Slice, panel: Any, along: list[Vector], values: Vector, **set
 
 
 def _spans(shown: Slice, panel: Any, along: Vector) -> None:
-    """What has no answer along one axis, in grey."""
+    """Shade in grey the points along one axis without an answer."""
     half = 0.5 * (along[1] - along[0])
     for value in along[~shown.answers.good]:
         panel.axvspan(value - half, value + half, color=_EMPTY, linewidth=0)
@@ -241,7 +241,7 @@ def _legend(figure: Figure, handles: list[Any]) -> None:
 
 @styled
 def _nodes(shown: Slice) -> Figure:
-    """How finely the answering cells are cut, and the nodes at their corners where they are few."""
+    """Draw the size of the answering cells, and the nodes at their corners where they are few."""
     figure, (panel,), along = _panels(shown)
     if len(along) == 1:
         _spans(shown, panel, along[0])

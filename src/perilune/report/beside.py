@@ -101,14 +101,14 @@ def _rows(markdown: str, heading: str) -> list[list[str]]:
 
 
 def _same_cell(said: str, known: str) -> bool:
-    """Whether two cells are the same but for the last digit."""
+    """Return True if two cells are equal but for the last digit."""
     if not (_NUMBER.fullmatch(said) and _NUMBER.fullmatch(known)):
         return said == known
     return abs(float(said) - float(known)) <= 1.01 * 10.0 ** -len(known.partition(".")[2])
 
 
 def _same_nature(said: str, known: str, count: int) -> bool:
-    """Whether an extremal is called what it is, or less; of one alone there is no best, bounds are not always named."""
+    """Return True if an extremal is called by its nature or a weaker one; a single one may omit it and its bounds."""
     try:
         named, right = Nature(said), Nature(known)
     except ValueError:

@@ -163,7 +163,7 @@ def _weighs(names: set[str]) -> bool:
 
 
 def _usual(family: Family, table: Mapping[str, tuple[Vector, str]]) -> str:
-    """What is shown where nothing is asked for."""
+    """Return the name of the quantity to show by default."""
     if family.problem.maximised in table:
         return family.problem.maximised
     for f in result_fields(family):
@@ -201,7 +201,7 @@ def _hatched(axes: Any, at: Matrix, triangles: np.ndarray, hatch: str) -> None:
 
 
 def _folded(along: Vector, across: Vector, triangles: np.ndarray) -> bool:
-    """Whether triangles lie over each other: two results may depend on each other, or go there and back."""
+    """Return True if triangles overlap: two results may depend on each other, or turn back."""
     x, y = along[triangles].T, across[triangles].T
     areas = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
     return bool(abs(areas.sum()) < (1 - 1e-6) * np.abs(areas).sum() or not areas.any())

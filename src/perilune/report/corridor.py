@@ -84,7 +84,7 @@ def _grid(solution: Solution, k: int, shown: Corridor, height: Any, speed: Any) 
 def _labelled(
     grid: dict[str, Matrix], shown: Corridor, values: Matrix, levels: list[float], *, low: bool
 ) -> list[tuple[float, float]]:
-    """Where the lines are named [km/s, km]: of one quantity where it is fast, of the other where it is low."""
+    """Return the places of the labels of lines [km/s, km]: at high speed for one quantity, low for the other."""
     speed, height = grid[shown.speed] / 1e3, grid[shown.height] / 1e3
     k = round(0.05 * _POINTS) if low else round(0.55 * _POINTS)
     along, across, of = (speed[k], height[k], values[k]) if low else (speed[:, k], height[:, k], values[:, k])

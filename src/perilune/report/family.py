@@ -130,7 +130,7 @@ def write_family(
 
 
 def _has_map(family: Family, placed: np.ndarray | None) -> bool:
-    """Whether two parameters, a grid and three solved neighbours at least make a map, where none was asked for."""
+    """Return True if a family makes a map unasked: two parameters on a grid, and three solved neighbours."""
     if placed is None or placed.ndim != 2 or min(placed.shape) < 2:
         return False
     solved = np.array([p.solution is not None for p in family.points])[placed]
@@ -152,6 +152,6 @@ def _varies(values: np.ndarray) -> bool:
 
 
 def _same(values: np.ndarray, parameter: np.ndarray) -> bool:
-    """Whether a result is the parameter itself, which needs no panel."""
+    """Return True if a result is the parameter itself, which needs no panel."""
     known = np.isfinite(values)
     return bool(np.allclose(values[known], parameter[known], rtol=1e-12))

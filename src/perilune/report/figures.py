@@ -40,7 +40,7 @@ def solution_figures(solution: Solution, beside: Solution | None = None) -> dict
 
 
 def drawings(solution: Solution, beside: Solution | None = None) -> dict[str, Callable[[], Figure]]:
-    """What draws each of `solution_figures`, by name."""
+    """Return the function that draws each of `solution_figures`, by name."""
     flights = {label(solution): solution}
     if beside is not None:  # of one label, as at values of which it says nothing, both are drawn
         called = label(beside)
@@ -84,7 +84,7 @@ def tell_doubts(figure: Figure, flights: Mapping[str, Solution]) -> None:
 
 
 def label(solution: Solution) -> str:
-    """How a flight is called in a legend."""
+    """Return the label of a flight in a legend."""
     views, p = solution.problem.views, solution.parameters
     if views.beside and all(getattr(p, name) == value for name, value in views.beside.given):
         return views.beside.label

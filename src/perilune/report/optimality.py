@@ -51,7 +51,7 @@ def optimality(solution: Solution) -> Figure:
 
 
 def _turned(axes: Any, solution: Solution, k: int, begin: float, t: Vector) -> None:
-    """What a thrust in the plane adds to H when it is turned, in phase k, which begins at a time."""
+    """Draw the increase of H by turned thrusts in the plane over phase k, which begins at time `begin` [s]."""
     H, (along, up) = hamiltonian(solution, k, t), solution.flown(k, t)[1]
     for degrees, colour, dash in ((180, VERMILION, "--"), (45, BLUE, "-"), (5, GREEN, "-.")):
         a = np.radians(degrees)

@@ -154,7 +154,7 @@ def _outcome(solution: Solution) -> str:
 
 
 def extremal_cells(solution: Solution) -> list[dict[str, str]]:
-    """What is known of each extremal, best first, by the heading that it has in a table."""
+    """Return the cells of each extremal, best first, by the heading of their column."""
     units = {name: result.unit for name, result in solution.results.items()}
     units |= {"objective": solution.problem.objective_unit, "nature": "1"}
 

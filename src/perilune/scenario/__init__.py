@@ -80,7 +80,15 @@ def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
 
 @called_in_words
 def quantities_of(path: str | Path, changes: Sequence[str] = ()) -> dict[str, Quantity]:
-    """What is declared of each key that is a quantity in a file of this kind, which need not be complete."""
+    """Return the declaration of each key that is a quantity in a file of this kind, which may be incomplete.
+
+    Parameters
+    ----------
+    path
+        The TOML file.
+    changes
+        ``"section.key=value"`` texts that replace values of the file.
+    """
     return quantities_in(_document(path, changes)[1])
 
 

@@ -104,7 +104,7 @@ def bounds_of(key: str, text: str, known: Mapping[str, Quantity]) -> tuple[float
 
 
 def _parts(key: str, text: str, known: Mapping[str, Quantity], form: str, advice: str) -> tuple[Quantity, list[str]]:
-    """What is declared of a key, and the parts of a range, each with its unit."""
+    """Return the declaration of a key, and the parts of a range, each with its unit."""
     quantity, parts = _split(key, text, known, ":")
     wanted = form.count(":") + 1
     if len(parts) != wanted or not all(parts) or len(text) > LONGEST_VALUE:
@@ -119,7 +119,7 @@ def _parts(key: str, text: str, known: Mapping[str, Quantity], form: str, advice
 
 
 def _split(key: str, text: str, known: Mapping[str, Quantity], sign: str) -> tuple[Quantity, list[str]]:
-    """What is declared of a key, and the parts between signs; a part without a unit has that of the last."""
+    """Return the declaration of a key, and the parts between signs; a part without a unit has that of the last."""
     demand(known, Mapping, "what is known of the keys that may be varied")
     for value, what in ((key, "a key"), (text, "a range")):
         if not isinstance(value, str):

@@ -51,7 +51,7 @@ def tolerance_of(document: Mapping[str, Any]) -> Tolerance:
 
 
 def quantities_in(document: Mapping[str, Any]) -> dict[str, Quantity]:
-    """What is declared of each key, such as ``"vehicle.thrust"``, that is a quantity in a file of this kind.
+    """Return the declaration of each key, such as ``"vehicle.thrust"``, that is a quantity in a file of this kind.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def quantities_in(document: Mapping[str, Any]) -> dict[str, Quantity]:
 
 
 def names_files(document: Mapping[str, Any]) -> bool:
-    """Whether a tree of sections, of a problem that could be built, names another file."""
+    """Return True if a tree of sections, of a problem that could be built, names another file."""
     return any(
         getattr(found.declared, "file", False) and key in document.get(name, {})
         for name, section in _kind_of(document).sections.items()

@@ -58,7 +58,7 @@ def parse(text: str) -> dict[str, Any]:
 
 
 def _at_fault(text: str, message: str) -> str:
-    """What the parser says, with the line that it names."""
+    """Return the parser's message with the line that it names."""
     lines, number = text.splitlines(), re.search(r"at line (\d+)", message)
     line = lines[int(number[1]) - 1].strip() if number and int(number[1]) <= len(lines) else ""
     return f"{message[:200]}: {line[:60]}" if line else message[:200]

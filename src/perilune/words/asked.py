@@ -75,7 +75,7 @@ def _computing(method: Callable[..., Any], name: str, expected: str) -> Callable
 def _wrong_call(
     name: str, function: Callable[..., Any], args: Sequence[Any], keywords: Mapping[str, Any]
 ) -> PeriluneError | None:
-    """What is wrong with a call; None where the function can be called so, whatever it does then."""
+    """Return the error of a call that does not fit a function's signature; None for a call that fits."""
     stated = list(signature(function).parameters.values())
     if stated[:1] and stated[0].name == "self":
         stated, args = stated[1:], args[1:]
@@ -208,7 +208,7 @@ def demand_number(value: Any, name: str) -> None:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether it is a real number: a truth value is none, though Python makes a float of it."""
+    """Return True for a real number; a truth value is none, though Python makes a float of it."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 

@@ -56,7 +56,7 @@ def stated_text(value: float) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """What is known of one number beforehand; bounds in SI, and what stands behind a value outside of them."""
+    """Declaration of one number: unit, example, bounds in SI, and the message for a value outside of them."""
 
     unit: str
     example: str
@@ -185,7 +185,7 @@ class Key:
 
     @property
     def required(self) -> bool:
-        """Whether it must be stated."""
+        """Return True if it must be stated."""
         return self.default is MISSING
 
 

@@ -7,12 +7,12 @@ from typing import Any
 
 
 class Deferred(Sequence[Any]):
-    """What is made when first looked at, or sent away, as trajectories: of most members of a table it never is.
+    """Sequence made on first access; the trajectories of most members of a table never are.
 
     Parameters
     ----------
     count
-        How many there are; None where that is not known before.
+        Number of entries; None if it is not known before.
     make
         Makes them.
     """
@@ -23,7 +23,7 @@ class Deferred(Sequence[Any]):
 
     @property
     def made(self) -> bool:
-        """Whether it was looked at."""
+        """Return True if it was made."""
         return self._made is not None
 
     def __len__(self) -> int:

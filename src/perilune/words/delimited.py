@@ -179,7 +179,7 @@ def _numbers(cells: list[str]) -> int:
 
 
 def _likeness(lines: list[TextLine], delimiter: str) -> tuple[int, int]:
-    """How many lines are rows of numbers, and how many have at least two."""
+    """Return the number of lines made of at least two numbers only, and of lines with at least two numbers."""
     whole = some = 0
     for line in lines:
         cells = [cell for cell in _split(line.text, delimiter) or [] if cell]

@@ -11,7 +11,7 @@ from typing import Any
 
 
 def listed(public: Iterable[str]) -> list[str]:
-    """What ``dir`` shows of a module: its public names, loaded or not yet, and nothing that happens to be imported."""
+    """Return the names that ``dir`` shows of a module: public ones, loaded or not yet, and no other import."""
     return sorted({*public, "__all__", "__doc__"})
 
 

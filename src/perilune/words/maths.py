@@ -51,7 +51,7 @@ Choose = Callable[[Any, Any, Any], Any]  # (condition, yes, no)
 
 
 def refuted(condition: Any) -> bool:
-    """Whether a comparison fails, of arrays anywhere; of symbols nothing is known."""
+    """Return True if a comparison fails, for arrays anywhere; False for symbols, of which nothing is known."""
     known = isinstance(condition, bool | np.bool_ | np.ndarray)
     return known and not np.all(condition)
 
@@ -136,7 +136,7 @@ class Table:
 
     @cached_property
     def digest(self) -> str:
-        """What the table is, in short."""
+        """Return a short hash of the content of the table."""
         return hashlib.sha256(json.dumps([self.x, self.y, self.kind]).encode()).hexdigest()[:16]
 
     def __call__(self, value: Any) -> Any:
@@ -154,7 +154,7 @@ class Table:
 
     @property
     def is_spline(self) -> bool:
-        """Whether it is smooth between its ends."""
+        """Return True if it is smooth between its ends."""
         return self.kind in _SPLINES
 
     def chosen(self, value: Any, choose: Choose, side: int | None = None) -> Any:

@@ -14,7 +14,7 @@ Kept = TypeVar("Kept")
 
 
 class Outcome(Enum):
-    """How a solve ended; the value is the advice to the reader."""
+    """Outcome of a solve; the value is the advice to the reader."""
 
     PROVED = "every check of the requested verification level passed"
     SOLVED = (
@@ -84,9 +84,9 @@ def _as_it_was(kind: type[PeriluneError], arguments: tuple[Any, ...], parts: dic
 
 
 class InfeasibleError(PeriluneError):
-    """What was asked is refused; the message says which limit is missed and by how much.
+    """Refusal of a problem as infeasible; the message says which limit is missed and by how much.
 
-    `reason` is `CANNOT_BE_FLOWN` or `BEST_MISSES`; of the latter `partial` says what was searched.
+    `reason` is `CANNOT_BE_FLOWN` or `BEST_MISSES`; for the latter `partial` says what was searched.
     """
 
     exit_code = 3

@@ -28,10 +28,10 @@ def same(one: Any, other: Any) -> bool:
 
 
 def same_fields(one: Any, other: Any) -> bool:
-    """Whether two records of one class hold the same."""
+    """Return True if two records of one class have equal fields."""
     return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
 
 
 def _by_fields(kind: Any) -> bool:
-    """Whether a record class leaves its equality to its fields."""
+    """Return True if a record class is compared by its fields."""
     return kind.__dataclass_params__.eq

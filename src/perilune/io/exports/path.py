@@ -47,7 +47,7 @@ class Leg:
 
     @property
     def powered(self) -> bool:
-        """Whether there is thrust on it."""
+        """Return True if there is thrust on it."""
         return bool(np.any(self.push))
 
     def turned(self, matrix: Matrix) -> Leg:
@@ -88,7 +88,7 @@ def apart(time: Vector) -> tuple[Vector, np.ndarray]:
 
 
 def space_of(solution: Solution, form: str) -> Space:
-    """Where in space the flight is, for a format that has no other places.
+    """Return the body and axes in space of a flight, for a format that has no other places.
 
     Raises
     ------

@@ -127,7 +127,7 @@ def _in_space(solution: Solution, k: int, t: Vector) -> Iterator[Column]:
 
 
 def _told(solution: Solution) -> dict[str, str]:
-    """What each column is, in words."""
+    """Return a description of each column."""
     phases = solution.problem.phases
     told = {"H": "Hamiltonian, minimised by the control"}
     for phase in phases:

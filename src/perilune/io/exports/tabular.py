@@ -140,7 +140,7 @@ _TRAJECTORY = "trajectory"
 
 
 def _is_geometry(table: FlightTable, epoch: datetime | None) -> bool:
-    """Whether each row has a place and a time, as a trajectory of the conventions must."""
+    """Return True if each row has a place and a time, as a trajectory of the conventions must."""
     return epoch is not None and {f.placed for f in table.fields} >= set(_PLACES)
 
 

@@ -119,7 +119,7 @@ def demand_named(format: str, object_name: str | None, object_id: str | None) ->
 
 
 def _writer(format: str, named: Mapping[str, str | None]) -> Callable[[Solution, Mapping[str, str], Any, Path], None]:
-    """What writes a format; loaded when it is asked for."""
+    """Return the writer of a format, loaded on demand."""
     if format == "oem":
         from perilune.io.exports.oem import write_oem
 
