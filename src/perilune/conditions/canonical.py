@@ -93,7 +93,7 @@ class PhaseExtremal:
 
 
 def extremal_parameters(problem: Problem) -> Vector:
-    """The numbers p of the canonical equations: the given parameters, limits that are numbers, offsets of the start."""
+    """Return the numbers p of the canonical equations: given parameters, numeric limits, offsets of the start."""
     limits = [getattr(control, side) / problem.scales.of(control.unit) for _, control, side in _plain_limits(problem)]
     moved = offsets(problem) / state_scales(problem, problem.phases[0])
     return np.concatenate([canonical_given(unmoved(problem)), limits, moved])
@@ -111,7 +111,7 @@ def _plain_limits(problem: Problem) -> list[tuple[int, Bounded, str]]:
 
 
 def limit_symbols(problem: Problem, p: Parameters) -> tuple[ca.SX, list[dict[str, tuple[ca.SX, ca.SX]]]]:
-    """Symbols of the plain limits, and for each phase (lower, upper) of each scalar by name."""
+    """Return symbols of the plain limits, and for each phase (lower, upper) of each scalar by name."""
     place = {(k, control.name, side): i for i, (k, control, side) in enumerate(_plain_limits(problem))}
     symbols = ca.SX.sym("limit", len(place))
 

@@ -80,7 +80,7 @@ def minimising_control(
     motion: Motion | None = None,
     terms: Terms = _UNKNOWN_TERMS,
 ) -> ControlLaw:
-    """The control that minimises H.
+    """Derive the control that minimises H.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def _without_singular(
     step: tuple[ca.SX, ca.SX, ca.SX],
     motion: Motion | None,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """The control of `_control` with what the motion says in place of the symbol of the singular scalar."""
+    """Return the control of `_control` with the motion's expression in place of the symbol of the singular scalar."""
     singular = [kind for kind in mode.kinds if kind.regimes == ("singular",)]
     control, solved, _ = step
     if motion is None or len(singular) > 1 or solved.numel():

@@ -23,7 +23,22 @@ _ALL_ROUND = (-0.9, 0.3, 0.8)  # the same of a component of a direction
 def directions_eliminated(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], held: Mapping[str, ca.SX]
 ) -> tuple[ca.SX, list[ca.SX], ca.SX]:
-    """H with the best directions that hold these conditions in place, u with them, and the room they have for it."""
+    """Eliminate the directions: put in their place the best ones that hold these conditions.
+
+    Parameters
+    ----------
+    phase, hamiltonian, u
+        H as an expression of the symbols u of the phase's controls, among others.
+    limits
+        (lower, upper) of each scalar by name.
+    held
+        Conditions to be held, by name.
+
+    Returns
+    -------
+    (hamiltonian, u, room)
+        H and the controls with the directions in place, and what is >= 0 where they can hold the conditions.
+    """
     law, left, rooms = elements(u), list(directions(phase.controls)), ca.SX(0, 1)
     while left:
         gradients = [_towards(phase, hamiltonian, u, limits, left, first, last) for first, last in left]

@@ -216,7 +216,7 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
 
 
 def _range_rows(problem: Problem) -> list[int]:
-    """Rows of the end conditions that have a finite bound: those rows come first, phase by phase."""
+    """Return the rows of the end conditions that have a finite bound: those rows come first, phase by phase."""
     conditions = [c for phase in problem.phases for c in phase.end_conditions]
     return [row for row, c in enumerate(conditions) if c.ranged]
 

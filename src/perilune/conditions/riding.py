@@ -25,7 +25,7 @@ from perilune.problem.symbolic import elements
 
 
 def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX] | None:
-    """The control of a phase whose one scalar, between its bounds, holds a condition with its one direction.
+    """Return the control of a phase whose one scalar, off its bounds, holds a condition with its one direction.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str
 def riding(
     hamiltonian: ca.SX, d: ca.SX, size: ca.SX, condition: ca.SX, held: Sequence[ca.SX]
 ) -> tuple[ca.SX, ca.SX, ca.SX] | None:
-    """The best direction and size that hold a condition.
+    """Return the best direction and size that hold a condition.
 
     Parameters
     ----------

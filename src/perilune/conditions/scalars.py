@@ -106,11 +106,11 @@ class Scalar:
         self.regimes = (*(("lower",) if lower else ()), *between, *(("upper",) if upper else ()))
 
     def value(self, regime: Regime) -> ca.SX:
-        """The control at a bound; of a singular one its symbol."""
+        """Return the control at a bound; of a singular one its symbol."""
         return self.symbol if regime == "singular" else self.limits[regime == "upper"]
 
     def grid(self, count: int) -> list[ca.SX]:
-        """Values over its range, canonical."""
+        """Return values over its range, canonical."""
         lower, upper = self.limits
         if self.control.bounded:
             return [lower + share * (upper - lower) for share in np.linspace(0.0, 1.0, count)]

@@ -39,7 +39,7 @@ class Motion:
 
 
 def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -> ca.SX:
-    """The control -A/B of an arc of order 1.
+    """Derive the control -A/B of a singular arc of order 1.
 
     Parameters
     ----------

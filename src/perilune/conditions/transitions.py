@@ -81,7 +81,7 @@ class Mode:
         return kind.slope - sum(pull, ca.SX(0.0))
 
     def turned(self, i: int, regime: Regime) -> tuple[Regime, ...]:
-        """The regimes with another one of the i-th scalar."""
+        """Return the regimes with another one for the i-th scalar."""
         return *self.regimes[:i], regime, *self.regimes[i + 1 :]
 
 
@@ -196,7 +196,7 @@ class Ways:
                 yield after, third, 1 if own == "low_interior" else -1, True
 
     def _holding(self, mode: Mode, name: str) -> Named | None:
-        """The mode that holds a condition besides, or in the place of others that the same scalars hold."""
+        """Return the mode that holds a condition besides, or in the place of others that the same scalars hold."""
         condition = self.kept[name]
         acting = [i for i, kind in enumerate(mode.kinds) if ca.depends_on(condition, kind.symbol)]
         regimes: tuple[Regime, ...] = mode.regimes

@@ -102,7 +102,7 @@ class _Place:
         }
 
     def at_nodes(self, kind: str) -> Matrix:
-        """Rows of a kind that every collocation point has, shape (nodes, rows of one)."""
+        """Return the rows of a kind that every collocation point has, shape (nodes, rows of one)."""
         return self.rows[kind].reshape(self.layout.nodes, -1)
 
     def linear(self) -> Triplets:
@@ -232,7 +232,7 @@ def _first_derivatives(parts: Sequence[Repeated], linear: Triplets, unknowns: in
 
 
 def _second_derivatives(parts: Sequence[Repeated], unknowns: int) -> tuple[Matrix, Triplets]:
-    """Upper nonzeros of the Hessian, column by column, and which curvatures of blocks add up in each."""
+    """Return upper nonzeros of the Hessian, column by column, and which curvatures of blocks add up in each."""
     rows, columns, sources, at = list[Vector](), list[Vector](), list[Vector](), 0
     for part in parts:
         row, column = (part.takes[:, of] for of in part.block.curvature_at)
@@ -254,7 +254,7 @@ def _unique(rows: Vector, columns: Vector, unknowns: int) -> tuple[Matrix, Vecto
 
 
 def _sparse(pattern: Matrix, values: ca.MX, of: Vector, shape: tuple[int, int]) -> ca.MX:
-    """The matrix with some of the values at the places of a pattern, which is in the order of nonzeros."""
+    """Return the matrix with some of the values at the places of a pattern, which is in the order of nonzeros."""
     sparsity = ca.Sparsity.triplet(*shape, *(part.tolist() for part in pattern))
     return ca.MX(sparsity, values[np.nonzero(of)[0].tolist()])
 

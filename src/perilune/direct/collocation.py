@@ -164,11 +164,11 @@ class Polynomial:
     values: Matrix
 
     def __call__(self, tau: Vector) -> Matrix:
-        """Values at tau, shape (len(tau), k)."""
+        """Return the values at tau, shape (len(tau), k)."""
         return interpolation_matrix(self.points, tau) @ self.values
 
     def with_slopes(self, tau: Vector) -> tuple[Matrix, Matrix]:
-        """Values at tau and derivatives with respect to it."""
+        """Return the values at tau and derivatives with respect to it."""
         matrix = interpolation_matrix(self.points, tau)
         return matrix @ self.values, matrix @ self.derivative.values
 

@@ -121,7 +121,7 @@ def relaxed_problem(problem: Problem, limit: ElasticLimit, at_end: Sequence[str]
 
 
 def _relaxed_phase(phase: Phase, limit: ElasticLimit, at_end: Sequence[str]) -> Phase:
-    """The phase with its own part of the limit relaxed."""
+    """Return the phase with its own part of the limit relaxed."""
     if limit.kind == "path":
         path = _with_slack(phase.path, phase.path_conditions, limit.names, _given_way)
         return replace(phase, path=path, end=_with_slack(phase.end, phase.end_conditions, at_end, _given_way))
@@ -136,7 +136,7 @@ def _relaxed_phase(phase: Phase, limit: ElasticLimit, at_end: Sequence[str]) -> 
 
 
 def _with_end(phase: Phase, limit: ElasticLimit) -> Phase:
-    """The last phase with the bound of a free parameter as a condition of its end, that is relaxed."""
+    """Return the last phase with the relaxed bound of a free parameter as a condition of its end."""
     (name,), sign = limit.names, 1 if limit.side == "lower" else -1
 
     def end(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
@@ -148,7 +148,7 @@ def _with_end(phase: Phase, limit: ElasticLimit) -> Phase:
 
 
 def _with_slack(function: Any, conditions: Sequence[Variable], names: Sequence[str], give: Callable[..., Any]) -> Any:
-    """A function of conditions that adds what those of these names are relaxed by."""
+    """Return a function of conditions that adds the slacks of those of these names."""
     if function is None or not any(c.name in names for c in conditions):
         return function
 
@@ -169,7 +169,7 @@ def _given_either_way(value: Any, name: str, p: Any) -> Any:
 
 
 def _bound_as_condition(phase: Phase, limit: ElasticLimit, bounded: Any) -> Phase:
-    """A bound as a condition of the path, and of a state as one of the end too, that is relaxed."""
+    """Return the phase with a relaxed bound as a condition of the path, and that of a state as one of the end too."""
     bound, side = getattr(bounded, limit.side), limit.side
     sign, free = (1, -math.inf) if side == "lower" else (-1, math.inf)
     room = Variable(name=f"room_of_{bounded.name}", unit=bounded.unit, scale=getattr(bounded, "scale", None))

@@ -88,7 +88,7 @@ def mesh_errors(problem: Problem, segments: Sequence[Sequence[Segment]], p: Any,
 
 
 def _phase_errors(phase: Phase, flown: Sequence[Segment], p: Any, tolerance: float, least: Vector) -> Matrix:
-    """The same of one phase, whose states are flown no more closely than if they had the `least` sizes."""
+    """Return the errors of one phase, whose states are flown no more closely than if they had the `least` sizes."""
     pieces = [_fine(phase, segment, p) for segment in flown]
     lower, upper = np.array([s.limits(p) for s in phase.states]).T
     errors = []
@@ -102,7 +102,7 @@ def _phase_errors(phase: Phase, flown: Sequence[Segment], p: Any, tolerance: flo
 
 
 def _simulated(phase: Phase, pieces: Sequence[_Fine], p: Any, tolerance: float, least: Vector) -> list[Vector]:
-    """Largest difference of each state from its polynomial on each piece."""
+    """Return the largest difference of each state from its polynomial on each piece."""
     fine = tolerance * np.maximum(np.max([np.abs(piece.x).max(axis=0) for piece in pieces], axis=0), least)
     x = [piece.x for piece in pieces]
     u = np.concatenate([piece.u[1:-1] for piece in pieces])
@@ -131,7 +131,7 @@ def _left(piece: _Fine, before: Matrix, after: Matrix, fine: Vector) -> float:
 
 
 def _stepwise(phase: Phase, piece: _Fine, p: Any, tolerance: float, least: Vector) -> Vector:
-    """The same by SciPy."""
+    """Return the largest difference of each state from its polynomial on one piece, by SciPy."""
     from scipy.integrate import solve_ivp
 
     segment = piece.segment

@@ -40,7 +40,7 @@ FITTED = 21
 
 
 def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Vector, list[Sampler], str]]:
-    """Free parameters (canonical), one sampler [SI] for each phase, and what the start is called."""
+    """Yield free parameters (canonical), one sampler [SI] for each phase, and what the start is called."""
     if guess is not None:
         yield _from_solution(problem, fitting_guess(problem, guess))
         return
@@ -212,7 +212,7 @@ def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Matr
 
 @lru_cache(maxsize=32)
 def _linear_in_control(unnumbered: Unnumbered, index: int) -> ca.Function:
-    """Rates and their slopes in u at the fitted points, side by side."""
+    """Return the rates and their slopes in u at the fitted points, side by side."""
     p, phase = trace_parameters(unnumbered.problem), unnumbered.problem.phases[index]
     x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
     rates = trace_rates(phase, x, u, p.record)

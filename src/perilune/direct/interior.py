@@ -130,7 +130,7 @@ class _Search:
         self.directions_at = [self.here.place[columns] for _, columns in posed.lengths]
 
     def run(self, start: Vector, iterations: int) -> Optimum | None:
-        """The search from a start; the fixed unknowns keep its values."""
+        """Run the search from a start; the fixed unknowns keep its values."""
         here, n = self.here, self.n
         self.here.all = start.copy()
         w = self.inside(np.concatenate([start[self.order], np.zeros(len(self.ranged))]))[:n]
@@ -158,13 +158,13 @@ class _Search:
         return found
 
     def inside(self, v: Vector) -> Vector:
-        """The point moved off its bounds."""
+        """Return the point moved off its bounds."""
         low, high = (np.where(np.isfinite(b), PUSH * np.maximum(1.0, np.abs(b)), 0.0) for b in (self.lower, self.upper))
         width = PUSH * (self.upper - self.lower)
         return np.minimum(np.maximum(v, self.lower + np.minimum(low, width)), self.upper - np.minimum(high, width))
 
     def onto(self, values: Vector) -> Vector:
-        """Sum of what belongs to the bounds of each unknown and slack."""
+        """Return the sum of what belongs to the bounds of each unknown and slack."""
         return np.bincount(self.at, values, minlength=len(self.lower)) + 0.0
 
     def first_multipliers(self, v: Vector) -> _Point:
@@ -181,7 +181,7 @@ class _Search:
         return _Point(v, d, z, y, ranged)
 
     def errors(self, point: _Point) -> tuple[float, float]:
-        """Largest violation of the optimality conditions, relative to large multipliers, and largest d z."""
+        """Return the largest violation of the optimality conditions, relative to large multipliers, and largest d z."""
         here, (_, d, z, y, ranged) = self.here, point
         dual = -self.onto(self.sign * z)
         dual[: self.n] += here.gradient + here.pulled(y, ranged)
@@ -197,11 +197,11 @@ class _Search:
         return np.abs(here.g - self.wanted), np.abs(here.g_ranged - v[self.n :])
 
     def missed(self, v: Vector) -> float:
-        """Sum of all violations."""
+        """Return the sum of all violations."""
         return sum(float(part.sum()) for part in self.violations(self.here, v))
 
     def reduced(self) -> Reduced:
-        """The equations at the current point, solved for the states once."""
+        """Return the equations at the current point, solved for the states once."""
         here = self.here
         if here.reduced is None:
             c = here.g - self.wanted
@@ -209,7 +209,7 @@ class _Search:
         return here.reduced
 
     def directions(self, point: _Point) -> tuple[_Step, _Step] | None:
-        """The affine step, and what each unit of mu adds to it."""
+        """Return the affine step, and what each unit of mu adds to it."""
         here, n, d = self.here, self.n, point.d
         pull, sigma = self.onto(self.sign / d), self.onto(point.z / d)
         missed, right = here.g_ranged - point.v[n:], np.empty((n, 2))
@@ -229,7 +229,7 @@ class _Search:
         return affine, by_mu
 
     def centred(self, point: _Point, affine: _Step, by_mu: _Step) -> tuple[_Step, float]:
-        """The step with the barrier that the affine one asks for."""
+        """Return the step with the barrier that the affine one asks for."""
         d, z = point.d, point.z
         if not len(d):
             return affine, 0.0
@@ -241,7 +241,7 @@ class _Search:
         return _Step(*(a + mu * b for a, b in zip(affine, by_mu, strict=True))), mu
 
     def moved(self, point: _Point, step: _Step, mu: float) -> _Point | None:
-        """The next point, evaluated, by the longest part of the step that gains."""
+        """Return the next point, evaluated, by the longest part of the step that gains."""
         here, (v, d, z, y, ranged) = self.here, point
         change_z = mu / d - z - z / d * step.d
         stay = max(0.99, 1.0 - mu)
@@ -300,7 +300,7 @@ class _Evaluated:
         self._columns.ravel()[self._slots] = jacobian[self._first]
 
     def curve(self, y: Vector, ranged: Vector) -> list[Vector]:
-        """The second derivatives of the Lagrangian with these multipliers, where it was evaluated last."""
+        """Return the second derivatives of the Lagrangian with these multipliers, where it was evaluated last."""
         self._call.taken[3][self.rows] = np.concatenate([y, ranged])
         *others, hessian = self._call()
         H = self.H.ravel()
@@ -312,7 +312,7 @@ class _Evaluated:
         return np.concatenate([y, ranged]) @ self.slopes
 
     def optimum(self, y: Vector, ranged: Vector, iterations: int) -> Optimum:
-        """The current point as the answer."""
+        """Return the current point as the answer."""
         rows, multipliers = np.empty(len(self.rows)), np.empty(len(self.rows))
         rows[self.rows] = np.concatenate([self.g, self.g_ranged])
         multipliers[self.rows] = np.concatenate([y, ranged])
@@ -333,7 +333,7 @@ class _Call:
             buffer.set_res(i, memoryview(cast(Any, array)))
 
     def __call__(self) -> list[Vector]:
-        """Results, of which the next call makes others."""
+        """Return the results, which the next call overwrites."""
         self._evaluate()
         return self._found
 

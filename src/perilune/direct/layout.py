@@ -82,7 +82,7 @@ class PhaseValues:
 
 
 def layout_of(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:
-    """The layout of a phase on a mesh."""
+    """Return the layout of a phase on a mesh."""
     return Layout(
         scheme, mesh.degrees, len(phase.states), len(phase.control_names), directions(phase.controls),
         len(phase.held_conditions), len(phase.path_conditions), len(phase.end_conditions),
@@ -90,12 +90,12 @@ def layout_of(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:
 
 
 def packed(values: PhaseValues) -> Vector:
-    """The unknowns of one phase in their order."""
+    """Return the unknowns of one phase in their order."""
     return np.concatenate([values.joints[1:-1], values.state.ravel(), values.control.ravel()])
 
 
 def unpacked(layouts: tuple[Layout, ...], w: Vector) -> tuple[PhaseValues, ...]:
-    """The values of every phase from the unknowns behind the free parameters."""
+    """Return the values of every phase from the unknowns behind the free parameters."""
     at, found = 0, []
     for layout in layouts:
         ends = [at, *(at + end for end in accumulate(layout.sizes))]
@@ -112,7 +112,7 @@ def unpacked(layouts: tuple[Layout, ...], w: Vector) -> tuple[PhaseValues, ...]:
 
 
 def by_kind(layouts: tuple[Layout, ...], values: Vector) -> dict[tuple[int, str], Vector]:
-    """Values of all rows by (phase, kind of condition)."""
+    """Return the values of all rows by (phase, kind of condition)."""
     at, found = 0, {}
     for k, layout in enumerate(layouts):
         for kind, size in layout.rows.items():
@@ -145,7 +145,7 @@ def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, 
 
 @lru_cache(maxsize=64)
 def unit_lengths(layouts: tuple[Layout, ...], free: int) -> list[tuple[Vector, Matrix]]:
-    """Rows that hold directions at length one, and the unknowns in each: an entry for each direction of a phase."""
+    """Return rows that hold directions at length one, and the unknowns in each, an entry for each direction."""
     found, at, row = list[tuple[Vector, Matrix]](), free, 0
     for layout in layouts:
         count, before = len(layout.directions), dict(layout.rows)

@@ -64,7 +64,7 @@ class Answer:
     residuals: dict[tuple[int, str], Vector]
 
     def free_si(self, problem: Problem) -> dict[str, float]:
-        """Values of the free parameters in SI."""
+        """Return the values of the free parameters in SI."""
         values = self.free * free_scales(problem.free, problem)
         return dict(zip(problem.free_names, values.tolist(), strict=True))
 
@@ -180,7 +180,7 @@ class Program:
         return np.concatenate(ends[0]), np.concatenate(ends[1])
 
     def _row_bounds(self) -> tuple[Vector, Vector]:
-        """Lower and upper bounds of the rows."""
+        """Return the lower and upper bounds of the rows."""
         lower, upper = (np.zeros(sum(sum(layout.rows.values()) for layout in self.layouts)) for _ in range(2))
         end = 0
         for phase, layout in zip(self.problem.phases, self.layouts, strict=True):

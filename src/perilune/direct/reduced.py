@@ -162,7 +162,7 @@ class Reduced:
         return found
 
     def step(self, H: Any, weighed: Weighed, right: Matrix) -> tuple[Matrix, Matrix, Matrix] | None:
-        """Two steps side by side, one for A dw = -c and one for A dw = 0, each with a column of `right`.
+        """Return two steps side by side, one for A dw = -c and one for A dw = 0, each with a column of `right`.
 
         Parameters
         ----------

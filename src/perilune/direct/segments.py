@@ -51,7 +51,7 @@ class Segment:
         return 2.0 * (np.asarray(t, dtype=float) - self.begin) / width - 1.0
 
     def time(self, tau: Vector) -> Vector:
-        """Times of places on [-1, 1]."""
+        """Return the times of places on [-1, 1]."""
         return self.begin + 0.5 * (np.asarray(tau) + 1.0) * (self.end - self.begin)
 
 

@@ -34,7 +34,7 @@ class Curves(Deferred):
         return trajectories(*of, self.root.y, exported(*of, self.root))
 
     def aloft(self) -> Aloft:
-        """The flight of the root, for its states."""
+        """Return the flight of the root, for its states."""
         return Aloft(self.problem, self.conditions, self.root.y)
 
 

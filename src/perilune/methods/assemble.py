@@ -130,7 +130,7 @@ def _report(extremal: PhaseExtremal, mode: int, z: Matrix, decides: Matrix, p: V
 
 
 def trajectories(problem: Problem, conditions: Conditions, y: Vector, flown: Sequence[Flown]) -> tuple[Trajectory, ...]:
-    """Curves of state, costate and control of each phase in SI; a repeated node marks a switch."""
+    """Return curves of state, costate and control of each phase in SI; a repeated node marks a switch."""
     free = free_values(problem, conditions, y)
     whole = sum(arc.duration for arc in flown)
     return tuple(_trajectory(problem, conditions, k, arc, free, whole) for k, arc in enumerate(flown))
@@ -172,7 +172,7 @@ def _trajectory(
 def _nodes(
     extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector, changed: Callable[[Matrix, Matrix], Vector]
 ) -> tuple[Vector, Matrix, Matrix]:
-    """Times, and state, costate and control there with their rates, canonical; a switch stands there twice.
+    """Return times, and state, costate and control there with their rates, canonical; a switch stands there twice.
 
     Where a velocity is free the costate that points the thrust vanishes at the end, and rounding lets it pass through
     zero just before: the control at an end of the phase is the one a moment inside, where rounding tells it.
@@ -266,7 +266,7 @@ def _leverage(problem: Problem, phase: Phase, p: Any, flown: tuple[Matrix, Matri
 
 
 def unknowns_from(problem: Problem, conditions: Conditions, guess: Solution) -> Vector:
-    """Canonical unknowns y of `problem`, with its conditions, from a solution of any method for it or one of its form.
+    """Return canonical unknowns y of `problem`, from a solution of any method for it or one of its form.
 
     The guess has as many phases (`perilune.problem.guess.fitting_guess`).
 
@@ -286,7 +286,7 @@ def unknowns_from(problem: Problem, conditions: Conditions, guess: Solution) -> 
 
 
 def joints_from(problem: Problem, conditions: Conditions, guess: Solution, segments: int) -> Vector:
-    """Canonical z at the joints of multiple shooting, read off a solution's curves."""
+    """Return canonical z at the joints of multiple shooting, read off a solution's curves."""
     joints = [np.zeros(0)]
     for phase, extremal, flown in zip(problem.phases, conditions.phases, guess.trajectories, strict=True):
         scale = state_scales(problem, phase)

@@ -82,7 +82,7 @@ class Coarse:
         self.finer = [16, 24, 48] if self.settings.transcription is None else []
 
     def solve(self, guess: Solution | None = None) -> Solution | None:
-        """Its answer, from nothing or from a guess."""
+        """Solve directly, from nothing or from a guess."""
         if self.solution is not None or self.refusal is not None:
             return self.solution
         # Phases are segments already: of several the mesh of one would be too fine to be found from straight lines.
@@ -121,7 +121,7 @@ class Coarse:
         return not any(list(contacts(known, k, name)) for k in lengths for name in of_states(self.problem, k))
 
     def resolved(self) -> Iterator[Solution]:
-        """Its answer, and where no mesh has followed it yet those on finer ones, one by one."""
+        """Yield its answer, and where no mesh has followed that yet those on finer meshes, one by one."""
         if (known := self.solve()) is not None:
             yield known
         while known is not None and self.finer and (self.lost or self.blurred):
@@ -192,7 +192,7 @@ class Coarse:
         return solution
 
     def _say(self, lines: tuple[str, ...]) -> None:
-        """One line; what a mesh missed, condition by condition, stays with the direct method."""
+        """Report one line; what a mesh missed, condition by condition, stays with the direct method."""
         self.tried.append("direct transcription: " + "; ".join(line.partition(" (")[0] for line in lines))
 
 

@@ -75,7 +75,7 @@ class Lengthened:
         return known
 
     def _carried(self, known: list[Root], share: float, target: float, halvings: int = _HALVINGS) -> list[Root]:
-        """Roots at one share, carried to another."""
+        """Carry roots at one share to another."""
         if not known:
             return []
         arrived, lost = list[Root](), list[Root]()
@@ -89,7 +89,7 @@ class Lengthened:
         return arrived
 
     def _corrected(self, known: list[Root], share: float) -> list[Root]:
-        """Each by Newton's method; those that are not isolated by the shortest steps."""
+        """Correct each by Newton's method; those that are not isolated by the shortest steps."""
         leave, found = np.array([open_directions(root) for root in known]), dict[int, Root]()
         for lanes in (np.nonzero(leave == 0)[0], np.nonzero(leave)[0]):
             if not len(lanes):

@@ -66,7 +66,7 @@ class FirstMesh:
         self.first: tuple[Vector, list[Sampler]] | None = None  # what the first straight line is, once it was drawn
 
     def answer(self) -> tuple[Program, Answer]:
-        """A program and its solution."""
+        """Return the first program that was solved, with its solution."""
         every = self.starts()
         begin = next(every)
         first = self.attempt(begin, BRIEF, close=self.close)
@@ -85,7 +85,7 @@ class FirstMesh:
         return self.any_answer([*starts, *every], (begin.program, first))
 
     def any_answer(self, starts: list[Start], first: tuple[Program, Answer]) -> tuple[Program, Answer]:
-        """The answer from one of the starts, of which the first attempt has failed."""
+        """Return the answer from one of the starts, of which the first attempt has failed."""
         tries = [first]
         misses: list[tuple[Program, Answer]] = []
         vanished: list[tuple[Program, Answer]] = []
@@ -113,11 +113,11 @@ class FirstMesh:
         self.fail(*min(misses or vanished or tries, key=_violation))
 
     def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> Answer:
-        """The program from its start."""
+        """Solve a program from its start."""
         return self.run.attempt(start.program, start.free, start.values, start.name, most=most, close=close)
 
     def from_least_miss(self, start: Start) -> tuple[Answer, Answer | None]:
-        """The flight near a start that misses least, and what is reached from there if it misses nothing."""
+        """Return the flight near a start that misses least, and what is reached from there if it misses nothing."""
         program, free, values, name, _ = start
         nearest = self.run.attempt(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
         if nearest.violation > MISSED:
@@ -131,7 +131,7 @@ class FirstMesh:
         return nearest, found
 
     def starts(self) -> Iterator[Start]:
-        """From the guess, or straight lines."""
+        """Yield the starts: the guess, or straight lines."""
         from perilune.direct.first_guess import first_guesses
         from perilune.direct.segments import sampled
 
@@ -142,7 +142,7 @@ class FirstMesh:
             yield Start(program, free, sampled(program, by), name)
 
     def flown(self) -> Start | None:
-        """The flight under the controls of the first straight line; None where there is none.
+        """Return a start flown under the controls of the first straight line; None where it cannot be.
 
         Its miss counts where it winds, as no straight line does. Else it is one more way to an answer, on a mesh that
         may be too coarse for more.

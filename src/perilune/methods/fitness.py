@@ -141,7 +141,7 @@ class ControlFitness:
             yield phase, p, duration, states, controls
 
     def _controls(self, phase: Phase, genes: Matrix, at: int) -> tuple[Batch, int]:
-        """Controls (2 STEPS + 1, nu, N) at the ends and middles of all steps."""
+        """Return controls (2 STEPS + 1, nu, N) at the ends and middles of all steps."""
         knots, places = np.linspace(0.0, 1.0, self.nodes), np.linspace(0.0, 1.0, 2 * STEPS + 1)
         hats = np.array([np.interp(places, knots, row) for row in np.eye(self.nodes)]).T
         parts = []
@@ -207,7 +207,7 @@ class CostateFitness:
         return slice(self.conditions.free_at.stop, len(self.conditions.unknowns))
 
     def _solved(self, genes: Matrix) -> tuple[Matrix, Vector]:
-        """Unknowns y (N, ny) with the best length and multipliers, and their residual's norm (N,)."""
+        """Return unknowns y (N, ny) with the best length and multipliers, and their residual's norm (N,)."""
         size, c = len(genes), self.conditions
         count, nu = c.free_at.start, self._multipliers_at
         y = np.zeros((size, len(c.unknowns)))
@@ -260,7 +260,7 @@ class CostateFitness:
         return np.vstack(ends)
 
     def _over(self, function: Any, size: int) -> Any:
-        """A CasADi function mapped over the population, made once."""
+        """Map a CasADi function over the population, once for all."""
         key = (id(function), size)
         if key not in self._mapped:
             self._mapped[key] = function.map(size)
@@ -291,7 +291,7 @@ def _flown(phase: Phase, p: Any, start: Matrix, controls: Batch, duration: Vecto
 
 
 def _rk4_step(rate: Any, x: Matrix, h: Vector, u: Any) -> Matrix:
-    """One classical Runge-Kutta step; u at its begin, middle and end."""
+    """Take one classical Runge-Kutta step; u at its begin, middle and end."""
     k1 = rate(x, u[0])
     k2 = rate(x + 0.5 * h * k1, u[1])
     k3 = rate(x + 0.5 * h * k2, u[1])

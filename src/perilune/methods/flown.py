@@ -86,7 +86,7 @@ class Flown:
         return values
 
     def states(self, t: Vector, count: int) -> Matrix:
-        """The first entries of z at times, (n, count), of a phase that is flown in one piece."""
+        """Return the first entries of z at times, (n, count), of a phase that is flown in one piece."""
         (arc,) = self.arcs
         return arc(t, count)
 
@@ -95,7 +95,7 @@ class Flown:
 
 
 def in_one_piece(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[Flown]:
-    """The flight from the unknowns y, whatever it meets; settings as for `flight`. What settles is in several."""
+    """Propagate from the unknowns y, whatever is met; settings as for `flight`. What settles is in several pieces."""
     p, before, flown = extremal_parameters(problem), np.zeros(0), list[Flown]()
     y, settings = y[: len(conditions.unknowns)], {**_fine(conditions), **settings}
     for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
@@ -134,7 +134,7 @@ class Aloft:
         return self._starts[k]
 
     def at(self, k: int, shares: Vector) -> Matrix:
-        """States of phase k (n, times) at shares of its length, SI; at its start it is not flown."""
+        """Return the states of phase k (n, times) at shares of its length, SI; its start takes no integration."""
         scales = state_scales(self.problem, self.problem.phases[k])
         if not shares.any():
             return np.repeat((self.start(k)[0][: len(scales)] * scales)[:, None], len(shares), axis=1)
@@ -167,7 +167,7 @@ def _fine(conditions: Conditions) -> dict[str, float]:
 def _fallen(
     conditions: Conditions, k: int, y: Vector, z0: Vector, p: Vector, duration: float, **settings: float
 ) -> Flown:
-    """A phase that settles, its costates from its end on: there they are what its conditions leave open."""
+    """Propagate a phase that settles, its costates back from its end, where its conditions give them."""
     half, places = conditions.phases[k].half, np.cumsum([0, *(2 * e.half for e in conditions.phases)])
     at = conditions.costate_at[k]
     rows = slice(conditions.transversality_at + at.start, conditions.transversality_at + at.stop)
@@ -184,7 +184,7 @@ def _fallen(
 def exported(
     problem: Problem, conditions: Conditions, root: Root, allowed: float = _MISSED, **settings: float
 ) -> list[Flown]:
-    """The flight of a root, in pieces where one alone leaves more at its ends than is allowed, canonical."""
+    """Propagate a root, in pieces where one alone leaves more at its ends than is allowed, canonical."""
     whole = in_one_piece(problem, conditions, root.y, **settings)
     missed = _missed(problem, conditions, root, whole)
     if missed <= allowed or not may_be_cut(conditions):
@@ -201,7 +201,7 @@ def may_be_cut(conditions: Conditions, segments: int = _SEGMENTS) -> bool:
 
 
 def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, active: Lanes) -> tuple[Root, float]:
-    """A root moved by its last digits until its flight, as it is exported, ends where it should, and what is missed.
+    """Correct a root by its last digits until its exported flight ends where it should; return what is missed too.
 
     Parameters
     ----------

@@ -174,7 +174,7 @@ class Genetic:
         )
 
     def _next(self, rng: np.random.Generator, genes: Matrix, values: Vector, judge: Objective) -> tuple[Matrix, Vector]:
-        """The next generation: the elite of parents and children, and the best other children."""
+        """Return the next generation: the elite of parents and children, and the best other children."""
         size = self.population
         children = self._mutated(rng, self._crossed(rng, genes[self._selected(rng, values)]))
         child_values = judge(children)
@@ -188,7 +188,7 @@ class Genetic:
         return everyone[kept], all_values[kept]
 
     def _selected(self, rng: np.random.Generator, values: Vector) -> Indices:
-        """Index of the winner of each tournament."""
+        """Return the index of the winner of each tournament."""
         entrants = rng.integers(len(values), size=(len(values), self.tournament))
         return entrants[np.arange(len(values)), np.argmin(values[entrants], axis=1)]
 

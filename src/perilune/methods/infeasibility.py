@@ -121,7 +121,7 @@ def _each_alone(problem: Problem, nearest: Solution, watch: Watch) -> Iterator[R
 
 
 def _on_finer_meshes(one: Relaxed) -> Relaxed:
-    """The same on meshes that follow the flight better, with its doubt: by how much the last changed what gives."""
+    """Solve again on finer meshes; return the relaxed limit with its doubt: how much the last one changed it."""
     for segments in _FINER[: 2 if len(one.flight.trajectories) == 1 else 1]:
         method = Pseudospectral(nodes=5, segments=segments, refine=0, iterations=_PATIENT)
         try:

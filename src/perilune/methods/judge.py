@@ -49,7 +49,7 @@ class Judge:
         return next(iter(self.breaches(root)), None)
 
     def breaches(self, root: Root) -> tuple[Breach, ...]:
-        """All that the flight breaks."""
+        """Return all constraints that the flight breaks."""
         return tuple(breach for breach in self._all(root) if breach.canonical > _SLACK)
 
     def grazed(self, root: Root) -> set[str]:
@@ -57,7 +57,7 @@ class Judge:
         return {breach.name for breach in self.grazing(root)}
 
     def grazing(self, root: Root) -> tuple[Breach, ...]:
-        """All that the flight breaks by so little."""
+        """Return all constraints that the flight breaks by so little."""
         return tuple(breach for breach in self._all(root) if breach.canonical <= _SLACK)
 
     def _all(self, root: Root) -> tuple[Breach, ...]:

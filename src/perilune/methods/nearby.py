@@ -128,11 +128,11 @@ class Nearby:
         return limits_of(self._own(placed(known, values)), self.shooting.conditions)
 
     def _own(self, problem: Problem) -> Problem:
-        """The user's problem at other values as it is solved: with a phase for each arc."""
+        """Return the user's problem at other values as it is solved: with a phase for each arc."""
         return problem if self.arcs is None else renumbered(self.problem, problem, self.arcs.structure)
 
     def at(self, root: Root, values: Mapping[str, float]) -> Solution:
-        """An extremal that was found as a solution of the problem with these values, unverified."""
+        """Return an extremal that was found as a solution of the problem with these values, unverified."""
         problem = self.solution.problem.with_given(**values)
         own = self._own(problem)
         statistics = Statistics(rung="guess", iterations=len(root.history))

@@ -85,7 +85,7 @@ class _Finish:
     settled: Solution | None = None  # that of which there is no more to try
 
     def soon(self, direct: Solution) -> Solution | None:
-        """The same in brief, from a mesh that may not be the last, where it tells a structure that was not tried."""
+        """Return the exact answer in brief, from a mesh that may not be the last, for a structure not tried yet."""
         if not direct.statistics.residual < ROUGHEST:
             return None
         structure = read(self.problem, direct)
@@ -97,7 +97,7 @@ class _Finish:
         return self._by_any_way(direct, brief=True)
 
     def of(self, direct: Solution) -> Solution | None:
-        """The exact answer near a direct one; None, with the reason in `tried`, where none was found."""
+        """Return the exact answer near a direct one; None, with the reason in `tried`, where none was found."""
         return self._by_any_way(direct, brief=False)
 
     def _by_any_way(self, direct: Solution, *, brief: bool) -> Solution | None:
@@ -114,7 +114,7 @@ class _Finish:
         return None
 
     def left(self, direct: Solution) -> Solution:
-        """The direct answer, which says why it is not exact."""
+        """Return the direct answer, which says why it is not exact."""
         tried = (*direct.statistics.tried, *self.tried, "polish: the direct answer stays as it is")
         return replace(direct, statistics=replace(direct.statistics, tried=tried))
 
@@ -158,7 +158,7 @@ class _Finish:
         return worse
 
     def _told(self, found: Solution, direct: Solution, name: str) -> Solution:
-        """The exact answer with what led to it."""
+        """Return the exact answer with what led to it."""
         gain = (
             f"polish: by {name}, J = {found.objective:.12g} for {direct.objective:.12g} {self.problem.objective_unit}"
         )

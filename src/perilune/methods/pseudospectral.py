@@ -83,7 +83,7 @@ class Pseudospectral(Transcription):
         return finest
 
     def meshes(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Iterator[Solution]:
-        """The answers of `run` on one mesh after the other, each finer than the last."""
+        """Yield the answers of `run` on one mesh after the other, each finer than the last."""
         from perilune.direct.contradictions import check_consistent
 
         check_consistent(problem)
@@ -104,7 +104,7 @@ class _Refined(Run):
     """A run with all its meshes."""
 
     def answers(self, guess: Solution | None, *, near: bool = False, close: bool = False) -> Iterator[Solution]:
-        """First mesh, then refinement until the mesh is accurate enough or no longer gains."""
+        """Yield the first mesh, then refinement until the mesh is accurate enough or no longer gains."""
         s, problem = self.settings, self.problem
         program, answer = FirstMesh(self, guess, near=near, close=close).answer()
         best, gained = None, 0
@@ -129,7 +129,7 @@ class _Refined(Run):
                 self.fail_mesh(*best, f"{number} refinements, as the next was not solved")
 
     def finer(self, program: Program, answer: Answer, look: Look, name: str) -> tuple[Program, Answer]:
-        """The same on a mesh that is better where this one is not good enough."""
+        """Return the same on a mesh that is better where this one is not good enough."""
         from perilune.direct.mesh import refined
         from perilune.direct.segments import sampled, sampler
 

@@ -112,7 +112,7 @@ def best_misses(
 
 
 def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], tried: list[str]) -> NotConvergedError:
-    """A flight that keeps every condition was found, but no extremal does."""
+    """Return the error for a flight that keeps every condition, but no extremal that does."""
     words = [objective_text(flight), f"mesh error {flight.statistics.residual:.1g}"]
     for condition, values in along_path(problem, flight):
         broken = -float(values.min())
@@ -158,7 +158,7 @@ def _easier(problem: Problem) -> str:
 def undecided(
     problem: Problem, breaches: list[Breach], direct: PeriluneError | None, tried: list[str]
 ) -> NotConvergedError:
-    """Every extremal breaks something, and the direct method did not settle whether any flight keeps everything.
+    """Return the error for extremals that all break something while no flight is known to keep everything.
 
     The mildest extremal says it: a least miss of the direct method that is no flight blames what is held loosely.
     """
@@ -198,7 +198,7 @@ def ridden_condition(problem: Problem, flight: Solution) -> str | None:
 
 
 def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, nearest: Root | None) -> NotConvergedError:
-    """Every rung failed: the nearest approach, in the words of who states the problem, and what to try."""
+    """Return the error for starts that all failed: the nearest approach, in the user's words, and what to try."""
     problem, tried, flight = coarse.problem, coarse.tried, coarse.flight
     partial: dict[str, Any] = {"tried": list(tried), "iterations": iterations}
     what, got = NO_EXTREMAL, "no start could even be flown to its end"

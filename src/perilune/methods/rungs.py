@@ -121,7 +121,7 @@ class Rungs:
                 yield Met(members, f"{_DURATION}, {SMOOTH}", smoothing.told)
 
     def from_transcription(self) -> Iterator[tuple[Member, str]]:
-        """An extremal from a direct solution, in one piece or by multiple shooting.
+        """Yield an extremal from a direct solution, in one piece or by multiple shooting.
 
         Where the mesh has not followed it from finer ones in more pieces; of many switches by way of smooth controls.
         """

@@ -86,7 +86,7 @@ class Search:
     # -- the two ways in ------------------------------------------------------------------------------------------
 
     def solve(self, guess: Solution | None = None, base: Member | None = None) -> Solution:
-        """From a guess; or by the ladder, after the family through `base` (of another run) where there is one."""
+        """Solve from a guess; or from all starts, after the family through `base` (of another run) if any."""
         if guess is not None:
             return self.near(guess)[0]  # whether it keeps the rest of the path is for the proof to say
         search, found = self.all_extremals(base)
@@ -108,7 +108,7 @@ class Search:
         return search._compose(found, "family"), lambda: search.judge.breach(found[0].root)
 
     def along_families(self, known: Solution) -> tuple[list[Found], Callable[[Sequence[Found]], Solution]]:
-        """The extremal of a solution, those on families through it, and what makes a solution of some of them."""
+        """Return the extremal of a solution, those on families through it, and what makes solutions of some of them."""
         search, found = self._from_guess(known)
         return [*found, *search._others(found[0])], lambda some: search._compose(some, "family")
 
@@ -210,7 +210,7 @@ class Search:
                 yield search._compose([Found(root=root, minimum=True)], "")
 
     def _keeping(self, more: Held) -> Search:
-        """The same search with a control that keeps more conditions of the path."""
+        """Return the same search with a control that keeps more conditions of the path."""
         self.watch(f"the flight is held back by {', '.join(more)}: the control keeps to it")
         keep = tuple(name for name in keepable_conditions(self.problem) if name in {*self.keep, *more})
         search = Search(self.settings, self.problem, self.watch, keep, self.tried)
@@ -248,14 +248,14 @@ class Search:
         return more
 
     def _others(self, known: Found) -> list[Found]:
-        """Extremals on the families through one, along parameters between bounds."""
+        """Return extremals on the families through one, along parameters between bounds."""
         scanned = self.trials.scanned
         if scanned is None or (member := self._held_at(known.root, scanned)) is None:
             return []
         return new_among(self._all_extremals(member)[0], [known])
 
     def _along(self, index: int, first: Member) -> tuple[list[Found], list[Member]]:
-        """The extremals of the family through a member along one free parameter, and the members that were visited."""
+        """Return extremals of the family through a member along one free parameter, and the members visited."""
         trials, free = self.trials, self.problem.free[index]
         self.watch(f"following the family of extremals along {free_name(self.problem, free.name)}")
         family = HeldFamily(
@@ -270,7 +270,7 @@ class Search:
         return found, members
 
     def _held_at(self, root: Root, index: int) -> Member | None:
-        """An extremal as a member of the family along a free parameter; None where Newton's method loses it."""
+        """Return an extremal as a member of the family along a free parameter; None where Newton's method loses it."""
         trials = self.trials
         value, choice = float(root.y[trials.conditions.free_at.start + index]), root.choice.copy()
         trials.shooting.plan.hold(choice, index, value)
@@ -365,7 +365,7 @@ class Search:
             yield self._met(trials.settled(y[None], choice, limits=trials.limits, **finest)[0])
 
     def _met(self, root: Root) -> Root:
-        """A root in one piece, which exported misses its end by what the flights of Newton's method are rougher."""
+        """Correct a root in one piece whose exported flight misses its end as Newton's method flies it more roughly."""
         if not root.converged or is_neighbour(self.problem):
             return root
         left, (best, missed) = float(np.abs(root.residual).max()), self._mended(root)
@@ -380,7 +380,7 @@ class Search:
         return shooting.plan.settles or shooting.rounding(root) or not np.isfinite(root.residual).all()
 
     def _in_pieces(self, root: Root, guess: Solution, y: Vector, choice: Vector) -> Root:
-        """By multiple shooting, where a flight in one piece misses its end by more than what is rounding."""
+        """Solve by multiple shooting where a flight in one piece misses its end by more than rounding."""
         trials, segments = self.trials, self.settings.segments
         if np.abs(root.residual).max() <= _ROUNDED and trials.shooting.rounding(root):
             return replace(self._mended(root)[0], converged=True)

@@ -62,7 +62,7 @@ class Smoothing:
     told: str = ""
 
     def root(self, choice: Vector) -> Root | None:
-        """An extremal; None, with the reason in `told`, where none was reached.
+        """Return an extremal; None, with the reason in `told`, where none was reached.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class Smoothing:
         return None
 
     def carried(self, starts: int, seed: int) -> list[Root]:
-        """Extremals that smoothed ones lead to, carried from short flights to the whole; every duration is given.
+        """Return extremals that smoothed ones lead to, carried from short flights; every duration is given.
 
         Smoothed extremals begin and end less often on the way, and lie farther apart.
 
@@ -134,7 +134,7 @@ class Smoothing:
             return flight if known else None
 
     def _sharpened(self, there: Trials, shooting: Shooting, root: Root) -> Root | None:
-        """The switched extremal that a smoothed one leads to."""
+        """Return the switched extremal that a smoothed one leads to."""
         for left, nearly in self._less(there, shooting, root):
             self.told = f"smoothed controls: followed to {left:.2g} of the smoothing"
             if (found := self._switched(there.conditions, shooting.segments, nearly)) is not None:
@@ -142,7 +142,7 @@ class Smoothing:
         return None
 
     def _less(self, there: Trials, shooting: Shooting, root: Root) -> Iterator[tuple[float, Root]]:
-        """Roots with less and less of the smoothing, and how much of it is left."""
+        """Yield roots with less and less of the smoothing, and how much of it is left."""
         at, step, here, levels = 0.0, _STRIDE, root, list(_LEVELS)
         while levels and step > _SHORTEST:
             ahead, behind = self._numbers(there, at - _PROBE), self._numbers(there, at)

@@ -30,7 +30,7 @@ _OF_EXTREMAL = 1e-9  # the same of an extremal, whose neighbours are solved: J o
 
 
 def on_the_sphere(trials: Trials, count: int, seed: int) -> Matrix:
-    """Unknowns with random costates of length one and free parameters around their typical values."""
+    """Return unknowns with random costates of length one and free parameters around their typical values."""
     rng, c, problem = np.random.default_rng(seed), trials.conditions, trials.problem
     Y = np.zeros((count, len(c.unknowns)))
     directions = rng.normal(size=(count, c.free_at.start))
@@ -48,7 +48,7 @@ def vanishing(trials: Trials) -> dict[int, float]:
 
 
 def leave_out(trials: Trials, Y: Matrix, choices: Matrix) -> None:
-    """Begin without the phases that may vanish, the phase before each lasting for as long as both."""
+    """Leave out the phases that may vanish; the phase before each then lasts for as long as both."""
     problem, first = trials.problem, trials.conditions.free_at.start
     for i, least in vanishing(trials).items():
         k = problem.duration_names.index(problem.free_names[i])
@@ -103,7 +103,7 @@ def held_in(trials: Trials, guess: Solution, y: Vector, limits: Limits | None = 
 
 
 def followed(trials: Trials, guess: Solution, y: Vector) -> tuple[Vector, Vector] | None:
-    """From an extremal at other values of the parameters to one at those of the problem, and what it holds.
+    """Follow an extremal from other values of the parameters to those of the problem; return what it holds too.
 
     None where it ends on the way, or the guess is none of this form.
 

@@ -92,7 +92,7 @@ class Polish:
     chattering: Solution | None = None  # along a structure of which no flight is the best
 
     def run(self, rough: Solution) -> Solution | None:
-        """The extremal of the structure of a rough answer, in the user's phases; None where none was found."""
+        """Return the extremal of the structure of a rough answer, in the user's phases; None where none was found."""
         found = self._first(rough)
         alone = self.guessed or self.brief or is_neighbour(self.problem) or not bounded_parameters(self.problem)
         return found if found is None or alone or self.chattering is not None else self._best_along_families(found)
@@ -159,7 +159,7 @@ class Polish:
             return None
 
     def _known(self, rough: Solution) -> Iterator[Solution]:
-        """The rough answer, and of some that of a finer mesh: the better one first.
+        """Yield the rough answer, and of some that of a finer mesh: the better one first.
 
         Where a control wavers between its bounds it may be singular, or held by a condition on states; what rides along
         one may touch it twice. A mesh tells the worse the rougher it is, so that a finer one comes last in any case.
@@ -178,7 +178,7 @@ class Polish:
             yield from self._finer(rough, 24, close=True)
 
     def _finer(self, rough: Solution, segments: int, *, close: bool) -> Iterator[Solution]:
-        """The same flight of a mesh of so many segments, where that finds one."""
+        """Yield the same flight of a mesh of so many segments, where that finds one."""
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
         with suppress(PeriluneError):
@@ -189,7 +189,7 @@ class Polish:
         return any(c.ridden for k in phases for name in of_states(self.problem, k) for c in contacts(rough, k, name))
 
     def followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
-        """From the first structure that an answer has to the one that its extremal keeps to."""
+        """Follow the structures from the first that an answer has to the one that its extremal keeps to."""
         while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
             if structure.count > MOST_ARCS:
                 self._say(f"structure of more than {MOST_ARCS} arcs: not tried")
@@ -214,7 +214,7 @@ class Polish:
     def _kept_to(
         self, structure: Structure, solved: Solution, whole: Solution
     ) -> tuple[Solution | None, Structure | None]:
-        """The answer where the extremal of a structure keeps to it; else the structure that it asks for, if any."""
+        """Return the answer if the extremal of a structure keeps to it; else the structure that it asks for, if any."""
         kept = timed(structure, solved)
         # A neighbour has the arcs of its guess.
         revised = kept if is_neighbour(self.problem) else self._revised(kept, solved, whole)
@@ -228,11 +228,11 @@ class Polish:
         return self._composed(whole), None
 
     def _say(self, line: str) -> None:
-        """A line of what was tried, once."""
+        """Report a line of what was tried, once."""
         self.tried += [] if line in self.tried else [line]
 
     def _best_along_families(self, first: Solution) -> Solution:
-        """The best of an answer and of those to which families along parameters between bounds lead, with its arcs.
+        """Return the best of an answer and of those along families of parameters between bounds, with its arcs.
 
         Where these are no longer its arcs they are revised, and what comes of that is followed in its turn.
         """
@@ -316,7 +316,7 @@ class Polish:
             raise failure
 
     def _revised(self, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
-        """The structure where the extremal keeps to it; another that it asks for; None where that is no structure."""
+        """Return the structure if the extremal keeps to it; else the one that it asks for; None where that is none."""
         phases, same, way = [], True, Way(self.problem, structure, solved, whole)
         for k, arcs in enumerate(structure.phases):
             known = list(_contacts(structure, k))
@@ -351,7 +351,7 @@ class Polish:
                 yield contact
 
     def _beside(self, way: Way, k: int, found: list[Contact]) -> list[Contact]:
-        """The contacts and those that are missing: where a condition is broken."""
+        """Return the contacts and those that are missing: where a condition is broken."""
         found = list(found)
         for name in of_states(self.problem, k):
             size = self.problem.size_of(margins(self.problem, k)[name][0])
@@ -368,7 +368,7 @@ class Polish:
         return found
 
     def _ridden(self, way: Way, k: int, known: Sequence[Contact], found: list[Contact]) -> list[Contact]:
-        """The contacts, touches of a condition between which the extremal does not leave it being one arc."""
+        """Return the contacts, touches that the extremal does not leave between them joined to one arc."""
         for name in {c.name for c in known}:
             condition, (t, room) = conditions_of(self.problem, k, (name,))[name], way.room_along(k, name)
             near = np.abs(room) <= rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))

@@ -88,12 +88,12 @@ class Run:
     _look: tuple[Answer, Look] | None = None
 
     def say(self, line: str) -> None:
-        """One line for the watcher and for the history."""
+        """Report one line to the watcher and keep it in the history."""
         self.tried.append(line)
         self.watch(line)
 
     def program(self, meshes: tuple[Mesh, ...]) -> Program:
-        """The NLP on the given meshes."""
+        """Return the program on the given meshes."""
         from perilune.direct.nlp import Program
 
         return Program(problem=self.problem, scheme=self.settings.scheme, meshes=meshes)
@@ -121,7 +121,7 @@ class Run:
         return answer
 
     def looked_at(self, program: Program, answer: Answer) -> Look:
-        """An answer as a flight; it is looked at once."""
+        """Return an answer as a flight; it is simulated once."""
         if self._look is None or self._look[0] is not answer:
             self._look = answer, self._looked_at(program, answer)
         return self._look[1]
@@ -135,7 +135,7 @@ class Run:
         return Look(segments, errors, relative_errors(self.problem, segments, errors))
 
     def solution(self, program: Program, answer: Answer, look: Look) -> Solution:
-        """The answer in SI."""
+        """Return the answer in SI."""
         from perilune.direct.segments import trajectory
 
         problem, worst = self.problem, look.worst
@@ -169,7 +169,7 @@ class Run:
         )
 
     def missing(self, program: Program, answer: Answer) -> Solution:
-        """A trajectory that misses conditions, whose multipliers are costates of nothing."""
+        """Return a trajectory that misses conditions, whose multipliers are costates of nothing."""
         with np.errstate(all="ignore"):  # it may lead where the physics is not defined
             found = self.solution(program, answer, self.looked_at(program, answer))
             return replace(found, trajectories=tuple(replace(flown, costate=None) for flown in found.trajectories))

@@ -70,7 +70,7 @@ class Trials:
         shooting: Shooting | None = None,
         **settings: float,
     ) -> Roots:
-        """Roots within their limits; flights are counted, and the nearest failure at the problem's own numbers kept."""
+        """Return roots within their limits; count flights, keep the nearest failure at the problem's own numbers."""
         function = shooting or self.shooting
         numbers = self.p if p is None else p
         roots = completed(function, settle(function, Y, numbers, choice, limits, self.watch, **settings), numbers)
@@ -110,7 +110,7 @@ class Trials:
         return float(self.limits.lower[index]), float(self.limits.upper[index])
 
     def outside(self, root: Root) -> str | None:
-        """The first free parameter that is out of its bounds, or None."""
+        """Return the first free parameter that is out of its bounds, or None."""
         scales = free_scales(self.problem.free, self.problem)
         values = root.y[self.conditions.free_at] * scales
         for f, value, scale in zip(self.problem.free, values, scales, strict=True):
@@ -125,7 +125,7 @@ def found_at(shooting: Shooting, problem: Problem, root: Root) -> Found:
 
 
 def bounded_parameters(problem: Problem) -> tuple[int, ...]:
-    """Indices of the free parameters between finite bounds that are no durations."""
+    """Return indices of the free parameters between finite bounds that are no durations."""
     return tuple(
         i
         for i, f in enumerate(problem.free)

@@ -16,7 +16,7 @@ _FLAT = 1e-6  # of the largest sum of the parts of H on the flight; what counts 
 
 
 def undetermined(flight: Solution) -> tuple[str, ...]:
-    """Names of the controls of a flight with costates that nothing determines, each with its phase before it."""
+    """Name the controls of a flight with costates that nothing determines, each with its phase before it."""
     found, size = list[tuple[float, str]](), 0.0
     for k, (phase, flown) in enumerate(zip(flight.problem.phases, flight.trajectories, strict=True)):
         if flown.costate is None:

@@ -37,14 +37,14 @@ class Way:
     whole: Solution
 
     def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
-        """Times of phase k [s] and how far a condition is from its limit there [SI]."""
+        """Return the times of phase k [s] and how far a condition is from its limit there [SI]."""
         if still(self.problem, k, name):
             return (t := np.zeros(1)), self._room(k, name, t, self._aloft.at(self._first(k), t))
         parts = [self._closely(k, name, *part) for part in self._phases(k)]
         return np.concatenate([t for t, _ in parts]), np.concatenate([room for _, room in parts])
 
     def _closely(self, k: int, name: str, j: int, times: Vector, x: Matrix) -> tuple[Vector, Vector]:
-        """Times of an arc and S there, the closer together the nearer S may be to its limit between them."""
+        """Return the times of an arc and S there, the closer together the nearer S may be to its limit between them."""
         room, begin, length = self._room(k, name, times, x), times[0], times[-1] - times[0]
         for _ in range(CLOSEST):
             between = closer(times, room, EXACTLY * self._size(k, name)) if length > 0.0 else times[:0]

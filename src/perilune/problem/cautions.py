@@ -204,7 +204,7 @@ def _ends_reached(solution: Any, k: int) -> Iterator[str]:
 
 
 def _room_of(solution: Any, k: int, i: int) -> Callable[[Vector], Vector]:
-    """A condition of the path at any times of a phase."""
+    """Return a condition of the path at any times of a phase."""
 
     def of(t: Vector) -> Vector:
         x, u = solution.flown(k, t)

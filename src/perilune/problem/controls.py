@@ -37,7 +37,7 @@ _CLOSE = (-1e-1, -1e-2, -1e-3, -1e-4, 1e-4, 1e-3, 1e-2, 1e-1)
 
 
 def limit_value(limit: Limit, p: Any) -> Any:
-    """Value of a limit: the number itself, or the parameter of that name in the record p."""
+    """Return the value of a limit: the number itself, or the parameter of that name in the record p."""
     return getattr(p, limit) if isinstance(limit, str) else limit
 
 
@@ -83,7 +83,7 @@ class Direction:
         return len(self.names) - 1
 
     def limits(self, p: Any) -> tuple[float, float]:
-        """Limits of the components [1]: of no direction do they hold anything back."""
+        """Return the limits of the components [1], which hold no direction back."""
         return -math.inf, math.inf
 
     def box(self, p: Any) -> tuple[float, float]:
@@ -91,20 +91,20 @@ class Direction:
         return -1.0, 1.0
 
     def normalised(self, u: Any) -> Any:
-        """The value with length 1, (components, ...); NaN where there is no direction at all."""
+        """Return the value with length 1, (components, ...); NaN where there is no direction at all."""
         with np.errstate(all="ignore"):
             return u / np.sqrt((u * u).sum(axis=0))
 
     def admissible(self, u: Any, p: Any) -> Any:
-        """The nearest admissible value."""
+        """Return the nearest admissible value."""
         return self.normalised(u)
 
     def admissible_rates(self, u: Any, good: Any, rates: Any) -> Any:
-        """Rates of `admissible(u)`, which is `good`, from those of u."""
+        """Return the rates of `admissible(u)`, which is `good`, from those of u."""
         return (rates - good * (good * rates).sum(axis=0)) / np.sqrt((u * u).sum(axis=0))
 
     def broken(self, u: Any, p: Any) -> Vector:
-        """By how much a value leaves the set [1], (...)."""
+        """Return by how much a value leaves the set [1], (...)."""
         return np.abs(np.sqrt((u * u).sum(axis=0)) - 1)
 
     def tangents(self, u: Any, scale: float) -> list[Any]:
@@ -134,7 +134,7 @@ class Direction:
         return [r / math.hypot(*raw) for r in raw]
 
     def rough(self, u: Matrix, p: Any) -> Matrix:
-        """An admissible value near u (components, N), for a first guess; where u says nothing, the first axis."""
+        """Return an admissible value near u (components, N), as a first guess; the first axis where u says nothing."""
         u = np.array(u)
         u[0, np.linalg.norm(u, axis=0) < 1e-9] = 1.0
         return self.normalised(u)
@@ -179,7 +179,7 @@ class Bounded:
         return all(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
 
     def limits(self, p: Any) -> tuple[Any, Any]:
-        """Bounds in SI, or in the units of the record p."""
+        """Return the bounds in SI, or in the units of the record p."""
         return limit_value(self.lower, p), limit_value(self.upper, p)
 
     def box(self, p: Any) -> tuple[float, float]:
@@ -201,24 +201,24 @@ class Bounded:
         return lower, upper
 
     def normalised(self, u: Any) -> Any:
-        """The value itself."""
+        """Return the value itself."""
         return u
 
     def admissible(self, u: Any, p: Any) -> Any:
-        """The nearest value within the bounds."""
+        """Return the nearest value within the bounds."""
         return np.clip(u, *self.limits(p))
 
     def admissible_rates(self, u: Any, good: Any, rates: Any) -> Any:
-        """Rates of `admissible(u)`, which is `good`, from those of u."""
+        """Return the rates of `admissible(u)`, which is `good`, from those of u."""
         return np.where(good == u, rates, 0.0)
 
     def broken(self, u: Any, p: Any) -> Vector:
-        """By how much a value leaves its bounds [SI], negative inside; NaN where the value is."""
+        """Return by how much a value leaves its bounds [SI], negative inside; NaN where the value is."""
         lower, upper = self.limits(p)
         return np.maximum(lower - u[0], u[0] - upper) + 0.0 * u[0]
 
     def tangents(self, u: Any, scale: float) -> list[Any]:
-        """The axis along which the value can move, (1, N), one canonical unit long."""
+        """Return the axis along which the value can move, (1, N), one canonical unit long."""
         return [np.full((1, u.shape[1]), scale)]
 
     def samples(self, u: Matrix, scale: float, p: Any) -> list[Matrix]:
@@ -235,7 +235,7 @@ class Bounded:
         return [lower + 0.4 * (upper - lower)]
 
     def rough(self, u: Matrix, p: Any) -> Matrix:
-        """An admissible value near u, for a first guess."""
+        """Return an admissible value near u, for a first guess."""
         return self.admissible(u, p)
 
     def middle(self, p: Any) -> tuple[float, float]:
@@ -271,7 +271,7 @@ class Settled(Bounded):
         return self.regime == "singular" and super().bounded
 
     def limits(self, p: Any) -> tuple[Any, Any]:
-        """Bounds in SI, or in the units of the record p: twice the one on which it lies."""
+        """Return the bounds in SI, or in the units of the record p: twice the one on which it lies."""
         lower, upper = super().limits(p)
         return {"lower": (lower, lower), "upper": (upper, upper), "singular": (lower, upper)}[self.regime]
 
@@ -302,23 +302,41 @@ def _each(controls: Sequence[Control], u: Any, change: Callable[[Control, slice,
 
 
 def normalised(controls: Sequence[Control], u: Any) -> Any:
-    """Controls (components, ...) with every direction of length 1."""
+    """Return controls (components, ...) with every direction of length 1."""
     return _each(controls, u, lambda control, _, part: control.normalised(part))
 
 
 def admissible(controls: Sequence[Control], u: Any, p: Any) -> Any:
-    """Controls (components, ...) with directions normalised and bounds held, which interpolation may leave a little."""
+    """Return controls with directions normalised and bounds held, which interpolation may leave a little.
+
+    Parameters
+    ----------
+    controls
+        Controls of the phase.
+    u
+        Their components, (components, ...) [SI].
+    p
+        Record of all parameters in SI.
+    """
     return _each(controls, u, lambda control, _, part: control.admissible(part, p))
 
 
 def admissible_rates(controls: Sequence[Control], u: Any, rates: Any, p: Any) -> tuple[Any, Any]:
-    """`admissible` and the chain rule through it."""
+    """Return `admissible` controls and their rates by the chain rule.
+
+    Parameters
+    ----------
+    controls, u, p
+        As for `admissible`.
+    rates
+        Rates of u, (components, ...) [SI/s].
+    """
     good = admissible(controls, u, p)
     return good, _each(controls, rates, lambda control, here, part: control.admissible_rates(u[here], good[here], part))
 
 
 def control_scales(controls: Sequence[Control], scales: Scales) -> Vector:
-    """SI size of the canonical unit of each component."""
+    """Return the SI size of the canonical unit of each component."""
     return np.array([scales.of(control.unit) for control in controls for _ in control.names])
 
 
@@ -349,5 +367,5 @@ def tangents(controls: Sequence[Control], scales: Vector, u: Matrix) -> Any:
 
 
 def directions(controls: Sequence[Control]) -> tuple[tuple[int, int], ...]:
-    """First and last place of the components of each direction."""
+    """Return the first and last place of the components of each direction."""
     return tuple((here.start, here.stop) for here, control in placed(controls) if not control.scalar)

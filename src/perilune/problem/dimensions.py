@@ -32,7 +32,7 @@ class Clash:
 
 
 def clash(expression: Expression, output: int, unit_of: Callable[[str, str], str], wanted: str) -> Clash | None:
-    """The first operation of an output that mixes units, or its own unit where it is another; None if all agrees.
+    """Find the first operation of an output that mixes units, or its own unit if wrong; None if all agrees.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def clash(expression: Expression, output: int, unit_of: Callable[[str, str], str
 
 
 def mixed_comparison(expression: Expression, unit_of: Callable[[str, str], str]) -> Clash | None:
-    """The first comparison of two units. Other operations may mix them: ``m.fmax(distance, 1e-300)`` harms nobody."""
+    """Find the first comparison of two units. Other operations may mix them: ``m.fmax(distance, 1e-300)`` is fine."""
     instructions = expression.tape.instructions
     if not any(op[0] in _COMPARISONS for op in instructions):
         return None
@@ -113,12 +113,12 @@ class _Walk:
         return wrong
 
     def told(self, place: int) -> str:
-        """A value and its unit in words."""
+        """Format a value and its unit."""
         dimension = self.dimensions[place] or _NONE
         return f"{self.text(place)} {'without a unit' if dimension == _NONE else 'in ' + _spoken(dimension)}"
 
     def text(self, place: int) -> str:
-        """A value as its formula, shortened where it is long."""
+        """Format a value as its formula, shortened where it is long."""
         whole = self._formula(place, depth=6)
         return whole if len(whole) <= _LONGEST else f"{whole[:_LONGEST]}..."
 

@@ -34,7 +34,7 @@ _PERCENT = 0.01
 
 
 def _told(views: Any) -> tuple[Variable, ...]:
-    """Two results for each disturbance."""
+    """Return two results for each disturbance, as variables."""
     asked: Dispersion | None = views.dispersion
     if asked is None:
         return ()
@@ -60,7 +60,7 @@ def dispersion(solution: Any) -> tuple[tuple[Variable, ...], list[float]]:
 
 
 def _moved_at_the_end(solution: Any, asked: Dispersion) -> Matrix:
-    """Changes of the position [m] at the end, shape (3, disturbances)."""
+    """Return the changes of the position [m] at the end, shape (3, disturbances)."""
     problem, p = solution.problem, solution.parameters
     disturbed = [_disturbed(p, by) for by in asked.disturbances]
     moved: Any = np.zeros((0, len(disturbed)))
@@ -96,7 +96,7 @@ def _stopped(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespa
 
 
 def _disturbed(p: Any, by: Disturbance) -> SimpleNamespace:
-    """The parameters with a complex step towards one percent more."""
+    """Return the parameters with a complex step towards one percent more."""
     changed = {name: getattr(p, name) * (1 + 1j * STEP * _PERCENT * share) for name, share in by.shares}
     return SimpleNamespace(**{**vars(p), **changed})
 

@@ -83,7 +83,7 @@ class Stated:
     rough: bool = False
 
     def ask(self, arguments: Mapping[str, Any], m: Any = NUMERIC) -> list[Any]:
-        """Values of the function, every mistake in it told in the user's words.
+        """Return the values of the function; describe every mistake in it in the user's words.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ class Stated:
         return [values] if self.key == "objective" else self._listed(values)
 
     def numbers(self, arguments: Mapping[str, Any]) -> list[float]:
-        """Values of the function at numbers."""
+        """Evaluate the function at numbers."""
         with np.errstate(all="ignore"):  # of values that nobody has looked at
             values = self.ask(arguments)
         try:
@@ -115,7 +115,7 @@ class Stated:
             raise self._no_numbers(values) from error
 
     def traced(self, parameters: Sequence[str]) -> Expression:
-        """The function as an expression."""
+        """Trace the function as an expression."""
         if isinstance(self.function, Expression):
             self._listed(self.function.tape.outputs)
             return self.function
@@ -316,7 +316,7 @@ def trace(problem: Any) -> Form:
 
 
 def canonical_expressions(problem: Any) -> dict[Any, Expression]:
-    """Every function of a problem, by its `Stated.key`, as an expression of canonical values.
+    """Return every function of a problem, by its `Stated.key`, as an expression of canonical values.
 
     It is the traced one but for what has a scale of its own, which is in other units inside the function.
     """

@@ -67,7 +67,7 @@ def guess(problem: Problem, times: Any, states: Any, controls: Any = None, **fre
 
 
 def _by_phase(given: Any, count: int, what: str) -> Sequence[Any]:
-    """One array for each phase."""
+    """Return one array for each phase."""
     if count == 1:
         return [given]
     if isinstance(given, (list, tuple)) and len(given) == count:
@@ -107,7 +107,7 @@ def _numbers(given: Any, shape: tuple[int | None, ...], what: str) -> Any:
 
 
 def _middle(problem: Problem, phase: Phase, count: int) -> Matrix:
-    """Controls in the middle of their ranges; no direction has one, and takes its first axis."""
+    """Return controls in the middle of their ranges; a direction has none, and takes its first axis."""
     p, columns = problem.parameters({f.name: f.typical for f in problem.free}), list[float]()
     for control in phase.controls:
         middle = control.middle(p)[0]
@@ -120,7 +120,7 @@ def _curve(t: Vector, values: Matrix) -> Curve:
 
 
 def fitting_guess(problem: Problem, guess: object) -> Solution:
-    """The guess, where it is a solution with as many phases as the problem.
+    """Return the guess, where it is a solution with as many phases as the problem.
 
     Raises
     ------

@@ -42,7 +42,7 @@ class MovedStart:
 
 
 def movable(problem: Problem) -> Problem:
-    """The problem with a given parameter ``offset_<state>``, 0, for each component of its initial state."""
+    """Return the problem with a given parameter ``offset_<state>``, 0, for each component of its initial state."""
     offsets = {offset_of(s.name): Given(value=0.0, unit=s.unit) for s in problem.phases[0].states}
     given = MappingProxyType({**problem.given, **offsets})
     return problem.changed(start=MovedStart(problem), given=given, form=None)
@@ -81,7 +81,7 @@ def held(problem: Problem, **values: float) -> Problem:
 
 
 def narrowed(problem: Problem, **values: float) -> Problem:
-    """The problem, to be solved as any other, with free parameters that may take no other than these values [SI]."""
+    """Return the problem, to be solved as any other, with free parameters that take only these values [SI]."""
     return _at(problem, values, Free)
 
 
@@ -106,7 +106,7 @@ def _with_free(problem: Problem, free: tuple[Free, ...]) -> Problem:
 
 
 def placed(problem: Problem, values: Mapping[str, float]) -> Problem:
-    """The problem at other values [SI] of given parameters, which nobody judges again: those of a table were.
+    """Return the problem at other values [SI] of given parameters without checks: those of a table were made.
 
     One that is free here is fixed, as by `Problem.with_given`.
     """

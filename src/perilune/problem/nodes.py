@@ -17,7 +17,7 @@ def hermite_nodes(
     shortest: float = 0.0,
     together: Callable[[Matrix, Matrix], Vector] | None = None,
 ) -> tuple[Vector, Matrix, Matrix]:
-    """Nodes on [0, duration] such that cubic Hermite interpolation meets a tolerance at every mid-point; what is there.
+    """Return nodes on [0, duration] where cubic Hermite interpolation meets a tolerance at every mid-point, and values.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from perilune.words.types import Physics
 
 @called_in_words
 def opposite(problem: Problem) -> Problem:
-    """The same problem with the other end of the range of its objective: J is minus what it was.
+    """Return the same problem with the other end of the range of its objective: J is minus what it was.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ _POINTS, _NEARER, _ROUNDS = 401, 9, 12  # looked at first; then, each time, four
 
 
 def peaks(solution: Any) -> tuple[list[Variable], list[float]]:
-    """The largest value of each and when it is reached, and what they are."""
+    """Return the largest value of each and when it is reached, and what they are."""
     variables, values = list[Variable](), list[float]()
     for name in solution.problem.views.peaks:
         best, since, of = (-np.inf, 0.0), 0.0, Variable(name=name)

@@ -118,7 +118,7 @@ class Phase(ShownPhase):
         return {f.name: getattr(self, f.name) for f in fields(self)}  # record types are made anew where it arrives
 
     def rates(self, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Rates of the states for plain sequences x and u (each component may itself be an array)."""
+        """Return the rates of the states for plain sequences x and u (each component may itself be an array)."""
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
 
     def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
@@ -133,13 +133,13 @@ class Phase(ShownPhase):
         return physics(self.state_record(*x), *control, p, m)
 
     def path_along(self, x: Any, u: Any, p: Any) -> Iterator[tuple[Variable, Vector]]:
-        """Each condition of the path with its values [SI] along x, (states, n), and u, (components, n)."""
+        """Yield each condition of the path with its values [SI] along x, (states, n), and u, (components, n)."""
         values = self.evaluate("path", list(x), list(u), p)
         for condition, along in zip(self.path_conditions, values, strict=True):
             yield condition, np.broadcast_to(np.asarray(along, dtype=float), np.shape(x)[1:])
 
     def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Values of ``inertial``; empty where the phase has none."""
+        """Return the values of ``inertial``; empty where the phase has none."""
         if self.inertial is None:
             return ()
         return self.inertial(self.state_record(*x), self.control_record(*u), t, p, m)

@@ -214,7 +214,7 @@ class Problem(ShownProblem, SimulatedProblem):
         return self.stated_by(canonical_expressions(self)) if self._own_scales else self
 
     def stated_by(self, found: Mapping[Any, Expression]) -> Problem:
-        """A problem of the same form with these functions by their key."""
+        """Return a problem of the same form with these functions by their key."""
         phases = tuple(
             replace(phase, **{name: found.get((k, name)) for name in PHASE_FUNCTIONS})
             for k, phase in enumerate(self.phases)
@@ -227,7 +227,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
     @called_in_words
     def changed(self, **changes: Any) -> Problem:
-        """A problem that is not tried again; of the same form, or with `form=None` traced when it is asked for.
+        """Return a changed problem, not checked again; of the same form, or traced on demand with `form=None`.
 
         Raises
         ------
@@ -296,7 +296,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
     @called_in_words
     def size_of(self, named: Variable | Free | Control) -> float:
-        """SI size of the canonical unit of a state, condition, control or free parameter.
+        """Return the SI size of the canonical unit of a state, condition, control or free parameter.
 
         It is its own `scale`, else the size of its unit in `scales`.
 
@@ -337,7 +337,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
     @called_in_words
     def bounds(self, bounded: Any) -> tuple[float, float]:
-        """Lower and upper bound [SI] of a state or a scalar control, which may name a given parameter.
+        """Return the lower and upper bound [SI] of a state or a scalar control, which may name a given parameter.
 
         Raises
         ------
@@ -389,7 +389,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
 
 def _by_name(function: Any) -> Any:
-    """The function where another process finds it by its name, else None; a script's own it would not find."""
+    """Return the function where another process finds it by its name, else None; a script's own it would not find."""
     try:
         name = pickle.dumps(function)
     except (pickle.PicklingError, AttributeError, TypeError):

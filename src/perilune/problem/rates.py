@@ -88,7 +88,7 @@ _BINARY: dict[str, Callable[[Any, Any, Any, Any, Any, Any], Any]] = {
 
 
 def _rate_of(m: Any, name: str, value: Any, of: Sequence[Any], rates: Sequence[Any], table: Any) -> Any:
-    """Rate of one operation; a comparison has none, and of a choice the side that is taken counts."""
+    """Return the rate of one operation; a comparison has none, and a choice that of the side taken."""
     if all(rate is None for rate in rates) or name in ("lt", "le", "eq", "ne"):
         return None
     if name == "where":

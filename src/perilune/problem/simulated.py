@@ -105,7 +105,7 @@ def _number_of(problem: Any, phase: str | int | None) -> int:
 
 
 def _components(values: Any, names: Sequence[str], what: str) -> Matrix:
-    """Values as numbers, one row for each name."""
+    """Return the values as numbers, one row for each name."""
     found = demand_numbers(values, what, most=2) if len(names) or np.size(values) else np.empty(0)
     found = np.asarray(found, dtype=float)
     if found.ndim == 0 or len(found) != len(names):

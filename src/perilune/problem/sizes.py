@@ -22,7 +22,7 @@ ROUNDS = 1e-4  # of what a state reaches: some hundred times the last digit, bes
 
 
 def borne_out(scale: float, unit: float, reached: float) -> float:
-    """A stated scale [SI] as far as a flight bears it out, so that no limit is loosened at will.
+    """Return a stated scale [SI] as far as a flight bears it out, so that no limit is loosened at will.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def borne_out(scale: float, unit: float, reached: float) -> float:
 
 
 def likely(unit: float, reached: float) -> float:
-    """A canonical unit [SI] within a factor of what a flight reaches in it: `Scales` loosen no limit at will either.
+    """Return a canonical unit [SI] within a factor of what a flight reaches in it: `Scales` loosen no limit at will.
 
     What is rounding beside any unit that may be stated is nothing reached.
     """
@@ -45,7 +45,7 @@ def likely(unit: float, reached: float) -> float:
 def reached_sizes(
     scales: Scales, states: Sequence[Variable], values: Matrix, elsewhere: Mapping[str, float] = MappingProxyType({})
 ) -> Vector:
-    """By what errors of the states of a flight are judged [SI], from their values along it, (n, times).
+    """Return the sizes [SI] by which errors of the states of a flight are judged, from their values, (n, times).
 
     That is what they reach, as far as the span that they cover bears it out, and at least their canonical units;
     or, where a state has a scale of its own, a thousandth of that. So an answer is judged alike whatever scale it

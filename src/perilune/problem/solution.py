@@ -69,7 +69,7 @@ class Curve(ShownCurve):
 
     @called_in_words
     def __call__(self, t: float | Vector) -> Any:
-        """Value at times t [s]: shape (k,) for a number, (len(t), k) for an array.
+        """Return the value at times t [s]: shape (k,) for a number, (len(t), k) for an array.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class Curve(ShownCurve):
 
     @called_in_words
     def extended(self, t: float | Vector) -> Any:
-        """The same without a limit: before the first and after the last node their cubics go on.
+        """Return the same without a limit: before the first and after the last node their cubics go on.
 
         For a proof, which has to look at tables that end where they should not.
 
@@ -146,7 +146,7 @@ class Trajectory(ShownTrajectory):
 
 
 def _read_only(values: Any) -> Any:
-    """The array where nobody can write to it, else a copy that is so."""
+    """Return the array where nobody can write to it, else a copy that is so."""
     array = np.asarray(values, dtype=float)
     owner = array if array.base is None else array.base
     if array.flags.writeable or not isinstance(owner, np.ndarray) or owner.flags.writeable:
@@ -305,7 +305,7 @@ class Solution(ShownSolution):
 
     @called_in_words
     def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
-        """State (states, n) and control (components, n) at times t [s], as the physics receives them.
+        """Return the state (states, n) and control (components, n) at times t [s], as the physics receives them.
 
         Cubic Hermite between nodes, then each `Direction` normalised.
         """
@@ -316,7 +316,7 @@ class Solution(ShownSolution):
 
     @called_in_words
     def outputs(self, phase: int, t: Vector) -> dict[str, Vector]:
-        """The phase's named outputs at times t, in SI."""
+        """Return the phase's named outputs at times t, in SI."""
         flown = self.flown(phase, t)
         definition = self.problem.phases[phase]
         values = definition.evaluate("outputs", *flown, self.parameters)

@@ -160,7 +160,7 @@ def trace_sides(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> Kinked:
 def _on_side(
     phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace, sides: tuple[int, ...], choices: list[Choice], most: int
 ) -> ca.SX:
-    """The rates with every choice held on its side; adds new choices, steady ones up to `most` sides."""
+    """Return the rates with every choice held on its side; add new choices, steady ones up to `most` sides."""
 
     def side(argument: Any, knots: tuple[float, ...], *, steady: bool = True, bent: bool = True) -> int | None:
         argument = ca.SX(argument)

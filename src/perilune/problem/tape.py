@@ -163,7 +163,7 @@ class Recorder:
         return Symbol(self, self._append(("table", self.index_of(value), table.digest)))
 
     def input(self, role: str, name: str) -> Symbol:
-        """The symbol of a component of a record, or of the time itself."""
+        """Return the symbol of a component of a record, or of the time itself."""
         return Symbol(self, self._append((role, name)))
 
     def index_of(self, value: Any) -> int:
@@ -226,7 +226,7 @@ class Tape:
     tables: tuple[Table, ...] = ()
 
     def document(self) -> dict[str, Any]:
-        """The tape for JSON."""
+        """Return the tape for JSON."""
         tables = [{"x": list(t.x), "y": list(t.y), "kind": t.kind} for t in self.tables]
         found = {"instructions": [list(op) for op in self.instructions], "outputs": list(self.outputs)}
         return {**found, "tables": tables} if tables else found
@@ -254,7 +254,7 @@ class Expression:
     origin: str = field(default="", compare=False)
 
     def __call__(self, *arguments: Any) -> Any:
-        """The values, computed with the maths namespace that is the last argument."""
+        """Compute the values with the maths namespace that is the last argument."""
         *records, m = arguments
         inputs, constants, operations, outputs, size = self._plan
         values = [getattr(records[k], name) if name else records[k] for k, name in inputs]
@@ -272,7 +272,7 @@ class Expression:
         return [values[k] for k in outputs]
 
     def rescaled(self, inputs: Mapping[tuple[str, str], float], outputs: Sequence[float]) -> Expression:
-        """The same function in other units.
+        """Return the same function in other units.
 
         Parameters
         ----------
@@ -332,7 +332,7 @@ class Expression:
         return {}
 
     def _bound(self, m: Any, operations: Sequence[_Placed]) -> list[_Step]:
-        """The operations with the functions of one namespace; the few namespaces that there are stay."""
+        """Return the operations with the functions of one namespace, which are kept for the few there are."""
         found = self._steps.get(id(m))
         if found is None or found[0] is not m:
             steps = [

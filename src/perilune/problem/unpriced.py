@@ -106,7 +106,7 @@ def _numeric_slopes(expression: Expression, state: str) -> tuple[float | None, .
 
 
 def _states_read(expression: Expression | None, wanted: list[bool] | None = None) -> set[str]:
-    """Names of the states that an expression reads, for its `wanted` values."""
+    """Return the names of the states that an expression reads, for its `wanted` values."""
     if expression is None:
         return set()
     each = _states_by_value(expression)
@@ -115,7 +115,7 @@ def _states_read(expression: Expression | None, wanted: list[bool] | None = None
 
 @lru_cache(maxsize=256)
 def _states_by_value(expression: Expression) -> tuple[frozenset[str], ...]:
-    """Names of the states that each value of an expression reads."""
+    """Return the names of the states that each value of an expression reads."""
     found = list[frozenset[str]]()
     for operation in expression.tape.instructions:
         name, *rest = operation

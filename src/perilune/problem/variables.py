@@ -15,7 +15,7 @@ from perilune.words.units import demand_si_unit
 
 
 def positive_scale(name: str, scale: Any) -> float | None:
-    """The size of a canonical unit, where one is stated.
+    """Return the size of a canonical unit, where one is stated.
 
     Raises
     ------
@@ -74,11 +74,11 @@ class Variable:
         return any(isinstance(limit, str) or math.isfinite(limit) for limit in (self.lower, self.upper))
 
     def limits(self, p: Any) -> tuple[Any, Any]:
-        """Bounds in SI, where they are parameters those of the record p."""
+        """Return the bounds in SI; those that are parameters from the record p."""
         return limit_value(self.lower, p), limit_value(self.upper, p)
 
     def missed(self, value: Any, p: Any) -> Any:
-        """By how much an end condition of this value is not met, 0 where it is; a number, or an array of them."""
+        """Return by how much an end condition of this value is missed, 0 where it is met; a number or an array."""
         lower, upper = self.limits(p)
         return value - NUMERIC.fmin(NUMERIC.fmax(value, lower), upper) if self.ranged else value
 
@@ -104,7 +104,7 @@ class Given:
 
 
 def given_as(name: str, value: Any, unit: str) -> Given:
-    """A value in SI of the parameter of this name, which a refusal names."""
+    """Return a given parameter of this value in SI; `name` is named in a refusal."""
     demand_si(value, f"a value of {name}")
     return Given(value=value, unit=unit)
 

@@ -23,7 +23,7 @@ _FAR = 1e4  # canonical: a range that is so much wider or narrower than 1 has a 
 
 
 def varied(problem: Problem, names: Sequence[str], sizes: Mapping[str, float]) -> Problem:
-    """The problem with these parameters free without bounds; others that are free keep their place before them.
+    """Return the problem with these parameters free without bounds; other free ones keep their places before them.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def _size_of(name: str) -> str:
 
 
 def _with_shares(expression: Expression, sizes: Mapping[str, float]) -> Expression:
-    """An expression with a share times a size in place of a parameter."""
+    """Return an expression with a share times a size in place of a parameter."""
     inside = [name for name in sizes if ("p", name) in expression.tape.instructions]
     if not inside:
         return expression

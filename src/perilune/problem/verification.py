@@ -61,7 +61,7 @@ class Check:
         return self.own_limit is not None and self.passed and not self.value <= self.own_limit
 
     def limit_told(self, digits: int = 3) -> str:
-        """The limit in words; one that was raised with its own."""
+        """Format the limit; one that was raised with its own."""
         own = "" if self.own_limit is None else f" stated, its own {self.own_limit:.{digits}g}"
         return f"limit {self.limit:.{digits}g}{own}"
 

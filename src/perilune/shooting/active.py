@@ -47,7 +47,7 @@ class Limits:
         return Limits(lower=lower, upper=upper)
 
     def taken_over(self, choice: Vector, before: Limits) -> Vector:
-        """A choice of another problem: what it holds at a limit of that one is held at the limit here."""
+        """Return the choice of another problem with what it holds at a limit of that one at the limit here."""
         count = len(self.lower)
         masks, held = choice[:count], choice[count:]
         at_lower, at_upper = held == before.lower, held == before.upper
@@ -94,7 +94,7 @@ def settle(
     watch: Watch | None = None,
     **settings: Any,
 ) -> Roots:
-    """Roots that keep the limits, each with its own choice of what is held.
+    """Solve for roots that keep the limits, each with its own choice of what is held.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ def nearly_open(root: Root) -> bool:
 
 
 def completed(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
-    """The same with those that Newton's method could not end brought onto the curve that they lie near.
+    """Return the roots with those that Newton's method could not end brought onto the curve that they lie near.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def completed(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
 
 
 def reached(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lanes) -> Roots:
-    """Roots on curves, by the shortest steps; not converged where there is none, or no curve.
+    """Return roots on curves, by the shortest steps; not converged where there is none, or no curve.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ class HeldFamily:
         return float(root.slopes[self.index])
 
     def reach(self, here: Member, target: float) -> Member | None:
-        """The member at another value, step by step."""
+        """Follow the family to the member at another value, step by step."""
 
         def correct(y: Vector, value: float) -> Root:
             return self.held(y[None], np.array([value]), here.root)[0]
@@ -127,7 +127,7 @@ def scan(
 
 
 def _chain(family: HeldFamily, first: Member, tried: list[tuple[float, Root]]) -> list[Member]:
-    """Members outwards from `first`: a lane's root where it continues the branch, else one reached step by step."""
+    """Return members outwards from `first`: a lane's root where it continues the branch, else one by single steps."""
     members, here, stride = [], first, np.inf
     for value, root in tried:
         near = 3 * stride + 0.05 * (1 + np.linalg.norm(here.root.y))
@@ -158,7 +158,7 @@ class _Bracket:
         return y, self.a.value + share * (self.b.value - self.a.value)
 
     def middle(self, family: HeldFamily, root: Root, value: float) -> Member | None:
-        """The member at a value between: the root where there is one, else reached step by step from either end.
+        """Return the member at a value between: the root where there is one, else reached from either end.
 
         From a straight line between two members Newton does not find it where the costates grow a hundredfold from one
         to the other, as they do where a flight from low over the site becomes a short one.

@@ -131,7 +131,7 @@ class Flight:
         self.closing = code.closing.bind(*known, *ends)
 
     def __call__(self) -> Matrix:
-        """Rows of an evaluation, NaN where an arc was lost; the next call may overwrite them."""
+        """Return the rows of an evaluation, NaN where an arc was lost; the next call may overwrite them."""
         rows = self.flown()
         if not self.plan.compiled:
             n = self.plan.columns.n
@@ -163,7 +163,7 @@ class FewLanes:
         self.flight = Flight(code, *self.arrays)
 
     def __call__(self, *arguments: Matrix) -> Matrix:
-        """Rows of an evaluation; arguments as for `Flight`."""
+        """Return the rows of an evaluation; arguments as for `Flight`."""
         for own, given in zip(self.arrays, arguments, strict=True):
             own[:] = given
         return self.flight().copy()
@@ -183,11 +183,11 @@ class Fleet:
         return Code(self.plan)
 
     def bind(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> Flight:
-        """A flight of arrays that live as long."""
+        """Bind a flight to arrays that live as long."""
         return Flight(self.code, Y, choice, p, accuracy, inverse)
 
     def fly(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> Matrix:
-        """Rows of an evaluation; arguments as for `Flight`."""
+        """Return the rows of an evaluation; arguments as for `Flight`."""
         arguments, lanes = (Y, choice, p, accuracy, inverse), len(Y)
         if not 0 < lanes <= self._few:
             return self.bind(*arguments)()
@@ -202,12 +202,12 @@ class Fleet:
 
 @lru_cache(maxsize=64)
 def fleet(conditions: Conditions, segments: int) -> Fleet:
-    """The fleet of a boundary value problem, made once."""
+    """Return the fleet of a boundary value problem, which is made once."""
     return Fleet(plan(conditions, segments))
 
 
 def jacobians(conditions: Conditions, segments: int, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
-    """Jacobians (lanes, n, n) themselves, of whose inverse a singular one leaves nothing."""
+    """Return the Jacobians (lanes, n, n) themselves, of whose inverse a singular one leaves nothing."""
     code, count = _bare(conditions, segments), len(Y)
     n = code.plan.columns.n
     flight = Flight(code, Y, choice, p, np.full(count, newton.FINEST), np.zeros((count, n * n)))

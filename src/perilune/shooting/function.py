@@ -82,7 +82,7 @@ class Roots:
         return self.rows[:, self.plan.columns.extras.stop - 1]
 
     def replaced(self, lanes: NDArray[np.int64], by: Roots) -> Roots:
-        """The same with other ends of some lanes."""
+        """Return the same with other ends of some lanes."""
         fields = {name: getattr(self, name).copy() for name in _BY_LANE}
         for name, array in fields.items():
             array[lanes] = getattr(by, name)
@@ -93,7 +93,7 @@ class Roots:
         return replace(self, **{name: getattr(self, name)[lanes] for name in _BY_LANE})
 
     def failed(self, which: NDArray[np.bool_]) -> Roots:
-        """The same with some lanes not converged."""
+        """Return the same with some lanes not converged."""
         return replace(self, converged=self.converged & ~which)
 
     def __len__(self) -> int:
@@ -103,7 +103,7 @@ class Roots:
         return (self[i] for i in range(len(self)))
 
     def __getitem__(self, lane: int) -> Root:
-        """One lane."""
+        """Return one lane."""
         columns, row, q = self.plan.columns, self.rows[lane], self.plan.free
         residual = np.zeros(self.plan.size)
         residual[self.plan.rows] = row[columns.residual]
@@ -149,14 +149,14 @@ class Shooting:
         self.plan: Plan = self._fleet.plan
 
     def holding(self, parameters: Mapping[int, float], ranges: Mapping[int, float] | None = None) -> Vector:
-        """A choice: which free parameters and ranges (by index) are held, and at which values; masks, then values."""
+        """Return a choice: masks of which free parameters and ranges (by index) are held, then their values."""
         choice = np.zeros(2 * self.plan.held)
         for index, value in (*parameters.items(), *((self.plan.free + i, v) for i, v in (ranges or {}).items())):
             self.plan.hold(choice, index, value)
         return choice
 
     def held_values(self, roots: Roots) -> tuple[Matrix, Matrix]:
-        """Values of what can be held, free parameters and then ranges, and dJ/d(value) of each, (lanes, k)."""
+        """Return values of what can be held, free parameters, then ranges, and dJ/d(value) of each, (lanes, k)."""
         extra = roots.rows[:, self.plan.columns.extras]
         if not self.conditions.ranges:
             return roots.y[:, self.conditions.free_at], extra[:, : self.plan.free]
@@ -200,7 +200,7 @@ class Shooting:
         return self.solve(Y[None], p, choice, watch, **settings)[0]
 
     def at(self, Y: Matrix, p: Matrix, choice: Matrix) -> Roots:
-        """The shooting function where it is asked for, at full accuracy; NaN where an arc could not be flown."""
+        """Evaluate the shooting function at full accuracy; NaN where an arc could not be flown."""
         p, choice, count = _rows(p), _rows(choice), len(Y)
         y = self._exactly(Y.take(self.plan.active, axis=1), choice)
         rows = self._fleet.fly(y, choice, p, np.full(count, FINEST), np.zeros((count, self.plan.columns.n**2)))
@@ -245,7 +245,7 @@ class Shooting:
         return tangent
 
     def shift(self, root: Root, ahead: Vector, behind: Vector, choices: Matrix | None = None) -> Vector:
-        """First-order change of Y at a root when the parameters p change from `behind` to `ahead`.
+        """Return the first-order change of Y at a root when the parameters p change from `behind` to `ahead`.
 
         With `choices` what is held changes as well: the choice there, and behind, (2, k).
         """
@@ -306,7 +306,7 @@ class Shooting:
         return bool(np.abs(root.residual).max() * least <= FINEST)
 
     def met(self, root: Root) -> Root:
-        """The same with J as if nothing were left at the ends: J + nu.psi is stationary, and J to second order."""
+        """Return the root with J as if nothing were left at the ends: J + nu.psi is stationary, J to second order."""
         nu = root.y[self.conditions.free_at.stop : len(self.conditions.unknowns)]
         return replace(root, cost=root.cost + float(nu @ root.residual[: len(nu)]))
 
@@ -322,7 +322,7 @@ class Shooting:
         return replace(root, y=y, residual=residual, cost=pieces.cost, converged=True)
 
     def _exactly(self, y: Matrix, choice: Matrix) -> Matrix:
-        """The same with free parameters exactly where they are held: Newton's method leaves the last bit of them."""
+        """Return the root with held free parameters exact: Newton's method leaves their last bit."""
         plan = self.plan
         held = choice[:, : plan.free] > 0
         if held.any():
@@ -346,5 +346,5 @@ class Shooting:
 
 
 def _rows(array: Vector | Matrix) -> Matrix:
-    """One row for all lanes, where there are none."""
+    """Return one row for all lanes, where there are none."""
     return array if array.ndim == 2 else array[None]

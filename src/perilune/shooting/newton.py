@@ -86,7 +86,7 @@ Evaluate = Callable[[Lanes, Matrix, Vector, Matrix], Matrix]
 
 
 def rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matrix) -> Matrix:
-    """Rows of an evaluation from residual (lanes, n), Jacobian (lanes, n, n) and the inverse before, by LAPACK."""
+    """Return rows of an evaluation from residual (lanes, n), Jacobian (lanes, n, n) and inverse before, by LAPACK."""
     lanes, n = h.shape
     try:
         inverse = np.linalg.inv(J)
@@ -260,7 +260,7 @@ def _round(number: int, ends: Ends, residuals: Vector) -> str:
 
 
 def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
-    """The same for one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
+    """Solve in one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
     tolerance, accuracy, limit, max_step, doubt, _ = settings
     lanes, history = np.zeros(1, dtype=np.int64), list[Iteration]()
     y, flown, again, root, lost, number = np.array(start, dtype=float), accuracy, False, False, False, 1

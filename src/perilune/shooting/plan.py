@@ -279,7 +279,7 @@ class _Tracing:
         return _End(symbols=symbols, slopes=factors, duration=ca.sparsify(ca.jacobian(duration, self.Y)), moving=moving)
 
     def _whole(self, k: int, end: _End) -> ca.SX:
-        """All of z at the end of phase k: zero where it is not flown."""
+        """Return all of z at the end of phase k: zero where it is not flown."""
         z, kept = ca.SX.zeros(2 * self.conditions.phases[k].half, 1), self.flown[k].kept.tolist()
         z[kept] = end.z[: len(kept)]
         return z

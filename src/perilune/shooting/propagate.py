@@ -94,11 +94,30 @@ def engine(flown: Equations, seeds: Pattern = ()) -> Engine:
 
 
 def flight(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **settings: float) -> DenseArc:
-    """All of z along one arc, as a function of time; settings as for the engine's `dense`."""
+    """Propagate all of z along one arc.
+
+    Parameters
+    ----------
+    extremal
+        The canonical equations of the phase.
+    z0
+        State and costate at the start, canonical, (nz,).
+    p
+        Numbers of the canonical equations, `extremal_parameters`.
+    duration
+        Duration of the arc, canonical.
+    settings
+        As for the engine's `dense`.
+
+    Returns
+    -------
+    DenseArc
+        z as a function of time.
+    """
     whole = equations(extremal, (), ())
     return engine(whole).dense(z0, p[whole.numbers], duration, mode=mode_at(extremal, z0, p), **settings)
 
 
 def mode_at(extremal: PhaseExtremal, z: Vector, p: Vector) -> int:
-    """The mode in which H is least at a point."""
+    """Return the mode in which H is least at a point."""
     return int(extremal.mode(z, p)) if len(extremal.modes) > 1 else 0

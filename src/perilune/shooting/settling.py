@@ -107,7 +107,7 @@ def growth(phi: Matrix) -> float:
 def fallen(
     extremal: PhaseExtremal, x: Vector, p: Vector, duration: float, end: Callable[[Vector], Vector], **settings: Any
 ) -> tuple[list[DenseArc], Vector]:
-    """All of z along a phase that settles, and when each of its arcs begins.
+    """Propagate all of z along a phase that settles, and return its arcs with when each begins.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ _NOTHING = 1e-13  # of a phase: nodes of a shorter arc would fall together
 
 
 def split(solution: Solution, structure: Structure, restated: Problem | None = None) -> Solution:
-    """A solution of a problem as one of the problem restated, cut where the arcs of the structure end.
+    """Cut a solution of a problem where the arcs of the structure end: one of the problem restated.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class Joined(Deferred):
 
 
 def joined(problem: Problem, restated: Solution, structure: Structure, *, named: bool = True) -> Solution:
-    """A solution of the restated problem as one of the user's.
+    """Join a solution of the restated problem to one of the user's.
 
     Parameters
     ----------
@@ -153,14 +153,14 @@ def joined(problem: Problem, restated: Solution, structure: Structure, *, named:
 
 
 def timed(structure: Structure, restated: Solution) -> Structure:
-    """The structure with the times of a solution of its restated problem, whose curves need not be made for that."""
+    """Return the structure with the times of a solution of its restated problem, whose curves need not be made."""
     p = restated.parameters
     lengths = iter([float(getattr(p, phase.duration)) for phase in restated.problem.phases])
     return structure.timed([list(islice(lengths, len(arcs))) for arcs in structure.phases])
 
 
 def _users(problem: Problem, structure: Structure, free: Mapping[str, float]) -> dict[str, float]:
-    """Values of the user's free parameters: durations that are sums are summed."""
+    """Return the values of the user's free parameters: durations that are sums are summed."""
     sums = {
         name: sum(free[part] for part in part_durations(problem, structure, k))
         for name, k in summed(problem, structure).items()
@@ -181,14 +181,14 @@ def _between(flown: Trajectory, begin: float, end: float, name: str) -> Trajecto
 
 
 def _at_node(flown: Trajectory, t: float) -> float:
-    """The node next to a time, where one is as near as rounding."""
+    """Return the node next to a time, where one is as near as rounding."""
     nodes = np.concatenate([c.time for c in (flown.state, flown.control, flown.costate) if c is not None])
     nearest = float(nodes[np.argmin(np.abs(nodes - t))])
     return nearest if abs(nearest - t) <= _NEAR * flown.duration else t
 
 
 def _cut(curve: Curve, begin: float, end: float) -> Curve:
-    """A curve between two times, which become 0 and the length; at a node that is there twice, its own side of it."""
+    """Cut a curve between two times, which become 0 and the length; at a double node, on its own side of it."""
     inside = (curve.time > begin) & (curve.time < end)
     first, last = _here(curve, begin, "right"), _here(curve, end, "left")
     return Curve(
@@ -199,7 +199,7 @@ def _cut(curve: Curve, begin: float, end: float) -> Curve:
 
 
 def _here(curve: Curve, t: float, side: str) -> tuple[Vector, Vector]:
-    """Value and rate of a curve at a time, of the side that is asked for where it breaks."""
+    """Return the value and rate of a curve at a time, on the side that is asked for where it breaks."""
     at = np.nonzero(curve.time == t)[0]
     if len(at):
         i = at[-1] if side == "right" else at[0]

@@ -35,7 +35,7 @@ WRONG = (
 
 
 def worth_riding(solved: Solution, index: int, condition: Condition) -> list[tuple[float, float]] | None:
-    """From when to when an arc along a condition pays [s of the arc]; None where that cannot be told.
+    """Return the intervals in which an arc along a condition pays [s of the arc]; None where that is not known.
 
     Parameters
     ----------

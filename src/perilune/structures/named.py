@@ -26,7 +26,7 @@ ON = 1e-6  # the same of a condition that a control can hold at once, of all tha
 
 
 def with_names(solution: Solution, structure: Structure | None = None) -> Solution:
-    """The solution with its arcs in words, which are found when they are first asked for.
+    """Return the solution with its arcs in words, which are found when they are first asked for.
 
     Parameters
     ----------

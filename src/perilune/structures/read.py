@@ -61,7 +61,7 @@ class Contact:
 
 
 def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
-    """The arcs of a solution, by its curves, of conditions on states alone.
+    """Detect the arcs of a solution, by its curves, of conditions on states only.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Struct
 
 
 def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
-    """Every structure that a solution may have: as exact tables tell, with singular arcs (few arcs first), without.
+    """Return every structure a solution may have: by exact tables, with singular arcs (few arcs first), without.
 
     Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds; so
     where a burn or a coast lasts but for an instant of its phase.
@@ -137,7 +137,7 @@ def _own_readings(guess: _Guess, least: float) -> tuple[Structure, ...]:
 
 
 def _switched(problem: Problem, solution: Solution, k: int, met: Sequence[Contact]) -> list[Stay]:
-    """The bounds that the one switched scalar of phase k is on, but where it keeps what is ridden; else nothing."""
+    """Return the bounds that the one switched scalar of phase k is on, except where it keeps what is ridden."""
     ridden = sorted((c for c in met if c.ridden), key=lambda c: c.begin)
     known = linear_scalars(problem, k)
     if not ridden or len(known) != 1 or solution.trajectories[k].costate is None:

@@ -86,7 +86,7 @@ def leaves_bounds(solution: Solution, k: int) -> bool:
 
 
 def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]]:
-    """By level the regimes of each scalar of phase k that is singular for a while; nothing of one that is not."""
+    """Return by level the regimes of each scalar of phase k that is singular for a while; nothing of others."""
     found: dict[tuple[int, float], list[Stay]] = {level: [] for level in (EXACT, *LEVELS)}
     if solution.trajectories[k].costate is None:
         return found
@@ -130,7 +130,7 @@ def brief_stays(solution: Solution, k: int) -> list[Stay]:
 
 
 def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[Vector, Vector, Vector]:
-    """Times of phase k, H at the upper less H at the lower bound there [J/s], and the place in the range, 0 to 1."""
+    """Return times of phase k, H at the upper less H at the lower bound [J/s], and the place in the range, 0 to 1."""
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     assert flown.costate is not None, "asked for where there is one"
     t = np.linspace(0.0, flown.duration, POINTS)
@@ -146,7 +146,7 @@ def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[V
 
 
 def _between_breaks(name: str, nodes: Vector, t: Vector, gain: Vector, share: Vector) -> list[Stay]:
-    """The regime between any two breaks; nothing where one is none, or none of them singular."""
+    """Return the regime between any two breaks; nothing where one is none, or none of them singular."""
     breaks = nodes[1:][np.diff(nodes) == 0]
     edges, most, found = np.unique([0.0, *breaks, t[-1]]), float(np.abs(gain).max()), list[Stay]()
     for begin, end in pairwise(edges.tolist()):
@@ -257,7 +257,7 @@ def settled(control: Bounded, regime: str) -> Settled:
 
 
 def revised_stays(whole: Solution, k: int, known: Sequence[Stay], shortest: float) -> list[Stay] | None:
-    """The regimes that an extremal of these asks for: themselves where it keeps to them; None where it is none.
+    """Return the regimes that an extremal of these asks for: themselves where it keeps to them; None where it is none.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def revised_stays(whole: Solution, k: int, known: Sequence[Stay], shortest: floa
 
 
 def _kept(stay: Stay, t: Vector, gain: Vector, share: Vector) -> Iterator[Stay]:
-    """A stay cut where it should be another: on a bound that is the worse one, or beyond the bounds."""
+    """Yield a stay cut where it should be another: on a bound that is the worse one, or beyond the bounds."""
     if stay.regime == "held":
         yield stay
         return
@@ -311,7 +311,7 @@ def _kept(stay: Stay, t: Vector, gain: Vector, share: Vector) -> Iterator[Stay]:
 
 
 def _closed(stays: Sequence[Stay], total: float) -> list[Stay]:
-    """Without gaps, from the beginning of the phase to its end; neighbours of one regime are one."""
+    """Close the gaps from the beginning of the phase to its end, and join neighbours of one regime."""
     found = list[Stay]()
     for stay in stays:
         if found and found[-1].regime == stay.regime:

@@ -96,7 +96,7 @@ def renumbered(restated: Problem, problem: Problem, structure: Structure) -> Pro
 
 
 def _summed_anew(restated: Problem, problem: Problem, structure: Structure) -> Sequence[Phase]:
-    """The phases of `renumbered`: ranges of durations that are sums, which end conditions state, may have moved."""
+    """Return the phases of `renumbered`: ranges of durations that are sums, stated at the end, may have moved."""
     phases, most = list(restated.phases), {f.name: f.upper for f in restated.free}
     for name, k in summed(problem, structure).items():
         of, at = problem.free[problem.free_names.index(name)], sum(map(len, structure.phases[: k + 1])) - 1
@@ -158,7 +158,7 @@ def part_durations(problem: Problem, structure: Structure, k: int) -> tuple[str,
 
 
 def summed(problem: Problem, structure: Structure) -> dict[str, int]:
-    """Free durations that are sums of new ones, each with the number of the phase whose parts it sums."""
+    """Return free durations that are sums of new ones, each with the number of the phase whose parts it sums."""
     found: dict[str, int] = {}
     for k, phase in enumerate(problem.phases):
         if phase.duration in problem.free_names and len(structure.phases[k]) > 1:
@@ -168,7 +168,7 @@ def summed(problem: Problem, structure: Structure) -> dict[str, int]:
 
 
 def sums_of(problem: Problem, structure: Structure) -> dict[str, tuple[str, ...]]:
-    """Free durations that are sums, with the names of the new ones that they sum."""
+    """Return free durations that are sums, with the names of the new ones that they sum."""
     return {name: part_durations(problem, structure, k) for name, k in summed(problem, structure).items()}
 
 
@@ -228,7 +228,7 @@ class _Restated:
         return conditions_of(self.user, k, self.structure.named(k))
 
     def free(self) -> Iterator[Free]:
-        """Free parameters: the user's, but for durations that are sums, and those of the arcs."""
+        """Yield free parameters: the user's, but for durations that are sums, and those of the arcs."""
         yield from (f for f in self.user.free if f.name not in self.sums)
         known = {f.name: f for f in self.user.free}
         for k, (phase, arcs) in enumerate(zip(self.user.phases, self.structure.phases, strict=True)):
@@ -245,7 +245,7 @@ class _Restated:
                 yield Free(name=name, unit="s", lower=0.0, upper=longest, typical=end - begin)
 
     def _parts(self, k: int) -> Iterator[Phase]:
-        """The phases that a phase becomes."""
+        """Yield the phases that a phase becomes."""
         phase, arcs, own = self.user.phases[k], self.structure.phases[k], self.expressions
         conditions, count = self._conditions(k), len(arcs)
         rough = self._rough(k)
@@ -327,7 +327,7 @@ class _Restated:
             yield condition.rated(i, prefix, self._second), with_sums(condition.values[i], self.sums)
 
     def _whole(self, phase: Phase, durations: Sequence[str]) -> Iterator[tuple[Variable, Expression]]:
-        """The sum of the durations of a phase's parts, that has to be what the user says of it."""
+        """Yield the sum of the durations of a phase's parts, that has to be what the user says of it."""
         if len(durations) == 1:
             return
         recorder, name = Recorder(), phase.duration
@@ -364,7 +364,7 @@ class _Restated:
 
 
 def _stated(function: str, names: str, rows: Sequence[tuple[Variable, Expression]]) -> dict[str, Any]:
-    """A function of a phase and the names of its values; None where there are none."""
+    """Return a function of a phase and the names of its values; None where there are none."""
     roles = PHASE_FUNCTIONS[function][0]
     return {function: gathered([e for _, e in rows], roles) if rows else None, names: tuple(v for v, _ in rows)}
 
@@ -390,7 +390,7 @@ def _sum(recorder: Recorder, names: Sequence[str]) -> Any:
 
 
 def with_sums(expression: Expression, sums: Mapping[str, Sequence[str]]) -> Expression:
-    """An expression with sums of new durations in place of the user's."""
+    """Return an expression with sums of new durations in place of the user's."""
     inside = [name for name in sums if ("p", name) in expression.tape.instructions]
     if not inside:
         return expression

@@ -38,7 +38,7 @@ _GAINED = "smoothing_gain"  # the state that counts what is taken from J
 
 
 def smoothed(problem: Problem, share: float) -> Problem | None:
-    """The problem with smooth controls; None where no control is switched.
+    """Return the problem with smooth controls; None where no control is switched.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def smoothed(problem: Problem, share: float) -> Problem | None:
 
 
 def _nothing_gained(rough_flight: Callable[[Any], Sequence[Matrix]], p: Any) -> list[Matrix]:
-    """A picture of the flight with a state more."""
+    """Return the user's picture of the flight with a state more."""
     return [np.column_stack([states, np.zeros(len(states))]) for states in rough_flight(p)]
 
 
@@ -96,12 +96,12 @@ def _turned(problem: Problem, k: int) -> list[Bounded]:
 
 
 def _limits(k: int, control: Bounded) -> tuple[str, str]:
-    """Names of the given parameters that hold the limits of a scalar."""
+    """Return the names of the given parameters that hold the limits of a scalar."""
     return f"least_{control.name}_{k}", f"greatest_{control.name}_{k}"
 
 
 def _axes(control: Bounded) -> tuple[str, str]:
-    """Names of s and c. Where nothing is known of a direction its first component is 1: the middle of the range."""
+    """Return the names of s and c. Where nothing is known its first component is 1: the middle of the range."""
     return f"{control.name}_smooth", f"{control.name}_height"
 
 
@@ -119,7 +119,7 @@ def _phase(problem: Problem, k: int, scalars: list[Bounded]) -> Phase:
 
 
 def _written(expression: Expression, k: int, scalars: list[Bounded], name: str, duration: str) -> Expression:
-    """A function of a phase with the scalars on their circles, and with a rate or a value of what is gained."""
+    """Return a function of a phase with the scalars on their circles, and with a rate or a value of what is gained."""
     recorder = Recorder()
     inputs = dict(_heights(recorder, k, scalars)) if "u" in expression.roles else {}
     values = run(expression, recorder, inputs)

@@ -68,11 +68,11 @@ class Structure:
 
     @classmethod
     def free(cls, problem: Problem) -> Structure:
-        """One arc for each phase, on which nothing is held."""
+        """Return one arc for each phase, on which nothing is held."""
         return cls(tuple((Arc(),) for _ in problem.phases))
 
     def timed(self, durations: Sequence[Sequence[float]]) -> Structure:
-        """The same with the times at which the arcs of each phase end, from how long each of them lasts [s]."""
+        """Return the same with the times at which the arcs of each phase end, from how long each of them lasts [s]."""
         phases = []
         for arcs, lasting in zip(self.phases, durations, strict=True):
             ends = accumulate(lasting)
@@ -101,7 +101,7 @@ class Structure:
         return all(len(arcs) == 1 and not (arcs[0].along or arcs[0].touches or arcs[0].regimes) for arcs in self.phases)
 
     def named(self, k: int) -> tuple[str, ...]:
-        """Every condition that is ridden or touched in phase k, once each."""
+        """Return every condition that is ridden or touched in phase k, once each."""
         return tuple(dict.fromkeys(name for arc in self.phases[k] for name in (*arc.along, *arc.touches)))
 
     def ends(self, k: int, duration: float) -> list[float]:
@@ -153,7 +153,7 @@ class Condition:
         return acts(self.values[-1])
 
     def rated(self, i: int, prefix: str, time: float) -> Variable:
-        """Name, unit and scale of the i-th derivative; `time` is the size of a second."""
+        """Return the i-th derivative as a variable: name, unit and scale; `time` is the size of a second."""
         own, unit = self.variable, self.variable.unit
         for _ in range(i):
             unit = quotient(unit, "s")

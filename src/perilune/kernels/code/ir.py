@@ -247,7 +247,7 @@ class Writer:
         return self.let(self.vector, f"select {self.mask} {mask}, {self.vector} {yes}, {self.vector} {no}")
 
     def choose(self, bit: Bit, kind: Kind[T], yes: T, no: T) -> T:
-        """One or the other, in all lanes."""
+        """Return one or the other, in all lanes."""
         return self.let(kind, f"select i1 {bit}, {kind} {yes}, {kind} {no}")
 
     def any(self, mask: Mask) -> Bit:

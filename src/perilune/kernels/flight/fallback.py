@@ -130,7 +130,7 @@ class _Lane:
         return self._fields[self.mode](y, self.p)
 
     def crossings(self, y: Vector) -> Matrix:
-        """The event functions and their rates along the flight, (2, events)."""
+        """Return the event functions and their rates along the flight, (2, events)."""
         if self._crossings is None:
             return np.zeros((2, 0))
         nz = self.system.nz
@@ -177,7 +177,7 @@ class _Lane:
         self.t, self.y, self.steps = float(solver.t), solver.y, self.steps + 1
 
     def _first(self, solver: Any, new: Matrix) -> tuple[float, int] | None:
-        """Time and number of the first event in the step just taken."""
+        """Return the time and number of the first event in the step just taken."""
         found, curve = [], None
         near = _NEAR * abs(self.duration)
         for number, event in enumerate(self.system.events):
