@@ -302,7 +302,7 @@ class Brick:
         cut = bare[again]
         done = _cut_after_all(replace(done, status=status), cut)
         halves = self.lattice.halves(some(done, cut), done.axis[cut])
-        # Layers that lie near one another are told apart in small cells alone.
+        # Layers that lie near one another are distinguished only in small cells.
         fine = np.nonzero((halves.branch < self.count) | (halves.size.max(axis=1, initial=0) <= 2 * self.ending))[0]
         near = [nodes for nodes, cutting in zip(within, again, strict=True) if cutting]
         corners = np.where(np.isin(np.arange(len(halves)), fine)[:, None], halves.corners, -1)

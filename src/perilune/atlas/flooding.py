@@ -21,7 +21,7 @@ Rows = Any  # an array with columns
 Key = tuple[int, ...]  # chart and numbers of a brick
 Shards = tuple[Rows, Rows]  # nodes and cells
 
-_DIGITS = 5  # behind the point, of what is told apart on sides
+_DIGITS = 5  # behind the point, of what is distinguished on sides
 _COARSER = 4  # of the lattice over 4 axes, along a side of which there are three more
 
 

@@ -123,7 +123,7 @@ class _Offered:
 
 @dataclass(frozen=True)
 class _Breaking:
-    """Extremals of an offer that are no flights: where, J, unknowns, and whether by an arc shorter than nothing."""
+    """Inadmissible extremals of an offer: lanes, J, unknowns, and True for those with a negative arc duration."""
 
     number: int
     lanes: Lanes

@@ -30,7 +30,7 @@ class Offer:
     y: Vector | None
     cost: float
     cell: Vector
-    breaks: bool = False  # the path all over the cell, or there is an arc that is shorter than nothing
+    breaks: bool = False  # the path all over the cell, or an arc has a negative duration
     short: bool = False  # the latter
     polished: Polished | None = None
 
@@ -62,7 +62,7 @@ class Offer:
         if polished is not None and polished.gains[0]:
             return f"an extremal of {sheet} would gain by leaving what it holds, and what it would become is not known"
         if self.short:
-            return f"an arc of an extremal of {sheet} is shorter than nothing, and what it becomes may be better"
+            return f"an arc of an extremal of {sheet} has a negative duration, and what it becomes may be better"
         if self.breaks or (polished is not None and polished.breaking[0]):
             return f"an extremal of {sheet} breaks a condition, and a flight that keeps it may be better than is known"
         if polished is None:

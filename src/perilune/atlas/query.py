@@ -105,8 +105,8 @@ class Atlas(Reader):
             best = min(alike, key=lambda one: (one.charted.rank, one.cost))
         doubt = min(doubts, key=lambda one: one.cost, default=None)
         damaged = bool(self.damaged) and bool(self.damage(self.region.brick_of(at)))  # it might have held a better one
-        outdone = best is None or (doubt is not None and doubt.cost < best.cost and not equal(doubt.cost, best.cost))
-        if best is None or damaged or outdone or (self.unbuilt and self.missing(self.region.brick_of(at))):
+        in_doubt = best is None or (doubt is not None and doubt.cost < best.cost and not equal(doubt.cost, best.cost))
+        if best is None or damaged or in_doubt or (self.unbuilt and self.missing(self.region.brick_of(at))):
             raise self._nothing(at, doubt)
         return self._answer(at, best, sorted(tried, key=lambda one: one.cost), offers, began)
 

@@ -96,7 +96,7 @@ class Sample:
 
     @property
     def share(self) -> float:
-        """Return the least share of answers at nodes that would be proved, at 99 % confidence; 0 if one is not."""
+        """Return a lower bound on the share of provable answers at nodes, at 99 % confidence; 0 if one is not."""
         return assured(self.proved, len(self.drawn))
 
     @property
@@ -124,7 +124,7 @@ def demand_count(sample: Any) -> None:
 
 
 def assured(proved: int, drawn: int) -> float:
-    """Return the least share of all that would be proved, at 99 % confidence; 0 if one of those drawn was not."""
+    """Return a lower bound on the share of all that is provable, at 99 % confidence; 0 if one drawn was not."""
     return _DOUBT ** (1.0 / drawn) if drawn and proved == drawn else 0.0
 
 

@@ -69,7 +69,7 @@ class Verified:
 
     @property
     def share(self) -> float:
-        """Return the least share of answers at nodes that would be proved, at 99 % confidence.
+        """Return a lower bound on the share of provable answers at nodes, at 99 % confidence.
 
         It is 0 if one of those drawn was not proved.
         """

@@ -1,8 +1,8 @@
-"""Other wells of J along free parameters between bounds, with the arcs of a chart.
+"""Other local minima of J along free parameters between bounds, with the arcs of a chart.
 
-Solves follow the families of what flies in one piece along such parameters; of arcs they list what may be the answer
-there. A well in which the arcs are none at one point (one is shorter than nothing, say) is the answer at another, so
-that here families are followed whatever the arcs are.
+Solves follow families of extremals of a single arc along such parameters; of several arcs they list only candidates of
+the point solved. A minimum whose arcs are not admissible at one point (one has a negative duration, say) is the answer
+at another, so families are followed here whatever their arcs are.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The house style of every figure, and how a figure is made and saved.
 
 One column wide (3.4 in) with 8 pt text, so that it is legible in a two-column paper; the colours are those of Okabe
-and Ito (2008), told apart by every colour vision, and lines differ in dash as well. Figures are made by matplotlib's
+and Ito (2008), distinct in every colour vision, and lines differ in dash as well. Figures are made by matplotlib's
 object interface: no global state, no window, no display. `save` writes PNG and SVG; equal figures give equal bytes.
 """
 
