@@ -1,6 +1,6 @@
 """Bodies, vehicles and the problems made of them: landings, descents, returns from orbit.
 
-The orbit that a return comes from is `ReturnOrbit` here, beside the `Orbit` of a landing.
+The orbit before a return is `ReturnOrbit` here, and `Orbit` the one before a landing.
 """
 
 from __future__ import annotations

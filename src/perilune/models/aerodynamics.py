@@ -34,7 +34,15 @@ def dynamic_pressure(density: Any, velocity: Sequence[Any]) -> Any:
 
 
 def drag_acceleration(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Any:
-    """Size of the drag [m/s^2], of the vehicle's ballistic coefficient, drag area or sphere-cone."""
+    """Size of the drag [m/s^2], of the vehicle's ballistic coefficient, drag area or sphere-cone.
+
+    Parameters
+    ----------
+    density, velocity, mass
+        Of the air [kg/m^3]; relative to it [m/s], (3,); of the vehicle [kg].
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     pressure = dynamic_pressure(density, velocity)
     if hasattr(p, "vehicle_ballistic_coefficient"):
         return pressure / p.vehicle_ballistic_coefficient
@@ -45,7 +53,20 @@ def drag_acceleration(density: Any, velocity: Sequence[Any], mass: Any, p: Any, 
 
 
 def drag(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Triple:
-    """Acceleration by drag [m/s^2]."""
+    """Acceleration by drag [m/s^2].
+
+    Parameters
+    ----------
+    density, velocity, mass
+        As of `drag_acceleration`.
+    p, m
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Triple
+        Acceleration against the velocity [m/s^2], (3,).
+    """
     strength = drag_acceleration(density, velocity, mass, p, m) / m.sqrt(dot(velocity, velocity))
     return combine((-strength, velocity))
 
@@ -54,6 +75,13 @@ def lift_axes(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> tuple
     """Unit vectors across the velocity: in its vertical plane, upwards, and level to the right of it.
 
     There are none straight up or down.
+
+    Parameters
+    ----------
+    position, velocity
+        From the centre [m], (3,), and relative to the air [m/s], (3,).
+    m
+        Maths namespace.
     """
     across = cross(velocity, position)
     level = combine((1 / m.sqrt(dot(across, across)), across))
@@ -61,7 +89,15 @@ def lift_axes(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> tuple
 
 
 def load(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Any:
-    """Load [m/s^2]: with lift (``vehicle_lift_to_drag``) where there is one."""
+    """Load [m/s^2]: with lift (``vehicle_lift_to_drag``) where there is one.
+
+    Parameters
+    ----------
+    density, velocity, mass
+        As of `drag_acceleration`.
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     found = drag_acceleration(density, velocity, mass, p, m)
     if hasattr(p, "vehicle_lift_to_drag"):
         return found * m.sqrt(1 + p.vehicle_lift_to_drag * p.vehicle_lift_to_drag)
@@ -69,7 +105,15 @@ def load(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> An
 
 
 def heat_rate(density: Any, velocity: Sequence[Any], p: Any, m: Any) -> Any:
-    """Heat rate [W/m^2] at the stagnation point of ``vehicle_nose_radius``, with ``heating_constant``."""
+    """Heat rate [W/m^2] at the stagnation point of ``vehicle_nose_radius``, with ``heating_constant``.
+
+    Parameters
+    ----------
+    density, velocity
+        Of the air [kg/m^3], and relative to it [m/s], (3,).
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     squared = dot(velocity, velocity)
     return p.heating_constant * m.sqrt(density / p.vehicle_nose_radius) * squared * m.sqrt(squared)
 

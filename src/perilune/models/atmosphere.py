@@ -231,7 +231,7 @@ def _given(name: str, density: float, height_name: str, height: float) -> Mappin
 
 
 def _checked(altitude: Vector, density: Vector, name: str, places: Sequence[str]) -> tuple[Vector, Vector]:
-    """Altitude in km and the logarithm of the density beside that at sea level."""
+    """Return the altitude in km and the logarithm of the density relative to sea level; refuse unusable samples."""
     if len(altitude) < 3:
         raise PeriluneError(f"{name}: a table needs rows", got=str(len(altitude)), expected="at least 3")
     wrong = np.flatnonzero(~(np.isfinite(altitude) & np.isfinite(density) & (density > 0)))

@@ -52,7 +52,7 @@ class Body:
 
     @property
     def titled(self) -> str:
-        """The same where it stands beside an answer, which must not be silent about air."""
+        """Return the same in addition to an answer, which must mention the air."""
         return f"{self.spoken}, its air left out" if self.air else self.spoken
 
 
@@ -141,7 +141,7 @@ def known_like(body: Body) -> Body | None:
 
 
 def told_as(body: Body) -> str:
-    """Name under which other programs know a body: that of the known one that pulls and turns as it does, else its own.
+    """Return the name under which other programs know a body: of the known one with its pull and turning, else its own.
 
     A model may leave out that the body turns. "" where its own is that of another.
     """

@@ -1,4 +1,4 @@
-"""What is asked of a landing: masses, and where the velocity change of the burn has gone.
+"""Budget of a landing: masses, and the losses that make up the velocity change of the burn.
 
 Along the thrust's path the speed V relative to the ground, where a lander must come to rest, changes by
 ``dV/dt = a.v/V + g.v/V``. Here a is the acceleration by thrust and g gravity as the turning ground feels it (with the
@@ -41,7 +41,15 @@ SPENT = (
 
 
 def landing(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
-    """Values of `LANDING`, and of the times of a free fall before ignition and of the parts of a burn with a gate."""
+    """Values of `LANDING`, and of the times of a free fall before ignition and of the parts of a burn with a gate.
+
+    Parameters
+    ----------
+    first, last
+        States at the begin and the end of the flight [SI].
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     fall = (p.coast_time,) if hasattr(p, "coast_time") else ()
     parts = (p.gate_time, p.final_time) if hasattr(p, "gate_time") else ()
     return last.m, p.vehicle_mass - last.m, sum(parts) if parts else p.flight_time, *fall, *parts

@@ -315,7 +315,7 @@ def powered_descent(
     ----------
     vehicle, start, site, body
         The lander, where the burn begins, where it ends at rest, and on what body. A site without longitude and
-        latitude is of the target ``"anywhere"`` alone.
+        latitude is only for the target ``"anywhere"``.
     coordinates
         ``"cartesian"`` (thrust direction free on the sphere; no singular point) or ``"spherical"`` (the
         paper's; bounded angles; singular at the poles).

@@ -6,7 +6,7 @@ altitude, whose error is of second order in it, is exact to rounding up to some 
     tan beta = (b z/(a rho)) (1 + e'^2 b/r),   tan phi = (z + e'^2 b sin^3 beta)/(rho - e^2 a cos^3 beta)
     h = rho cos phi + z sin phi - a sqrt(1 - e^2 sin^2 phi)
 
-Written in rho^2 alone it has no corner at the poles. A body without a flattening is a sphere.
+Written only in rho^2 it has no corner at the poles. A body without a flattening is a sphere.
 """
 
 from __future__ import annotations
@@ -18,7 +18,15 @@ from perilune.models.rotating import Triple, combine, dot, local_axes
 
 
 def altitude(position: Sequence[Any], p: Any, m: Any) -> Any:
-    """Altitude [m] above the ellipsoid of ``body_radius`` (equatorial) and ``body_flattening``, or above the sphere."""
+    """Altitude [m] above the ellipsoid of ``body_radius`` (equatorial) and ``body_flattening``, or above the sphere.
+
+    Parameters
+    ----------
+    position
+        From the centre [m], (3,).
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     if not hasattr(p, "body_flattening"):
         return m.sqrt(dot(position, position)) - p.body_radius
     _, _, height = _vertical(position, p, m)
@@ -26,7 +34,15 @@ def altitude(position: Sequence[Any], p: Any, m: Any) -> Any:
 
 
 def latitude(position: Sequence[Any], p: Any, m: Any) -> Any:
-    """Geodetic latitude [rad]; geocentric above a sphere."""
+    """Geodetic latitude [rad]; geocentric above a sphere.
+
+    Parameters
+    ----------
+    position
+        From the centre [m], (3,).
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     x, y, z = position
     across = m.sqrt(x * x + y * y)
     if not hasattr(p, "body_flattening"):
@@ -36,7 +52,15 @@ def latitude(position: Sequence[Any], p: Any, m: Any) -> Any:
 
 
 def geocentric(latitude: Any, distance: Any, p: Any, m: Any) -> Any:
-    """Geocentric latitude [rad] of a point at a geodetic one [rad] and at a distance from the centre [m]."""
+    """Geocentric latitude [rad] of a point at a geodetic one [rad] and at a distance from the centre [m].
+
+    Parameters
+    ----------
+    latitude, distance
+        Geodetic latitude [rad] and distance from the centre [m].
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     if not hasattr(p, "body_flattening"):
         return latitude
     x, _, z = at(0.0, latitude, 0.0, p, m)
@@ -46,7 +70,20 @@ def geocentric(latitude: Any, distance: Any, p: Any, m: Any) -> Any:
 
 
 def at(longitude: Any, latitude: Any, height: Any, p: Any, m: Any) -> Triple:
-    """Position [m] of a place by its geodetic latitude [rad] and its altitude [m]."""
+    """Position [m] of a place by its geodetic latitude [rad] and its altitude [m].
+
+    Parameters
+    ----------
+    longitude, latitude, height
+        Longitude and geodetic latitude [rad], and altitude [m].
+    p, m
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Triple
+        Position from the centre [m], (3,).
+    """
     up, _, _ = local_axes(longitude, latitude, m)
     if not hasattr(p, "body_flattening"):
         return combine((p.body_radius + height, up))

@@ -97,7 +97,7 @@ def at_gate(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def final_ranges(p: Any, typical_time: float) -> dict[str, tuple[float, float, float]]:
-    """Bounds and orders of magnitude of both times, that of the whole being given."""
+    """Return bounds and orders of magnitude of both times, given that of the whole."""
     # Its mean speed is half that of a fall from the gate.
     speed = math.sqrt(0.5 * gravity_at(getattr(p, "body_radius", 0.0), p) * p.final_height)
     down = p.final_height / max(speed, p.final_touchdown_speed)

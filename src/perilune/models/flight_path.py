@@ -1,4 +1,4 @@
-"""Flight-path coordinates beside a turning body, and the equations of motion in them: Liu, Liu, Wu 2019, (1).
+"""Flight-path coordinates relative to a turning body, and the equations of motion in them: Liu, Liu, Wu 2019, (1).
 
 V is the speed relative to the body, gamma its angle above the horizon, psi its course from east towards north, r the
 distance from the centre, Theta the longitude, Phi the latitude. The axis of the rotation is z.
@@ -38,7 +38,15 @@ class FlightPath:
 
 
 def flight_path(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> FlightPath:
-    """Coordinates of a position and a velocity beside the body."""
+    """Return the flight-path coordinates of a position and a velocity relative to the body.
+
+    Parameters
+    ----------
+    position, velocity
+        From the centre [m], (3,), and relative to the turning body [m/s], (3,).
+    m
+        Maths namespace.
+    """
     distance, longitude, latitude = place(position, m)
     up, north, east = local_axes(longitude, latitude, m)
     rise, to_north, to_east = (dot(velocity, axis) for axis in (up, north, east))
@@ -50,7 +58,15 @@ def flight_path(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> Fli
 
 
 def cartesian(path: FlightPath, m: Any) -> tuple[Triple, Triple]:
-    """Position and velocity of flight-path coordinates."""
+    """Return position [m] and velocity [m/s] of flight-path coordinates.
+
+    Parameters
+    ----------
+    path
+        Flight-path coordinates.
+    m
+        Maths namespace.
+    """
     up, _, _ = local_axes(path.longitude, path.latitude, m)
     forward, _, _ = path_axes(path, m)
     return combine((path.distance, up)), combine((path.speed, forward))
@@ -66,7 +82,15 @@ def path_axes(path: FlightPath, m: Any) -> tuple[Triple, Triple, Triple]:
 
 
 def gravity_components(distance: Any, latitude: Any, p: Any, m: Any) -> tuple[Any, Any]:
-    """g_r, downwards, and g_Phi, towards the equator [m/s^2]; Liu et al. (2)."""
+    """g_r, downwards, and g_Phi, towards the equator [m/s^2]; Liu et al. (2).
+
+    Parameters
+    ----------
+    distance, latitude
+        From the centre [m], and geocentric [rad].
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     strength = p.body_gravitational_parameter / (distance * distance)
     oblate = 1.5 * p.body_j2 * (p.body_radius / distance) ** 2
     sine = m.sin(latitude)
@@ -74,7 +98,22 @@ def gravity_components(distance: Any, latitude: Any, p: Any, m: Any) -> tuple[An
 
 
 def rates(path: FlightPath, pushed: Sequence[Any], p: Any, m: Any) -> tuple[Any, ...]:
-    """Rates of the six coordinates; `pushed` is all acceleration but gravity along `path_axes` [m/s^2]."""
+    """Rates of the six coordinates; `pushed` is all acceleration but gravity along `path_axes` [m/s^2].
+
+    Parameters
+    ----------
+    path
+        Flight-path coordinates.
+    pushed
+        Acceleration without gravity along `path_axes` [m/s^2], (3,).
+    p, m
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    tuple
+        Rates of speed, path angle, course, distance, longitude and latitude, per second.
+    """
     forward, upward, leftward = pushed
     g_r, g_f = gravity_components(path.distance, path.latitude, p, m)
     sin_g, cos_g, sin_c, cos_c = m.sin(path.angle), m.cos(path.angle), m.sin(path.course), m.cos(path.course)

@@ -1,4 +1,4 @@
-"""The ground around a landing site: that of a round body that turns, or flat under uniform gravity.
+"""Ground around a landing site: of a round body that turns, or flat under uniform gravity.
 
 Frame: east, north, up at the site, turning with the body; position from the site, velocity relative to it. The
 rotation axis of a round body is (0, cos latitude, sin latitude) there, and the mechanics are those of
@@ -26,14 +26,14 @@ def axis(p: Any, m: Any) -> Triple:
 
 
 def without_thrust(x: Any, velocity: Sequence[Any], p: Any, m: Any) -> Triple:
-    """Acceleration [m/s^2] that the ground sees of what falls freely."""
+    """Return the acceleration [m/s^2] of a free fall relative to the ground."""
     if is_flat(p):
         return 0.0, 0.0, -p.body_gravity
     return free_acceleration(centre_to(x, p), velocity, axis(p, m), p, m)
 
 
 def over_ground(x: Any, p: Any, m: Any) -> tuple[Triple, Triple, Any]:
-    """A place as `perilune.models.limits` asks for it: position, axis of the rotation, radius of the site."""
+    """Return the place in the form of `perilune.models.limits`: position, axis of the rotation, radius of the site."""
     if is_flat(p):
         return (0.0, 0.0, x.up), (0.0, 0.0, 0.0), 0.0
     return centre_to(x, p), axis(p, m), p.body_radius + p.site_altitude

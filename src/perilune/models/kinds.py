@@ -47,7 +47,7 @@ class Section:
     otherwise
         Its record where it is left out.
     known
-        Records that may be stated by their name alone.
+        Records that may be stated only by their name.
     instead
         Class of another record that the section may state.
     absent

@@ -1,4 +1,4 @@
-"""What physics says of a landing from perilune before it is solved.
+"""Feasibility checks of a landing from perilune, before it is solved.
 
 The bounds of `perilune.models.limits` are compared with the least mass that must land. An ideal
 vehicle can burn all of its mass, so without such a mass nothing is fatal. It is `vehicle_dry_mass` where that is given,

@@ -1,4 +1,4 @@
-"""How bodies are turned in space: axes that turn with a body, in those of the ICRF, at a time.
+"""Orientation of bodies in space: axes that turn with a body, relative to the ICRF, at a time.
 
 Elements of the IAU/IAG working group (Archinal et al. 2018, Celest. Mech. Dyn. Astr. 130:22; those of Mars are by
 Kuchynka et al. 2014, Icarus 229:340): right ascension and declination of the pole, and the angle W of the prime
@@ -132,7 +132,15 @@ def axes_in_space(body: str, epoch: datetime) -> Matrix:
 
 
 def told_orientation(body: str, epoch: datetime) -> str:
-    """By what the orientation of a body is known, and how well, in words."""
+    """Describe the source of a body's orientation, and its accuracy.
+
+    Parameters
+    ----------
+    body
+        ``earth``, or a name in `ELEMENTS`.
+    epoch
+        With its time zone.
+    """
     return _EARTH if body == "earth" else f"{_elements(body).told}; {told_tdb(epoch)}"
 
 

@@ -195,7 +195,7 @@ def precision_landing(
     Parameters
     ----------
     vehicle, approach, site, corridor, body
-        The lander, where it begins, where it lands, what it must keep to (None: the ground alone), and on what body.
+        The lander, where it begins, where it lands, what it must keep to (None: only the ground), and on what body.
         Flat ground (`UniformGravity`) is everywhere the same: there the site is None.
     throttle
         Least and greatest share of full thrust.

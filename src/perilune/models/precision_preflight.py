@@ -1,4 +1,4 @@
-"""What physics says of a precision landing before it is solved.
+"""Feasibility checks of a precision landing, before it is solved.
 
 The bounds of `perilune.models.limits`, the glide slope at the start, and the throttle's floor.
 """

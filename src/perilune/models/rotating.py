@@ -1,4 +1,4 @@
-"""Mechanics beside a rotating body: gravity with zonal harmonics, apparent accelerations, places on the sphere.
+"""Mechanics relative to a rotating body: gravity with zonal harmonics, apparent accelerations, places on the sphere.
 
 Vectors are triples of whatever the caller computes with (numbers, arrays, symbols), in any Cartesian frame
 that turns with the body; `axis` is the unit vector of the rotation, Omega = omega axis, in that frame:
@@ -36,7 +36,15 @@ def combine(*terms: tuple[Any, Sequence[Any]]) -> Triple:
 
 
 def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
-    """Gravity potential U [m^2/s^2]; `p` holds the body's gravitational_parameter, radius, j2, perhaps j3, j4."""
+    """Gravity potential U [m^2/s^2]; `p` holds the body's gravitational_parameter, radius, j2, perhaps j3, j4.
+
+    Parameters
+    ----------
+    position, axis
+        From the centre [m], (3,), and the unit vector of the rotation, (3,).
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     r = m.sqrt(dot(position, position))
     s = dot(position, axis) / r
     ratio = p.body_radius / r
@@ -49,7 +57,20 @@ def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> A
 
 
 def gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
-    """-grad U: along the position with J_n (R/r)^n P'_n+1, and along the axis with -P'_n."""
+    """-grad U: along the position with J_n (R/r)^n P'_n+1, and along the axis with -P'_n.
+
+    Parameters
+    ----------
+    position, axis
+        From the centre [m], (3,), and the unit vector of the rotation, (3,).
+    p, m
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Triple
+        Acceleration [m/s^2], (3,).
+    """
     r = m.sqrt(dot(position, position))
     s = dot(position, axis) / r
     ratio = p.body_radius / r
@@ -67,7 +88,17 @@ def gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Tri
 
 
 def free_acceleration(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
-    """Acceleration without thrust as the rotating frame sees it: gravity, Coriolis, centrifugal."""
+    """Return the acceleration without thrust in the rotating frame: gravity, Coriolis, centrifugal [m/s^2].
+
+    Parameters
+    ----------
+    position, velocity
+        From the centre [m], (3,), and relative to the rotating frame [m/s], (3,).
+    axis
+        Unit vector of the rotation, (3,).
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     omega = p.body_rotation_rate
     return combine(
         (1, gravity(position, axis, p, m)),
@@ -80,6 +111,13 @@ def local_axes(longitude: Any, latitude: Any, m: Any) -> tuple[Triple, Triple, T
     """Return the unit vectors up, north, east at a place, in the frame whose z is the rotation axis.
 
     At a pole, north and east are those of the meridian `longitude`, by continuity.
+
+    Parameters
+    ----------
+    longitude, latitude
+        Of the place [rad].
+    m
+        Maths namespace.
     """
     sin_lon, cos_lon, sin_lat, cos_lat = m.sin(longitude), m.cos(longitude), m.sin(latitude), m.cos(latitude)
     up = (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat)
@@ -88,21 +126,50 @@ def local_axes(longitude: Any, latitude: Any, m: Any) -> tuple[Triple, Triple, T
 
 
 def heading_axes(longitude: Any, latitude: Any, heading: Any, m: Any) -> tuple[Triple, Triple, Triple]:
-    """Return Peng et al.'s orbit frame: ox up, oy at `heading` from north towards east, oz = ox x oy."""
+    """Return Peng et al.'s orbit frame: ox up, oy at `heading` from north towards east, oz = ox x oy.
+
+    Parameters
+    ----------
+    longitude, latitude, heading
+        Of the place [rad], and from north towards east [rad].
+    m
+        Maths namespace.
+    """
     up, north, east = local_axes(longitude, latitude, m)
     sine, cosine = m.sin(heading), m.cos(heading)
     return up, combine((cosine, north), (sine, east)), combine((sine, north), (-cosine, east))
 
 
 def place(position: Sequence[Any], m: Any) -> tuple[Any, Any, Any]:
-    """Distance, longitude and latitude of a position in the frame whose z is the rotation axis."""
+    """Distance, longitude and latitude of a position in the frame whose z is the rotation axis.
+
+    Parameters
+    ----------
+    position
+        From the centre [m], (3,).
+    m
+        Maths namespace.
+
+    Returns
+    -------
+    tuple
+        Distance [m], longitude and latitude [rad].
+    """
     x, y, z = position
     across = m.sqrt(x * x + y * y)
     return m.sqrt(dot(position, position)), m.atan2(y, x), m.atan2(z, across)
 
 
 def apparent_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
-    """Gravity as it is felt at rest in the rotating frame: with the centrifugal acceleration."""
+    """Return gravity at rest in the rotating frame, with the centrifugal acceleration [m/s^2].
+
+    Parameters
+    ----------
+    position, axis
+        From the centre [m], (3,), and the unit vector of the rotation, (3,).
+    p, m
+        Parameters [SI] and maths namespace.
+    """
     return free_acceleration(position, (0.0, 0.0, 0.0), axis, p, m)
 
 
@@ -117,6 +184,15 @@ def seen_inertially(
     """Position, velocity and a third vector in `INERTIAL_AXES` as nine values, t seconds after the begin of the flight.
 
     From the axes that turn with the body, z along its rotation; `velocity` is relative to these.
+
+    Parameters
+    ----------
+    position, velocity, push
+        Triples in the axes of the body: [m], relative to it [m/s], and any third, as an acceleration [m/s^2].
+    t
+        Time after the begin of the flight [s].
+    p, m
+        Parameters [SI] and maths namespace.
     """
     omega = p.body_rotation_rate
     sine, cosine = m.sin(omega * t), m.cos(omega * t)

@@ -1,4 +1,4 @@
-"""How far the time of ephemerides is ahead of the clocks: TDB - UTC by the leap seconds that are known.
+"""Difference between the time of ephemerides and of clocks: TDB - UTC by the known leap seconds.
 
 UTC has leap seconds since 1972. Before that it followed universal time in small steps and by the length of its second,
 and before 1960 there was none: a time of those years is taken as universal time, TT - UT by the polynomials of Espenak
@@ -43,7 +43,7 @@ def tdb_minus_utc(epoch: datetime) -> float:
 
 
 def told_tdb(epoch: datetime) -> str:
-    """The same in words, with what is neglected."""
+    """Describe TDB - UTC in words, with what is neglected."""
     ahead = tdb_minus_utc(epoch)
     if epoch < _LEAPS[0]:
         return (
@@ -58,6 +58,13 @@ def leap_seconds_within(epoch: datetime, seconds: float) -> tuple[datetime, ...]
     """Return the days at whose begin a leap second ends that begins within so many seconds after an epoch.
 
     The first of all is none: in 1972 UTC began at a whole number of seconds from TAI.
+
+    Parameters
+    ----------
+    epoch
+        UTC with its time zone.
+    seconds
+        Length of the span [s].
     """
     found: list[datetime] = []
     for day in _LEAPS[1:]:

@@ -27,7 +27,7 @@ class Burning:
 
 @dataclass(frozen=True, kw_only=True)
 class Leg:
-    """An arc as it is flown, in axes that do not turn.
+    """Propagated arc in inertial axes.
 
     Parameters
     ----------

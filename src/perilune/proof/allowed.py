@@ -1,4 +1,4 @@
-"""What the conditions allow in which the control appears, and the multipliers of those that hold the flight back.
+"""Mixed state-control constraints, and the multipliers of the active ones.
 
 Where a path condition c(x, u, p) >= 0 is met it is *active*; what a phase holds, c = 0, is active all along: u
 minimises H among the controls that keep it. Along the tangents of the control (Karush-Kuhn-Tucker)

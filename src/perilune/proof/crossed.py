@@ -104,7 +104,7 @@ def _usual(solution: Solution) -> Method:
 
 
 def _same_arcs(problem: Problem, parts: Solution, structure: Structure) -> Problem:
-    """The problem restated in which arcs that are ridden begin and end when they do, and S >= 0 is kept by the arcs."""
+    """Restate the problem with boundary arcs that begin and end at the answer's times, and S >= 0 kept by the arcs."""
     from perilune.structures.structure import conditions_of
 
     times, phases = dict[str, float](), list[Phase]()

@@ -1,4 +1,4 @@
-"""Where a flight crosses a kink or a jump of the physics, and what crosses with it.
+"""Crossings of a kink or a jump of the physics by a flight, and how costates pass them.
 
 At a zero of a guard s(x) the rates change from f- to f+. A neighbouring flight crosses at another time, so that a
 deviation d of the state, and the costate, pass by
@@ -57,7 +57,7 @@ class Crossing:
     jump
         f+ - f-, (n,); exactly 0 where the rates are continuous.
     speeds
-        How fast s changes before and after, over `size`; NaN where the crossing is none that is understood.
+        Rates of s before and after, over `size`; NaN where the crossing is not of a supported kind.
     """
 
     time: float

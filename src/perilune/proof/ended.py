@@ -31,7 +31,7 @@ _FELT = 1e-6  # of the largest costate: a multiplier; and of 1, what of a bound 
 
 
 def held_at_end(arc: Arc) -> dict[str, float]:
-    """The states that a bound holds where a phase ends, each with its multiplier, as far as the costates tell."""
+    """Return the states held by a bound at the end of a phase, each with its multiplier, if the costates give it."""
     on = list(_reached(arc))
     if not on or arc.trajectory.costate is None:
         return {}
@@ -66,7 +66,7 @@ def _reached(arc: Arc) -> Iterator[tuple[int, int]]:
 
 
 def ended(solution: Solution) -> Solution:
-    """The solution as one of the problem with such bounds among its end conditions; itself where there is none."""
+    """Return the solution as one of the problem with such bounds as end conditions; itself where there is none."""
     problem = solution.problem
     held = [held_at_end(Arc(solution=solution, index=k)) for k in range(len(problem.phases))]
     if not any(held):

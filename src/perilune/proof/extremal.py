@@ -267,7 +267,17 @@ def _hamiltonian_constant(arc: Arc) -> Check:
 
 
 def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> float:
-    """dJ/dp at an extremal, p a free parameter: J per unit of p, from costates and multipliers (above)."""
+    """dJ/dp at an extremal, p a free parameter: J per unit of p, from costates and multipliers (above).
+
+    Parameters
+    ----------
+    arcs
+        All phases of the solution.
+    nu
+        Multipliers of the end conditions of each phase [J per unit].
+    name
+        Of the free parameter.
+    """
     return float(sum(float(np.sum(part)) for part in _gradient_parts(arcs, nu, name)))
 
 
@@ -320,6 +330,13 @@ def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
     """Free parameters that no bound holds: inside theirs, or on one that they may leave at no first-order cost.
 
     The second variation takes the latter to both sides, which asks for more than is necessary.
+
+    Parameters
+    ----------
+    solution
+        The solution.
+    arcs
+        Its phases.
     """
     nu, slack = all_multipliers(arcs), STATIONARY_LIMIT * objective_scale(solution)
     return [

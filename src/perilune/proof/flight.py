@@ -1,4 +1,4 @@
-"""Every phase flown again by its exported control, twice.
+"""Independent re-integration of every phase by its exported control, twice.
 
 By SciPy's DOP853 from break to break, with steps of its own choice: an integrator that knows nothing of the tables.
 And by Gauss's collocation of order 8 on all pieces of the tables at once: one Newton step from the tables themselves.
@@ -72,7 +72,7 @@ class Deviation:
 
 @dataclass(frozen=True, kw_only=True)
 class Flight:
-    """One phase flown again.
+    """Re-integration of one phase.
 
     Attributes
     ----------
@@ -103,7 +103,22 @@ class Flight:
 
 
 def initial_state(solution: Solution, index: int, before: Vector | None) -> Vector:
-    """Return the initial state of a phase: from `start`, or by the link from the end state of the phase before."""
+    """Return the initial state of a phase: from `start`, or by the link from the end state of the phase before.
+
+    Parameters
+    ----------
+    solution
+        A solution with trajectories.
+    index
+        Number of the phase.
+    before
+        End state of the phase before [SI], (n,); None for the first phase.
+
+    Returns
+    -------
+    Vector
+        State [SI], (n,).
+    """
     problem, p = solution.problem, solution.parameters
     if before is None:
         values = problem.start(p, NUMERIC)
@@ -113,7 +128,7 @@ def initial_state(solution: Solution, index: int, before: Vector | None) -> Vect
 
 
 def flights(solution: Solution) -> list[tuple[Arc, Flight]]:
-    """Every phase flown again, each from the end of the flight before."""
+    """Re-integrate every phase, each from the end of the one before."""
     flown: list[tuple[Arc, Flight]] = []
     ends: tuple[Vector | None, Vector | None] = None, None
     for k in range(len(solution.problem.phases)):
@@ -162,7 +177,17 @@ def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: Vector | None = N
 
 
 def state_deviation(arc: Arc, start: Vector, sizes: Vector | None = None) -> Deviation:
-    """States flown from a start [SI], less their table; `sizes` are those of errors at the start."""
+    """Return the re-integrated states from a start [SI] less their table; `sizes` are of errors at the start.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    start
+        Initial state [SI], (n,).
+    sizes
+        Of errors at the start, scaled, (n,); 1 where None.
+    """
     pieces, slopes, still = arc.looked_at
     n, unit = len(arc.state_scale), arc.state_scale[:, None, None]
     at, ends = (pieces.read(arc.trajectory.state, *shares) / unit for shares in ((), (ENDS,)))
@@ -320,7 +345,14 @@ def _solved(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]
 def steps(arc: Arc, x0: Vector) -> tuple[Vector, Vector]:
     """The end of SciPy's flight [SI], and the largest difference to the table at its steps, scaled; both (n,).
 
-    The integrator starts anew at each break of the control and each kink of the physics; NaN where it gives up.
+    The integrator restarts at each break of the control and each kink of the physics; NaN where it gives up.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    x0
+        Initial state [SI], (n,).
     """
     from scipy.integrate import solve_ivp
 

@@ -1,4 +1,4 @@
-"""Whether a flight may touch a condition or ride along it, for the price of a few points: most flights do not.
+"""Quick test, at a few points, of whether a flight may touch a condition or follow it: most flights do not.
 
 What is touched is at an edge of the tables, where costates jump; what is ridden is ridden between edges.
 """
@@ -18,7 +18,7 @@ _NEAR = 1e-4  # of what it is elsewhere: so near to it a condition is looked at 
 
 
 def edges_of(arc: Arc) -> Vector:
-    """Times inside the phase at which a table begins anew [s]."""
+    """Return the times inside the phase at which a table has a break [s]."""
     found = [curve.time[1:][np.diff(curve.time) == 0] for curve in arc.curves]
     times = np.unique(np.concatenate(found))
     return times[(times > 0) & (times < arc.duration)]

@@ -1,4 +1,4 @@
-"""Where the proof looks: inside every piece of every table.
+"""Sample points of the proof: inside every piece of every table.
 
 Between two neighbouring nodes of any of its tables a solution is a handful of cubics. Four points inside such a piece
 determine a cubic, and bound it all over the piece (Lebesgue constant below 6): what is right at all of them hides

@@ -64,7 +64,7 @@ def neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
 
 
 def _with_multipliers(solution: Solution) -> Solution:
-    """The same with the multipliers that its curves imply where it tells none, as of what it touches.
+    """Return the solution with the multipliers that its curves imply where it gives none, as at contact points.
 
     Neighbours hold the ranges that it is held by: a duration in two parts at its longest is told by nothing else.
     """

@@ -1,4 +1,4 @@
-"""A condition on states that is ridden along a part of the flight: its multiplier, and the costates of itself.
+"""Boundary arc of a condition on states: its multiplier, and the costates of the condition itself.
 
 Along an arc of order q the multiplier eta of S^(q) = 0, L = H - eta S^(q), stands for that of S >= 0 itself, which is
 
@@ -34,7 +34,7 @@ _POSITIVE, _AT_ENDS = 1e-3, 0.02  # of its largest value mu is strictly positive
 
 @dataclass(frozen=True, kw_only=True)
 class Ridden:
-    """A condition that is ridden all along a part of the flight restated.
+    """Condition that is active all along a part of the flight restated (a boundary arc).
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""All that a flight rides along: what its multipliers say to first order, and what they let vary to second order.
+"""Boundary arcs of a flight: checks of their multipliers to first order, and their variations to second order.
 
 Where an arc begins or ends the costates of S itself (`ridden`) may jump, as at a touch (`touched`), by nu dS/dx with
 nu <= 0 alone. Where a phase ends there its end conditions may take any part of the jump, and at the start of the flight
@@ -63,16 +63,16 @@ _STEADY, _CLEAR = 1e-5, 1e-3  # of the size of a control: a jump that is none, a
 
 @dataclass(frozen=True, kw_only=True)
 class Rides:
-    """All that is ridden of a flight that `touched.cut` has cut.
+    """Boundary arcs and contact points of a flight that `touched.cut` has cut.
 
     Attributes
     ----------
     whole, parts
         The flight, and the same restated.
     along
-        What is ridden along each of its parts.
+        Boundary arcs along each of its parts.
     touches
-        What is touched at the end of each.
+        Conditions touched at the end of each.
     begins
         Numbers of the parts with which the user's phases begin.
     """
@@ -172,7 +172,7 @@ class Rides:
         return through / after.state_scale[:, None]
 
     def _explained(self, joint: int) -> Sequence[Vector]:
-        """Directions in which the costates may jump whatever is ridden: by the user's own conditions there."""
+        """Return the directions in which the user's own conditions let the costates jump, boundary arcs or not."""
         if self.inner(joint):
             return []
         if joint:

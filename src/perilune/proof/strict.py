@@ -185,6 +185,15 @@ def from_switches(arc: Arc, t: Vector, ends: list[float] | None = None) -> Vecto
     """Time to the nearest break, or joint of phases, whose time is chosen too: S may vanish there, and nowhere else.
 
     But at `ends` of the flight that are switches.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    t
+        Times [s], (N,).
+    ends
+        Times of ends of the flight that are switches [s].
     """
     joints = [0.0] * (arc.index > 0) + [arc.duration] * (arc.index < len(arc.problem.phases) - 1)
     zeros = np.array([*arc.breaks, *joints, *(ends or [])])

@@ -74,12 +74,32 @@ def _signs(arc: Arc, allowed: Allowed, found: Multipliers) -> Iterator[Check]:
 
 
 def on_bounds(arc: Arc, at: int, control: Bounded, u: Matrix) -> tuple[Vector, Vector]:
-    """Return True where a scalar lies on its lower, and where on its upper bound."""
+    """Return True where a scalar lies on its lower, and where on its upper bound.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    at, control
+        Place of the scalar among the components of the control, and itself.
+    u
+        Controls [SI], (k, ...).
+    """
     return control.on_bounds(u[at], ON_BOUND * arc.control_scale[at], arc.p)
 
 
 def with_limits(arc: Arc, u: Matrix, parameter: str) -> Matrix:
-    """Return the derivatives of the control by a parameter that is the bound on which it lies: 1 or 0, shaped as u."""
+    """Return the derivatives of the control by a parameter that is the bound on which it lies: 1 or 0, shaped as u.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    u
+        Controls [SI], (k, ...).
+    parameter
+        Name of the parameter.
+    """
     moves = np.zeros(u.shape)
     for at, control in scalars(arc.phase.controls):
         for limit, held in zip((control.lower, control.upper), on_bounds(arc, at, control, u), strict=True):
@@ -202,6 +222,22 @@ def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving:
     """Most that admissible ones of the controls `tried` lower H below its value with u; shapes as they broadcast.
 
     With `leaving` those are admissible too that do not keep what the phase holds.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    x, u, lam
+        States, controls [SI] and costates [J per state], (components, ...).
+    tried
+        Other controls [SI], (k, ...).
+    leaving
+        True to admit controls that violate the held conditions.
+
+    Returns
+    -------
+    float
+        Largest decrease of H over all samples and times, scaled.
     """
     H = arc.hamiltonian(x, tried, lam)
     slack = ADMISSIBLE * np.concatenate([arc.path_scale, arc.held_scale])
@@ -256,14 +292,32 @@ def _weights(arc: Arc) -> Vector:
 
 
 def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
-    """Derivatives of the dynamics as the control moves along `tangents`, (n, k, N), in SI."""
+    """Derivatives of the dynamics as the control moves along `tangents`, (n, k, N), in SI.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    x, u
+        States (n, N) and controls (k, N) [SI].
+    moves
+        Tangents (components, k, N).
+    """
     moved = u[:, None, :] + 1j * STEP * moves
     x_many = np.broadcast_to(x[:, None, :], (len(x), *moved.shape[1:]))
     return arc.rates(x_many, normalised(arc.phase.controls, moved)).imag / STEP
 
 
 def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matrix, Multipliers | None]:
-    """dL/d(control) along the tangents, scaled, shape (k, N); multipliers where conditions have the control in them."""
+    """dL/d(control) along the tangents, scaled, shape (k, N); multipliers where conditions have the control in them.
+
+    Parameters
+    ----------
+    arc
+        The phase.
+    x, u, lam
+        States (n, N) and controls (k, N) [SI], costates (n, N) [J per state].
+    """
     f = control_rates(arc, x, u, tangents(arc.phase.controls, arc.control_scale, u))
     gradient, found = (lam[:, None, :] * f).sum(axis=0), None
     if arc.allowed:

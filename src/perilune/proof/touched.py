@@ -1,4 +1,4 @@
-"""Conditions on states alone that a flight touches or rides along: their multipliers are jumps of the costates.
+"""Contact points and boundary arcs of pure state conditions: their multipliers are jumps of the costates.
 
 Where S(x, p) >= 0 is touched, at a time of the flight's own choice,
 
@@ -50,7 +50,7 @@ STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplie
 
 
 def cut(solution: Solution) -> tuple[Solution, Structure]:
-    """The solution as one of the problem restated with what it touches and rides along; itself if nothing."""
+    """Return the solution of the problem restated with its contact points and boundary arcs; itself if none."""
     phases = []
     for k, flown in enumerate(solution.trajectories):
         arc = Arc(solution=solution, index=k)

@@ -235,7 +235,7 @@ class Piece:
 
     @property
     def loosened(self) -> Piece:
-        """The same with variations that also leave what is ridden."""
+        """Return the same with variations that also leave the boundary arcs."""
         if self.kept.rides == self.kept.released:
             return self
         kept = Kept(released=self.kept.rides)

@@ -1,1 +1,1 @@
-"""Published results, computed again and set beside what was printed."""
+"""Published results, computed again and compared with what was printed."""

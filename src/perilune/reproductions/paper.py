@@ -1,4 +1,4 @@
-"""What the reports on reproduced papers share: printed beside computed, claims that hold or do not, pictures."""
+"""Common sections of the reports on reproduced papers: printed and computed numbers, claims, pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The canonical equations of one smooth arc, derived from the problem's tapes by the rules of `graph` alone.
+"""Canonical equations of one smooth arc, derived from the problem's tapes only by the rules of `graph`.
 
 With H = lambda . f(x, u, p), which the control minimises: x' = f, lambda' = -dH/dx, and a free parameter q in the
 dynamics is a constant state, whose costate collects the integral of dH/dq (`perilune.conditions.pontryagin` states the

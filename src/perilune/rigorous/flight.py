@@ -65,7 +65,7 @@ def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: in
     grid, order
         Where the steps begin, and the order of their remainders.
     finest
-        Where it is finite, steps are as long as keeps their remainders below this, beside the size of each entry.
+        Where it is finite, steps keep their remainders below this, relative to the size of each entry.
 
     Raises
     ------
@@ -214,7 +214,19 @@ def _inverted(B: Any) -> Any:
 def plainly(
     boundary: BoundaryProblem, y: Sequence[Ball], order: int, tolerance: float, grid: Grid | None = None
 ) -> tuple[Flight, list[list[float]]]:
-    """Fly one y in many digits, with nothing proved: for Newton's method. Returns the flight, and the grid it chose."""
+    """Fly one y in many digits, with nothing proved: for Newton's method. Returns the flight, and the grid it chose.
+
+    Parameters
+    ----------
+    boundary
+        Arcs, starts and durations.
+    y
+        The unknowns.
+    order, tolerance
+        Of the Taylor series, and of their last terms relative to the size of each entry.
+    grid
+        Where the steps of each arc begin [s]; chosen where None.
+    """
     found, chosen = Flight(ends=[], tangents=[], nodes=[], steps=[], centre=[]), list[list[float]]()
     z, D = list[Ball](), arb_mat(0, 0)
     for i, arc in enumerate(boundary.arcs):
@@ -299,7 +311,15 @@ def residual(boundary: BoundaryProblem, y: Sequence[Ball], flown: Flight) -> lis
 
 
 def slopes(boundary: BoundaryProblem, y: Sequence[Ball], flown: Flight) -> tuple[list[Ball], Any]:
-    """F of a flight, and dF/dy."""
+    """F of a flight, and dF/dy.
+
+    Parameters
+    ----------
+    boundary, y
+        The problem and its unknowns.
+    flown
+        A flight with tangents.
+    """
     values, (total, *others) = boundary.residual.slopes(y, *flown.ends)
     for by_end, D in zip(others, flown.tangents, strict=True):
         total += by_end * D

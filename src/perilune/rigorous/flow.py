@@ -83,7 +83,7 @@ def tangents_along(arc: Arc, slopes: Sequence[Coefficients], V: Any, orders: int
 
 
 def _remainders(arc: Arc, Z: Sequence[Ball], W: Any, order: int, order_of_tangents: int) -> tuple[list[Ball], Any]:
-    """The last coefficients over a whole step, by recurrences alone: in wide balls they are the narrowest."""
+    """Return the last coefficients over a whole step, only by recurrences: in wide balls they are the narrowest."""
     with ctx.workprec(_NARROW):
         remainder = [c[order] for c in arc.plain.flow(Z, order)[0]]
         if W is None:

@@ -1,4 +1,4 @@
-"""Which number a given value is: the decimal that it was stated in, exactly, or else the double."""
+"""Exact number of a given value: the decimal in which it was stated, or else the double."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Exact:
 
 
 def exactly(given: Given) -> Exact:
-    """The number that a given value is, and of which a theorem is proved.
+    """Return the exact number of a given value, of which a theorem is proved.
 
     A text that does not give the value in its unit is none: the solver would have flown something else.
     """

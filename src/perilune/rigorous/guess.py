@@ -1,4 +1,4 @@
-"""What a solution suggests: of which arcs its extremal is made, and about where the unknowns are.
+"""Candidate from a solution: the arcs of its extremal, and about where the unknowns are.
 
 None of it is trusted: it says where to look, and the proof begins there.
 """

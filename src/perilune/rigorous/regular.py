@@ -1,4 +1,4 @@
-"""Where X, the states of enclosed tangents, is regular: all along a step, or not seen to be."""
+"""Regularity of X, the states of enclosed tangents: all along a step, or not proved."""
 
 from __future__ import annotations
 

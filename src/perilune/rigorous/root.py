@@ -110,6 +110,15 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
     ------
     NotProved
         If it does not converge, or not quadratically.
+
+    Parameters
+    ----------
+    boundary, y
+        The problem, and a guess of its unknowns.
+    settings
+        Effort.
+    tell
+        Receives lines of text.
     """
     grid, moved, y, enough = None, list[float](), middle(y), settings.enough
     inverse, slowly = arb_mat(0, 0), False
@@ -146,7 +155,17 @@ def _inverse(J: Any) -> Any:
 
 
 def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Settings, tell: Tell) -> Root:
-    """The same root in a box that is as large as it can be proved to be the only one in, about."""
+    """The same root in a box that is as large as it can be proved to be the only one in, about.
+
+    Parameters
+    ----------
+    boundary, refined, root
+        The problem, Newton's result, and the proved root.
+    settings
+        Effort.
+    tell
+        Receives lines of text.
+    """
     first = [float(b.rad()) for b in root.box]
     factor = min(_FARTHEST * size / r for size, r in zip(refined.sizes, first, strict=True))
     proved = replace(refined, grid=[[float(step.begin) for step in steps] for steps in root.flight.steps])

@@ -1,4 +1,4 @@
-"""The theorem: what is proved of a solution, by enclosures alone, and what is not."""
+"""The theorem: what is proved of a solution, only by enclosures, and what is not."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Proved:
     optimum
         That it is a strict local optimum.
     distance
-        From the answer to the root: the largest over the unknowns, beside their size.
+        From the answer to the root: the largest over the unknowns, relative to their size.
     reached
         Whether the answer lies in the large box.
     """
@@ -123,7 +123,7 @@ def _proved(
 
 
 def _distance(boundary: BoundaryProblem, root: Root, guess: Sequence[Ball]) -> float:
-    """From the guess, but for costates of constant states, which no solution tells."""
+    """Return the distance from the guess, without costates of constant states, which no solution gives."""
     told = [i for i in range(len(guess)) if i not in boundary.untold]
     least = _NEARLY_ZERO * max(float(guess[i].abs_upper()) for i in told)
     far = [float((root.y[i] - guess[i]).abs_upper()) / max(float(guess[i].abs_upper()), least) for i in told]

@@ -1,6 +1,6 @@
-"""What every ballistic entry bears at least: limits that none of them keeps, said before anything is solved.
+"""Least loads of all ballistic entries: limits that none of them keeps are found before anything is solved.
 
-Without lift nothing is chosen below the interface: an entry is told by its mass, its speed and its path angle there.
+Without lift nothing is chosen below the interface: an entry is given by its mass, its speed and its path angle there.
 The angle lies between its bounds, the mass between all propellant and none, and the speed between its own bounds and
 those that the propellant leaves (`perilune.models.deorbit.bounds`). Over this box the greatest load, heat rate and
 dynamic pressure of falls in a plane are computed, each held up by as much as anything may that such a fall leaves out:
@@ -112,7 +112,7 @@ def _beside_limit(name: str, which: str, value: float, p: Any, *, binding: bool,
 
 
 def least_between(peaks: Matrix) -> float:
-    """Least of a function in the cells of a grid, from its values there, which are nan where there is none."""
+    """Return the least of a function in the cells of a grid, from its values there, which are nan where undefined."""
     bends = np.zeros_like(peaks)
     for axis, count in enumerate(peaks.shape):
         if count > 2:

@@ -1,4 +1,4 @@
-"""What a velocity change can do at the interface: bounds for every flight, of one burn or many, wherever it thrusts.
+"""Bounds on speed and angle at the interface for a velocity change, of one burn or many, wherever it thrusts.
 
 A flight about a round body has at any time the energy E and the angular momentum h, and with r_a the radius of the
 interface

@@ -1,4 +1,4 @@
-"""What is stated of a return, one by one right, and together incomplete, without effect or impossible."""
+"""Checks of a return's records that are right one by one, but together incomplete, without effect or impossible."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from perilune.words.outcome import PeriluneError
 
 
 def epoch_of(aim: Aim) -> datetime:
-    """The epoch, where one is needed."""
+    """Return the epoch; refuse a return without one."""
     epoch = aim.instant()
     if epoch is None:
         raise PeriluneError(
@@ -68,7 +68,7 @@ def refuse_without_effect(
     limits: Limits | None,
     parachute: Parachute | None,
 ) -> None:
-    """Refuse what only air would make matter, where there is none, and heat without a nose."""
+    """Refuse values that only matter in air where there is none, and heat without a nose."""
     named = {"heating": heating, "separation": separation, "limits": limits, "parachute": parachute}
     for name in (name for name, made in named.items() if made is not None and air is None):
         raise PeriluneError(
@@ -104,7 +104,7 @@ def refuse_below_centre(altitude: float, radius: float) -> None:
 
 
 def refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | None) -> None:
-    """Refuse air of which nothing is known somewhere on the way: a table goes on beyond its ends, but says nothing."""
+    """Refuse a table of air that ends somewhere on the way: beyond its ends it extrapolates, but holds no data."""
     if air is None or site is None:
         return
     reached = {"interface.altitude": interface.altitude, "site.altitude": site.altitude}

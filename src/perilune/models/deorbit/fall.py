@@ -66,7 +66,7 @@ def carried(p: Any, distance: float) -> float:
 class Fall:
     """A fall through the air in a plane: its time [s], whether it comes to the site, and rows evenly apart in it.
 
-    A row is height [m], angle swept [rad], speed [m/s] and path angle [rad] beside the body, heat load [J/m^2].
+    A row is height [m], angle swept [rad], speed [m/s] and path angle [rad] relative to the body, heat load [J/m^2].
     """
 
     time: float
@@ -95,7 +95,7 @@ def _rates(p: Any, air: Air) -> Callable[[float, Any], list[float]]:
 
 
 def lowest(p: Any) -> Any:
-    """Altitude [m] at which the entry ends: that of the site, or that at which a parachute opens."""
+    """Return the altitude [m] at which the entry ends: of the site, or of the opening parachute."""
     return getattr(p, "parachute_altitude", p.site_altitude)
 
 

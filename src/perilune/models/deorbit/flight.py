@@ -1,9 +1,9 @@
-"""What holds along a return: motion in axes that turn with the body, what its phases keep and where they end.
+"""Functions of the phases of a return: motion in axes that turn with the body, path and end conditions.
 
     r'' = g(r) + (T/m) d - 2 Omega x r' - Omega x (Omega x r),   m' = -T/c      above the interface, engine on
     r'' = g(r) + drag + lift - 2 Omega x r' - Omega x (Omega x r)               below it
 
-z is the rotation axis and x points to longitude 0. Velocities are beside the body, as are the speed V and the path
+z is the rotation axis and x points to longitude 0. Velocities are relative to the body, as are the speed V and the path
 angle gamma at the interface, sin gamma = r.V/(|r| |V|).
 """
 

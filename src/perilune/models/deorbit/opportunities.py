@@ -77,7 +77,7 @@ def opportunities(problem: Problem, days: float) -> tuple[Opportunity, ...]:
     Raises
     ------
     PeriluneError
-        If the problem is none, names no site or no dry mass, or the days are out of range.
+        If the problem is no return, names no site or no dry mass, or the days are out of range.
     """
     demand(problem, Problem, "a problem to list opportunities of")
     _refuse_unfit(problem, days)
@@ -94,7 +94,15 @@ def opportunities(problem: Problem, days: float) -> tuple[Opportunity, ...]:
 
 
 def refuse_none(found: Sequence[Opportunity], days: float) -> None:
-    """InfeasibleError if no pass can be made, with the nearest."""
+    """Raise InfeasibleError, naming the nearest pass, if no pass can be made.
+
+    Parameters
+    ----------
+    found
+        Passes, as `opportunities` returns them.
+    days
+        How far ahead was looked [days].
+    """
     if any(one.verdict != OUT_OF_REACH for one in found):
         return
     near = min(found, key=lambda one: abs(one.away), default=None)
@@ -184,7 +192,7 @@ def _allowed(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) 
 
 
 def _settings(problem: Problem, p: Any, orbit: Drift, start: float) -> dict[str, str]:
-    """The orbit at a time [s], in the keys by which the problem states where it is."""
+    """Return the orbit at a time [s], in the keys with which the problem states it."""
     angle, node = (float(value) for value in orbit.at(start))
     perigee = {}
     if hasattr(p, "orbit_argument_of_perigee"):

@@ -1,4 +1,4 @@
-"""Where a return begins: a state on a Kepler orbit, in axes that turn with the body, as a formula of the orbit.
+"""Initial state of a return: on a Kepler orbit, in axes that turn with the body, as a formula of the orbit.
 
 With the argument of latitude u, counted from the ascending node, i the inclination and W the longitude of the node at
 that time, the unit vectors up and ahead (in the orbit's plane, at right angles to up) are
@@ -6,7 +6,7 @@ that time, the unit vectors up and ahead (in the orbit's plane, at right angles 
     up    = R_z(W) (cos u, sin u cos i, sin u sin i),     ahead = R_z(W) (-sin u, cos u cos i, cos u sin i)
 
 A place on the orbit gives them by sin u = sin(geocentric latitude)/sin i, with cos u >= 0 on an ascending pass and W
-from the longitude. The orbit's plane does not turn while the body does, and W is counted beside the body.
+from the longitude. The orbit's plane does not turn while the body does, and W is relative to the body.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def shape(angle: Any, p: Any, m: Any) -> tuple[Any, Any, Any]:
 
 
 def state(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:
-    """Position, and velocity beside the turning body."""
+    """Position [m], and velocity [m/s] relative to the turning body."""
     up, ahead = plane(angle, node, p, m)
     distance, rise, level = shape(angle, p, m)
     position = combine((distance, up))

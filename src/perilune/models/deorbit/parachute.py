@@ -30,7 +30,7 @@ from perilune.words.maths import NUMERIC
 
 
 def velocity(x: Any, p: Any, m: Any, *, air: Air) -> Triple:
-    """Steady velocity [m/s] beside the turning body."""
+    """Steady velocity [m/s] relative to the turning body."""
     pull = apparent_gravity(flight.where(x), AXIS, p, m)
     density = air.density(ellipsoid.altitude(flight.where(x), p, m), p, m)
     return combine((m.sqrt(2 * x.m / (density * p.parachute_drag_area * m.sqrt(dot(pull, pull)))), pull))
@@ -53,7 +53,7 @@ def opened(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def placed(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
-    """Values of `told.PLACED` but for the angle, which is all but straight down."""
+    """Values of `told.PLACED` without the path angle, which is nearly straight down."""
     return told.placed(moving(x, p, m, air=air), u, p, m)[:-1]
 
 
@@ -68,7 +68,7 @@ def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str], air:
 
 
 def phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> Phase:
-    """From the altitude at which it opens to that of the site, with what states are kept beside the motion."""
+    """Return the phase from the opening to the altitude of the site, with the states kept in addition to the motion."""
     names = flight.SITE if placed_ else flight.SITE[:1]
     return Phase(
         name="parachute",
@@ -84,7 +84,7 @@ def phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> Phase:
 
 
 def typical_time(p: Any, air: Air) -> float:
-    """Time [s] from the altitude at which it opens to that of the site."""
+    """Return a typical time [s] from the opening to the altitude of the site."""
     from scipy.integrate import quad
 
     mass = getattr(p, "separation_mass", p.vehicle_mass)

@@ -1,4 +1,4 @@
-"""What physics says of a return before it is solved.
+"""Feasibility checks of a return, before it is solved.
 
 *Down at all.* From a circular or elliptic orbit the least velocity change that lowers the flight to the radius r_a is
 that of an impulse at the apogee r_2, against the velocity there, to an ellipse with its perigee at r_a:
@@ -74,7 +74,7 @@ def compare_return(
     drifts
         Whether a coast follows the burn.
     standard
-        Whether the standard atmosphere, 1976, is that of the body.
+        True if the U.S. Standard Atmosphere, 1976, is the body's.
     """
     low, high = extremes(p)
     found = _above_interface(p, m, low, angles)

@@ -293,9 +293,9 @@ def deorbit_entry(
     Returns
     -------
     Problem
-        States x, y, z [m], vx, vy, vz [m/s] beside the turning body, m [kg]; free `burn_time` [s], and `coast_time`,
-        `drift_time`, `entry_time`, `parachute_time` [s] of the phases that there are. Below the parachute the velocity
-        is no state.
+        States x, y, z [m], vx, vy, vz [m/s] in axes that turn with the body, m [kg]; free `burn_time` [s], and
+        `coast_time`, `drift_time`, `entry_time`, `parachute_time` [s] of the phases that there are. Below the parachute
+        the velocity is no state.
 
     Raises
     ------
@@ -391,7 +391,7 @@ def _size_of(objective_unit: str, time: float) -> float | None:
 
 
 def _air(air: Atmosphere | Air | None) -> Air | None:
-    """The air that is flown; that of a day is known with the way through it, and the standard stands for it."""
+    """Return the air to fly through; the standard one in place of an epoch's, which depends on the trajectory."""
     if not isinstance(air, Atmosphere):
         return air
     if air.density is not None and air.scale_height is not None:

@@ -1,4 +1,4 @@
-"""What is stated of a return: the sections of its file, each number with its unit, its range and what it is."""
+"""Records of a return: the sections of its file, each number with its unit, its range and its meaning."""
 
 from __future__ import annotations
 
@@ -354,5 +354,5 @@ def is_something_left(p: Any) -> bool:
 
 
 def must_be_left(p: Any, m: Any = NUMERIC) -> Any:
-    """Mass [kg] that the burn must leave: the dry mass, of which what enters the air is a part; 0 if neither is."""
+    """Return the mass [kg] that the burn must leave: the larger of dry mass and entering mass; 0 without both."""
     return m.fmax(getattr(p, "vehicle_dry_mass", 0.0), getattr(p, "separation_mass", 0.0))

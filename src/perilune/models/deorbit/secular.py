@@ -1,4 +1,4 @@
-"""Where an orbit is hours and days later: Kepler's ellipse, turned evenly by the body's second zonal harmonic.
+"""Secular drift of an orbit over hours and days: Kepler's ellipse, turned evenly by the second zonal harmonic.
 
 With n = sqrt(mu/a^3), p = a (1 - e^2) and k = J2 (R/p)^2 the node, the perigee and the mean anomaly go on at
 
@@ -29,7 +29,7 @@ _KEPLER = 8  # of Newton's steps, for eccentricities that an orbit above the air
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Elements of an orbit at t = 0 [rad], and their rates [rad/s]; the node is counted beside the turning body."""
+    """Elements of an orbit at t = 0 [rad], and their rates [rad/s]; the node is relative to the turning body."""
 
     eccentricity: float
     inclination: float
@@ -64,7 +64,7 @@ class Drift:
 
 
 def drift(position: Sequence[float], velocity: Sequence[float], p: Any) -> Drift:
-    """The orbit of a state [m], [m/s] beside the turning body."""
+    """Return the orbit of a state [m], [m/s] relative to the turning body."""
     mu, r = p.body_gravitational_parameter, math.sqrt(dot(position, position))
     v = combine((1, velocity), (p.body_rotation_rate, cross(AXIS, position)))
     momentum = cross(position, v)

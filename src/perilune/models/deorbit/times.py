@@ -1,4 +1,4 @@
-"""How long the phases of a return last roughly, and a rough picture of it: what methods without a guess start from.
+"""Rough durations of the phases of a return and a rough trajectory: the start of methods without a guess.
 
 The picture is a flight in the plane of the orbit, about a round body: coast, thrust straight against the velocity for
 as long as the impulsive deorbit needs, coast down to the interface, and a fall through the air without lift. Where that

@@ -1,7 +1,7 @@
-"""What engineers read of a return: quantities along the way, at the interface and at the end, and their figures.
+"""Outputs of a return: quantities along the way, at the interface and at the end, and their figures.
 
-Where both exist, a speed or an angle is beside the turning body, and the inertial one says so in its name. Longitude
-and latitude are those of the point below, geodetic above an ellipsoid.
+A speed or an angle is relative to the turning body where both exist, and the inertial one says so in its name.
+Longitude and latitude are those of the point below, geodetic above an ellipsoid.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def compute(watch: Watch, level: int = 3) -> Reproduction:
 
 
 def _whole(family: Family) -> Family:
-    """Pass on Ctrl-C, which a sweep turns into a shorter family: a report on half the figures is none."""
+    """Raise after Ctrl-C, which a sweep turns into a shorter family: a report on half the figures is useless."""
     if family.interrupted:
         raise KeyboardInterrupt
     return family
@@ -123,7 +123,7 @@ def best_with_retro_burn(solution: Solution) -> Extremal:
 
 
 def gain_of_retro_burn(solution: Solution) -> float:
-    """Landed mass [kg] of the best extremal with a retro burn less that of the one without."""
+    """Return the landed mass [kg] of the best extremal with a retro burn less that without."""
     without = next(extremal for extremal in solution.extremals if extremal.free["retro_delta_v"] == 0)
     return without.objective - best_with_retro_burn(solution).objective
 

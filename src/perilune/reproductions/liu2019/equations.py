@@ -1,9 +1,9 @@
-"""(1), (6), (7) of the paper as printed, beside the equations that mechanics and differentiation give.
+"""(1), (6), (7) of the paper as printed, compared with the equations that mechanics and differentiation give.
 
 Everything is dimensionless, as in the paper: x = (V, gamma, psi, r, Theta, Phi, m), costates in the same order. Where
 the text that the paper survives in has lost the layout of a fraction, the right reading is taken. Two judges decide:
 
-* (1): Newton's law in Cartesian coordinates beside the turning Earth, carried into the paper's coordinates by the
+* (1): Newton's law in Cartesian coordinates relative to the turning Earth, carried into the paper's coordinates by the
   derivatives of these coordinates. `perilune.models.flight_path.rates` passes; the printed right-hand sides do not.
 * (6): lambda' = -(df/dx)^T lambda, the derivatives by complex steps; of the printed f, and of the right one.
 """

@@ -46,11 +46,11 @@ class Fast:
     predicted
         Newton's method from the prediction.
     queried
-        A query of the atlas, flown again.
+        A query of the atlas, independently re-integrated.
     refused
         Why those points have no answer from the atlas.
     alone
-        The points solved from nothing.
+        The points solved without an initial guess.
     apart
         The largest relative difference of the time of flight between these two.
     """
@@ -83,7 +83,7 @@ def fast(
     grid
         Of Table 2, solved.
     experiments
-        Where the methods are asked, and the problem is solved from nothing.
+        Points at which the methods are asked, and the problem is solved without an initial guess.
     seeds
         At how many of them the paper's search is made.
     directory

@@ -1,4 +1,4 @@
-"""How long it takes to find an extremal: the paper's two methods beside ours, in words and a table."""
+"""Times to find an extremal: the paper's two methods compared with ours, in words and a table."""
 
 from __future__ import annotations
 

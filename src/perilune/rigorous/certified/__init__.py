@@ -1,1 +1,1 @@
-"""Certificates anew: `form`, `expressions`, `equations`, `steps`, least H (`minimum`), second order (`optimum`)."""
+"""Certificate checks: `form`, `expressions`, `equations`, `steps`, least H (`minimum`), second order (`optimum`)."""

@@ -1,4 +1,4 @@
-"""What a certificate states: Pontryagin's conditions of its problem, in `expressions`.
+"""Pontryagin's conditions of a certificate's problem, in `expressions`.
 
 Nothing of the prover is used. H = lambda . f and L = J + nu . psi + lambda(0) . x(0) give all:
 

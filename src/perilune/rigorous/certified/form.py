@@ -1,4 +1,4 @@
-"""What a certificate may look like: known words, names that say one thing each, and nothing that nobody reads."""
+"""Form of a certificate: known words, names that mean one thing each, and nothing that nobody reads."""
 
 import math
 from itertools import pairwise
