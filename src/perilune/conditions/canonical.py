@@ -384,10 +384,36 @@ def _through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX,
 
 
 def control_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
-    """Return the minimising control, that of the mode in which H is least."""
+    """Return the minimising control, that of the mode in which H is least.
+
+    Parameters
+    ----------
+    extremal
+        The canonical equations of the phase.
+    z
+        State and costate, canonical, a column.
+    numbers
+        Numbers of the canonical equations, `extremal_parameters`.
+
+    Returns
+    -------
+    casadi.SX
+        One entry for each component of the control, canonical.
+    """
     return of_mode([report(z, numbers)[0] for report in extremal.reports], extremal.mode(z, numbers))
 
 
 def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
-    """Return H on the minimising control, that of the mode in which it is least."""
+    """Return H on the minimising control, that of the mode in which it is least.
+
+    Parameters
+    ----------
+    extremal, z, numbers
+        As for `control_at`.
+
+    Returns
+    -------
+    casadi.SX
+        H, canonical.
+    """
     return of_mode([report(z, numbers)[2] for report in extremal.reports], extremal.mode(z, numbers))

@@ -23,12 +23,28 @@ Held = tuple[str, ...]  # conditions of the path by name
 
 
 def turns(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
-    """Return True if a condition depends on a direction."""
+    """Return True if a condition depends on a direction.
+
+    Parameters
+    ----------
+    phase
+        The phase.
+    condition
+        An expression of its control.
+    u
+        Symbols of the control.
+    """
     return any(ca.depends_on(condition, u[first:last]) for first, last in directions(phase.controls))
 
 
 def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
-    """Return True if a condition of the path is linear in only one direction, or depends on scalars only."""
+    """Return True if a condition of the path is linear in only one direction, or depends on scalars only.
+
+    Parameters
+    ----------
+    phase, condition, u
+        As for `turns`.
+    """
     if turns(phase, condition, u):
         return _direction_of(phase, condition, u) is not None
     acting = [control for at, control in scalars(phase.controls) if ca.depends_on(condition, u[at])]
@@ -70,6 +86,17 @@ def held_multipliers(
 
     H - mu.c is stationary in the control: mu of a direction's conditions from the tangents of the sphere and scalars
     between their bounds, that of scalars' conditions from their slopes. `regimes` are those of the scalars.
+
+    Parameters
+    ----------
+    phase
+        The phase whose controls hold the conditions.
+    hamiltonian, u
+        H as an expression of the symbols u of the controls, among others.
+    held
+        Conditions c that are held at zero.
+    regimes
+        Regime of each scalar, in their order.
     """
     places = {at: regime for (at, _), regime in zip(scalars(phase.controls), regimes, strict=True)}
     slopes, rest, found = ca.gradient(hamiltonian, u), list(range(len(held))), ca.SX.zeros(len(held), 1)
@@ -104,7 +131,22 @@ def _direction_of(phase: Phase, condition: ca.SX, u: ca.SX) -> tuple[int, int] |
 
 
 def together(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
-    """Enumerate conditions that can be held at once: one of a direction, or two in space; one of each scalar."""
+    """Enumerate conditions that can be held at once: one of a direction, or two in space; one of each scalar.
+
+    Parameters
+    ----------
+    phase
+        The phase.
+    u
+        Symbols of its control.
+    kept
+        Conditions of the path that the control can keep, by name.
+
+    Returns
+    -------
+    list
+        Tuples of names, the empty one among them.
+    """
     of = {name: _direction_of(phase, condition, u) for name, condition in kept.items()}
     turning, others = [n for n in kept if of[n] is not None], [n for n in kept if of[n] is None]
     pairs = [
@@ -137,7 +179,17 @@ def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
 
 
 def demand_held(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> None:
-    """Refuse a condition to be held that is not linear in one direction, or one of scalars alone."""
+    """Refuse a condition to be held that is not linear in one direction, or one of scalars alone.
+
+    Parameters
+    ----------
+    phase
+        The phase that holds the condition.
+    name
+        Name of the condition, for the message.
+    condition, u
+        The condition as an expression of the symbols u of the control.
+    """
     for first, last in directions(phase.controls):
         part = u[first:last]
         if ca.depends_on(condition, part):

@@ -205,7 +205,20 @@ def pivots(symbols: Sequence[ca.SX], held: Sequence[ca.SX]) -> list[int] | None:
 
 
 def multipliers(H: ca.SX, u: ca.SX, held: ca.SX) -> ca.SX:
-    """Return mu of conditions that are held by scalars u, by least squares: exact where H is least."""
+    """Return mu of conditions that are held by scalars u, by least squares: exact where H is least.
+
+    Parameters
+    ----------
+    H, u
+        The Hamiltonian as an expression of the symbols u of the scalars.
+    held
+        Conditions of u that are held, a column.
+
+    Returns
+    -------
+    casadi.SX
+        One multiplier for each condition.
+    """
     C = ca.jacobian(held, u)
     return ca.solve(ca.mtimes(C, C.T), ca.mtimes(C, ca.gradient(H, u)))
 

@@ -67,6 +67,17 @@ def assembled(layouts: Sequence[Layout], blocks: Sequence[tuple[Block, Block]], 
 
     With `nearest` every path condition may be missed by as much all along, and every end condition to either side; the
     sum of all misses, which are unknowns behind all others, stands in place of J.
+
+    Parameters
+    ----------
+    layouts
+        Of each phase.
+    blocks
+        Of each phase: what is repeated at its points, and what is there once.
+    free
+        Number of free parameters.
+    nearest
+        True to minimise the misses.
     """
     rows = sum(sum(layout.rows.values()) for layout in layouts)
     parts, linear = list[Repeated](), list[Triplets]()

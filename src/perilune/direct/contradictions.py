@@ -132,7 +132,20 @@ def _check_inside(what: str, problem: Problem, state: Variable, canonical: float
 
 
 def missed_conditions(program: Program, answer: Answer, slack: float) -> list[tuple[str, str]]:
-    """Return every condition that an iterate misses and by how much in SI, the worst (in canonical units) first."""
+    """Return every condition that an iterate misses and by how much in SI, the worst (in canonical units) first.
+
+    Parameters
+    ----------
+    program, answer
+        The program and its result.
+    slack
+        What may be missed, canonical.
+
+    Returns
+    -------
+    list
+        (name, miss with its unit) of each.
+    """
     found: list[tuple[float, tuple[str, str]]] = []
     for (k, kind), residual in answer.residuals.items():
         names, scales = _row_names(program.problem, k, kind)

@@ -79,6 +79,17 @@ def mesh_errors(problem: Problem, segments: Sequence[Sequence[Segment]], p: Any,
 
     NaN where the simulation could not be flown to the end. `tolerance` is the relative accuracy that is asked of the
     mesh.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    segments
+        Segments of each phase in SI.
+    p
+        Record of all parameters in SI.
+    tolerance
+        Relative accuracy that is asked of the mesh.
     """
     fine = min(1e-8, max(1e-12, 1e-2 * tolerance))
     return [
@@ -160,7 +171,15 @@ def _stepwise(phase: Phase, piece: _Fine, p: Any, tolerance: float, least: Vecto
 
 
 def relative_errors(problem: Problem, segments: Sequence[Sequence[Segment]], errors: Sequence[Matrix]) -> list[Matrix]:
-    """Return errors relative to 1 + max|x| in canonical units; what cannot be flown counts as infinitely wrong."""
+    """Return errors relative to 1 + max|x| in canonical units; what cannot be flown counts as infinitely wrong.
+
+    Parameters
+    ----------
+    problem, segments
+        As for `mesh_errors`.
+    errors
+        What `mesh_errors` returns.
+    """
     found = []
     for phase, flown, error in zip(problem.phases, segments, errors, strict=True):
         largest = np.max([np.abs(s.state.values).max(axis=0) for s in flown], axis=0)

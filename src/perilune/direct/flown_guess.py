@@ -27,7 +27,17 @@ SEGMENTS, NODES = 2.0, 8  # for each time that a flight goes through its range, 
 
 
 def flown_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> list[Sampler] | None:
-    """Fly each phase under the controls of other samplers; None where they cannot be flown to the end."""
+    """Fly each phase under the controls of other samplers; None where they cannot be flown to the end.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    free
+        Free parameters, canonical.
+    lines
+        A sampler for each phase, with its controls.
+    """
     values = dict(zip(problem.free_names, (free * free_scales(problem.free, problem)).tolist(), strict=True))
     p, before, found = problem.parameters(values), None, list[Sampler]()
     for k, (phase, line) in enumerate(zip(problem.phases, lines, strict=True)):

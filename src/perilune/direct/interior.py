@@ -93,7 +93,19 @@ class _Step(NamedTuple):
 
 
 def optimum(posed: Posed, w: Vector, iterations: int, tolerance: float) -> Optimum | None:
-    """Return the local optimum that the search reaches from w, or None."""
+    """Return the local optimum that the search reaches from w, or None.
+
+    Parameters
+    ----------
+    posed
+        The program with its numbers.
+    w
+        Unknowns to start from.
+    iterations
+        Most iterations.
+    tolerance
+        Largest violation of the optimality conditions.
+    """
     fixed = posed.lower == posed.upper
     if fixed[posed.states].any() or any(fixed[columns].any() for _, columns in posed.lengths):
         return None

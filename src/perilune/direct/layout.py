@@ -82,7 +82,15 @@ class PhaseValues:
 
 
 def layout_of(scheme: Scheme, phase: Phase, mesh: Mesh) -> Layout:
-    """Return the layout of a phase on a mesh."""
+    """Return the layout of a phase on a mesh.
+
+    Parameters
+    ----------
+    scheme
+        "gauss" or "radau".
+    phase, mesh
+        The phase and its mesh.
+    """
     return Layout(
         scheme, mesh.degrees, len(phase.states), len(phase.control_names), directions(phase.controls),
         len(phase.held_conditions), len(phase.path_conditions), len(phase.end_conditions),

@@ -47,6 +47,17 @@ def switches(phase: Phase, flown: Sequence[Segment], known: set[float], p: Any) 
 
     A bound of a control or a state is met or left where two points on it have two points off it as neighbours: there a
     singular arc, a saturated control or a constrained arc begins or ends.
+
+    Parameters
+    ----------
+    phase
+        The phase.
+    flown
+        Its segments in SI, in order.
+    known
+        Fractions of the phase at which joints lie already.
+    p
+        Record of all parameters in SI.
     """
     time = np.concatenate([s.time(s.control.points) for s in flown])
     fraction = (time - flown[0].begin) / (flown[-1].end - flown[0].begin)
@@ -88,9 +99,22 @@ def _met(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -
 
 
 def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix, tolerance: float, p: Any) -> Mesh:
-    """Refine the mesh for the next solve; `relative` (segments, states) are the last errors, p all parameters.
+    """Refine the mesh of a phase for the next solve, by the errors of the last one.
 
-    Of a phase that the optimum does without, and that has no length, it is the last one.
+    The mesh of a phase without length, which the optimum does without, stays as it is.
+
+    Parameters
+    ----------
+    phase, mesh
+        The phase and its last mesh.
+    flown
+        Its segments in SI, in order.
+    relative
+        Relative errors of the segments, (segments, states + conditions).
+    tolerance
+        Relative error that is asked for.
+    p
+        Record of all parameters in SI.
     """
     begin, total = flown[0].begin, flown[-1].end - flown[0].begin
     if not total > 0:

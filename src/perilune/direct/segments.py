@@ -135,6 +135,15 @@ def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: fl
     """Return curves of phase k, interpolated within `tolerance` (canonical; costates ten times that).
 
     A joint at which a curve is not smooth is there twice, with the values of either side.
+
+    Parameters
+    ----------
+    problem, k
+        The problem and the number of the phase.
+    flown
+        Its segments in SI, in order.
+    tolerance
+        Largest error of interpolation, canonical.
     """
     phase = problem.phases[k]
     n, width = len(phase.states), len(phase.control_names)

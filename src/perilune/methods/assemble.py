@@ -57,20 +57,51 @@ def _end_scales(problem: Problem) -> Vector:
 
 
 def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
-    """Return the free parameters in SI."""
+    """Return the free parameters in SI.
+
+    Parameters
+    ----------
+    problem, conditions
+        The problem and its boundary value problem.
+    y
+        Unknowns, canonical.
+    """
     of, values = problem.scales.of, y[conditions.free_at].tolist()
     return {f.name: value * of(f.unit) for f, value in zip(problem.free, values, strict=True)}
 
 
 def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
-    """Return the multipliers nu of the end conditions in J per unit."""
+    """Return the multipliers nu of the end conditions in J per unit.
+
+    Parameters
+    ----------
+    problem, conditions, y
+        As for `free_values`.
+
+    Returns
+    -------
+    dict
+        Multiplier by ``phase.condition``.
+    """
     names = [f"{phase.name}.{c.name}" for phase in problem.phases for c in phase.end_conditions]
     values = y[conditions.free_at.stop : len(conditions.unknowns)] * problem.objective_size / _end_scales(problem)
     return dict(zip(names, values.tolist(), strict=True))
 
 
 def controls(extremal: PhaseExtremal, arc: Flown, t: Vector, p: Vector) -> Matrix:
-    """Return the minimising control along an arc, (n, controls); at a switch, the one after it."""
+    """Return the minimising control along an arc, (n, controls); at a switch, the one after it.
+
+    Parameters
+    ----------
+    extremal
+        The canonical equations of the phase.
+    arc
+        The phase as it was flown.
+    t
+        Times, canonical, (n,).
+    p
+        Numbers of the canonical equations.
+    """
     modes, z = arc.modes(t), arc(t)
     out = np.zeros((len(t), extremal.reports[0].size1_out(0)))
     for mode in np.unique(modes):
@@ -130,7 +161,15 @@ def _report(extremal: PhaseExtremal, mode: int, z: Matrix, decides: Matrix, p: V
 
 
 def trajectories(problem: Problem, conditions: Conditions, y: Vector, flown: Sequence[Flown]) -> tuple[Trajectory, ...]:
-    """Return curves of state, costate and control of each phase in SI; a repeated node marks a switch."""
+    """Return curves of state, costate and control of each phase in SI; a repeated node marks a switch.
+
+    Parameters
+    ----------
+    problem, conditions, y
+        As for `free_values`.
+    flown
+        Each phase as it was flown.
+    """
     free = free_values(problem, conditions, y)
     whole = sum(arc.duration for arc in flown)
     return tuple(_trajectory(problem, conditions, k, arc, free, whole) for k, arc in enumerate(flown))
@@ -270,6 +309,13 @@ def unknowns_from(problem: Problem, conditions: Conditions, guess: Solution) -> 
 
     The guess has as many phases (`perilune.problem.guess.fitting_guess`).
 
+    Parameters
+    ----------
+    problem, conditions
+        The problem and its boundary value problem.
+    guess
+        A solution with costates.
+
     Raises
     ------
     PeriluneError
@@ -286,7 +332,15 @@ def unknowns_from(problem: Problem, conditions: Conditions, guess: Solution) -> 
 
 
 def joints_from(problem: Problem, conditions: Conditions, guess: Solution, segments: int) -> Vector:
-    """Return canonical z at the joints of multiple shooting, read off a solution's curves."""
+    """Return canonical z at the joints of multiple shooting, read off a solution's curves.
+
+    Parameters
+    ----------
+    problem, conditions, guess
+        As for `unknowns_from`.
+    segments
+        Arcs of each phase.
+    """
     joints = [np.zeros(0)]
     for phase, extremal, flown in zip(problem.phases, conditions.phases, guess.trajectories, strict=True):
         scale = state_scales(problem, phase)

@@ -84,7 +84,21 @@ def breaches_of(solution: Solution, slack: float) -> Iterator[Breach]:
 
 
 def breaches_along(problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any, slack: float) -> Iterator[Breach]:
-    """Yield what states and controls of a phase, at the points given, break by more than a slack [canonical]."""
+    """Yield what states and controls of a phase, at the points given, break by more than a slack [canonical].
+
+    Parameters
+    ----------
+    problem, phase
+        The problem and its phase.
+    x
+        States [SI], (n, points).
+    u
+        Controls [SI], (components, points).
+    p
+        Record of all parameters in SI.
+    slack
+        What may be broken, canonical.
+    """
     for state, along in zip(phase.states, x, strict=True):
         yield from outside(problem, state, along, state.limits(p), slack)
     for condition, along in phase.path_along(x, u, p):
@@ -100,7 +114,21 @@ def breaches_along(problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any,
 def outside(
     problem: Problem, named: Variable | Free | Bounded, values: Vector, limits: tuple[float, float], slack: float
 ) -> Iterator[Breach]:
-    """Yield values beyond their bounds. What is no number lies within none, not even where there are none."""
+    """Yield values beyond their bounds. What is no number lies within none, not even where there are none.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    named
+        State, free parameter or scalar control.
+    values
+        Its values [SI].
+    limits
+        Lower and upper bound [SI].
+    slack
+        What may be broken, canonical.
+    """
     (lower, upper), name, unit, scale = limits, named.name, named.unit, problem.size_of(named)
     least, most = float(np.min(values)), float(np.max(values))
     for side, limit, reached, miss in (("lower", lower, least, lower - least), ("upper", upper, most, most - upper)):

@@ -38,6 +38,13 @@ def along_path(problem: Problem, flight: Solution, ends: float = 0.0) -> Iterato
     """Yield each path condition with its values [SI] along a flight, less a share of the phase at both ends.
 
     Where such a share is left out, so are phases that have shrunk to nothing: they are all ends.
+
+    Parameters
+    ----------
+    problem, flight
+        The problem and a solution of it.
+    ends
+        Share of each phase that is left out at either end.
     """
     least = _NO_LENGTH * flight.duration if ends else 0.0
     for k, (phase, flown) in enumerate(zip(problem.phases, flight.trajectories, strict=True)):

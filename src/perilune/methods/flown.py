@@ -95,7 +95,17 @@ class Flown:
 
 
 def in_one_piece(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[Flown]:
-    """Propagate from the unknowns y, whatever is met; settings as for `flight`. What settles is in several pieces."""
+    """Propagate from the unknowns y, whatever is met; settings as for `flight`. What settles is in several pieces.
+
+    Parameters
+    ----------
+    problem, conditions
+        The problem and its boundary value problem.
+    y
+        Unknowns, canonical, with or without the states at the joints.
+    settings
+        As for `flight`.
+    """
     p, before, flown = extremal_parameters(problem), np.zeros(0), list[Flown]()
     y, settings = y[: len(conditions.unknowns)], {**_fine(conditions), **settings}
     for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
@@ -184,7 +194,19 @@ def _fallen(
 def exported(
     problem: Problem, conditions: Conditions, root: Root, allowed: float = _MISSED, **settings: float
 ) -> list[Flown]:
-    """Propagate a root, in pieces where one alone leaves more at its ends than is allowed, canonical."""
+    """Propagate a root, in pieces where one alone leaves more at its ends than is allowed, canonical.
+
+    Parameters
+    ----------
+    problem, conditions
+        The problem and its boundary value problem.
+    root
+        A root of it.
+    allowed
+        Largest residual at the ends, canonical, with which one piece is kept.
+    settings
+        As for `flight`.
+    """
     whole = in_one_piece(problem, conditions, root.y, **settings)
     missed = _missed(problem, conditions, root, whole)
     if missed <= allowed or not may_be_cut(conditions):

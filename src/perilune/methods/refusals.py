@@ -112,7 +112,17 @@ def best_misses(
 
 
 def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], tried: list[str]) -> NotConvergedError:
-    """Return the error for a flight that keeps every condition, but no extremal that does."""
+    """Return the error for a flight that keeps every condition, but no extremal that does.
+
+    Parameters
+    ----------
+    problem, flight
+        The problem, and the direct method's flight that keeps everything.
+    breaches
+        Violations of the extremals that were found.
+    tried
+        Lines of what was tried.
+    """
     words = [objective_text(flight), f"mesh error {flight.statistics.residual:.1g}"]
     for condition, values in along_path(problem, flight):
         broken = -float(values.min())
@@ -161,6 +171,17 @@ def undecided(
     """Return the error for extremals that all break something while no flight is known to keep everything.
 
     The mildest extremal says it: a least miss of the direct method that is no flight blames what is held loosely.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    breaches
+        Violations of the extremals that were found, one at least.
+    direct
+        The direct method's error, if any.
+    tried
+        Lines of what was tried.
     """
     least = min(breaches, key=lambda breach: breach.canonical)
     keys = _keys_of(problem, least)
@@ -198,7 +219,19 @@ def ridden_condition(problem: Problem, flight: Solution) -> str | None:
 
 
 def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, nearest: Root | None) -> NotConvergedError:
-    """Return the error for starts that all failed: the nearest approach, in the user's words, and what to try."""
+    """Return the error for starts that all failed: the nearest approach, in the user's words, and what to try.
+
+    Parameters
+    ----------
+    conditions
+        The boundary value problem.
+    coarse
+        The direct method's attempts at it.
+    iterations
+        Iterations of Newton's method in all.
+    nearest
+        The nearest approach, if any start could be flown to its end.
+    """
     problem, tried, flight = coarse.problem, coarse.tried, coarse.flight
     partial: dict[str, Any] = {"tried": list(tried), "iterations": iterations}
     what, got = NO_EXTREMAL, "no start could even be flown to its end"

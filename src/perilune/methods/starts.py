@@ -30,7 +30,22 @@ _OF_EXTREMAL = 1e-9  # the same of an extremal, whose neighbours are solved: J o
 
 
 def on_the_sphere(trials: Trials, count: int, seed: int) -> Matrix:
-    """Return unknowns with random costates of length one and free parameters around their typical values."""
+    """Return unknowns with random costates of length one and free parameters around their typical values.
+
+    Parameters
+    ----------
+    trials
+        Newton's method on the problem.
+    count
+        Number of starts.
+    seed
+        Of the random numbers.
+
+    Returns
+    -------
+    Matrix
+        Unknowns, canonical, (count, n).
+    """
     rng, c, problem = np.random.default_rng(seed), trials.conditions, trials.problem
     Y = np.zeros((count, len(c.unknowns)))
     directions = rng.normal(size=(count, c.free_at.start))
@@ -48,7 +63,17 @@ def vanishing(trials: Trials) -> dict[int, float]:
 
 
 def leave_out(trials: Trials, Y: Matrix, choices: Matrix) -> None:
-    """Leave out the phases that may vanish; the phase before each then lasts for as long as both."""
+    """Leave out the phases that may vanish; the phase before each then lasts for as long as both.
+
+    Parameters
+    ----------
+    trials
+        Newton's method on the problem.
+    Y
+        Unknowns of the starts, (starts, n), changed in place.
+    choices
+        What each start holds, changed in place.
+    """
     problem, first = trials.problem, trials.conditions.free_at.start
     for i, least in vanishing(trials).items():
         k = problem.duration_names.index(problem.free_names[i])
@@ -75,6 +100,15 @@ def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
     """Return the unknowns of a guess: its own where it is of this method and form, else read off its curves.
 
     So do neighbours for a proof begin, which looks at the curves and believes no numbers beside them.
+
+    Parameters
+    ----------
+    settings
+        Settings of the search.
+    trials
+        Newton's method on the problem.
+    guess
+        A solution with costates.
     """
     problem = trials.problem
     own = guess.unknowns if guess.method == settings.name and not is_neighbour(problem) else None
@@ -85,7 +119,19 @@ def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
 
 
 def held_in(trials: Trials, guess: Solution, y: Vector, limits: Limits | None = None) -> Vector:
-    """Return the active set of a guess: free parameters on a bound, and ranges whose multiplier says so."""
+    """Return the active set of a guess: free parameters on a bound, and ranges whose multiplier says so.
+
+    Parameters
+    ----------
+    trials
+        Newton's method on the problem.
+    guess
+        A solution with multipliers.
+    y
+        Its unknowns, canonical.
+    limits
+        Bounds of free parameters and ranges, by default those of the problem.
+    """
     limits, free = limits or trials.limits, y[trials.conditions.free_at]
     held = {
         i: limit

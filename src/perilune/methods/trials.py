@@ -120,7 +120,17 @@ class Trials:
 
 
 def found_at(shooting: Shooting, problem: Problem, root: Root) -> Found:
-    """Return a root with whether J is least there along the free parameters that are scanned, if any."""
+    """Return a root with whether J is least there along the free parameters that are scanned, if any.
+
+    Parameters
+    ----------
+    shooting
+        The shooting function.
+    problem
+        The problem.
+    root
+        A root of the shooting function.
+    """
     return Found(root=root, minimum=shooting.curved_upwards(root, bounded_parameters(problem)))
 
 

@@ -101,7 +101,17 @@ def _rate_of(m: Any, name: str, value: Any, of: Sequence[Any], rates: Sequence[A
 
 
 def run(expression: Expression, recorder: Recorder, inputs: Inputs | None = None) -> list[Any]:
-    """Return the values of an expression as symbols of a recorder, with `inputs` in place of those of these names."""
+    """Return the values of an expression as symbols of a recorder, with `inputs` in place of those of these names.
+
+    Parameters
+    ----------
+    expression
+        The expression to run.
+    recorder
+        Recorder that notes its operations.
+    inputs
+        Symbols in place of components, by (role, name).
+    """
     records: dict[str, Any] = {role: SimpleNamespace() for role in expression.roles}
     for role, name in (op for op in expression.tape.instructions if op[0] in ROLES):
         symbol = inputs[role, name] if inputs and (role, name) in inputs else recorder.input(role, name)

@@ -52,6 +52,22 @@ def reached_sizes(
     was computed with, and wherever its states are counted from; what they reach still rounds. `elsewhere` are the
     spans on other phases, by unit: what stands still on this one, as on a limit that it rides along, is judged by
     them.
+
+    Parameters
+    ----------
+    scales
+        Canonical units.
+    states
+        States of the phase.
+    values
+        Their values along it [SI], (n, times).
+    elsewhere
+        Largest spans on other phases [SI], by unit.
+
+    Returns
+    -------
+    Vector
+        One size for each state [SI], (n,).
     """
     reached, spans = np.abs(values).max(axis=1).tolist(), np.ptp(values, axis=1).tolist()
     sizes = []

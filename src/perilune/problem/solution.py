@@ -373,6 +373,15 @@ def results_between(problem: Problem, first: Sequence[float], last: Sequence[flo
 
     The states come to the problem's function as the records that all its functions receive; components that are not
     known may be NaN.
+
+    Parameters
+    ----------
+    problem
+        The problem whose results are asked for.
+    first, last
+        States at the start of the first phase and at the end of the last one [SI].
+    p
+        Record of all parameters in SI.
     """
     if problem.results is None:
         return {}

@@ -86,7 +86,22 @@ def elements(vector: ca.SX) -> list[ca.SX]:
 
 
 def trace_rates(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> ca.SX:
-    """Trace the phase's dynamics as a column."""
+    """Trace the phase's dynamics as a column.
+
+    Parameters
+    ----------
+    phase
+        The phase.
+    x, u
+        Symbols of its states and controls, in the units of the phase's functions.
+    p
+        Record of symbols of all parameters.
+
+    Returns
+    -------
+    casadi.SX
+        x', a column of the length of x.
+    """
     return column(phase.rates(elements(x), elements(u), p, SYMBOLIC))
 
 
@@ -139,6 +154,11 @@ def trace_sides(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> Kinked:
     """Trace the phase's dynamics on each side of each ``m.where``, kink and end of a smooth table.
 
     What depends on a control, or would make too many sides, stays a choice inside the rates.
+
+    Parameters
+    ----------
+    phase, x, u, p
+        As for `trace_rates`.
 
     Raises
     ------
@@ -228,7 +248,22 @@ def _margin(phase: Phase, condition: Any, u: ca.SX) -> ca.SX:
 
 
 def trace_at_end(phase: Phase, x: ca.SX, p: SimpleNamespace) -> ca.SX:
-    """Trace the phase's end conditions as a column."""
+    """Trace the phase's end conditions as a column.
+
+    Parameters
+    ----------
+    phase
+        The phase.
+    x
+        Symbols of its states at the end.
+    p
+        Record of symbols of all parameters.
+
+    Returns
+    -------
+    casadi.SX
+        One entry for each end condition.
+    """
     return column(phase.evaluate("end", elements(x), [], p, SYMBOLIC))
 
 

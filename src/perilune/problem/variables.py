@@ -104,7 +104,17 @@ class Given:
 
 
 def given_as(name: str, value: Any, unit: str) -> Given:
-    """Return a given parameter of this value in SI; `name` is named in a refusal."""
+    """Return a given parameter of this value in SI; `name` is named in a refusal.
+
+    Parameters
+    ----------
+    name
+        Name of the parameter, for the message of a refusal.
+    value
+        Value in SI.
+    unit
+        Its SI unit.
+    """
     demand_si(value, f"a value of {name}")
     return Given(value=value, unit=unit)
 

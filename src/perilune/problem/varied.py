@@ -49,9 +49,23 @@ def varied(problem: Problem, names: Sequence[str], sizes: Mapping[str, float]) -
 
 
 def sizes_of(problem: Problem, names: Sequence[str], widths: Sequence[float]) -> dict[str, float]:
-    """Sizes [SI] for parameters whose ranges, so wide, are far from 1 in canonical units.
+    """Return sizes [SI] for parameters whose ranges are far from 1 in canonical units.
 
-    Not for one that is a limit itself, which is read by its name.
+    A parameter that is a limit itself has none, as it is read by its name.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    names
+        Names of parameters.
+    widths
+        Widths of their ranges [SI], in the same order.
+
+    Returns
+    -------
+    dict
+        Size [SI] by name, of given parameters that need one.
     """
     limits = {
         limit

@@ -274,6 +274,19 @@ def check_views(
 ) -> None:
     """Refuse names that are not there.
 
+    Parameters
+    ----------
+    views
+        Views of a problem.
+    quantities
+        Names of states, controls and outputs.
+    parameters
+        Names of given and free parameters.
+    results
+        Names of results.
+    phases
+        Names of phases.
+
     Raises
     ------
     PeriluneError

@@ -46,7 +46,17 @@ def only_in_path(problem: Problem) -> list[str]:
 
 
 def stating_keys(problem: Problem, k: int, kind: str, row: int) -> list[str]:
-    """Return the keys that state a condition of the path or of the end of phase k, and nothing else."""
+    """Return the keys that state a condition of the path or of the end of phase k, and nothing else.
+
+    Parameters
+    ----------
+    problem, k
+        The problem and the number of the phase.
+    kind
+        "path" or "end".
+    row
+        Number of the condition among those of its kind.
+    """
     condition = getattr(problem.phases[k], f"{kind}_conditions")[row]
     names = [limit for limit in (condition.lower, condition.upper) if isinstance(limit, str)]
     if kind == "path":
@@ -66,7 +76,17 @@ def free_name(problem: Problem, name: str) -> str:
 
 
 def limit_name(problem: Problem, bounded: Any, side: str) -> str:
-    """Return what a limit of a state, an end or a control is called: its key, or the lower (upper) bound of what."""
+    """Return what a limit of a state, an end or a control is called: its key, or the lower (upper) bound of what.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    bounded
+        State, end condition or control.
+    side
+        "lower" or "upper".
+    """
     limit = getattr(bounded, side)
     if isinstance(limit, str):
         return parameter_key(problem, limit)

@@ -29,6 +29,19 @@ def follow(
 
     A correction much longer than the prediction that led to it has landed on another branch and is refused. After a
     failure the walk goes on from the last member reached, with the remaining values.
+
+    Parameters
+    ----------
+    first
+        Member to start from.
+    values
+        Values of the parameter to reach, in order.
+    correct
+        (predicted Y, value) -> root.
+    tangent
+        (root, value) -> dY/dvalue.
+    halvings
+        How often a step that fails is halved.
     """
     here = first
     for target in values:

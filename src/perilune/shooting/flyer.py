@@ -207,7 +207,19 @@ def fleet(conditions: Conditions, segments: int) -> Fleet:
 
 
 def jacobians(conditions: Conditions, segments: int, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
-    """Return the Jacobians (lanes, n, n) themselves, of whose inverse a singular one leaves nothing."""
+    """Return the Jacobians (lanes, n, n) themselves, of whose inverse a singular one leaves nothing.
+
+    Parameters
+    ----------
+    conditions, segments
+        The boundary value problem, and the arcs of each phase.
+    Y
+        Unknowns that Newton's method moves, (lanes, n).
+    p
+        Given parameters, canonical, (lanes, np) or (1, np).
+    choice
+        What is held: masks, then values, (lanes, ...) or (1, ...).
+    """
     code, count = _bare(conditions, segments), len(Y)
     n = code.plan.columns.n
     flight = Flight(code, Y, choice, p, np.full(count, newton.FINEST), np.zeros((count, n * n)))

@@ -86,7 +86,26 @@ Evaluate = Callable[[Lanes, Matrix, Vector, Matrix], Matrix]
 
 
 def rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matrix) -> Matrix:
-    """Return rows of an evaluation from residual (lanes, n), Jacobian (lanes, n, n) and inverse before, by LAPACK."""
+    """Return rows of an evaluation from residual (lanes, n), Jacobian (lanes, n, n) and inverse before, by LAPACK.
+
+    Parameters
+    ----------
+    y
+        Unknowns, (lanes, n).
+    h
+        Residuals, (lanes, n).
+    J
+        Jacobians dh/dy, (lanes, n, n).
+    old
+        Inverses of the evaluations before, row by row, (lanes, n^2).
+    extra
+        Numbers that Newton's method only carries along, (lanes, k).
+
+    Returns
+    -------
+    Matrix
+        Rows as `Columns` names them, (lanes, width).
+    """
     lanes, n = h.shape
     try:
         inverse = np.linalg.inv(J)

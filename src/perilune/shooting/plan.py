@@ -125,7 +125,17 @@ class Plan:
 
 
 def plan(conditions: Conditions, segments: int, most: int | None = None) -> Plan:
-    """Derive the plan; its step is compiled for up to `most` coupled unknowns, by default `COMPILED`."""
+    """Derive the plan; its step is compiled for up to `most` coupled unknowns, by default `COMPILED`.
+
+    Parameters
+    ----------
+    conditions
+        The boundary value problem.
+    segments
+        Arcs of each phase in multiple shooting; 1 for single shooting.
+    most
+        Most coupled unknowns for which the step is compiled.
+    """
     return _Tracing(conditions, segments, COMPILED if most is None else most).plan()
 
 

@@ -37,6 +37,15 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
     """Equations for the entries of z that are `wanted` at the end, with the `silent` ones zero.
 
     An empty `wanted` keeps all of z.
+
+    Parameters
+    ----------
+    extremal
+        The canonical equations of the phase.
+    wanted
+        Entries of z that are asked for at the end.
+    silent
+        Entries that are zero all along.
     """
     size, numbers = extremal.modes[0].size1_in(0), extremal.modes[0].size1_in(1)
     kept = list(range(size))
@@ -119,5 +128,15 @@ def flight(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **se
 
 
 def mode_at(extremal: PhaseExtremal, z: Vector, p: Vector) -> int:
-    """Return the mode in which H is least at a point."""
+    """Return the mode in which H is least at a point.
+
+    Parameters
+    ----------
+    extremal
+        The canonical equations of the phase.
+    z
+        State and costate, canonical, (nz,).
+    p
+        Numbers of the canonical equations.
+    """
     return int(extremal.mode(z, p)) if len(extremal.modes) > 1 else 0

@@ -87,6 +87,15 @@ def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> li
     Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds; so
     where a burn or a coast lasts but for an instant of its phase.
     Beside a touch a mesh wavers where nothing is singular: there singular arcs are read off exact tables alone.
+
+    Parameters
+    ----------
+    problem
+        The problem that the solution is one of, or one of its form.
+    solution
+        A solution that knows no arcs.
+    least
+        Share of its range below which S is at its limit.
     """
     met, nothing = _met(problem, solution, least), [list[Stay]() for _ in problem.phases]
     without = _structure(problem, solution, met, nothing)
@@ -182,7 +191,15 @@ def of_states(problem: Problem, k: int) -> list[str]:
 
 
 def still(problem: Problem, k: int, name: str) -> bool:
-    """Return True if a condition does not change along phase k, as no state in it does: that of a mass on a coast."""
+    """Return True if a condition does not change along phase k, as no state in it does: that of a mass on a coast.
+
+    Parameters
+    ----------
+    problem, k
+        The problem and the number of the phase.
+    name
+        Name of the condition, as `margins` has it.
+    """
     return _still(problem.form, k, problem.phases[k].state_names, margins(problem, k)[name][1])
 
 
@@ -195,7 +212,17 @@ def _still(form: Form, k: int, names: tuple[str, ...], value: Expression) -> boo
 
 
 def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
-    """Yield where a condition of phase k is at its limit on the way; a start or an end that lies on it is none."""
+    """Yield where a condition of phase k is at its limit on the way; a start or an end that lies on it is none.
+
+    Parameters
+    ----------
+    solution, k
+        The solution and the number of the phase.
+    name
+        Name of the condition, as `margins` has it.
+    share
+        Share of its range along the phase below which S is at its limit.
+    """
     t, room = room_along(solution, k, name)
     least, most = share * float(np.ptp(room)), NEAR[1] * float(np.ptp(room))
     near = min(max(-BULGE * float(room.min()), least), most)
@@ -219,6 +246,15 @@ def broken(t: Vector, room: Vector, size: float) -> Iterator[tuple[float, float,
     """Yield where a condition is broken by more than rounding: from when to when, and when the most [s].
 
     `size` is that of S.
+
+    Parameters
+    ----------
+    t
+        Times [s], (n,).
+    room
+        S at these times [SI], (n,).
+    size
+        Size of S [SI].
     """
     for first, last in _groups(room < -rounding(room, size)):
         yield float(t[first]), float(t[last]), float(t[first + int(np.argmin(room[first : last + 1]))])
@@ -260,14 +296,38 @@ def rounding(room: Vector, size: float) -> float:
 
 
 def room_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
-    """Return times of a phase [s] and S there [SI]."""
+    """Return times of a phase [s] and S there [SI].
+
+    Parameters
+    ----------
+    solution, k
+        The solution and the number of the phase.
+    name
+        Name of a condition on states only, as `margins` has it.
+    """
     flown = solution.trajectories[k]
     t = np.union1d(flown.time, np.linspace(0.0, flown.duration, POINTS))
     return t, room_at(solution.problem, solution.parameters, k, name, t, np.asarray(flown.state(t)).T)
 
 
 def room_at(problem: Problem, p: Any, k: int, name: str, t: Vector, x: Matrix) -> Vector:
-    """Return S of a condition on states only at times of phase k [SI], from the states there, (n, times)."""
+    """Return S of a condition on states only at times of phase k [SI], from the states there, (n, times).
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    p
+        Record of its parameters in SI.
+    k
+        Number of the phase.
+    name
+        Name of a condition on states only, as `margins` has it.
+    t
+        Times [s], (times,).
+    x
+        States at these times [SI], (n, times).
+    """
     phase, value = problem.phases[k], margins(problem, k)[name][1]
     bounds = {given: g.value for given, g in plain_bounds(problem).items()}
     known: Any = SimpleNamespace(**vars(p), **bounds)
@@ -298,6 +358,17 @@ def arcs_of(
     """Return the arcs of phase k between the times at which something begins, ends or is touched.
 
     What is ridden at once is named in the order in which the problem states it, so that the same arcs read the same.
+
+    Parameters
+    ----------
+    problem, k
+        The problem and the number of the phase.
+    found
+        Contacts with conditions on states.
+    duration
+        Length of the phase [s].
+    stays
+        Regimes of its scalar controls.
     """
     order = list(margins(problem, k))
     found = sorted(found, key=lambda contact: order.index(contact.name))

@@ -130,7 +130,19 @@ def brief_stays(solution: Solution, k: int) -> list[Stay]:
 
 
 def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[Vector, Vector, Vector]:
-    """Return times of phase k, H at the upper less H at the lower bound [J/s], and the place in the range, 0 to 1."""
+    """Return times of phase k, H at the upper less H at the lower bound [J/s], and the place in the range, 0 to 1.
+
+    Parameters
+    ----------
+    solution
+        A solution with costates.
+    k
+        Number of the phase.
+    at
+        Place of the control among the components.
+    control
+        A scalar with two bounds that enters linearly.
+    """
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     assert flown.costate is not None, "asked for where there is one"
     t = np.linspace(0.0, flown.duration, POINTS)
@@ -188,7 +200,19 @@ def _singular(t: Vector, gain: Vector, share: Vector, level: float) -> Iterator[
 
 
 def bounds_beside(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[float, float]]) -> list[Stay]:
-    """Singular arcs, and those at bounds between them."""
+    """Singular arcs, and those at bounds between them.
+
+    Parameters
+    ----------
+    name
+        Name of the scalar.
+    t
+        Times of the phase [s], (n,).
+    upper
+        True where the upper bound is the better one, (n,).
+    singular
+        Begin and end [s] of each singular arc, in order.
+    """
     found, total, before = list[Stay](), float(t[-1]), 0.0
     for begin, end in [*singular, (total, total)]:
         if begin - before > SHORTEST * total:
@@ -244,7 +268,17 @@ def stays_of(structure: Structure, k: int) -> list[Stay]:
 
 
 def regimes_at(stays: Sequence[Stay], t: float, held: Collection[str] = ()) -> Regimes:
-    """Return the regime of each scalar at a time; `held` are those that hold what is ridden then."""
+    """Return the regime of each scalar at a time; `held` are those that hold what is ridden then.
+
+    Parameters
+    ----------
+    stays
+        Regimes of the scalars of a phase.
+    t
+        Time [s].
+    held
+        Names of scalars that hold what is ridden then.
+    """
     here = [s for s in stays if s.begin < t < s.end]
     free = {s.control: "singular" if s.regime == "held" else s.regime for s in here}
     return tuple((name, "held" if name in held else regime) for name, regime in free.items())

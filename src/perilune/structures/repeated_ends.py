@@ -25,10 +25,21 @@ _TRIED, _ALIKE = 8, 1e-9  # states, and how far a multiple of another may be off
 def repeated_ends(
     problem: Problem, k: int, arc: Arc, conditions: dict[str, Condition], varied: Collection[str] = ()
 ) -> frozenset[int]:
-    """Numbers of the end conditions of phase k that are multiples of a ridden S, or of a rate below S^(q).
+    """Return the end conditions of phase k, by number, that are multiples of a ridden S, or of a rate below S^(q).
 
     Found at states drawn at random about the canonical units; parameters have their values, but for free ones and those
     that are `varied`: an end at x1 is no end at the bound l because both have one value now.
+
+    Parameters
+    ----------
+    problem, k
+        The problem and the number of the phase.
+    arc
+        Its last arc.
+    conditions
+        Conditions of the phase by name, as `conditions_of` has them.
+    varied
+        Names of given parameters whose values are to change.
     """
     phase, form = problem.phases[k], problem.form.expressions
     ridden = [value for name in arc.along for value in conditions[name].values[:-1]]

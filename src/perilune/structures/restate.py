@@ -143,12 +143,30 @@ def refuse_unsaid(restated: Problem, problem: Problem, structure: Structure, var
 
 
 def part_name(name: str, j: int, count: int) -> str:
-    """Return the name of the j-th of so many parts of a phase, or of its duration."""
+    """Return the name of the j-th of so many parts of a phase, or of its duration.
+
+    Parameters
+    ----------
+    name
+        Name of the phase, or of its duration.
+    j
+        Number of the part, from 0.
+    count
+        Number of the parts.
+    """
     return name if count == 1 else f"{name}-{j + 1}"
 
 
 def part_durations(problem: Problem, structure: Structure, k: int) -> tuple[str, ...]:
-    """Return the names of the durations of the parts of phase k."""
+    """Return the names of the durations of the parts of phase k.
+
+    Parameters
+    ----------
+    problem, structure
+        The user's problem and its arcs.
+    k
+        Number of the phase.
+    """
     count, name = len(structure.phases[k]), problem.phases[k].duration
     if count == 1:
         return (name,)

@@ -192,6 +192,13 @@ def _margins(
 def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, Condition]:
     """Return the conditions of phase k that have these names, with their derivatives along the flight.
 
+    Parameters
+    ----------
+    problem, k
+        The problem and the number of the phase.
+    names
+        Names of conditions, as `margins` has them.
+
     Raises
     ------
     PeriluneError
@@ -214,7 +221,17 @@ def moved_by(condition: Condition) -> set[str]:
 
 
 def plain_bound(phase: str, state: Variable, side: str) -> str:
-    """Return the given parameter, by name, that holds a numeric bound: formulas hold no numbers with a unit."""
+    """Return the given parameter, by name, that holds a numeric bound: formulas hold no numbers with a unit.
+
+    Parameters
+    ----------
+    phase
+        Name of the phase.
+    state
+        The bounded state.
+    side
+        "lower" or "upper".
+    """
     return f"{phase}.{state.name}.{side}"
 
 

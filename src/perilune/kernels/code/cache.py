@@ -151,7 +151,17 @@ def _prune(folder: Path) -> None:
 
 
 def fetch(name: str, build: Callable[[], bytes], *, enabled: bool) -> bytes:
-    """Return the object from disk, or build and keep it."""
+    """Return the object from disk, or build and keep it.
+
+    Parameters
+    ----------
+    name
+        Key of the object.
+    build
+        Compiles the object.
+    enabled
+        False to build without the cache.
+    """
     if not enabled:
         return build()
     body = load(name)

@@ -10,7 +10,17 @@ from typing import Any
 
 
 def spread(call: Callable[[int], Any], starts: list[int], threads: int) -> None:
-    """Call with each of the starts, the last first; this thread does its share, and all are done when it returns."""
+    """Call with each of the starts, the last first; this thread does its share, and all are done when it returns.
+
+    Parameters
+    ----------
+    call
+        Called with one start at a time.
+    starts
+        Numbers to call with; emptied.
+    threads
+        Most threads, this one included.
+    """
 
     def share() -> None:
         while starts:

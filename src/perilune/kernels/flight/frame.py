@@ -16,7 +16,19 @@ SLOT = {**{i: i for i in range(10)}, 10: 1, 11: 2, 12: 3}
 
 
 def blend(w: Writer, mask: Mask, source: Ptr[Vec], target: Ptr[Vec], count: Index) -> None:
-    """Copy vectors in the lanes of a mask."""
+    """Copy vectors in the lanes of a mask.
+
+    Parameters
+    ----------
+    w
+        Writer of the function.
+    mask
+        Lanes to copy.
+    source, target
+        Addresses of the first vector.
+    count
+        Number of vectors.
+    """
     with w.loop(0, count) as c:
         # Volatile, lest LLVM make a masked store of it, which some processors take ten times as long for.
         old = w.load(target, c, volatile=True)
