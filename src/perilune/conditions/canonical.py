@@ -201,7 +201,7 @@ def canonical_equations(
             hamiltonian: ca.SX = hamiltonian,
             gradient: ca.SX = gradient,
         ) -> ca.SX:
-            """z' as an expression of u, beside which there is a control of these regimes."""
+            """Return z' as an expression of u; `control` is the one of these regimes."""
             # A limit that is a free parameter moves the control with it.
             pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, bounds, q))
             holds = [*always.values(), *(kept[name] for name in held)]

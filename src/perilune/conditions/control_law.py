@@ -93,7 +93,7 @@ def minimising_control(
     kept
         Conditions of the path by name, expressions of u that must not become negative; each must be `keepable`.
     always
-        Expressions of u by name that vanish all along the phase: linear in a direction, or of scalars alone.
+        Expressions of u by name that vanish all along the phase: linear in a direction, or of scalars only.
     motion
         How state and costate move, which a singular scalar has to know.
     terms

@@ -179,7 +179,7 @@ def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
 
 
 def demand_held(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> None:
-    """Refuse a condition to be held that is not linear in one direction, or one of scalars alone.
+    """Refuse a condition to be held that is neither linear in one direction nor one of scalars only.
 
     Parameters
     ----------

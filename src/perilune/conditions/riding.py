@@ -68,7 +68,7 @@ def riding(
     condition
         What vanishes.
     held
-        At most one condition linear in d that is held besides.
+        At most one more condition, linear in d, that is held.
 
     Returns
     -------

@@ -67,8 +67,8 @@ class Scalar:
     linear
         Whether H is linear in it.
     weighed
-        Whether its bounds are compared by the value of H: it has two, H bends in it alone, and in which way the
-        costates say. Of those that bend H together the slopes alone are asked.
+        Whether its bounds are compared by the value of H: it has two, H bends in it only, and in which way the
+        costates say. Of those that bend H together only the slopes are compared.
     curved_both_ways
         Whether H may be convex here and concave there within its range, so that a minimum between the bounds may be
         one of several, and the control may jump between it and a bound.

@@ -49,7 +49,7 @@ class Mode:
     kinds
         Its scalars, directions in place.
     own
-        Conditions of scalars alone that are held, those of every mode among them, by name.
+        Conditions of scalars only that are held, those of every mode among them, by name.
     H, control
         The Hamiltonian as an expression of the scalars, directions in place; the whole control.
     """
@@ -131,7 +131,7 @@ class Ways:
                     yield after, mode.name, function, 1, True
 
     def _to_bounds(self, mode: Mode, i: int) -> Iterator[tuple[Named, ca.SX, int, bool]]:
-        """A scalar between its bounds comes to one, where it can hold no condition."""
+        """Yield transitions of a scalar from between its bounds to one, where it can hold no condition."""
         kind, value = mode.kinds[i], mode.control[mode.kinds[i].at]
         others = tuple(n for n in mode.held if n not in mode.own or not ca.depends_on(mode.own[n], kind.symbol))
         sides: tuple[tuple[Regime, int], ...] = (("upper", 1), ("lower", -1))
@@ -143,7 +143,7 @@ class Ways:
                     break
 
     def _off_bound(self, mode: Mode, i: int) -> Iterator[tuple[Named, ca.SX, int, bool]]:
-        """A scalar on a bound leaves it."""
+        """Yield transitions of a scalar off a bound."""
         kind, regime = mode.kinds[i], mode.regimes[i]
         slope, direction = ca.substitute(mode.slope(kind), self.u, mode.control), 1 if regime == "upper" else -1
         bent: tuple[Regime, ...] = ("held", *INSIDE)
@@ -180,7 +180,7 @@ class Ways:
         return Bend(kind=kind, H=mode.H, u=self.u, control=mode.control, size=self.size, inner=inner)
 
     def _jumps(self, mode: Mode, i: int) -> Iterator[tuple[Named, ca.SX, int, bool]]:
-        """A scalar jumps to another minimum of H in it, between its bounds or on one, where H is as small there."""
+        """Yield jumps of a scalar to another minimum of H, between its bounds or on one, where H is as small."""
         kind, own = mode.kinds[i], mode.regimes[i]
         if not kind.curved_both_ways or own == "held":
             return
@@ -196,7 +196,7 @@ class Ways:
                 yield after, third, 1 if own == "low_interior" else -1, True
 
     def _holding(self, mode: Mode, name: str) -> Named | None:
-        """Return the mode that holds a condition besides, or in the place of others that the same scalars hold."""
+        """Return the mode that holds a condition as well, or instead of others that the same scalars hold."""
         condition = self.kept[name]
         acting = [i for i, kind in enumerate(mode.kinds) if ca.depends_on(condition, kind.symbol)]
         regimes: tuple[Regime, ...] = mode.regimes
@@ -212,7 +212,7 @@ class Ways:
         return None
 
     def _let_go(self, mode: Mode, name: str) -> Iterator[tuple[Named, Named, ca.SX, int, bool]]:
-        """The multiplier of a condition of scalars falls to zero."""
+        """Yield transitions where the multiplier of a condition of scalars falls to zero."""
         held, condition = tuple(n for n in mode.held if n != name), mode.own[name]
         rest = [c for n, c in mode.own.items() if n != name]
         regimes, jumps = list(mode.regimes), list[int]()

@@ -14,7 +14,7 @@ from perilune.problem.symbolic import Kinked
 
 
 def weighing(phase: Phase, dynamics: Kinked, u: ca.SX, lam: ca.SX, unpriced: frozenset[str]) -> ca.SX:
-    """Return the costates, with zero for unpriced states that alone bend H in some control, or in a pair of them.
+    """Return the costates, with zero for unpriced states if only these bend H in some control, or in a pair of them.
 
     What they leave is linear there, as it is on every extremal; elsewhere a factor that vanishes does no harm.
 

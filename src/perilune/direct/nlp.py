@@ -228,7 +228,7 @@ def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> 
 
 
 class _Lines(io.StringIO):
-    """Whole lines to a stream, which come in pieces; not CasADi's word for Ctrl-C, which is told in ours."""
+    """Whole lines to a stream, which come in pieces; without CasADi's line for Ctrl-C, as there is one of ours."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__()
@@ -295,7 +295,7 @@ class _Alive(ca.Callback):
 
 @dataclass(frozen=True, eq=False)
 class _Solver:
-    """A compiled program; what it tells of its last run is of that run as long as one thread at a time has it."""
+    """A compiled program; what it reports of its last run holds as long as one thread at a time uses it."""
 
     function: ca.Function
     alive: _Alive

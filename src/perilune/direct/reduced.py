@@ -76,7 +76,7 @@ class Chain:
 
 
 class Lengths:
-    """Equations, one for each direction, in its components alone: the largest of these from the others.
+    """Equations, one for each direction, in only its components: the largest of these from the others.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class Reduced:
         H
             Second derivatives, or None for none.
         weighed
-            What is added to them; more is added where H is that of no minimum along A dw = 0.
+            What is added to them; more is added where H has no minimum along A dw = 0.
         right
             Slopes, shape (n, 2).
 

@@ -40,7 +40,7 @@ def given_durations(trials: Trials) -> list[int]:
 
 @dataclass(kw_only=True)
 class Lengthened:
-    """One walk from short flights to the whole; `told` says what it met, `met` how many families.
+    """A continuation from short flights to the whole; `told` says what it met, `met` how many families.
 
     Parameters
     ----------

@@ -175,7 +175,7 @@ class FirstMesh:
     def tell_least_miss(self, program: Program, best: Answer, count: int) -> None:
         """Not converged, with what the best of so many misses, if that is more than the error of the mesh.
 
-        Each is the least of its surroundings alone, so no number of them shows that nothing flies.
+        Each is the least only of its surroundings, so no number of them shows that nothing flies.
         """
         from perilune.direct.contradictions import missed_conditions
         from perilune.words.outcome import NotConvergedError

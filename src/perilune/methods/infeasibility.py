@@ -68,7 +68,7 @@ class Words(NamedTuple):
 
 
 def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch | None = None) -> NotConvergedError:
-    """Return an error that names the limits which stand in the way, if the flight that it holds tells.
+    """Return an error that names the limits which stand in the way, if the flight that it holds shows them.
 
     Parameters
     ----------

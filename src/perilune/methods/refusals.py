@@ -61,7 +61,7 @@ def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
 def better_within(problem: Problem, breach: Breach) -> float | None:
     """Return J on a broken bound where each flight that keeps it is better than that, else None.
 
-    So it is where J is the end of one state alone, as the mass that is landed: an optimum that misses the bound says
+    So it is where J is the end of only one state, as the mass that is landed: an optimum that misses the bound says
     that nothing keeps it.
     """
     expression, last = problem.form.expressions["objective"], problem.phases[-1]

@@ -127,7 +127,7 @@ class Search:
     def all_extremals(self, base: Member | None = None, *, last: bool = False) -> tuple[Search, list[Found]]:
         """By the ladder; and of which search they are: this one, or one whose control keeps more of the path.
 
-        With `last` by its last rung alone.
+        With `last` only by its last rung.
         """
         found: list[Found] = []
         given = [(base, "continuation")] if base is not None else []
@@ -203,7 +203,7 @@ class Search:
             yield from filter(None, [Coarse(self.settings, self.problem, self.tried, self.watch).solve(guess)])
 
     def breaking_path(self) -> Iterator[Solution]:
-        """Yield as solutions the extremals that outdo every answer and break the path alone, by little."""
+        """Yield as solutions the extremals that are better than every answer and break only the path, by little."""
         search = self.answering
         for root in search.outdone:
             if all(breach.canonical <= _LITTLE for breach in search.judge.breaches(root)):
@@ -278,7 +278,7 @@ class Search:
         return Member(value=value, root=held) if held.converged else None
 
     def _over_ranges(self, root: Root) -> list[Found]:
-        """An extremal; where J is at a maximum over a range at an end, those at the limits of that beside it."""
+        """Return an extremal, and those at the limits of ranges of an end over which J is at a maximum there."""
         trials, shooting = self.trials, self.trials.shooting
         if not (curved := shooting.curving_down(root, trials.p)):
             return [Found(root=root, minimum=True)]
@@ -344,7 +344,7 @@ class Search:
     def _attempts(self, y: Vector, choice: Vector, guess: Solution | None) -> Iterator[Root]:
         """Newton's method from unknowns, and from where the extremal of a guess is followed to.
 
-        That comes first of so many arcs that they are not cut: from the unknowns alone most are lost, and it takes long
+        That comes first of so many arcs that they are not cut: from the unknowns only most are lost, and it takes long
         until they are.
         """
         trials = self.trials
@@ -374,7 +374,7 @@ class Search:
     def _lost(self, root: Root) -> bool:
         """Return True if a neighbour, no further than rounding from its guess, is lost as that grows beyond all use.
 
-        Of what settles the derivatives are rough: a fall that climbs again before it is down is met in pieces alone.
+        Of what settles the derivatives are rough: a fall that climbs again before it is down is met only in pieces.
         """
         shooting = self.trials.shooting
         return shooting.plan.settles or shooting.rounding(root) or not np.isfinite(root.residual).all()

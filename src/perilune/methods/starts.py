@@ -99,7 +99,7 @@ def hold_ranges(trials: Trials, choices: Matrix) -> None:
 def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
     """Return the unknowns of a guess: its own where it is of this method and form, else read off its curves.
 
-    So do neighbours for a proof begin, which looks at the curves and believes no numbers beside them.
+    So do neighbours for a proof begin, which looks at the curves and believes no other numbers.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class Polish:
     guessed
         Whether it begins with the user's guess, and not with what a search found.
     brief
-        Whether each structure is tried from the rough answer alone, and on no mesh of its own.
+        Whether each structure is tried only from the rough answer, and on no mesh of its own.
     """
 
     settings: Ladder
@@ -162,7 +162,7 @@ class Polish:
         """Yield the rough answer, and of some that of a finer mesh: the better one first.
 
         Where a control wavers between its bounds it may be singular, or held by a condition on states; what rides along
-        one may touch it twice. A mesh tells the worse the rougher it is, so that a finer one comes last in any case.
+        one may touch it twice. A rougher mesh shows it worse, so that a finer one comes last in any case.
         """
         exact = self.guessed or self.brief
         wavers = not exact and wavering(rough)

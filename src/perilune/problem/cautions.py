@@ -32,7 +32,7 @@ _DISTANCES = ("r", "radius")  # and a state that is the distance from the centre
 
 
 def warnings_of(solution: Any) -> tuple[str, ...]:
-    """Return what should be said beside a solution, one sentence each; empty where there is nothing.
+    """Return what should be said with a solution, one sentence each; empty where there is nothing.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def _left_out(solution: Any) -> Iterator[str]:
 
 
 def _undercut(solution: Any) -> Iterator[str]:
-    """A flight along a limit beside which chattering is better: the proof has found that no flight is the best."""
+    """Yield that chattering next to a limit is better: the proof has found that no flight is the best."""
     for check in solution.verification.failed:
         if check.meaning.endswith("(chattering)"):
             yield f"flights that chatter are better than this one: {check.meaning.rpartition('; ')[2]}"
@@ -90,7 +90,7 @@ def _stated_by(problem: Any, bound: float, unit: str) -> str | None:
 
 
 def _below_ground(solution: Any) -> Iterator[str]:
-    """A flight that goes below the ground: the radius of the body, or what it starts from and ends on where lower."""
+    """Yield that the flight goes below the ground: the body's radius, or where it starts and ends if lower."""
     problem = solution.problem
     heights = _heights(solution)
     if heights is None:

@@ -27,7 +27,7 @@ HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight", "switching_guesse
 
 
 def check_parts(problem: Any) -> None:
-    """Refuse parts that are of another kind than those of a problem."""
+    """Refuse parts of a kind that a problem does not have."""
     demand_row(problem.phases, "phases", Phase)
     demand_row(problem.links, "links", Callable)
     demand_row(problem.free, "free parameters", Free)
@@ -109,14 +109,14 @@ def check_given(problem: Any) -> None:
 
 
 def _check_bound_units(problem: Any, bounded: Sequence[Any]) -> None:
-    """A parameter that is a bound has the dimension of what it bounds."""
+    """Refuse a parameter that is a bound without the dimension of what it bounds."""
     for one in bounded:
         for name in (limit for limit in (one.lower, one.upper) if isinstance(limit, str)):
             _demand_unit(problem, name, one.unit, f"the bound {name} of {one.name}")
 
 
 def _check_meant_units(problem: Any) -> None:
-    """A parameter that is a duration, or by which flights are placed, has the dimension of that.
+    """Refuse a parameter that is a duration, or places flights, without the dimension of that.
 
     The physics need not ask it: of its own time a flight may know nothing.
     """

@@ -281,7 +281,7 @@ class Form:
 
 @lru_cache(maxsize=256)
 def _digest(content: bytes) -> str:
-    """Return the hash of structure and tapes: a problem is often stated anew, with other numbers."""
+    """Return the hash of structure and tapes: a problem is often stated again, with other numbers."""
     text = json.dumps(marshal.loads(content), separators=(",", ":"), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

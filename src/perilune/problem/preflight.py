@@ -32,8 +32,8 @@ class Finding:
     """One comparison: ``value <= limit``, or ``value >= limit`` where `at_least`.
 
     `value` and `limit` are what the parameters were: numbers, arrays or symbols. Missing a binding one is fatal. All
-    else is the same whatever the parameters are. Of one that is `lasting` a miss stands beside the answer as well, as
-    air that a model leaves out; others tell of what is hard to solve.
+    else is the same whatever the parameters are. Of one that is `lasting` a miss is said with the answer as well, as
+    air that a model leaves out; others are of what is hard to solve.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Finding:
 
     @property
     def told(self) -> tuple[str, str]:
-        """Value and limit in words, of one problem; what is no more than round-off beside the other is zero."""
+        """The value and the limit of one problem, formatted; one that is round-off relative to the other is zero."""
         roundoff = _ROUNDOFF * max((abs(x) for x in (self.value, self.limit) if math.isfinite(x)), default=0.0)
         value, limit = (told(0.0 if abs(x) < roundoff else x, self.unit) for x in (self.value, self.limit))
         return value, f"{'at least' if self.at_least else 'at most'} {limit}"

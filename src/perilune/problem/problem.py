@@ -78,7 +78,7 @@ class Problem(ShownProblem, SimulatedProblem):
         of its unit in `scales`.
     results, result_variables
         ``results(first, last, p, m)`` of the first phase's initial and the last phase's end state returns what is asked
-        of a solution (landed mass, flight time), beside the phases' `integrals`.
+        of a solution (landed mass, flight time), in addition to the phases' `integrals`.
     maximised
         Name of the result that J is the negative of, or "".
     minimised
@@ -86,7 +86,7 @@ class Problem(ShownProblem, SimulatedProblem):
     ranges
         ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
         range depends on what is given; it replaces what `free` says. What is typical may be a function
-        without arguments, where that takes long: an atlas asks for bounds alone, at thousands of values. It raises
+        without arguments, where that takes long: an atlas asks for bounds only, at thousands of values. It raises
         `PeriluneError` for given values that make no sense together.
     declared
         Records (`perilune.words.declared`) that the problem was made of, whose numbers are parameters; each checks new
@@ -103,8 +103,8 @@ class Problem(ShownProblem, SimulatedProblem):
         there in place of `Phase.typical_end`.
     switching_guesses
         ``switching_guesses(problem)`` returns rough flights whose arcs are known, each with its
-        `perilune.structures.structure.Structure`: the indirect method looks for their extremals beside those that it
-        finds by itself.
+        `perilune.structures.structure.Structure`: the indirect method looks for their extremals in addition to those
+        that it finds by itself.
     views
         What figures show of it.
     scales

@@ -218,7 +218,7 @@ def derivatives(function: Expression, dynamics: Expression, states: Sequence[str
     Returns
     -------
     tuple of Expression
-        Where no control appears, (S, S', S'') without one: what a flight that touches S = 0 is told by.
+        Where no control appears, (S, S', S'') without one: by these a flight that touches S = 0 is detected.
     """
     found = [function]
     steered = acts(function) or acts(dynamics)

@@ -33,7 +33,7 @@ class ShownProblem:
     def heading(self: Any) -> str:
         """Its title, or else its name, as it stands above what is printed of it: who stated it may be a stranger.
 
-        A title tells the records that the problem was made of; values that were given later are told behind it.
+        A title says what records the problem was made of; values that were given later follow it.
         """
         made = given_of(*self.declared)
         later = [

@@ -38,7 +38,7 @@ class SimulatedProblem:
             Control in SI, in the order of ``phase.control_names``: shape (components,), or (components, n). A
             `Direction` is a unit vector, and taken as it is; a throttle is not cut at its bounds.
         t
-            Time [s]. Dynamics depend on it through x and u alone: it is there so that a simulator may pass its own.
+            Time [s]. Dynamics depend on it only through x and u: it is there so that a simulator may pass its own.
         phase
             Name or number of the phase, where there are several.
         free

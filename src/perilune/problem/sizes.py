@@ -37,7 +37,7 @@ def borne_out(scale: float, unit: float, reached: float) -> float:
 def likely(unit: float, reached: float) -> float:
     """Return a canonical unit [SI] within a factor of what a flight reaches in it: `Scales` loosen no limit at will.
 
-    What is rounding beside any unit that may be stated is nothing reached.
+    What is rounding relative to any unit that may be stated counts as nothing reached.
     """
     return min(max(unit, reached / BEYOND), BEYOND * reached) if reached > _NOTHING * unit else unit
 

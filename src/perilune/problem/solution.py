@@ -172,7 +172,7 @@ class Statistics:
     """A record of how the answer was found; `claimed` where a file says so and nobody here saw it.
 
     `rung` is the way of starting that led to it, `tried` what was done in all of them. `iterations` and `arcs` count
-    all that was done for it, in all starts together; `history` has the iterations of those starts that went alone.
+    all that was done for it, in all starts together; `history` has the iterations of starts that were solved singly.
     """
 
     rung: str = ""

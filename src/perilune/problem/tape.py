@@ -302,7 +302,7 @@ class Expression:
         """Inputs and constants first, then the operations on them; where each value lies; how many places there are.
 
         A value takes the place of one that nothing needs any more. Of long arrays all that were ever made would be more
-        than a cache holds, and each would have to be asked of the system anew, which takes longer than to fill it.
+        than a cache holds, and each would have to be asked of the system again, which takes longer than to fill it.
         """
         operations = self.tape.instructions
         inputs = [k for k, op in enumerate(operations) if op[0] in ROLES]

@@ -45,7 +45,7 @@ class Variable:
     name on the axis of a figure, where that is not `name` with blanks.
 
     `scale` is the size of a state or condition in SI, where it is not of the size of its unit in `Problem.scales`: an
-    altitude beside a downrange, a heat load of 1e8 J/m^2. It is what the methods compute in, and no other answer.
+    altitude next to a downrange, a heat load of 1e8 J/m^2. It is what the methods compute in, and no other answer.
     """
 
     name: str

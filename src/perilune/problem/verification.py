@@ -114,12 +114,12 @@ class Verification:
 
     @property
     def title(self) -> str:
-        """The level and its name, as it stands beside every outcome, with what of the stated tolerance it needed."""
+        """The level and its name, as it stands with every outcome, and what of the stated tolerance it needed."""
         return self._claim or f"level {self.level}: {LEVEL_NAMES[self.level]}{self._qualified}"
 
     @property
     def told(self) -> str:
-        """The same with what failed, as it stands in what leaves the program."""
+        """The title with what failed, as it stands in exports."""
         return self.title + slips_told([check.passed for check in self.checks])
 
     @property

@@ -73,7 +73,7 @@ class Corridor:
     height, speed
         Names of outputs.
     equal
-        Names of outputs that depend on height and speed alone.
+        Names of outputs that depend on height and speed only.
     position, velocity
         Names of the states of which they are made: the lines are found from states further out or in, and faster or
         slower, than those of the flight.

@@ -44,11 +44,11 @@ class HeldFamily:
     index
         Which free parameter is held.
     limits
-        What the members keep; those of the held parameter are infinite.
+        Limits that the members keep; those of the held parameter are infinite.
     keeps
         Whether a root has its free parameters within their bounds: no flight ends before it begins.
     watch
-        Receives what Newton tells.
+        Receives what Newton's method reports.
     """
 
     shooting: Shooting
@@ -208,7 +208,7 @@ def _between(family: HeldFamily, brackets: list[_Bracket]) -> list[Root]:
 
 
 def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> list[Root]:
-    """Pairs of extremals between grid points: where |dJ/dq| has a least value without a sign change, look closer."""
+    """Look closer where |dJ/dq| has a minimum without a sign change: for pairs of extremals between grid points."""
     starts, ranges = [], []
     for i in range(1, len(members) - 1):
         left, here, right = (slopes[j] for j in (i - 1, i, i + 1))

@@ -89,7 +89,7 @@ class Roots:
         return replace(self, **fields, history=self.history + by.history)
 
     def of(self, lanes: NDArray[np.int64]) -> Roots:
-        """Some of the lanes alone."""
+        """Return some of the lanes."""
         return replace(self, **{name: getattr(self, name)[lanes] for name in _BY_LANE})
 
     def failed(self, which: NDArray[np.bool_]) -> Roots:
@@ -226,7 +226,7 @@ class Shooting:
         return jacobians(self.conditions, self.segments, Y.take(self.plan.active, axis=1), p, choice)
 
     def joints(self, y: Vector, p: Vector) -> Vector | None:
-        """Y for this number of segments from y alone: the states at the joints are those of a flight in one piece."""
+        """Return Y for this number of segments from y: the states at the joints are those of a flight in one piece."""
         before, nodes = np.zeros(0), [y]
         for extremal, start in zip(self.conditions.phases, self.conditions.starts, strict=True):
             z0, duration = (np.array(out).ravel() for out in start(y, before, p))
@@ -313,7 +313,7 @@ class Shooting:
     def in_one(self, root: Root, pieces: Root) -> Root:
         """Return a root in pieces as one of single shooting.
 
-        Where errors grow so much that its one flight misses by rounding alone, it is a root as its pieces are, and has
+        Where errors grow so much that its one flight misses only by rounding, it is a root as its pieces are, and has
         their residual and J.
         """
         if root.converged or not self.rounding(root):

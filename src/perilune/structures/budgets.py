@@ -102,7 +102,7 @@ def _used_up(problem: Problem, k: int, linear: bool) -> Iterator[str]:
 def _holds_on(problem: Problem, k: int, name: str) -> bool:
     """Return True if phase k + 1 begins with no more left of this limit, as far as points drawn at random tell.
 
-    Then the end of phase k need not say it. One that is tighter before, or that counts anew, is a budget of its own.
+    Then the end of phase k need not say it. One that is tighter before, or that starts again, is a budget of its own.
     """
     own, following = problem.phases[k : k + 2]
     bounds = {given: number.value for given, number in plain_bounds(problem).items()}

@@ -119,7 +119,7 @@ def joined(problem: Problem, restated: Solution, structure: Structure, *, named:
     structure
         The arcs.
     named
-        Whether they are told by name.
+        Whether its arcs are named.
 
     Returns
     -------

@@ -44,7 +44,7 @@ def worth_riding(solved: Solution, index: int, condition: Condition) -> list[tup
     index
         Number of the phase that rides along the condition.
     condition
-        The condition; it can be told of those of order 1 and 2.
+        The condition; the answer is known for those of order 1 and 2.
     """
     flown, q = solved.trajectories[index], condition.order
     if q > 2 or flown.costate is None or not flown.duration > 0:
@@ -68,7 +68,7 @@ def worth_riding(solved: Solution, index: int, condition: Condition) -> list[tup
 
 
 def _multiplier(solved: Solution, index: int, rate: str, t: Vector) -> Vector:
-    """Eta of the held condition of that name at times of a phase, J/s per unit; NaN where nothing tells it."""
+    """Return eta of the held condition of that name at times of a phase, J/s per unit; NaN where unknown."""
     phase, costate, p = solved.problem.phases[index], solved.trajectories[index].costate, solved.parameters
     assert costate is not None, "asked for where there is one"
     x, u = solved.flown(index, t)

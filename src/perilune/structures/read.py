@@ -75,7 +75,7 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Struct
     Returns
     -------
     Structure
-        With times; None where no condition on states alone is at its limit on the way.
+        With times; None where no condition on states only is at its limit on the way.
     """
     structure = _structure(problem, solution, _met(problem, solution, least), [[] for _ in problem.phases])
     return None if structure.plain else structure
@@ -86,7 +86,7 @@ def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> li
 
     Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds; so
     where a burn or a coast lasts but for an instant of its phase.
-    Beside a touch a mesh wavers where nothing is singular: there singular arcs are read off exact tables alone.
+    Next to a touch a mesh wavers where nothing is singular: there singular arcs are read only off exact tables.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> li
 
 
 class _Guess:
-    """A solution as a key: equal to itself alone, and not kept alive."""
+    """A solution as a key: equal only to itself, and not kept alive."""
 
     def __init__(self, solution: Solution) -> None:
         self.solution, self._hash = ref(solution), id(solution)

@@ -260,7 +260,7 @@ def _live(program: Program) -> Program:
 
 
 def hoist(program: Program, argument: int) -> tuple[Program, Program]:
-    """Split off what depends on one argument alone.
+    """Split off what depends on only one argument.
 
     Returns
     -------

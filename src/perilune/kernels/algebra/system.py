@@ -303,7 +303,7 @@ class ArcSystem:
     # -- programs
     # --------------------------------------------------------------------------------------------------
     def field_program(self, mode: int) -> Program:
-        """Return the shorter form of the field: reading both would tell the same at three times the time."""
+        """Return the shorter form of the field: reading both would give the same in three times the time."""
         return trace(min(self.field(mode), key=lambda form: form.n_instructions()))
 
 

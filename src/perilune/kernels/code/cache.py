@@ -203,7 +203,7 @@ def _digest(name: str, body: bytes) -> bytes:
 
 
 def _owned(path: Path) -> bool:
-    """Return True if nobody but this user could have written it (where the operating system tells)."""
+    """Return True if nobody but this user could have written it (where the operating system says)."""
     if not hasattr(os, "getuid"):
         return True
     status = path.stat()

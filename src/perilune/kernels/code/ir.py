@@ -196,7 +196,7 @@ class Writer:
     # -- tables
     # -----------------------------------------------------------------------------------------------
     def constant(self, name: Ptr[Num], values: Iterable[float]) -> str:
-        """Return the text of an array of doubles beside the functions."""
+        """Return the text of an array of doubles next to the functions."""
         numbers = [f"double {literal(value)}" for value in values]
         return f"{name} = internal constant [{len(numbers)} x double] [{', '.join(numbers)}]\n"
 
@@ -293,7 +293,7 @@ class Writer:
         return self.allocate(self.vector, count)
 
     def several(self, kind: Kind[T], count: Int) -> Ptr[T]:
-        """Allocate values whose number is known to the function alone, outside of its loops."""
+        """Allocate values whose number only the function knows, outside of its loops."""
         return Ptr(self.let(Kind("ptr", str, 8), f"alloca {kind}, i64 {count}, align 64"), kind)
 
     def at(self, pointer: Ptr[T], index: Index) -> Ptr[T]:

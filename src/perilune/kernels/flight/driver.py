@@ -33,7 +33,7 @@ _RESOLVED = 1e-14  # a step below this fraction of the duration is not taken
 def module(system: ArcSystem, width: int) -> str:
     """Return the IR of ``void arcs(i64 first group, i64 last group, ptr table)`` and, for one lane, of ``rates``.
 
-    It is that of any system of the same `course`.
+    It is the same for all systems of one `course`.
     """
     parts = [aiming(width)] if system.events else []
     return "\n".join([*parts, _Stepping(system, width).arcs(), *([_rates(system)] if width == 1 else [])])

@@ -19,14 +19,14 @@ _OFFSETS = "@offsets"
 def module(system: ArcSystem, width: int) -> str:
     """Return the IR of ``void equations(ptr table)``, which fills the table of `arcs.EQUATIONS`, and of what it names.
 
-    ``fill(p, constants)`` evaluates what depends on the parameters alone; ``field(constants, mode, Y, spare, Y')``,
+    ``fill(p, constants)`` evaluates what depends on the parameters only; ``field(constants, mode, Y, spare, Y')``,
     ``crossings(constants, z, z', mode, (g, g'))`` and the transitions ``(constants, Y, Y after)`` take those constants.
     """
     return _Equations(system, width).text()
 
 
 class _Equations:
-    """The functions of a system in the writing: what depends on the parameters alone, once, and the rest."""
+    """The functions of a system in the writing: what depends only on the parameters, once, and the rest."""
 
     def __init__(self, system: ArcSystem, width: int) -> None:
         self.system, self.width = system, width

@@ -97,7 +97,7 @@ class Frame:
         self.w.run(f"call void {function}({', '.join(f'ptr {x}' for x in pointers)})")
 
     def fill_constants(self) -> None:
-        """Evaluate what depends on the parameters alone."""
+        """Evaluate what depends only on the parameters."""
         self._call(EQUATIONS.index("fill"), self.parameters, self.constants)
 
     def field(self, state: Ptr[Vec], result: Ptr[Vec]) -> None:
