@@ -98,7 +98,7 @@ def _track(above: Any, r: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _seen(position: Any, velocity: Any, direction: Any, p: Any, m: Any) -> Sequence[Any]:
-    """All of `OUTPUTS` but the last."""
+    """Return all of `OUTPUTS` but the last."""
     r, longitude, latitude = place(position, m)
     up, oy, oz = heading_axes(longitude, latitude, p.start_heading, m)
     return (

@@ -125,12 +125,12 @@ def _above_ground(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _vertical(x: Any) -> Any:
-    """All states of the burn, of one on the vertical."""
+    """Return all states of the burn from those on the vertical."""
     return SimpleNamespace(east=0.0, north=0.0, up=x.up, v_east=0.0, v_north=0.0, v_up=x.v_up, m=x.m)
 
 
 def _upright(u: Any) -> Any:
-    """All components of the burn's control, of an upright one."""
+    """Return all components of the burn's control from an upright one."""
     return SimpleNamespace(toward_east=0.0, toward_north=0.0, toward_up=1.0, throttle=u.throttle)
 
 

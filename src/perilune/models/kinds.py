@@ -71,7 +71,7 @@ class Section:
 
     @property
     def keys(self) -> Mapping[str, Key]:
-        """All keys that it may have, in order."""
+        """Return all keys that the section may have, in order."""
         return {**keys_of(self.record), **self._others}
 
     @property
@@ -91,7 +91,7 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """One kind of problem.
+    """Kind of problem that a file can state.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ class Kind:
 
     @property
     def in_file(self) -> Mapping[str, Section]:
-        """All sections of a file: those of the problem, and that of its proof."""
+        """Return all sections of a file: those of the problem, and that of its proof."""
         return {**self.sections, PROOF: Section(record=Tolerance, required=False, otherwise=Tolerance())}
 
 

@@ -37,7 +37,7 @@ def perilune_speed(p: Any, m: Any) -> Any:
 
 
 def compare_landing(p: Any, m: Any, body: Body = MOON) -> tuple[Finding, ...]:
-    """Every comparison of a landing from perilune, for `Problem.preflight`."""
+    """Return every comparison of a landing from perilune, for `Problem.preflight`."""
     return (*_geometry(p), *_burns(p, m), *_warnings(p, m), *air_left_out(body))
 
 

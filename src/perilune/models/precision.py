@@ -88,7 +88,7 @@ def _spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _track(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    """Along the line from the start to the site, left of it, height; the least height on the glide slope there.
+    """Return the distances along the line from start to site and left of it, height, and the glide slope's height.
 
     From straight above the site the line is to the east. Without a glide slope there is no least height.
     """
@@ -144,7 +144,7 @@ _FLIGHT_TIME = Free(name="flight_time", unit="s")
 
 
 def _burn(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
-    """From ignition to rest on the site."""
+    """Return the phase from ignition to rest on the site."""
     return Phase(
         name="landing",
         states=(

@@ -30,7 +30,7 @@ from perilune.problem.preflight import Finding
 
 
 def compare_precision(p: Any, m: Any, *, body: Body | UniformGravity = MOON) -> tuple[Finding, ...]:
-    """Every comparison of a precision landing, for `Problem.preflight`."""
+    """Return every comparison of a precision landing, for `Problem.preflight`."""
     start = SimpleNamespace(east=p.approach_east, north=p.approach_north, up=p.approach_up)
     velocity = (p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
     position, axis, r_site = over_ground(start, p, m)

@@ -56,7 +56,7 @@ class Multipliers:
 
     @property
     def falls(self) -> Matrix:
-        """By how much H falls, or rises where negative, as the control leaves each condition the steepest way."""
+        """Return by how much H falls (rises where negative) as the control leaves each condition the steepest way."""
         return self.mu * np.sqrt((self.slopes**2).sum(axis=1))
 
 
@@ -85,7 +85,7 @@ class Allowed:
 
     @classmethod
     def along(cls, phase: Phase, p: Any, scales: tuple[Vector, Vector], x: Matrix, u: Matrix) -> Allowed | None:
-        """None where no condition depends on the control at any of the points x (n, N), u (k, N) of the tables."""
+        """Return the constraints of a phase; None if none depends on the control at the points x (n, N), u (k, N)."""
         count = len(phase.path_conditions) + len(phase.held_conditions)
         every = cls(
             phase=phase, p=p, state_scale=scales[0], control_scale=scales[1], places=tuple(range(count)),

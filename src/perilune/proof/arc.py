@@ -200,7 +200,7 @@ class Arc:
         )
 
     def answers(self, t: float) -> Vector:
-        """On which side of each of its guards the physics is at a time."""
+        """Return on which side of each of its guards the physics is at a time."""
         return self._guarded.answers(t)
 
     @cached_property

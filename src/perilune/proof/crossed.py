@@ -50,7 +50,7 @@ _TIMES = 401
 def agreement(
     solution: Solution, other: Method | None, arcs: tuple[Solution, Structure] | None = None
 ) -> Iterator[Check]:
-    """All checks of level 4.
+    """Make all checks of level 4.
 
     Parameters
     ----------
@@ -182,12 +182,12 @@ def _both(solution: Solution, rival: Solution, here: float, there: float) -> str
 
 
 def _maker(solution: Solution) -> str:
-    """Who found a solution; of one from a file that is not known."""
+    """Return the method that found a solution; it is unknown for one from a file."""
     return "the file" if solution.statistics.claimed else solution.method
 
 
 def _best(solution: Solution, rivals: Sequence[Solution], error: float) -> Check:
-    """No extremal that either side has found is better than the one claimed."""
+    """Check that no extremal that either side has found is better than the one claimed."""
     problem = solution.problem
     found = [(e, _maker(s)) for s in (solution, *rivals) for e in _known(s)]
     found.sort(key=lambda pair: pair[0].objective)

@@ -40,7 +40,7 @@ _LAST_DIGITS = 1e-15  # of a state: what a guard changes with them is rounding
 
 @dataclass(frozen=True, kw_only=True)
 class Crossing:
-    """One crossing. Vectors are scaled: states by their canonical units, rates per second.
+    """Crossing of a guard. Vectors are scaled: states by their canonical units, rates per second.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class Guarded:
         return self.guards(self.state(at), self.control(at))[1][:, 0]
 
     def along(self, t: Vector, guard: int) -> Vector:
-        """One guard at times."""
+        """Return the values of one guard at times."""
         return self.guards(self.state(t), self.control(t))[0][guard]
 
     @cached_property
@@ -139,7 +139,7 @@ class Guarded:
         return t[(np.abs(values) > np.array(small).reshape(values.shape)).all(axis=0)]
 
     def crossings(self, pieces: Pieces) -> tuple[Crossing, ...]:
-        """All crossings in order, found inside every piece of the tables."""
+        """Return all crossings in order, found inside every piece of the tables."""
         if not self.count:
             return ()
         pieces, inside = self._resolved(pieces)

@@ -57,7 +57,7 @@ _TOUCHING, _MESH, _WHILE = 1e-6, 50.0, 0.02
 
 
 def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iterator[Check]:
-    """All checks of level 2.
+    """Make all checks of level 2.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def all_multipliers(arcs: Sequence[Arc]) -> list[Vector]:
 
 
 def end_sides(arc: Arc) -> Vector:
-    """For each end condition 0 if it is an equality, -1 or 1 at the lower or upper bound of a range, INSIDE between.
+    """Return for each end condition 0 for an equality, -1 or 1 at the lower or upper bound of a range, else INSIDE.
 
     A range of one value is an equality.
     """
@@ -201,7 +201,7 @@ def end_sides(arc: Arc) -> Vector:
 
 
 def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
-    """At a bound of a range J must not fall into its interior: nu <= 0 at the lower one, >= 0 at the upper one."""
+    """Check that J does not fall into the interior of a range: nu <= 0 at its lower bound, >= 0 at its upper one."""
     sizes = arc.end_scale / arc.objective_scale
     for condition, side, value, size in zip(arc.phase.end_conditions, end_sides(arc), nu, sizes, strict=True):
         if condition.ranged:
@@ -312,7 +312,7 @@ def _gradient_parts(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> Ite
 
 
 def _guards(arc: Arc, p: Any) -> Iterator[tuple[float, Any]]:
-    """At each crossing nu [J per unit of its guard], and the guard, complex-safe in the parameters p."""
+    """Return at each crossing nu [J per unit of its guard], and the guard, complex-safe in the parameters p."""
     for crossing in arc.crossings:
         before = np.array([just_before(crossing.time)])
         x, u, lam = arc.state(before), arc.control(before), arc.costate(before)[:, 0]

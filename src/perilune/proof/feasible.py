@@ -48,7 +48,7 @@ def tables(solution: Solution) -> Check:
 
 
 def feasibility(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iterator[Check]:
-    """All checks of level 1 but `tables`.
+    """Make all checks of level 1 but `tables`.
 
     Parameters
     ----------

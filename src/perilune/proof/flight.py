@@ -66,7 +66,7 @@ class Deviation:
 
     @property
     def turned(self) -> Deviation:
-        """The same of a flight from the end to the start, in order of time."""
+        """Return the same of a flight from the end to the start, in order of time."""
         return replace(self, inside=self.inside[:, ::-1, ::-1], ends=self.ends[:, ::-1, ::-1])
 
 
@@ -259,7 +259,7 @@ class Joints:
 
     @property
     def turned(self) -> Joints:
-        """The same from the end to the start, where nothing deviates: d- = M^-1 (d+ - jump)."""
+        """Return the same from the end to the start, where nothing deviates: d- = M^-1 (d+ - jump)."""
         last = self.jumps.shape[1] - 1
         over = {last - i: np.linalg.inv(matrix) for i, matrix in self.over.items()}
         jumps = -self.jumps[:, ::-1]

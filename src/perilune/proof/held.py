@@ -59,7 +59,7 @@ class Held:
     back: Any
 
     def values(self, x: Any, u: Any, p: Any) -> Any:
-        """By how much they are left, (r, ..., N)."""
+        """Return by how much the conditions are left, (r, ..., N)."""
         return self.allowed.values(x, u, p)[self.rows] - _between(self.at, x)
 
     def kept(self, x: Any, u: Any, p: Any) -> Any:

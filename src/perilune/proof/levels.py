@@ -123,7 +123,7 @@ def _checks(
     tolerance: Tolerance,
     made: Sequence[Check],
 ) -> Iterator[Check]:
-    """Every check in order, after those `made` so far; those of tables that cannot be read end there."""
+    """Yield every check in order, after those `made` so far; only those of the tables if they cannot be read."""
     readable = tables(solution)
     yield readable
     if not readable.passed:

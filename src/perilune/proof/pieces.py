@@ -45,7 +45,7 @@ class Pieces:
 
     @classmethod
     def between(cls, times: Iterable[Vector], duration: float) -> Pieces:
-        """From 0 to the duration, cut at all of the times inside."""
+        """Return the pieces from 0 to the duration, cut at all of the times inside."""
         inside = np.concatenate([np.asarray(t) for t in times])
         edges = np.unique(np.append(inside[(inside > 0) & (inside < duration)], [0.0, duration]))
         return cls(edges[:-1], np.diff(edges))
@@ -103,7 +103,7 @@ class Slopes:
         return Slopes(state=self.state[:, chosen], costate=self.costate[:, chosen], matrix=self.matrix[chosen])
 
     def rows(self) -> Matrix:
-        """All rates, (rows, N, 4)."""
+        """Return all rates, (rows, N, 4)."""
         return np.concatenate([self.state, self.costate])
 
 

@@ -96,7 +96,7 @@ class Ridden:
 
     @property
     def noise(self) -> float:
-        """By how much the fit may be wrong in mu (Markov's inequality)."""
+        """Return by how much the fit may be wrong in mu (Markov's inequality)."""
         curve, rough = self._fitted
         return rough * (2.0 * curve.degree() ** 2) ** self.condition.order
 
@@ -153,7 +153,7 @@ class Ridden:
         return (-eta,) if self.condition.order == 1 else (rate, -eta)
 
     def beside(self, s: float) -> Vector:
-        """The same as a vector (n,), J per canonical unit of each state."""
+        """Return the same as a vector (n,), J per canonical unit of each state."""
         x = self.edge(s)
         return np.sum([w * self.slope(i, x)[:, 0] for i, w in enumerate(self.weights(s))], axis=0)
 

@@ -129,7 +129,7 @@ class Rides:
         return float(np.abs(ridden.slope(i, ridden.edge(0.0))).max())
 
     def other(self, ridden: Ridden, step: int) -> Ridden | None:
-        """The same condition along the part before (-1) or after (1), inside one of the user's phases."""
+        """Return the same condition along the part before (-1) or after (1), inside one of the user's phases."""
         k = ridden.part.index + step
         if not self.inner(max(k, ridden.part.index)):
             return None
@@ -162,7 +162,7 @@ class Rides:
         return float(nnls(columns, wanted / reach)[1])
 
     def _back(self, joint: int) -> Matrix:
-        """From changes by the states after a joint to those by the states before it, both scaled."""
+        """Return the matrix from derivatives by states after a joint to those by states before it, both scaled."""
         n = len(self.arcs[min(joint, len(self.arcs) - 1)].state_scale)
         if joint in (0, len(self.arcs)):
             return np.eye(n)
@@ -267,7 +267,7 @@ class Rides:
         return all(self._jump(joint) > _CLEAR for joint in (k, k + 1) if self._turns(joint))
 
     def _jump(self, joint: int) -> float:
-        """By how much a control jumps at a joint, over its size."""
+        """Return by how much a control jumps at a joint, over its size."""
         before, after = self.arcs[joint - 1], self.arcs[joint]
         jump = before.control(np.array([before.duration])) - after.control(np.zeros(1))
         return float((np.abs(jump[:, 0]) / after.control_scale).max())
@@ -364,7 +364,7 @@ def _concave(part: Arc) -> str:
 
 
 def _lowered(along: Sequence[Ridden]) -> float:
-    """Most that any admissible control lowers H of lam - eta dS^(q-1)/dx, scaled: what S >= 0 itself asks for.
+    """Return the most that any admissible control lowers H of lam - eta dS^(q-1)/dx, scaled, as S >= 0 itself requires.
 
     With the multiplier of S in the place of that of S^(q), u minimises H among all controls, and not those alone that
     keep S^(q) = 0 (Hartl, Sethi, Vickson 1995, section 5). What lam differs by beside is across all controls.

@@ -276,7 +276,7 @@ def _left(leap: tuple[int, Leap], dx: Matrix, parameters: Matrix) -> tuple[Matri
 
 
 def _curved(piece: Piece, function: Any, x: Vector, scale: Vector, moves: Matrix) -> tuple[Matrix, Matrix]:
-    """Along `moves`: first derivatives (rows, columns) of function(z, p), second ones of its first row."""
+    """Return along `moves` first derivatives (rows, columns) of function(z, p), and second ones of its first row."""
     z = np.concatenate([x, piece.parameter_values])[:, None]
     scale = np.concatenate([scale, piece.parameter_scale])
 

@@ -29,7 +29,7 @@ def raised(check: Check, tolerance: Tolerance) -> Check:
 
 
 def sensible(tolerance: Tolerance, solution: Solution) -> Iterator[Check]:
-    """For each quantity that the flight changes, a check that what is stated of it leaves something to prove."""
+    """Yield for each quantity that the flight changes a check that its tolerance leaves something to prove."""
     changed = _changed(solution)
     for name, stated in tolerance.stated.items():
         if name in SIZED and name not in changed:
@@ -43,7 +43,7 @@ def sensible(tolerance: Tolerance, solution: Solution) -> Iterator[Check]:
 
 
 def _changed(solution: Solution) -> dict[str, float]:
-    """By how much the flight changes each quantity in one of its states, at most [SI]; of time, how long it takes."""
+    """Return the most that the flight changes each quantity in one of its states [SI]; for time, its duration."""
     changed: dict[str, float] = {}
     for phase, flown in zip(solution.problem.phases, solution.trajectories, strict=True):
         for state, span in zip(phase.states, np.ptp(flown.state.values, axis=0).tolist(), strict=True):

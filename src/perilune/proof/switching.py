@@ -209,7 +209,7 @@ def _on_surfaces(allowed: Allowed, x: Matrix, u: Matrix, parts: list[list[Matrix
 
 
 def product_of(parts: Sequence[Any]) -> Any:
-    """Every combination of the samples (components, S, N) of each control, (all components, product of S, N)."""
+    """Return every combination of the samples (components, S, N) of each control, (all components, product of S, N)."""
     shape = tuple(part.shape[1] for part in parts)
     rows = []
     for i, part in enumerate(parts):
@@ -219,9 +219,7 @@ def product_of(parts: Sequence[Any]) -> Any:
 
 
 def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving: bool = False) -> float:
-    """Most that admissible ones of the controls `tried` lower H below its value with u; shapes as they broadcast.
-
-    With `leaving` those are admissible too that do not keep what the phase holds.
+    """Return the most that admissible controls of `tried` lower H below its value with u; shapes broadcast.
 
     Parameters
     ----------
@@ -237,7 +235,7 @@ def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving:
     Returns
     -------
     float
-        Largest decrease of H over all samples and times, scaled.
+        Largest decrease of H over all samples and times [J/s], at least 0.
     """
     H = arc.hamiltonian(x, tried, lam)
     slack = ADMISSIBLE * np.concatenate([arc.path_scale, arc.held_scale])
@@ -327,7 +325,7 @@ def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matri
 
 
 def _more(arc: Arc) -> Vector:
-    """By how much more than `Arc.control_scale` each tangent is judged, (k,): a direction by no more."""
+    """Return the factor by which each tangent is judged more than by `Arc.control_scale`, (k,): 1 for a direction."""
     more = control_sizes(arc) / arc.control_scale
     rows = [more[here] if control.scalar else np.ones(control.freedom) for here, control in placed(arc.phase.controls)]
     return np.concatenate(rows)

@@ -62,7 +62,7 @@ class Kept:
 
 
 def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept], finer: int = 1) -> list[Piece]:
-    """All arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters.
+    """Return all arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters.
 
     And of singular arcs what is left of their impulses, behind `names`. `finer` times as many steps as are usual, and
     its square where nothing is steered; where nothing of the control can vary these are of the fourth order.
@@ -100,7 +100,7 @@ def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept
 
 @dataclass(frozen=True, kw_only=True)
 class Stretch:
-    """From one edge of an arc to the next.
+    """Stretch of an arc from one edge to the next.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class Stretch:
 
 
 def _stretches(arc: Arc, names: Mapping[float, str]) -> list[Stretch]:
-    """Every stretch of an arc, whose times have `names` where they are parameters."""
+    """Return every stretch of an arc, whose times have `names` where they are parameters."""
     times, places = arc.edges.tolist(), list[int | None](range(len(arc.edges) - 1))
     edges: list[str | float] = [0.0, *(names.get(t, t) for t in times[1:-1]), arc.phase.duration]
     across = dict[int, tuple[int, float]]()
@@ -242,7 +242,7 @@ class Piece:
         return Piece(self.arc, self.p, self.names, self.curvature, self.stretch, kept)
 
     def parameters(self, values: Any) -> SimpleNamespace:
-        """All parameters in SI with `names` replaced."""
+        """Return all parameters in SI with `names` replaced."""
         return SimpleNamespace(**{**vars(self.p), **dict(zip(self.names, values, strict=True))})
 
     def _flown(self, z: Any) -> tuple[Any, Any, Any]:

@@ -14,7 +14,7 @@ from perilune.words.watch import Watch
 
 @dataclass(frozen=True, kw_only=True)
 class Starts:
-    """For each seed a time of flight [s] (NaN: no answer), and the processor time that it took [s].
+    """Times of flight [s] by seed (NaN: no answer), and the processor times that they took [s].
 
     What is nearer than `within` to another time of flight is the same answer.
     """

@@ -147,7 +147,7 @@ class BoundaryProblem:
 
     @cached_property
     def costates(self) -> tuple[range, ...]:
-        """For each phase which entries of y are costates of its states, and then of constant states."""
+        """Return for each phase the entries of y that are costates of its states, and then of constant states."""
         found, at = list[range](), 0
         for k in range(len(self.problem.phases)):
             half = next(arc.half for arc in self.arcs if arc.phase_index == k)
@@ -157,7 +157,7 @@ class BoundaryProblem:
 
     @cached_property
     def multipliers(self) -> tuple[range, ...]:
-        """For each phase which entries of y are multipliers of its end conditions, of which two may be called alike.
+        """Return for each phase the entries of y that are multipliers of its end conditions, which may share a name.
 
         Behind these stand those of states that a bound holds there.
         """
@@ -175,7 +175,7 @@ class BoundaryProblem:
 
     @cached_property
     def columns(self) -> tuple[tuple[int, ...], ...]:
-        """For each arc the entries of y that move its start."""
+        """Return for each arc the entries of y that move its start."""
         found = list[tuple[int, ...]]()
         before = set[int]()
         for start, duration in zip(self.starts, self.durations, strict=True):

@@ -93,7 +93,7 @@ def _remainders(arc: Arc, Z: Sequence[Ball], W: Any, order: int, order_of_tangen
 
 
 def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: int) -> tuple[list[Ball], Any, Step]:
-    """One step, proved.
+    """Make one proved step.
 
     Parameters
     ----------

@@ -24,15 +24,15 @@ class Exact:
     text: str = ""
 
     def expression(self, graph: Graph) -> Expression:
-        """It in a graph."""
+        """Return the number in a graph."""
         return graph.constant(self._fmpq) * graph.power(graph.pi(), self.power)
 
     def ball(self) -> Ball:
-        """It in the precision that is set."""
+        """Return the number as a ball in the precision that is set."""
         return arb(self._fmpq) * arb.pi() ** self.power
 
     def document(self) -> dict[str, Any]:
-        """It in a certificate."""
+        """Return the number as a certificate states it."""
         around = {"power_of_pi": self.power} if self.power else {}
         return {"taken": "text" if self.text else "double", "text": self.text, "number": str(self.rational)} | around
 

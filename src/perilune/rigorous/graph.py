@@ -69,7 +69,7 @@ class Expression:
 
     @property
     def constant(self) -> Any:
-        """Its rational value, None where it has none."""
+        """Return its rational value, None where it has none."""
         node = self.graph.nodes[self.index]
         return node[1] if node[0] == "const" else None
 
@@ -116,7 +116,7 @@ class Graph:
         return value if isinstance(value, Expression) else self.constant(value)
 
     def do(self, name: str, *operands: Any) -> Expression:
-        """One operation, simplified where an operand is a constant."""
+        """Return an operation, simplified where an operand is a constant."""
         a, *others = (self.of(operand) for operand in operands)
         b = others[0] if others else None
         simple = _simplified(self, name, a, b)
@@ -150,7 +150,7 @@ class Graph:
         return sorted(found)
 
     def substitute(self, outputs: Sequence[Expression], known: Mapping[Any, Expression]) -> list[Expression]:
-        """The same with expressions in the place of inputs."""
+        """Return expressions with inputs replaced by others."""
         new: dict[int, Expression] = {}
         for index in self.needed(outputs):
             node = self.nodes[index]

@@ -54,7 +54,7 @@ class Limits:
         self.boundary, self.steps, self.box, self.ends = boundary, root.flight.steps, root.y, root.flight.ends
 
     def all(self) -> Iterator[Statement]:
-        """Every one."""
+        """Yield every statement."""
         yield from self._parameters()
         for words, value in zip(self.boundary.signed, self.boundary.signs.values(self.box, *self.ends), strict=True):
             yield Statement(words=words, proved=bool(value > 0), least=float(value.lower()))

@@ -155,7 +155,7 @@ def _inverse(J: Any) -> Any:
 
 
 def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Settings, tell: Tell) -> Root:
-    """The same root in a box that is as large as it can be proved to be the only one in, about.
+    """Return the same root in about the largest box in which it can be proved to be the only one.
 
     Parameters
     ----------

@@ -209,7 +209,7 @@ class _Form:
         return [[weight * together / (size * size) for size in (*sizes, *constant)] for sizes in self.sizes]
 
     def weights_of_moving(self, weight: float) -> list[list[float]]:
-        """The same without parameters on a bound."""
+        """Return the weights without parameters on a bound."""
         moving = [("p", name) in self.moving for name in self.names]
         return [
             [m for m, kept in zip(own, [True] * len(sizes) + moving, strict=True) if kept]

@@ -62,7 +62,7 @@ class Quantity:
         return [*self.arc.keys, *(("y", i) for i in range(len(self.unknowns)))]
 
     def derivative(self, order: int) -> Expression:
-        """Its derivative of an order by time, along the flow."""
+        """Return its derivative of an order by time, along the flow."""
         while len(self._derivatives) <= order:
             graph, last = self.arc.graph, self._derivatives[-1]
             slopes = graph.gradient(last, self.arc.keys)
@@ -125,7 +125,7 @@ def positive(
 
 
 def _falls(quantity: Quantity, step: Step, span: Ball, z: Sequence[Ball]) -> float | None:
-    """By how much a quantity may lie below 0 on the last piece of an arc, if only by what its end is not known by.
+    """Return how far a quantity may lie below 0 on an arc's last piece, if only by the uncertainty of its end.
 
     It falls up to the end, g' < 0, or g'' > 0 with g' about 0 there: then g >= g(T), or g >= g(T) - |g'(T)| (T - a).
     """

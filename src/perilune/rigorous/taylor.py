@@ -179,7 +179,7 @@ class _Recurrences:
         self.table, self.known = table, known
 
     def of(self, steps: Sequence[tuple[int, Any]]) -> list[Step]:
-        """One step for each node, but one for sine and cosine of the same angle."""
+        """Return one step for each node, and a common one for sine and cosine of the same angle."""
         found, turned = list[Step](), dict[tuple[str, int], Coefficients]()
         for index, (name, *at) in steps:
             if name in ("sin", "cos"):

@@ -108,7 +108,7 @@ def missing_text(missing: Sequence[Statement]) -> str:
 
 
 def certificate(proved: Proved, text: str) -> dict[str, Any]:
-    """Everything that the proof rests on and claims, for JSON; balls and exact numbers as texts.
+    """Return everything on which the proof rests and that it claims, for JSON; balls and exact numbers as texts.
 
     Its theorem is what the checker sees again, in its words; what the prover says beyond it stands apart.
     """

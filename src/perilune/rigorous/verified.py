@@ -29,7 +29,7 @@ def with_theorem(verification: Verification, solution: Solution, watch: Watch | 
 
 
 def with_attempt(verification: Verification, found: Attempt) -> Verification:
-    """The same with what was attempted already."""
+    """Return the verification with the result of an attempt."""
     if found.proved is None:
         return _noted(verification, found.unsaid)
     if not found.proved.distance <= _FAR:

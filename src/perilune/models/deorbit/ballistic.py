@@ -148,7 +148,7 @@ def held_up(p: Any) -> Any:
 
 
 def of_mass(p: Any, mass: float) -> Any:
-    """The same return with a mass [kg] at the interface."""
+    """Return the parameters with another mass [kg] at the interface."""
     name = "separation_mass" if hasattr(p, "separation_mass") else "vehicle_mass"
     return SimpleNamespace(**{**vars(p), name: mass})
 

@@ -100,7 +100,7 @@ def lowest(p: Any) -> Any:
 
 
 def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = None, points: int = POINTS) -> Fall:
-    """From the interface to the end of the entry; at a typical path angle and speed where none is given."""
+    """Return the fall from the interface to the end of the entry; from a typical path angle and speed by default."""
     if angle is None and speed is None:  # which a problem, its rough flight and its preflight ask for, one by one
         return _typical(_Itself(air), points).of({name: float(value) for name, value in vars(p).items()})
     return _fall(p, air, angle, speed, points)

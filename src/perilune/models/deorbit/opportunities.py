@@ -65,7 +65,7 @@ class Opportunity(Pass):
 
 @called_in_words
 def opportunities(problem: Problem, days: float) -> tuple[Opportunity, ...]:
-    """All passes over the site of a return, whose ignition is within some days from t = 0.
+    """Return all passes over the site of a return whose ignition is within some days from t = 0.
 
     Parameters
     ----------

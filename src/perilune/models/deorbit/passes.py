@@ -62,7 +62,7 @@ _ROUGHLY = 0.1  # rad, of oblateness and what the air does
 
 @dataclass(frozen=True, kw_only=True)
 class Pass:
-    """One pass, SI units and radians.
+    """Pass of the orbit over the site; SI units and radians.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def site_beside(p: Any, node: Any) -> tuple[Any, Any]:
 
 
 def passes(p: Any, orbit: Drift, entry: tuple[float, float], *, drifts: bool, until: float) -> list[Pass]:
-    """All passes whose ignition is not later than a time.
+    """Return all passes whose ignition is not later than a time.
 
     Parameters
     ----------
@@ -208,5 +208,5 @@ def extremes(p: Any) -> tuple[Any, Any]:
 
 
 def _turned(angle: Any) -> Any:
-    """The same direction between -pi and pi."""
+    """Return the same direction between -pi and pi."""
     return angle - 2 * math.pi * np.round(angle / (2 * math.pi))

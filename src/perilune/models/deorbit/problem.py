@@ -102,7 +102,7 @@ def _on(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _into_the_air(x: Any, p: Any, m: Any, *, heat: bool, weighed: bool) -> Sequence[Any]:
-    """The same with what enters the air, where the heat is counted, and what the whole weighed."""
+    """Return the link into the air: the entering mass, and if counted a heat load of 0 and the whole vehicle's mass."""
     entering = *tuple(x)[:-1], getattr(p, "separation_mass", x.m)
     return *entering, *((0.0,) if heat else ()), *((x.m,) if weighed else ())
 

@@ -46,7 +46,7 @@ class Drift:
         return self.perigee_rate + self.anomaly_rate
 
     def later(self, time: float) -> Drift:
-        """The same, with t = 0 at a time [s]."""
+        """Return the same orbit with t = 0 at a time [s]."""
         return replace(
             self, node=self.node + self.node_rate * time, perigee=self.perigee + self.perigee_rate * time,
             anomaly=self.anomaly + self.anomaly_rate * time,

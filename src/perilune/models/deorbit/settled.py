@@ -57,7 +57,7 @@ def settled(problem: Problem, solve: Callable[..., Solution], *, near: float = N
 
 
 def along_flight(problem: Problem, solution: Solution) -> Problem:
-    """The same return in the air of its day along a flight of it."""
+    """Return the same problem in the air of its epoch along a flight of it."""
     stated = {type(record): record for record in problem.declared}
     air, aim = stated.get(records.Atmosphere), stated.get(records.Aim, records.Aim())
     epoch = aim.instant()

@@ -76,7 +76,7 @@ def write(made: Reproduction, directory: Path) -> None:
 
 
 def figures(made: Reproduction) -> dict[str, Figure]:
-    """All figures of the paper, and four that are not in it, by file name."""
+    """Return all figures of the paper, and four that are not in it, by file name."""
     ours = solution_figures(made.hybrid, made.ordinary)
     return {
         "fig2": solution_figures(made.ordinary)["altitude"],
@@ -124,7 +124,7 @@ def markdown(made: Reproduction) -> str:
 
 
 def _claim_rows(made: Reproduction) -> list[list[str]]:
-    """Each claim of the paper, the number that decides it, and whether it holds."""
+    """Return each claim of the paper, the number that decides it, and whether it holds."""
     hybrid, ordinary = made.hybrid, made.ordinary
     ratio = hybrid.results["flight_time"].value / ordinary.results["flight_time"].value
     saved = ordinary.results["propellant"].value - hybrid.results["propellant"].value

@@ -74,7 +74,7 @@ def fixed_sweep() -> Problem:
 
 
 def as_printed(going: str, left: float) -> Problem:
-    """To the site that the paper prints, with a mass [kg] that is to be left."""
+    """Return the problem to the printed site, with a mass [kg] that is to be left."""
     return _to_site(_vehicle(drag_area=0.6, dry_mass=left), PRINTED_SITE, going)
 
 

@@ -28,7 +28,7 @@ class Member:
     processor_time: float
 
     def value(self, name: str) -> float:
-        """One of its results in SI; NaN where there is no solution."""
+        """Return one of its results in SI; NaN where there is no solution."""
         return math.nan if self.solution is None else self.solution.results[name].value
 
     def costates(self) -> Vector:

@@ -57,7 +57,7 @@ def write(made: Reproduction, directory: Path) -> None:
 
 
 def figures(made: Reproduction) -> dict[str, Figure]:
-    """All figures, by file name."""
+    """Return all figures, by file name."""
     ours = solution_figures(made.site_fixed)
     return {
         "mass": _mass(),
@@ -126,7 +126,7 @@ def markdown(made: Reproduction) -> str:
 
 
 def _claim_rows(made: Reproduction) -> list[list[str]]:
-    """Each claim that the paper makes or implies, the numbers that decide it, and whether it holds."""
+    """Return each claim that the paper makes or implies, the numbers that decide it, and whether it holds."""
     times, masses = _column(TABLE_2, "time"), _column(TABLES_1_AND_3, "mass")
     left = np.array([mass_after(float(t)) for t in times])
     off, longitude = made.off_plane, _column(TABLE_2, "lambda_longitude")
@@ -278,7 +278,7 @@ def _neighbours(flights: dict[str, Solution]) -> str:
 
 
 def _nil(value: float) -> float:
-    """No minus before a zero."""
+    """Return the value without a minus before a zero."""
     return 0.0 if abs(value) < 5e-5 else float(value)
 
 

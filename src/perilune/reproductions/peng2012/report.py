@@ -87,7 +87,7 @@ def write(made: Reproduction, directory: Path) -> None:
 
 
 def figures(made: Reproduction) -> dict[str, Figure]:
-    """All figures of the paper, and three that are not in it, by file name."""
+    """Return all figures of the paper, and three that are not in it, by file name."""
     flights = {"indirect": made.indirect, f"{PRINTED_POINTS} Gauss points": made.direct}
     shown = {h.name: h for h in made.indirect.problem.views.histories}
     ours = solution_figures(made.indirect)
@@ -170,7 +170,7 @@ def point_times(solution: Solution) -> np.ndarray:
 
 
 def _claim_rows(made: Reproduction) -> list[list[str]]:
-    """Each claim of the paper, the number that decides it, and whether it holds."""
+    """Return each claim of the paper, the number that decides it, and whether it holds."""
     at = next(c for c in made.convergence if c.points == PRINTED_POINTS)
     error = float(np.abs(scaled_hamiltonian(made.direct, point_times(made.direct))).max())
     t = np.linspace(0.0, made.direct.trajectories[0].duration, 601)[1:]
