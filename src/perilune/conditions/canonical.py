@@ -352,7 +352,7 @@ def _events(
 
 
 def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], least: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """z beyond a surface g = 0 on which the rates jump, and which of the modes `behind` it is in.
+    """Return z beyond a surface g = 0 on which the rates jump, and which of the modes `behind` it is in.
 
     lambda+ = lambda- - nu g_x, and H goes on as it was; nu is 0 where the rates are continuous (Bryson, Ho 1975,
     section 3.7). As the control behind the surface is the one that is best for lambda+, nu is found by Newton's method:

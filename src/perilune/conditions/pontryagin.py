@@ -304,7 +304,7 @@ Names = tuple[tuple[str, str], ...]
 
 
 def _names(problem: Problem, phases: tuple[PhaseExtremal, ...], joints: dict[int, str]) -> tuple[Names, Names]:
-    """(name, unit) of each unknown and of each residual; `joints` names the rows that joints have, by parameter."""
+    """Return (name, unit) of each unknown and of each residual; `joints` names the joints' rows, by parameter."""
     cost = problem.objective_unit
     lam, nu, psi, transversality = [], [], [], []
     for phase, extremal in zip(problem.phases, phases, strict=True):

@@ -185,7 +185,7 @@ class Bend:
 
 
 def combinations(kinds: Sequence[Scalar], held: Sequence[ca.SX]) -> Iterator[tuple[Regime, ...]]:
-    """Regimes of all scalars that may go together: each of the conditions that are held has a scalar to hold it."""
+    """Yield regimes of all scalars that may go together: each condition that is held has a scalar to hold it."""
     for regimes in product(*(kind.regimes for kind in kinds)):
         symbols = [kind.symbol for kind, regime in zip(kinds, regimes, strict=True) if regime == "held"]
         if pivots(symbols, held) is not None:

@@ -75,7 +75,7 @@ class Mode:
         return {name: mu[i] for i, name in enumerate(self.own)}
 
     def slope(self, kind: Scalar) -> ca.SX:
-        """dL/du of a scalar, L = H - mu.c with what is held."""
+        """Return dL/du of a scalar, L = H - mu.c with what is held."""
         acting = {name: c for name, c in self.own.items() if ca.depends_on(c, kind.symbol)}
         pull = (self.multiplier[name] * ca.gradient(c, kind.symbol) for name, c in acting.items())
         return kind.slope - sum(pull, ca.SX(0.0))

@@ -141,7 +141,7 @@ class _Place:
         ])  # fmt: skip
 
     def added(self) -> Triplets:
-        """And what they add."""
+        """Return the entries that the blocks at collocation points add to the rows."""
         layout, n = self.layout, self.layout.states
         widths = [n, len(layout.directions), layout.held, layout.path]
         values = np.arange(layout.nodes * sum(widths)).reshape(layout.nodes, -1)
@@ -160,7 +160,7 @@ class _Place:
         return np.concatenate([before, self.states[-1], self.free])[None]
 
     def added_once(self, objective: int | None) -> Triplets:
-        """And what they add, J to its own row, if any."""
+        """Return the entries that the block of start, end and J adds to the rows, J to its own row, if any."""
         n, end = self.layout.states, self.layout.end
         found = [
             _spread(self.rows["start"], np.arange(n), -1.0),
@@ -220,7 +220,7 @@ def _functions(parts: Sequence[Repeated], linear: Triplets, unknowns: int, rows:
 
 
 def _first_derivatives(parts: Sequence[Repeated], linear: Triplets, unknowns: int) -> tuple[Matrix, Vector, Triplets]:
-    """Nonzeros of dg/dw, column by column: their places, constant values, and what all slopes of blocks add."""
+    """Return nonzeros of dg/dw, column by column: places, constant values, and what all slopes of blocks add."""
     rows, columns, found, at = [linear[0]], [linear[1]], list[tuple[Vector, Vector]](), 0
     for part in parts:
         row, place, factor = part.adds
@@ -258,7 +258,7 @@ def _second_derivatives(parts: Sequence[Repeated], unknowns: int) -> tuple[Matri
 
 
 def _unique(rows: Vector, columns: Vector, unknowns: int) -> tuple[Matrix, Vector]:
-    """Places in the order of CasADi's nonzeros, each once, shape (2, nonzeros), and which one each entry is."""
+    """Return places in the order of CasADi's nonzeros, each once, shape (2, nonzeros), and which one each entry is."""
     height = int(rows.max(initial=0)) + 1
     places, which = np.unique(columns * height + rows, return_inverse=True)
     return np.array([places % height, places // height]), which

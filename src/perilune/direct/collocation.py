@@ -106,7 +106,7 @@ def _gauss(n: int) -> tuple[Vector, Vector]:
 
 
 def _radau(n: int) -> tuple[Vector, Vector]:
-    """-1 and the roots of the Jacobi polynomial P^(0,1)_(n-1); w = (1 - tau)/(n P_(n-1)(tau))^2."""
+    """Return -1 and the roots of the Jacobi polynomial P^(0,1)_(n-1); w = (1 - tau)/(n P_(n-1)(tau))^2."""
     from scipy.special import eval_legendre, roots_jacobi
 
     points = np.concatenate([[-1.0], roots_jacobi(n - 1, 0.0, 1.0)[0]])
@@ -205,7 +205,7 @@ class Mesh:
 
     @staticmethod
     def uniform(segments: int, degree: int) -> Mesh:
-        """Equal segments of equal degree."""
+        """Return a mesh of equal segments of equal degree."""
         return Mesh(
             degrees=(degree,) * segments,
             joints=tuple(float(s) for s in np.linspace(0.0, 1.0, segments + 1)),

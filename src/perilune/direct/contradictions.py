@@ -159,7 +159,7 @@ def missed_conditions(program: Program, answer: Answer, slack: float) -> list[tu
 
 
 def _row_names(problem: Problem, k: int, kind: str) -> tuple[list[tuple[str, str]], Vector]:
-    """(condition, unit) and SI size of each column of a kind of rows of phase k."""
+    """Return (condition, unit) and SI size of each column of a kind of rows of phase k."""
     phase = problem.phases[k]
     if kind in ("start", "defect", "quadrature"):
         word = "the start of" if kind == "start" else "the dynamics of"

@@ -60,7 +60,7 @@ class _Fine:
         return 0.5 * (self.segment.end - self.segment.begin)
 
     def flown(self, rates: Matrix) -> Matrix:
-        """X(start) and the integrals of rates at the Gauss points, shape (points, states)."""
+        """Return X(start) and the integrals of rates at the Gauss points, shape (points, states)."""
         inside = self.half * (self.rule.integration @ rates)
         return self.x[0] + np.vstack([np.zeros_like(inside[:1]), inside, self.half * (self.rule.weights @ rates)])
 
@@ -75,7 +75,7 @@ def _fine(phase: Phase, segment: Segment, p: Any) -> _Fine:
 
 
 def mesh_errors(problem: Problem, segments: Sequence[Sequence[Segment]], p: Any, tolerance: float) -> list[Matrix]:
-    """Error of every segment [SI], for each phase an array (segments, states + conditions on the way).
+    """Return the error of every segment [SI], for each phase an array (segments, states + conditions on the way).
 
     NaN where the simulation could not be flown to the end. `tolerance` is the relative accuracy that is asked of the
     mesh.

@@ -168,7 +168,7 @@ def _straight_lines(problem: Problem, free: dict[str, float]) -> list[Sampler]:
 
 
 def _along(problem: Problem, k: int, states: Matrix, free: dict[str, float]) -> Sampler:
-    """Straight lines between states [SI] evenly apart along a phase, and the controls that fit them best."""
+    """Interpolate states [SI] evenly apart along a phase by straight lines, with the controls that fit best."""
     phase, knots, times = problem.phases[k], np.linspace(0.0, 1.0, FITTED), np.linspace(0.0, 1.0, len(states))
     slopes = np.gradient(states, times, axis=0) / getattr(problem.parameters(free), phase.duration)
     controls = _fitted_controls(problem, phase, _between(knots, times, states), _between(knots, times, slopes), free)

@@ -73,7 +73,7 @@ def swings(guess: Sequence[Sampler]) -> tuple[float, ...]:
 
 
 def fitting_segments(guess: Sequence[Sampler]) -> tuple[int, ...]:
-    """Segments for each phase that follow a guess."""
+    """Return the segments of each phase that follow a guess."""
     return tuple(max(1, math.ceil(SEGMENTS * t)) for t in swings(guess))
 
 

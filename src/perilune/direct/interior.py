@@ -302,7 +302,7 @@ class _Evaluated:
         self.reduced: Reduced | None = None
 
     def evaluate(self, w: Vector, y: Vector, ranged: Vector) -> None:
-        """J, rows and first derivatives at w, and the second ones of the Lagrangian."""
+        """Evaluate J, rows and first derivatives at w, and the second ones of the Lagrangian."""
         self.all[self.order] = w
         self._call.taken[0][:] = self.all
         self.reduced = None
@@ -320,7 +320,7 @@ class _Evaluated:
         return others
 
     def pulled(self, y: Vector, ranged: Vector) -> Vector:
-        """Slopes of equations and ranges with these multipliers."""
+        """Return the slopes of equations and ranges with these multipliers."""
         return np.concatenate([y, ranged]) @ self.slopes
 
     def optimum(self, y: Vector, ranged: Vector, iterations: int) -> Optimum:

@@ -177,7 +177,7 @@ def _enriched(a: float, b: float, segment: Segment, error: float, tolerance: flo
 
 
 def decay_rate(segment: Segment) -> float:
-    """Digits by which the slowest Legendre coefficients of state and control fall from degree to degree."""
+    """Return the digits by which the slowest Legendre coefficients of state and control fall from degree to degree."""
     slowest = math.inf
     for curve in (segment.state, segment.control):
         size = np.abs(curve.values).max(axis=0)

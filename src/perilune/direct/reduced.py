@@ -53,7 +53,7 @@ class Chain:
         return lu, pivots
 
     def solved(self, right: Matrix) -> Matrix:
-        """B^-1 right."""
+        """Return B^-1 right."""
         found = np.divide(right, self.sizes, order="F")
         for b, (lu, pivots) in zip(self.blocks, self.factors, strict=True):
             here = found[b]
@@ -64,7 +64,7 @@ class Chain:
         return found
 
     def transposed(self, right: Matrix) -> Matrix:
-        """B^-T right."""
+        """Return B^-T right."""
         found = np.multiply(right, self.sizes, order="F")
         for b, (lu, pivots) in zip(reversed(self.blocks), reversed(self.factors), strict=True):
             here = found[b]
@@ -148,7 +148,7 @@ class Reduced:
         self.ranged = of_others[self.rows :]
 
     def _left(self, count: int) -> Matrix:
-        """U and V side by side: what the lengths leave of `count` unknowns."""
+        """Return U and V side by side: what the lengths leave of `count` unknowns."""
         free = np.ones(count, dtype=bool)
         for lengths in self.lengths:
             free[lengths.of] = False

@@ -45,7 +45,7 @@ class Segment:
     costate: Polynomial
 
     def tau(self, t: Vector) -> Vector:
-        """Place of times t on [-1, 1]."""
+        """Return the place of times t on [-1, 1]."""
         # A segment of no length (a phase that the optimum does without) has its start only.
         width = self.end - self.begin or 1.0
         return 2.0 * (np.asarray(t, dtype=float) - self.begin) / width - 1.0

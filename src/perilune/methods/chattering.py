@@ -58,7 +58,7 @@ def chattering(flight: Solution) -> Chatter | None:
 
 
 def _jumps(along: Vector) -> Vector:
-    """Samples before which a component jumps."""
+    """Return the samples before which a component jumps."""
     reach = float(np.ptp(along))
     return np.nonzero(np.abs(np.diff(along)) > _FAR * reach)[0] if reach > _WIDE else np.zeros(0, dtype=int)
 

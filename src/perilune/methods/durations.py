@@ -108,7 +108,7 @@ class Lengthened:
         return trials.settled(Y, choices, p, limits=trials.limits, limit=2 * PATIENCE, max_step=STRIDE, doubt=doubt)
 
     def _anywhere(self, number: int) -> Matrix:
-        """Random costates of lengths about one: with the duration given H is no condition, and they have a scale."""
+        """Draw costates of lengths about one: with the duration given H is no condition, and they have a scale."""
         Y = on_the_sphere(self.trials, _STARTS * self.starts, self.seed + number)
         Y[:, : self.trials.conditions.free_at.start] *= np.exp(self.rng.uniform(-_LENGTH, _LENGTH, size=(len(Y), 1)))
         return Y

@@ -173,7 +173,7 @@ class FirstMesh:
         return any(values[f.name] < VANISHED * f.typical for f in durations)
 
     def tell_least_miss(self, program: Program, best: Answer, count: int) -> None:
-        """Not converged, with what the best of so many misses, if that is more than the error of the mesh.
+        """Raise not converged with what the best of so many misses, if that is more than the error of the mesh.
 
         Each is the least only of its surroundings, so no number of them shows that nothing flies.
         """
@@ -210,7 +210,7 @@ class FirstMesh:
         return told | {"free": answer.free_si(self.problem)}
 
     def fail(self, program: Program, answer: Answer) -> NoReturn:
-        """Not converged, with the conditions that the best trajectory misses."""
+        """Raise not converged with the conditions that the best trajectory misses."""
         from perilune.direct.contradictions import missed_conditions
         from perilune.words.outcome import NotConvergedError
 

@@ -92,7 +92,7 @@ class ControlFitness:
         self.lower, self.upper = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))
 
     def __call__(self, genes: Matrix) -> Vector:
-        """Fitness (population,) of individuals (population, n)."""
+        """Return the fitness (population,) of individuals (population, n)."""
         with np.errstate(all="ignore"):
             miss = np.zeros(len(genes))
             for phase, p, _, states, controls in self._flights(genes):
@@ -102,7 +102,7 @@ class ControlFitness:
             return cost + PRICE * miss
 
     def guess(self, genes: Vector) -> Solution:
-        """One individual as a `Solution` without costates; it meets the dynamics, not the end."""
+        """Return one individual as a `Solution` without costates; it meets the dynamics, not the end."""
         problem, found = self.problem, []
         for phase, _, duration, states, controls in self._flights(genes[None, :]):
             time = np.linspace(0.0, 1.0, STEPS + 1) * duration[0] * problem.scales.time
@@ -183,11 +183,11 @@ class CostateFitness:
         self.upper = np.concatenate([np.full(count, 1.0), upper])
 
     def __call__(self, genes: Matrix) -> Vector:
-        """Fitness (population,) of individuals (population, n)."""
+        """Return the fitness (population,) of individuals (population, n)."""
         return self._solved(genes)[1]
 
     def guess(self, genes: Vector) -> Solution:
-        """One individual as a `Solution` with costates; it meets the dynamics, not the end conditions."""
+        """Return one individual as a `Solution` with costates; it meets the dynamics, not the end conditions."""
         problem, conditions = self.problem, self.conditions
         y = self._solved(genes[None, :])[0][0]
         free = free_values(problem, conditions, y)
@@ -247,7 +247,7 @@ class CostateFitness:
         return np.concatenate([np.repeat([False, True], phase.half) for phase in self.conditions.phases])
 
     def _ends(self, y: Matrix) -> Matrix:
-        """Ends of all phases, stacked: (nz, N); NaN where an arc was lost."""
+        """Return the ends of all phases, stacked: (nz, N); NaN where an arc was lost."""
         size, before, ends = len(y), np.zeros((0, len(y))), []
         for extremal, start in zip(self.conditions.phases, self.conditions.starts, strict=True):
             z0, duration = (np.array(out) for out in self._over(start, size)(y.T, before, self._numbers(size)))

@@ -66,7 +66,7 @@ class Flown:
         return [float(begin + t) for begin, arc in parts for t in arc.end.event_time[0] if np.isfinite(t)]
 
     def modes(self, t: Vector) -> NDArray[np.int64]:
-        """Mode of the step in which each time lies; at a switch, the one after it."""
+        """Return the mode of the step in which each time lies; at a switch, the one after it."""
         pieces, found = self._piece(t), np.zeros(len(t), dtype=np.int64)
         for i in np.unique(pieces):
             arc, here = self.arcs[i], pieces == i

@@ -89,7 +89,7 @@ class Nearby:
         return found
 
     def roots(self, values: Mapping[str, ArrayLike], begin: Matrix | None = None) -> Roots:
-        """Newton's method at values of given parameters, in lanes.
+        """Solve by Newton's method at values of given parameters, in lanes.
 
         Parameters
         ----------

@@ -140,7 +140,7 @@ class _Finish:
         return Search(self.settings, self.problem, self.watch, tried=self.tried)
 
     def _kept(self, found: Solution, breach: Callable[[], Breach | None]) -> Solution | None:
-        """An extremal if it is a minimum that keeps every condition."""
+        """Return an extremal if it is a minimum that keeps every condition."""
         if found.extremals[0].nature is Nature.WORST:
             self.tried.append("polish: an extremal that is no minimum")
         elif (broken := breach()) is not None:

@@ -39,7 +39,7 @@ NOT_ISOLATED = "extremals are not isolated here: beside one lie others with the 
 
 
 def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
-    """Why every extremal that was found is no answer; None where none was found, and nothing else says why."""
+    """Return why no extremal that was found is an answer; None where none was found, and nothing else says why."""
     direct, bounds = coarse.refusal, [breach for breach in breaches if not breach.path]
     known = getattr(direct, "partial", {})
     if isinstance(direct, InfeasibleError) or (direct is not None and "least_miss" in known and not breaches):
@@ -91,7 +91,7 @@ def _by_the_mesh_alone(coarse: Coarse, flight: Solution, breach: Breach) -> bool
 def best_misses(
     problem: Problem, bounds: Sequence[Breach], count: int, direct: str, partial: dict[str, Any]
 ) -> InfeasibleError:
-    """No flight was found: the best of so many extremals misses a bound, and the direct method has none to set against.
+    """Return the error for no flight: the best of so many extremals misses a bound, and the direct method has none.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class Rungs:
     met: bool = field(default=False, init=False)
 
     def from_random_costates(self) -> Iterator[Met]:
-        """With the bounded parameter held at several values.
+        """Yield members from random costates, with the bounded parameter held at several values.
 
         One family need not reach from bound to bound, so each value gives a chance to meet another.
         """
@@ -97,7 +97,7 @@ class Rungs:
         yield Met(members, _RANDOM, f"{_RANDOM}{where}: {len(Y)} starts")
 
     def _settled(self, Y: Matrix, choices: Matrix) -> Roots:
-        """Roots from starts with what they hold; where there is none, from where they came, with ranges held."""
+        """Return roots from starts with what they hold; where there is none, from where they came, with ranges held."""
         trials = self.trials
         roots = trials.settled(Y, choices, limits=trials.others, limit=PATIENCE, max_step=STRIDE, doubt=0.0)
         if roots.converged.any():
@@ -107,7 +107,7 @@ class Rungs:
         return trials.settled(roots.y, holding, limits=trials.others, limit=3 * PATIENCE, max_step=STRIDE)
 
     def from_shorter_flights(self) -> Iterator[Met]:
-        """Carried to the whole flight, and by way of smooth controls where there are several."""
+        """Yield members carried from shorter flights, and by way of smooth controls where there are several."""
         if not given_durations(self.trials):
             return
         self.trials.watch(f"start: {_DURATION}")

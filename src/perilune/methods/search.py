@@ -113,7 +113,7 @@ class Search:
         return [*found, *search._others(found[0])], lambda some: search._compose(some, "family")
 
     def smoothed(self, rough: Solution) -> tuple[Solution, Callable[[], Breach | None]]:
-        """As `near`, but by way of smooth controls, with what a rough answer of many switches holds."""
+        """Solve as `near`, but by way of smooth controls, with what a rough answer of many switches holds."""
         trials = self.trials
         smoothing = Smoothing(trials=trials, segments=self.settings.segments)
         root = None
@@ -125,7 +125,7 @@ class Search:
         return self._compose([Found(root=root, minimum=True)], SMOOTH), lambda: self.judge.breach(root)
 
     def all_extremals(self, base: Member | None = None, *, last: bool = False) -> tuple[Search, list[Found]]:
-        """By the ladder; and of which search they are: this one, or one whose control keeps more of the path.
+        """Return extremals from all starts, and their search: this one, or one whose control keeps more of the path.
 
         With `last` only by its last rung.
         """
@@ -163,12 +163,12 @@ class Search:
         return self, found
 
     def _met_by(self, flight: Solution | None) -> Held:
-        """Conditions that the control could keep, which may hold a flight back."""
+        """Return conditions that the control could keep, which may hold a flight back."""
         near = touched(flight) if self.keepable and flight is not None else set[str]()
         return tuple(name for name in self.keepable if name in near)
 
     def _worth_keeping(self, found: list[Found]) -> Held:
-        """Conditions that the control could keep, broken by extremals that are better than every answer."""
+        """Return conditions that the control could keep, broken by extremals that are better than every answer."""
         if not self.keepable:
             return ()
         answers = [f.root.cost for f in found if f.minimum and not self._broken(f.root)]
@@ -185,7 +185,7 @@ class Search:
         return {breach.name for breach in self.judge.breaches(root)} | grazed
 
     def _outdone(self, found: list[Found]) -> list[Root]:
-        """Extremals that break the path and are better than every answer: what keeps it near them may be as well."""
+        """Return extremals that break the path and beat every answer: what keeps it near them may be better as well."""
         answers = (f.root.cost for f in found if f.minimum and self.judge.breach(f.root) is None)
         best = min(answers, default=math.inf)
         roots = (*(f.root for f in sorted(found, key=lambda f: (not f.minimum, f.root.cost))), *self.breaking)
@@ -231,7 +231,7 @@ class Search:
         return [replace(f, minimum=f.minimum and not is_down) for f, is_down in zip(found, down, strict=True)], members
 
     def _along_others(self, found: list[Found]) -> list[Found]:
-        """More extremals: along one parameter the others stay in the wells in which they are, and at their bounds."""
+        """Return more extremals: along one parameter the others stay in their basins, and at their bounds."""
         trials, more = self.trials, list[Found]()
         left = [(f, trials.scanned) for f in new_among(found, self.followed)]
         while left:
@@ -304,7 +304,7 @@ class Search:
         return any(f.minimum and self.judge.breach(f.root) is None for f in found)
 
     def _from_guess(self, guess: Solution) -> tuple[Search, list[Found]]:
-        """Newton from a guess; what lies on a bound there begins on it, what the path holds back there is kept."""
+        """Solve from a guess; what lies on a bound there begins on it, what the path holds back there is kept."""
         own = guess.method == self.settings.name and guess.unknowns is not None  # which has costates
         if not own and any(flown.costate is None for flown in guess.trajectories):
             guess = self.coarse.solve(guess) or guess
@@ -319,7 +319,7 @@ class Search:
         return search, found
 
     def _near(self, y: Vector, choice: Vector, guess: Solution | None = None) -> list[Found]:
-        """Newton from unknowns; by multiple shooting from the curves of a guess where that fails."""
+        """Solve from unknowns; by multiple shooting from the curves of a guess where that fails."""
         trials, attempts = self.trials, self._attempts(y, choice, guess)
         root = next(attempts)
         while not root.converged and (another := next(attempts, None)) is not None:
@@ -342,7 +342,7 @@ class Search:
         raise self._failure()
 
     def _attempts(self, y: Vector, choice: Vector, guess: Solution | None) -> Iterator[Root]:
-        """Newton's method from unknowns, and from where the extremal of a guess is followed to.
+        """Yield roots from unknowns, and from where the extremal of a guess is followed to.
 
         That comes first of so many arcs that they are not cut: from the unknowns only most are lost, and it takes long
         until they are.
@@ -397,7 +397,7 @@ class Search:
         return mended(self.problem, self.trials.conditions, root, plan.rows, plan.active)
 
     def _judged(self, ways: Iterable[Met]) -> Iterator[tuple[Member, str]]:
-        """Members within the bounds, way by way.
+        """Yield members within the bounds, start by start.
 
         Those that break a condition come last, and only where nothing else was found.
         """

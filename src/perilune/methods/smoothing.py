@@ -77,7 +77,7 @@ class Smoothing:
         return None
 
     def _by_mesh(self, smooth: Problem, choice: Vector) -> Root | None:
-        """From a direct answer of the smoothed problem."""
+        """Solve from a direct answer of the smoothed problem."""
         rough = self._rough(smooth)
         if rough is None:
             self.told = "smoothed controls: no direct solution"
@@ -168,7 +168,7 @@ class Smoothing:
         return p
 
     def _switched(self, smooth: Conditions, segments: int, root: Root) -> Root | None:
-        """Newton's method on the problem itself, from a smoothed root that is nearly one of its own."""
+        """Solve the problem itself, from a smoothed root that is nearly one of its own."""
         trials, count = self.trials, len(smooth.unknowns)
         values = dict(zip((name for name, _ in smooth.unknowns), root.y[:count].tolist(), strict=True))
         Y, at = [np.array([values[name] for name, _ in trials.conditions.unknowns])], count

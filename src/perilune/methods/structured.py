@@ -143,7 +143,7 @@ class Polish:
         return bool((room[t > touch] > rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))).any())
 
     def _known_by_arcs(self, guess: Solution) -> Solution | None:
-        """From a guess whose extremal is known arc by arc, of a problem that differs in values of its parameters."""
+        """Solve from a guess known arc by arc, of a problem that differs in values of its parameters."""
         known = guess.trajectories
         if self.brief or not isinstance(known, Joined) or not self.problem.differs_in_values(guess.problem):
             return None

@@ -86,12 +86,12 @@ class Trials:
         return roots
 
     def by_pieces(self, rough: Solution, y: Vector, choice: Vector, segments: int, limits: Limits) -> Root:
-        """Newton from a rough solution with so many segments for each phase, then in one piece."""
+        """Solve from a rough solution with so many segments for each phase, then in one piece."""
         Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
         return self.from_pieces(Y, choice, segments, limits)
 
     def from_pieces(self, Y: Vector, choice: Vector, segments: int, limits: Limits) -> Root:
-        """Newton from unknowns and states at the joints of so many segments for each phase, then in one piece."""
+        """Solve from unknowns and states at the joints of so many segments for each phase, then in one piece."""
         shooting = Shooting(self.conditions, segments=segments)
         root = self.settled(Y[None], choice, limits=limits, shooting=shooting)[0]
         if segments > 1 and (root.converged or shooting.rounding(root)):  # one piece again, for what follows
@@ -102,7 +102,7 @@ class Trials:
         return root
 
     def correct(self, y: Vector, like: Root, p: Vector) -> Root:
-        """Newton at other given parameters p, with what is held as in `like` to begin with."""
+        """Solve at other given parameters p, with what is held as in `like` to begin with."""
         return self.settled(y[None], like.choice, p, limits=self.others)[0]
 
     def bounds(self, index: int) -> tuple[float, float]:

@@ -83,7 +83,7 @@ def _held_parameters(solution: Any) -> Iterator[str]:
 
 
 def _stated_by(problem: Any, bound: float, unit: str) -> str | None:
-    """Key of the file that states a bound of a free parameter: the only one with that value."""
+    """Return the key of the file that states a bound of a free parameter: the only one with that value."""
     keys = {parameter_key(problem, name) for name, q in problem.given.items() if (q.value, q.unit) == (bound, unit)}
     found = [key for key in keys if "." in key]
     return found[0] if len(found) == 1 else None

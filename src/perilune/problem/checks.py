@@ -162,7 +162,7 @@ _PLACES = 4  # points at which the physics is tried before it counts as undefine
 
 
 def _sample(problem: Any, scales: Scales, place: int) -> tuple[SimpleNamespace, list[tuple[list[float], list[float]]]]:
-    """Parameters and one (x, u) for each phase, the same physical point written in the given canonical units."""
+    """Return parameters and one (x, u) for each phase, the same physical point in the given canonical units."""
     fractions = iter((0.618034 * k) % 1.0 for k in range(1 + 1000 * place, 1_000_000))
     si = problem.scales
     inside = {
@@ -183,7 +183,7 @@ def _sample(problem: Any, scales: Scales, place: int) -> tuple[SimpleNamespace, 
 
 
 def _values(problem: Any, scales: Scales, place: int) -> list[tuple[Stated, int, float]]:
-    """(function, which of its results, value) of all that the user's functions return at the sample, canonical."""
+    """Return (function, place of its result, value) of all that the user's functions return at it, canonical."""
     p, points = _sample(problem, scales, place)
     everywhere = {
         "p": p, "t": 0.7 * problem.scales.time / scales.time, "first": points[0][0], "last": points[-1][0]
@@ -229,7 +229,7 @@ def check_homogeneous(problem: Any) -> None:
 
 
 def _units(problem: Any, function: Stated) -> Callable[[str, str], str]:
-    """Unit of each component that a function takes."""
+    """Return the unit of each component that a function takes, as a function of role and name."""
     phase = problem.phases[function.phase]
     units = {
         "p": {name: problem.unit_of(name) for name in (*problem.given, *problem.free_names)},

@@ -87,7 +87,7 @@ class Direction:
         return -math.inf, math.inf
 
     def box(self, p: Any) -> tuple[float, float]:
-        """Range of the components [1] for a search, which normalises afterwards."""
+        """Return the range of the components [1] for a search, which normalises afterwards."""
         return -1.0, 1.0
 
     def normalised(self, u: Any) -> Any:
@@ -108,7 +108,7 @@ class Direction:
         return np.abs(np.sqrt((u * u).sum(axis=0)) - 1)
 
     def tangents(self, u: Any, scale: float) -> list[Any]:
-        """Vectors (components, N) along which the value can move: a basis of the sphere's tangents."""
+        """Return vectors (components, N) along which the value can move: a basis of the sphere's tangents."""
         if len(u) == 2:
             return [np.array([-u[1], u[0]])]
         axis = np.eye(3)[:, np.argmin(np.abs(u), axis=0)]
@@ -117,7 +117,7 @@ class Direction:
         return [first, np.cross(u, first, axis=0)]
 
     def samples(self, u: Matrix, scale: float, p: Any) -> list[Matrix]:
-        """Admissible values all over the set and close to u (components, N), which is the first."""
+        """Return admissible values all over the set and close to u (components, N), which is the first."""
         if len(u) == 2:
             turns = [*_CLOSE, *(2 * np.pi * (k + 0.5) / 90 for k in range(90))]
             turned = [(np.cos(a), np.sin(a)) for a in turns]
@@ -129,7 +129,7 @@ class Direction:
         return [u, *near, *(v[:, None] * np.ones((1, u.shape[1])) for v in lattice.T)]
 
     def example(self, fractions: Iterator[float], p: Any, scale: float) -> list[float]:
-        """Some admissible value in SI, from numbers between 0 and 1."""
+        """Return some admissible value in SI, from numbers between 0 and 1."""
         raw = [0.3 + next(fractions) for _ in self.names]
         return [r / math.hypot(*raw) for r in raw]
 
@@ -140,7 +140,7 @@ class Direction:
         return self.normalised(u)
 
     def middle(self, p: Any) -> tuple[float, float]:
-        """Middle of each component's range [1], and how far a first guess may go from there."""
+        """Return the middle of each component's range [1], and how far a first guess may go from there."""
         return 0.0, math.inf
 
 
@@ -183,7 +183,7 @@ class Bounded:
         return limit_value(self.lower, p), limit_value(self.upper, p)
 
     def box(self, p: Any) -> tuple[float, float]:
-        """Range [SI] for a search.
+        """Return the range [SI] for a search.
 
         Raises
         ------
@@ -222,14 +222,14 @@ class Bounded:
         return [np.full((1, u.shape[1]), scale)]
 
     def samples(self, u: Matrix, scale: float, p: Any) -> list[Matrix]:
-        """Admissible values all over the range and close to u (1, N), which is the first."""
+        """Return admissible values all over the range and close to u (1, N), which is the first."""
         lower, upper = self.limits(p)
         near = [np.clip(u + scale * c, lower, upper) for c in _CLOSE]
         wide = np.linspace(max(lower, -10 * scale), min(upper, 10 * scale), 21)
         return [u, *near, *(v * np.ones((1, u.shape[1])) for v in wide)]
 
     def example(self, fractions: Iterator[float], p: Any, scale: float) -> list[float]:
-        """Some value within the bounds, in SI; bounds beyond one canonical unit `scale` do not count."""
+        """Return some value within the bounds, in SI; bounds beyond one canonical unit `scale` do not count."""
         limits = self.limits(p)
         lower, upper = max(limits[0], -scale), min(limits[1], scale)
         return [lower + 0.4 * (upper - lower)]
@@ -239,14 +239,14 @@ class Bounded:
         return self.admissible(u, p)
 
     def middle(self, p: Any) -> tuple[float, float]:
-        """Middle of the range [SI], and how far a first guess may go from there."""
+        """Return the middle of the range [SI], and how far a first guess may go from there."""
         lower, upper = self.limits(p)
         if math.isfinite(upper - lower):
             return 0.5 * (lower + upper), 0.4 * (upper - lower)
         return float(np.clip(0.0, lower, upper)), math.inf
 
     def share(self, u: Any, p: Any) -> Any:
-        """Place within finite bounds, from 0 at the lower to 1 at the upper."""
+        """Return the place within finite bounds, from 0 at the lower to 1 at the upper."""
         lower, upper = self.limits(p)
         return (u - lower) / (upper - lower)
 

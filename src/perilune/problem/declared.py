@@ -9,7 +9,7 @@ from perilune.words.declared import Quantity, keys_of, section_of, values_of
 
 
 def given_of(*records: Any) -> dict[str, Given]:
-    """Given parameters ``section_key`` of records, with the text in which a value was stated; None gives none."""
+    """Return given parameters ``section_key`` of records, with the text in which a value was stated; none of None."""
     found = {}
     for record in records:
         section, keys = section_of(type(record)), keys_of(type(record))

@@ -130,7 +130,7 @@ def _carried(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespa
 
 
 def _transition(solution: Any, k: int, nodes: Vector, disturbed: list[SimpleNamespace]) -> Matrix:
-    """Transition matrix over the nodes, of the changes of the state and the disturbances that push them."""
+    """Return the transition matrix over the nodes, of changes of the state and the disturbances that push them."""
     phase, h, count = solution.problem.phases[k], np.diff(nodes)[:, None, None], len(nodes)
     t = np.concatenate([nodes, 0.5 * (nodes[:-1] + nodes[1:])])
     x, u = solution.flown(k, t)
@@ -160,7 +160,7 @@ def _product(matrices: Any) -> Matrix:
 
 
 def _on_the_ground(solution: Any, asked: Dispersion) -> Matrix:
-    """Unit vectors along the track and to the left of it at the landing point, one in each row.
+    """Return unit vectors along the track and to the left of it at the landing point, one in each row.
 
     The track is the great circle above which the named phase begins.
     """

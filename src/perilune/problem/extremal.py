@@ -37,7 +37,7 @@ class Nature(Enum):
 
     @classmethod
     def _missing_(cls, value: object) -> Nature | None:
-        """Words that older files used."""
+        """Return the nature for the words of older files."""
         return {"global optimum": cls.BEST, "global optimum, at a bound": cls.BEST_AT_BOUND}.get(str(value))
 
 

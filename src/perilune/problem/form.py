@@ -177,7 +177,7 @@ class Stated:
         )
 
     def _misspelt(self, error: AttributeError, records: Mapping[str, Any]) -> PeriluneError:
-        """The name that is not there, with the nearest one."""
+        """Return the error for a name that is not there, with the nearest one."""
         for role, record in records.items():
             if error.obj is record:
                 known = sorted(getattr(record, "_fields", None) or vars(record))
@@ -229,7 +229,7 @@ def _named(variables: Sequence[Any], per: str = "") -> tuple[tuple[str, str], ..
 
 
 def _results_of(problem: Any, phase: Any, name: str, field: str) -> tuple[tuple[str, str], ...]:
-    """(name, unit) of what a function of a phase returns."""
+    """Return (name, unit) of what a function of a phase returns."""
     if name == "inertial":
         return _INERTIAL
     if name == "track":
@@ -332,7 +332,7 @@ def canonical_expressions(problem: Any) -> dict[Any, Expression]:
 
 
 def _returned(problem: Any, key: Any) -> tuple[Any, ...]:
-    """The variables that a function returns, rates as what they are rates of; none where they have no names."""
+    """Return the variables that a function returns, rates as what they are rates of; none without names."""
     if key == "results":
         return problem.result_variables
     if key == "start":
@@ -344,6 +344,6 @@ def _returned(problem: Any, key: Any) -> tuple[Any, ...]:
 
 
 def _named_limits(bounded: Any) -> list[str | None]:
-    """Limits that name a parameter are of the form, those that are numbers are not."""
+    """Return limits that name a parameter, which are of the form; None for numbers, which are not."""
     limits = [getattr(bounded, side, None) for side in ("lower", "upper")]
     return [limit if isinstance(limit, str) else None for limit in limits]

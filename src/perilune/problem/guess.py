@@ -19,7 +19,7 @@ BY_HAND = "by hand"
 
 @called_in_words
 def guess(problem: Problem, times: Any, states: Any, controls: Any = None, **free: float) -> Solution:
-    """A flight made by hand, for `solve` to start from. It need not fly.
+    """Make a flight by hand, for `solve` to start from. It need not fly.
 
     Parameters
     ----------

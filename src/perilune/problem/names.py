@@ -65,7 +65,7 @@ def _check_columns(phase: Phase) -> None:
 
 
 def _check_units(phases: Iterable[Phase]) -> None:
-    """A column goes on from phase to phase, with one unit."""
+    """Refuse a column that goes on from phase to phase with another unit."""
     units = dict[str, str]()
     for phase in phases:
         steered = [(name, control.unit) for control in phase.controls for name in control.names]

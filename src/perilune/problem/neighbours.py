@@ -37,7 +37,7 @@ class MovedStart:
         return tuple(map(offset_of, self.problem.phases[0].state_names))
 
     def __call__(self, p: Any, m: Any) -> Sequence[Any]:
-        """Initial state [SI]."""
+        """Return the initial state [SI]."""
         return tuple(a + getattr(p, name) for a, name in zip(self.problem.start(p, m), self.names, strict=True))
 
 

@@ -122,7 +122,7 @@ class Phase(ShownPhase):
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
 
     def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
-        """Values of ``path``, ``held``, ``outputs``, ``integrals``; of ``end``, ``marks``, ``track`` without control.
+        """Evaluate ``path``, ``held``, ``outputs``, ``integrals``; without control ``end``, ``marks``, ``track``.
 
         Empty where the phase has none.
         """

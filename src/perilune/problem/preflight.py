@@ -144,7 +144,7 @@ def member(found: Sequence[Finding], index: int) -> tuple[Finding, ...]:
 
 
 def refuse_impossible(found: Sequence[Finding]) -> None:
-    """InfeasibleError for the first binding comparison that is missed."""
+    """Raise an InfeasibleError for the first binding comparison that is missed."""
     for f in found:
         if f.binding and not f.passed:
             raise InfeasibleError(

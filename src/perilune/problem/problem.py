@@ -319,7 +319,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
     @called_in_words
     def unit_of(self, parameter: str) -> str:
-        """Unit text of a parameter.
+        """Return the unit text of a parameter.
 
         Raises
         ------
@@ -350,7 +350,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
     @called_in_words
     def parameters(self, free: Mapping[str, Any]) -> SimpleNamespace:
-        """Record ``p`` of all parameters in SI, with the free ones' values as passed.
+        """Return the record ``p`` of all parameters in SI, with the free ones' values as passed.
 
         Raises
         ------

@@ -96,7 +96,7 @@ class ShownSolution:
 
     @called_in_words
     def plot(self, name: str = "") -> Figure:
-        """A figure of the flight; see `perilune.report.shown.plot`.
+        """Draw a figure of the flight; see `perilune.report.shown.plot`.
 
         Parameters
         ----------
@@ -112,7 +112,7 @@ class ShownSolution:
 
     @called_in_words
     def animate(self, file: str | Path | None = None, *, seconds: float = 8.0, force: bool = False) -> FuncAnimation:
-        """The flight as it goes; see `perilune.report.animated.animate`.
+        """Animate the flight; see `perilune.report.animated.animate`.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ class ShownSolution:
 
     @called_in_words
     def to_xarray(self, *, epoch: str | datetime | None = None) -> xarray.Dataset:
-        """The flight as a data set of xarray; see `perilune.io.exports.writing.to_xarray`.
+        """Return the flight as a data set of xarray; see `perilune.io.exports.writing.to_xarray`.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class ShownSolution:
 
     @called_in_words
     def to_dataframe(self) -> pandas.DataFrame:
-        """The flight as a frame of pandas, its index the time from the begin of the flight [s].
+        """Return the flight as a frame of pandas, its index the time from the begin of the flight [s].
 
         Raises
         ------

@@ -84,7 +84,7 @@ class SimulatedProblem:
 
 
 def _number_of(problem: Any, phase: str | int | None) -> int:
-    """Place of a phase that is named, numbered, or the only one."""
+    """Return the place of a phase that is named, numbered, or the only one."""
     names = [stated.name for stated in problem.phases]
     if phase is None:
         if len(names) > 1:

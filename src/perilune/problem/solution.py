@@ -324,7 +324,7 @@ class Solution(ShownSolution):
 
     @called_in_words
     def inertial(self, phase: int, t: Vector) -> tuple[Matrix, Matrix, Matrix]:
-        """Position [m], velocity [m/s] and acceleration by thrust [m/s^2] in inertial axes, each (3, n).
+        """Return position [m], velocity [m/s] and acceleration by thrust [m/s^2] in inertial axes, each (3, n).
 
         Parameters
         ----------
@@ -351,7 +351,7 @@ class Solution(ShownSolution):
         return rows[:3], rows[3:6], rows[6:]
 
     def _integrals(self, phase: int) -> list[float]:
-        """Integrals along a phase by Gauss's rule between the nodes of its curves, which have no kink inside."""
+        """Integrate along a phase by Gauss's rule between the nodes of its curves, which have no kink inside."""
         definition, flown = self.problem.phases[phase], self.trajectories[phase]
         if definition.integrals is None:
             return []

@@ -222,7 +222,7 @@ def _on_side(
 
 
 def _number(new: Choice, choices: list[Choice], most: int) -> int | None:
-    """Place of a choice among all; None where it cannot be held."""
+    """Return the place of a choice among all; None where it cannot be held."""
     for number, known in enumerate(choices):
         if known.knots == new.knots and ca.is_equal(known.argument, new.argument, 30):
             choices[number] = replace(known, steady=known.steady and new.steady, bent=known.bent or new.bent)

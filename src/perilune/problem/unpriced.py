@@ -96,7 +96,7 @@ def _rates_without(dynamics: Expression, priced: tuple[bool, ...]) -> Expression
 
 @lru_cache(maxsize=256)
 def _numeric_slopes(expression: Expression, state: str) -> tuple[float | None, ...]:
-    """Derivatives of the values of an expression by a state, as far as they are numbers."""
+    """Return derivatives of the values of an expression by a state, as far as they are numbers."""
     names = sorted({op[1] for op in expression.tape.instructions if op[0] == "x"} | {state})
     recorder = Recorder()
     alone = Expression(recorder.tape([float(name == state) for name in names]), ("x", "u", "p"))

@@ -90,7 +90,7 @@ def reached(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lan
 
 
 def _shortest(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lanes) -> Roots:
-    """Steps without so many directions until the residual is round-off, all lanes at once; of each its best iterate."""
+    """Step without so many directions until the residual is round-off, in all lanes; keep each lane's best iterate."""
     Y, roots = Y.copy(), shooting.at(Y, p, choice)
     best, active = roots, roots.plan.active
     converged = np.zeros(len(Y), dtype=bool)

@@ -59,23 +59,23 @@ class HeldFamily:
     watch: Watch = silent
 
     def held(self, Y: Matrix, values: Vector, like: Root) -> Roots:
-        """Newton in lanes with q held at `values`, and what else is held to begin with as in `like`."""
+        """Solve in lanes with q held at `values`, and what else is held to begin with as in `like`."""
         choices = np.tile(like.choice, (len(values), 1))
         self.shooting.plan.hold(choices, self.index, values)
         return settle(self.shooting, Y, self.p, choices, self.limits, self.watch)
 
     def released(self, Y: Matrix, like: Root) -> Roots:
-        """Newton in lanes with q free: the transversality condition (19) in place of the held value."""
+        """Solve in lanes with q free: the transversality condition (19) in place of the held value."""
         choice = like.choice.copy()
         choice[[self.index, self.shooting.plan.held + self.index]] = 0.0
         return settle(self.shooting, Y, self.p, np.tile(choice, (len(Y), 1)), self.limits, self.watch)
 
     def value(self, root: Root) -> float:
-        """q at a root."""
+        """Return q at a root."""
         return float(root.y[self.shooting.conditions.free_at.start + self.index])
 
     def slope(self, root: Root) -> float:
-        """dJ/dq at a root with q held."""
+        """Return dJ/dq at a root with q held."""
         return float(root.slopes[self.index])
 
     def reach(self, here: Member, target: float) -> Member | None:
@@ -153,7 +153,7 @@ class _Bracket:
     slope_b: float
 
     def guess(self, share: float) -> tuple[Vector, float]:
-        """Y and the value a share of the way from a to b."""
+        """Return Y and the value a share of the way from a to b."""
         y = self.a.root.y + share * (self.b.root.y - self.a.root.y)
         return y, self.a.value + share * (self.b.value - self.a.value)
 

@@ -165,7 +165,7 @@ class Shooting:
         return values, np.hstack([extra[:, : self.plan.free], -nu])
 
     def solve(self, Y: Matrix, p: Matrix, choice: Matrix, watch: Watch | None = None, **settings: Any) -> Roots:
-        """Newton in every lane.
+        """Solve by Newton's method in every lane.
 
         Parameters
         ----------
@@ -196,7 +196,7 @@ class Shooting:
         return self._roots(ends, choice)
 
     def root(self, Y: Vector, p: Vector, choice: Vector, watch: Watch | None = None, **settings: Any) -> Root:
-        """Newton from one Y: a batch of one."""
+        """Solve by Newton's method from one Y: a batch of one."""
         return self.solve(Y[None], p, choice, watch, **settings)[0]
 
     def at(self, Y: Matrix, p: Matrix, choice: Matrix) -> Roots:
@@ -239,7 +239,7 @@ class Shooting:
         return np.concatenate(nodes)
 
     def tangent(self, root: Root, index: int) -> Vector:
-        """dY/dvalue at a root in which free parameter `index` is held."""
+        """Return dY/dvalue at a root in which free parameter `index` is held."""
         tangent = np.zeros(self.plan.size)
         tangent[self.plan.active] = root.inverse[:, self.plan.held_rows[index]]
         return tangent
@@ -257,7 +257,7 @@ class Shooting:
         return shift
 
     def curvature(self, root: Root, index: int) -> float:
-        """d2J/dq2 along the family in which free parameter `index` is held, at a root in which it is not.
+        """Return d2J/dq2 along the family in which free parameter `index` is held, at a root in which it is not.
 
         With J' the Jacobian in which q is held, e its row and g the row of dJ/dq, the tangent is t = J'^-1 e and the
         curvature g.t; J t = (g.t) e, so that the entry of J^-1 in q's column and row is 1/(g.t).
@@ -276,7 +276,7 @@ class Shooting:
         return bool(np.isfinite(block).all() and (np.linalg.eigvalsh(block + block.T) > 0.0).all())
 
     def curving_down(self, root: Root, p: Vector) -> list[int]:
-        """Numbers of the ranges at ends that a root does not hold, and along which J has a maximum there.
+        """Return the ranges at ends, by number, that a root does not hold and along which J has a maximum there.
 
         With the value v of one held, dJ/dv = -nu, and dnu/dv is an entry of the inverse Jacobian. Where nothing that
         the unknowns may do moves v by more than errors of a flight, as the speed of a fall through thick air, its sign

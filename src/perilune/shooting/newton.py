@@ -226,7 +226,7 @@ class _Settings(NamedTuple):
 
 
 def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
-    """Lanes side by side; those that have ended drop out."""
+    """Solve lanes side by side; those that have ended drop out."""
     tolerance, accuracy, limit, max_step, doubt, _ = settings
     y = np.array(start, dtype=float)
     count = len(y)
@@ -355,7 +355,7 @@ def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, 
 
 
 def _limited(alpha: Any, row: Matrix, columns: Columns, max_step: float) -> Any:
-    """Damping that keeps the largest component of each step within `max_step`."""
+    """Return the damping that keeps the largest component of each step within `max_step`."""
     if math.isinf(max_step):
         return alpha
     limited = np.minimum(alpha, max_step / np.maximum(np.abs(row[:, columns.step]).max(axis=1), 1e-300))

@@ -163,7 +163,7 @@ class _End:
         return self.symbols[0]
 
     def change(self, of: ca.SX) -> ca.SX:
-        """d(of)/dY through z; from the left, as what is asked of an end are fewer rows than it has."""
+        """Return d(of)/dY through z; from the left, as what is asked of an end are fewer rows than it has."""
         by = ca.SX(of.numel(), self.z.numel())
         rows = sorted({*ca.jacobian_sparsity(of, self.z).get_triplet()[0]})
         by[rows, :] = ca.jacobian(of[rows], self.z)  # the same as of all rows, which would trace all of them each time
@@ -354,7 +354,7 @@ class _Tracing:
 
 
 def _peeled(J: ca.SX) -> list[tuple[int, int]]:
-    """(row, column) of the unknowns that stand in one row only, then of those that do so once these are gone, ..."""
+    """Return (row, column) of unknowns in only one row, then of those that are so once these are gone, and so on."""
     pattern = np.array(ca.DM.ones(J.sparsity()).full(), dtype=bool)
     rows, found = np.ones(len(pattern), dtype=bool), []
     left = set(range(pattern.shape[1]))
@@ -367,7 +367,7 @@ def _peeled(J: ca.SX) -> list[tuple[int, int]]:
 
 
 def _inverse(J: ca.SX, peeled: list[tuple[int, int]]) -> ca.SX:
-    """J^-1: of the coupled core by an orthogonal factorisation, then row by row what was peeled off it."""
+    """Return J^-1: of the coupled core by an orthogonal factorisation, then row by row of what was peeled off it."""
     n = J.size1()
     rows = [i for i in range(n) if i not in {row for row, _ in peeled}]
     known = [i for i in range(n) if i not in {column for _, column in peeled}]

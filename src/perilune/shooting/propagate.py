@@ -34,7 +34,7 @@ class Equations:
 
 @lru_cache(maxsize=256)
 def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[int, ...]) -> Equations:
-    """Equations for the entries of z that are `wanted` at the end, with the `silent` ones zero.
+    """Return equations for the entries of z that are `wanted` at the end, with the `silent` ones zero.
 
     An empty `wanted` keeps all of z.
 
@@ -96,7 +96,7 @@ Pattern = tuple[tuple[bool, ...], ...]  # which entries of the columns S(0) may 
 
 @lru_cache(maxsize=256)
 def engine(flown: Equations, seeds: Pattern = ()) -> Engine:
-    """Engine with the variational columns that such seeds need, made once."""
+    """Return the engine with the variational columns that such seeds need, which is made once."""
     return compile_arcs(
         flown.modes, solved=flown.solved, columns=np.array(seeds) if seeds else 0, events=flown.switches
     )

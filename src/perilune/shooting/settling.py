@@ -55,7 +55,7 @@ class Settling:
         return ca.vertcat(x, ca.SX(self.seeds))
 
     def transition(self, z: ca.SX) -> ca.SX:
-        """Phi of z, (n, n)."""
+        """Return Phi of z, (n, n)."""
         return _transition(z, len(self.flown.kept), self.rows)
 
 
@@ -67,7 +67,7 @@ def _transition(z: ca.SX, n: int, rows: tuple[int, ...]) -> ca.SX:
 
 @lru_cache(maxsize=256)
 def settling(extremal: PhaseExtremal) -> Settling:
-    """Equations of a phase that settles."""
+    """Derive the equations of a phase that settles."""
     n, numbers = extremal.half, extremal.modes[0].size1_in(1)
     x, p = ca.SX.sym("x", n), ca.SX.sym("p", numbers)
     still = ca.vertcat(x, ca.SX.zeros(n, 1))

@@ -100,7 +100,7 @@ def _multiplier(solved: Solution, index: int, rate: str, t: Vector) -> Vector:
 
 
 def _moving(solved: Solution, index: int, u: Matrix) -> Matrix:
-    """1 for each component of the control that can move both ways, 0 for scalars on a bound."""
+    """Return 1 for each component of the control that can move both ways, 0 for scalars on a bound."""
     phase, p, moving = solved.problem.phases[index], solved.parameters, np.ones(u.shape)
     for here, control in placed(phase.controls):
         if isinstance(control, Bounded):

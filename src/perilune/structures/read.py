@@ -134,7 +134,7 @@ class _Guess:
 
 
 def own_readings(solution: Solution, least: float) -> list[Structure]:
-    """`readings` of a solution for its own problem, remembered of the last few: its neighbours all ask for them."""
+    """Return `readings` of a solution for its own problem, kept for the last few: its neighbours all ask for them."""
     return list(_own_readings(_Guess(solution), least))
 
 

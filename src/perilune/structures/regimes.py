@@ -200,7 +200,7 @@ def _singular(t: Vector, gain: Vector, share: Vector, level: float) -> Iterator[
 
 
 def bounds_beside(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[float, float]]) -> list[Stay]:
-    """Singular arcs, and those at bounds between them.
+    """Return singular arcs, and those at bounds between them.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def bounds_beside(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[
 
 
 def _at_bounds(name: str, t: Vector, upper: Vector, begin: float, end: float) -> list[Stay]:
-    """Bang-bang from one time to another."""
+    """Return bang-bang stays from one time to another."""
     inside = (t >= begin) & (t <= end)
     here, upper = t[inside], upper[inside]
     found = list[Stay]()

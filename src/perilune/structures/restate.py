@@ -365,7 +365,7 @@ class _Restated:
         yield Variable(name=name, unit="s"), Expression(recorder.tape([total - said]), ("x", "p"), origin="a duration")
 
     def _rough(self, k: int) -> list[Expression | None]:
-        """Rough end states of the parts, on a straight line through the rough end of the phase."""
+        """Return rough end states of the parts, on a straight line through the rough end of the phase."""
         arcs, user = self.structure.phases[k], self.expressions
         if (k, "typical_end") not in user:
             return [None] * len(arcs)

@@ -87,7 +87,7 @@ def _nothing_gained(rough_flight: Callable[[Any], Sequence[Matrix]], p: Any) -> 
 
 
 def _turned(problem: Problem, k: int) -> list[Bounded]:
-    """Scalars of phase k that are switched: those whose limits are numbers or given."""
+    """Return the scalars of phase k that are switched: those whose limits are numbers or given."""
     return [
         control
         for _, control in linear_scalars(problem, k)

@@ -105,7 +105,7 @@ class Structure:
         return tuple(dict.fromkeys(name for arc in self.phases[k] for name in (*arc.along, *arc.touches)))
 
     def ends(self, k: int, duration: float) -> list[float]:
-        """When each arc of phase k ends [s] in a flight of that duration; in equal parts where that is not known."""
+        """Return the end of each arc of phase k [s] in a flight of that duration; in equal parts where not known."""
         count, known = len(self.phases[k]), [arc.until for arc in self.phases[k]]
         if not all(math.isfinite(t) for t in known) or not known[-1] > 0:
             known = [float(i + 1) for i in range(count)]

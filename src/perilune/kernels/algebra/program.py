@@ -125,7 +125,7 @@ class _Numbering:
         return self.append((op, *(sorted(operands) if op in _COMMUTATIVE else operands)))
 
     def _sum(self, op: str, left: int, right: int) -> int:
-        """a + (-b) is a - b, and a - (-b) is a + b; adding zero is nothing."""
+        """Simplify a sum: a + (-b) is a - b, and a - (-b) is a + b; adding zero is nothing."""
         if self.instructions[right][0] == "neg":
             return self._sum("sub" if op == "add" else "add", left, self.instructions[right][1])
         if op == "add" and self.instructions[left][0] == "neg":
@@ -137,7 +137,7 @@ class _Numbering:
         return self.append((op, *(sorted((left, right)) if op == "add" else (left, right))))
 
     def _power(self, base: int, exponent: int) -> int:
-        """Whole and half powers up to 16 by repeated squaring and a square root."""
+        """Write whole and half powers up to 16 by repeated squaring and a square root."""
         power = self.value(exponent)
         if power is None or 2 * power != int(2 * power) or abs(power) > 16:
             return self.append(("pow", base, exponent))

@@ -204,7 +204,7 @@ class ArcSystem:
     # -- functions
     # -------------------------------------------------------------------------------------------------
     def field(self, mode: int) -> list[Any]:
-        """(Y, p) -> Y' in the two forms worth comparing: the Jacobian times S, and directional."""
+        """Return (Y, p) -> Y' in the two forms worth comparing: the Jacobian times S, and directional."""
         import casadi as ca
 
         y, z, columns, p = self._symbols()
@@ -221,7 +221,7 @@ class ArcSystem:
         ]
 
     def crossings(self) -> Any:
-        """(z, z', mode, p) -> (g, g') of all events, g counted from its level."""
+        """Return (z, z', mode, p) -> (g, g') of all events, g counted from its level."""
         import casadi as ca
 
         z, rate, p, mode = (
@@ -254,7 +254,7 @@ class ArcSystem:
         return [(event, before) for event, before, _ in self.transitions if not self.events[event].steady]
 
     def transition(self, event: int, before: int) -> Any:
-        """(Y, p) -> Y after an event met in a mode, one of those `carried`."""
+        """Return (Y, p) -> Y after an event met in a mode, one of those `carried`."""
         import casadi as ca
 
         z, p, (slope, change, gradient), after = self._saltation(event, before)

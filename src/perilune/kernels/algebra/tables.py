@@ -35,7 +35,7 @@ class _Chains:
                 self.found[number] = chain
 
     def _chain(self, number: int) -> _Chain | None:
-        """``if condition: yes, else no``, of which CasADi leaves out what is 0."""
+        """Return the chain of an ``if condition: yes, else no``, of which CasADi leaves out what is 0; None if none."""
         op, *operands = self._of[number]
         parts = operands if op == "add" else [number] if op == "if_else_zero" else []
         yes, no = dict[int, int](), dict[int, int]()  # the value by its condition
@@ -74,7 +74,7 @@ class _Chains:
 def with_tables(
     program: tuple[Instruction, ...], outputs: tuple[int, ...]
 ) -> tuple[tuple[Instruction, ...], tuple[int, ...]]:
-    """Instructions and outputs of a program, its long chains read off tables; what they were made of is left out."""
+    """Return instructions and outputs of a program with long chains read off tables, and without their parts."""
     chains = {n: c for n, c in _Chains(program).found.items() if len(c.knots) >= _LEAST}
     if not chains:
         return program, outputs

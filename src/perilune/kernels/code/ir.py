@@ -131,27 +131,27 @@ class Writer:
         return self.let(self.vector, f"{op} contract {self.vector} {a}, {b}")
 
     def add(self, a: Vec, b: Vec) -> Vec:
-        """a + b."""
+        """Return a + b."""
         return self.arith("fadd", a, b)
 
     def sub(self, a: Vec, b: Vec) -> Vec:
-        """a - b."""
+        """Return a - b."""
         return self.arith("fsub", a, b)
 
     def mul(self, a: Vec, b: Vec) -> Vec:
-        """a b."""
+        """Return a b."""
         return self.arith("fmul", a, b)
 
     def div(self, a: Vec, b: Vec) -> Vec:
-        """a / b."""
+        """Return a / b."""
         return self.arith("fdiv", a, b)
 
     def fma(self, a: Vec, b: Vec, c: Vec) -> Vec:
-        """a b + c, fused where the processor can."""
+        """Return a b + c, fused where the processor can."""
         return self.intrinsic("fmuladd", a, b, c)
 
     def neg(self, a: Vec) -> Vec:
-        """-a."""
+        """Return -a."""
         return self.let(self.vector, f"fneg {self.vector} {a}")
 
     def intrinsic(self, name: str, *operands: Vec) -> Vec:
@@ -227,23 +227,23 @@ class Writer:
         return Mask("splat (i1 true)" if value else "splat (i1 false)")
 
     def both(self, a: Mask, b: Mask) -> Mask:
-        """Mask and mask."""
+        """Return mask and mask."""
         return self.let(self.mask, f"and {self.mask} {a}, {b}")
 
     def either(self, a: Mask, b: Mask) -> Mask:
-        """Mask or mask."""
+        """Return mask or mask."""
         return self.let(self.mask, f"or {self.mask} {a}, {b}")
 
     def opposite(self, mask: Mask) -> Mask:
-        """Not mask."""
+        """Return not mask."""
         return self.let(self.mask, f"xor {self.mask} {mask}, splat (i1 true)")
 
     def but_not(self, a: Mask, b: Mask) -> Mask:
-        """Mask and not mask."""
+        """Return mask and not mask."""
         return self.both(a, self.opposite(b))
 
     def select(self, mask: Mask, yes: Vec, no: Vec) -> Vec:
-        """Lane by lane, one or the other."""
+        """Select lane by lane, one or the other."""
         return self.let(self.vector, f"select {self.mask} {mask}, {self.vector} {yes}, {self.vector} {no}")
 
     def choose(self, bit: Bit, kind: Kind[T], yes: T, no: T) -> T:
@@ -251,19 +251,19 @@ class Writer:
         return self.let(kind, f"select i1 {bit}, {kind} {yes}, {kind} {no}")
 
     def any(self, mask: Mask) -> Bit:
-        """Is it so in any lane."""
+        """Return the bit that is set if the mask holds in any lane."""
         return self.let(BIT, f"call i1 @llvm.vector.reduce.or.v{self.width}i1({self.mask} {mask})")
 
     def and_bit(self, a: Bit, b: Bit) -> Bit:
-        """Bit and bit."""
+        """Return bit and bit."""
         return self.let(BIT, f"and i1 {a}, {b}")
 
     def not_bit(self, a: Bit) -> Bit:
-        """Not bit."""
+        """Return not bit."""
         return self.let(BIT, f"xor i1 {a}, true")
 
     def positive(self, number: Num) -> Bit:
-        """Is one double above zero."""
+        """Return the bit that is set if one double is above zero."""
         return self.let(BIT, f"fcmp ogt double {number}, 0.0")
 
     # -- whole numbers
@@ -277,7 +277,7 @@ class Writer:
         return self.integer("add", self.integer("mul", row, length), column)
 
     def below(self, a: Index, b: Index) -> Bit:
-        """a < b."""
+        """Return a < b."""
         return self.let(BIT, f"icmp slt i64 {a}, {b}")
 
     # -- memory

@@ -78,7 +78,7 @@ class Map:
         return BoundMap([_in_rows(a) for a in arguments], self._widths, bind)
 
     def __call__(self, *arguments: Matrix) -> tuple[Matrix, ...]:
-        """Outputs of one evaluation."""
+        """Return the outputs of one evaluation."""
         if [len(a) for a in arguments] != self._ones:
             bound = self.bind(*arguments)
             bound()
@@ -209,14 +209,14 @@ def _module(function: Any) -> str:
 
 @cache
 def _rows_of_groups() -> Callable[..., None]:
-    """``map(first group, last group, table)``, the same for every kernel: their own would be most of their code."""
+    """Return ``map(first group, last group, table)``, one for all kernels: their own would be most of their code."""
     name = disk.key("map", f"{_WIDTH}", *native.processor(), *native.versions())
     code = native.MachineCode(disk.fetch(name, lambda: native.compile_ir(_mapping()), enabled=True))
     return code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
 
 
 def _mapping() -> str:
-    """See `_TABLE`. The stride of an input is 0 where one row serves all lanes."""
+    """Write the loop over groups of lanes by `_TABLE`. The stride of an input is 0 where one row serves all lanes."""
     w, table = Writer(_WIDTH), Ptr("%table", INT)
     times, lanes, count_in, count_out, size_in, size_out = (w.load(table, k) for k in range(1, _TABLE))
     kernel = w.address(table, 0, w.vector)

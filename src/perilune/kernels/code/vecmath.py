@@ -105,7 +105,7 @@ def _integer(w: Writer, op: str, a: Bits, b: Bits) -> Bits:
 
 
 def _reduced(w: Writer, x: Vec) -> tuple[Vec, Bits]:
-    """x = n pi/2 + r with |r| <= pi/4; returns r and the bits of n. Good for |x| < 2^19."""
+    """Reduce x = n pi/2 + r with |r| <= pi/4; returns r and the bits of n. Good for |x| < 2^19."""
     shifted = w.add(w.mul(x, w.const(2 / math.pi)), w.const(_ROUND))
     n = w.sub(shifted, w.const(_ROUND))
     r = x
@@ -115,7 +115,7 @@ def _reduced(w: Writer, x: Vec) -> tuple[Vec, Bits]:
 
 
 def _quadrant(w: Writer, x: Vec, advance: int) -> Vec:
-    """sin(x + advance pi/2): the polynomial that the quadrant asks for, with its sign."""
+    """Return sin(x + advance pi/2): the polynomial that the quadrant asks for, with its sign."""
     r, n = _reduced(w, x)
     z = w.mul(r, r)
     sine = w.fma(w.mul(z, r), w.horner(z, _SIN), r)
@@ -142,7 +142,7 @@ def _periodic(name: str, advance: int) -> Callable[..., Vec]:
 
 
 def _far(name: str) -> Callable[..., Vec]:
-    """Angles beyond the reduction: the library's, out of line."""
+    """Return the function for angles beyond the reduction: the library's, out of line."""
 
     def write(w: Writer, x: Vec) -> Vec:
         return w.intrinsic(name, x)
@@ -192,7 +192,7 @@ def _log(w: Writer, x: Vec) -> Vec:
 
 
 def _atan2(w: Writer, y: Vec, x: Vec) -> Vec:
-    """Angle of the first octant from the ratio of the smaller to the larger, then reflected."""
+    """Return atan2 by the angle of the first octant from the ratio of the smaller to the larger, then reflected."""
     wide, high = w.intrinsic("fabs", x), w.intrinsic("fabs", y)
     steep = w.compare("ogt", high, wide)
     large, small = w.select(steep, high, wide), w.select(steep, wide, high)

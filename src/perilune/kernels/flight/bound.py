@@ -86,7 +86,7 @@ class BoundArcs:
         return np.nonzero(self._status > _LAST_SUCCESS)[0]
 
     def ends(self) -> Arcs:
-        """Ends of the last flight; its arrays are those of this object."""
+        """Return the ends of the last flight; the arrays are those of this object."""
         count = self.log.shape[1]
         met = np.arange(count) < self.info[:, [_EVENTS]]
         time, status, steps, mode, _ = self.info.T

@@ -51,7 +51,7 @@ class Crossing:
             w.store(w.const_mask(False), self.fired, number)
 
     def _just_after(self, values: Ptr[Vec], number: int) -> Vec:
-        """g of an event; where it is 0, the sign it is about to have."""
+        """Return g of an event; where it is 0, the sign it is about to have."""
         w, g = self.w, self.w.load(values, number)
         sign = w.intrinsic("copysign", w.const(_AFTER), w.load(values, self.count + number))
         return w.select(w.compare("oeq", g, w.const(0.0)), sign, g)

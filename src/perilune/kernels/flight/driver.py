@@ -82,7 +82,7 @@ class _Stepping:
     # -- the initial step
     # ----------------------------------------------------------------------------------------
     def _norm(self, value: Callable[[Int], Vec]) -> Vec:
-        """Root mean square of value(c) over z, scaled by the tolerance at the start."""
+        """Return the root mean square of value(c) over z, scaled by the tolerance at the start."""
         w, f = self.w, self.f
         total = w.buffer(1)
         w.store(w.const(0.0), total)
@@ -94,7 +94,7 @@ class _Stepping:
         return w.intrinsic("sqrt", w.mul(w.load(total), w.div(w.const(1.0), self.entries)))
 
     def _first_step(self) -> None:
-        """Hairer's initial step from the sizes of z, z' and an estimate of z''."""
+        """Compute Hairer's initial step from the sizes of z, z' and an estimate of z''."""
         w, f = self.w, self.f
         duration = w.load(f.duration)
         length = w.intrinsic("fabs", duration)

@@ -81,7 +81,7 @@ class _Equations:
         return _defined("fill", ["%p", "%constants"], w)
 
     def _field(self) -> str:
-        """Y' of each lane in its mode. Where all lanes share a mode, as mostly they do, nothing is blended."""
+        """Write Y' of each lane in its mode. Where all lanes share a mode, as mostly they do, nothing is blended."""
         w, modes = Writer(self.width), len(self.system.modes)
         spare, result = Ptr("%spare", w.vector), Ptr("%result", w.vector)
         if modes == 1:

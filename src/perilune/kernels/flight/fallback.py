@@ -126,7 +126,7 @@ class _Lane:
         self._crossings = _direct(functions.crossings) if functions.crossings is not None else None
 
     def rate(self, y: Vector) -> Vector:
-        """Y' in the present mode."""
+        """Return Y' in the present mode."""
         return self._fields[self.mode](y, self.p)
 
     def crossings(self, y: Vector) -> Matrix:
@@ -165,7 +165,7 @@ class _Lane:
         return ArcStatus.REACHED
 
     def _solver(self, end: float) -> Any:
-        """SciPy's integrator from here to a time."""
+        """Return SciPy's integrator from here to a time."""
         settings: dict[str, Any] = {"rtol": self.rtol, "atol": self.atol}
         if self.fixed:
             each = (1 + 1e-12) * abs(self.duration) / self.fixed
@@ -242,7 +242,7 @@ class _Lane:
 
 
 def _just_after(g: Matrix) -> Matrix:
-    """Event functions and rates, (2, events); where a function is 0, with the sign it is about to have."""
+    """Return event functions and rates, (2, events); where a function is 0, with the sign it is about to have."""
     return np.array([np.where(g[0] == 0.0, np.copysign(_AFTER, g[1]), g[0]), g[1]])
 
 

@@ -101,15 +101,15 @@ class Frame:
         self._call(EQUATIONS.index("fill"), self.parameters, self.constants)
 
     def field(self, state: Ptr[Vec], result: Ptr[Vec]) -> None:
-        """Y' of each lane in its mode."""
+        """Evaluate Y' of each lane in its mode."""
         self._call(EQUATIONS.index("field"), self.constants, self.mode, state, self.spare, result)
 
     def crossings(self, state: Ptr[Vec], rates: Ptr[Vec], result: Ptr[Vec]) -> None:
-        """(g, g') of all events."""
+        """Evaluate (g, g') of all events."""
         self._call(EQUATIONS.index("crossings"), self.constants, state, rates, self.mode, result)
 
     def carry(self, event: int, before: int, state: Ptr[Vec], result: Ptr[Vec]) -> None:
-        """Y after an event, one of those that change it."""
+        """Evaluate Y after an event, one of those that change it."""
         place = len(EQUATIONS) + self.system.carried.index((event, before))
         self._call(place, self.constants, state, result)
 
