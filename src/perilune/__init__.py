@@ -159,7 +159,7 @@ if TYPE_CHECKING:
 
 
 class _Package(ModuleType):
-    """Keeps a verb a function: importing its module of the same name would put that in its place."""
+    """Module type that keeps a public function in place when its module of the same name is imported."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not (isinstance(value, ModuleType) and hasattr(value, name) and name in _EXPORTS):

@@ -108,7 +108,7 @@ def ended_in_time(problem: Problem, watch: Watch | None, limit: float) -> Iterat
 def _solved_and_proved(
     method: Method, problem: Problem, guess: Solution | None, level: int, tolerance: Tolerance | None, work: Progress
 ) -> Solution:
-    """Return the answer of a method with its proof, or the better one that lies beyond an extremal that is none."""
+    """Return the answer of a method with its proof; if that is no minimum, a better answer beyond it."""
     solution = _answered(method, problem, guess, work)
 
     def told_of() -> str:
@@ -134,7 +134,7 @@ def demand_limit(stated: float | None, level: int) -> float:
 
 
 def _out_of_time(problem: Problem, work: Progress, limit: float, end: TimeLimitReached) -> NotConvergedError:
-    """Return what is said at the end of the time, with the best flight that is known."""
+    """Return the error for the end of the time limit, with the best flight known."""
     found, known = work.flight(), "no flight is known yet"
     if found is not None:
         flight, extremal = found
@@ -171,12 +171,12 @@ def _answered(method: Method, problem: Problem, guess: Solution | None, watch: W
 
 
 def usable(method: Method | None) -> Method:
-    """The method that was asked for, ``Indirect()`` for none.
+    """Return the method that was asked for, ``Indirect()`` for none.
 
     Raises
     ------
     PeriluneError
-        If it is no method, as a name or a class is none.
+        If it is not a method, such as a name or a class.
     """
     if method is None:
         return Indirect()
@@ -186,7 +186,7 @@ def usable(method: Method | None) -> Method:
 
 
 def demand_tolerance(tolerance: Tolerance | None) -> None:
-    """Refuse what is no stated tolerance."""
+    """Refuse anything but a `Tolerance`."""
     if tolerance is not None:
         demand(tolerance, Tolerance, "a tolerance of the proof", "Tolerance(position=0.001), numbers in SI")
 
@@ -241,13 +241,13 @@ def as_far_as(nature: Nature, level: int) -> Nature:
 
 
 def judged(solution: Solution, verification: Verification, level: int) -> Solution:
-    """The same solution with a verification, and the outcome that follows where `level` was asked for."""
+    """Return the solution with a verification, and the outcome that follows for the level that was asked for."""
     proved = verification.passed and verification.level >= level
     return replace(solution, verification=verification, outcome=Outcome.PROVED if proved else Outcome.NOT_PROVED)
 
 
 def _found_again(solution: Solution) -> tuple[Solution, tuple[str, ...]]:
-    """The same with those of its listed extremals that are confirmed, and what is to be said of the others."""
+    """Return the solution with the confirmed ones of its listed extremals, and notes on the others."""
     if not solution.listed:
         return solution, ()
     from perilune.proof.listed import found_again
@@ -265,7 +265,7 @@ def verify(
     tolerance: Tolerance | None = None,
     watch: Watch | None = None,
 ) -> Verification:
-    """Check what a solution claims; see `perilune.proof.levels.examine`, and for level 5 `perilune.rigorous.verified`.
+    """Check a solution; see `perilune.proof.levels.examine`, and for level 5 `perilune.rigorous.verified`.
 
     Parameters
     ----------

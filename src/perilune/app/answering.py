@@ -1,4 +1,4 @@
-"""From values of the parameters to a flight: out of an atlas, or from the last flight as a neighbour."""
+"""Flights at values of the parameters: from an atlas, or followed from the last flight."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SLACK = 1e-6  # canonical, that is far above the errors of a flight, and far be
 
 @dataclass(frozen=True, kw_only=True)
 class Flown:
-    """A flight, where it is from, and how long it took.
+    """Flight with its origin, and the time that it took.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Flown:
 
 
 class NoneNear(PeriluneError):
-    """No flight is near the one before; from nothing there may be one."""
+    """Failure to follow the flight before; a cold start may find one."""
 
 
 @dataclass
@@ -89,17 +89,16 @@ class Answering:
         self._saved = self.last is not None
 
     def at(self, values: Mapping[str, float], watch: Watch = silent, patient: Watch | None = None) -> Flown:
-        """The flight at values of given parameters [SI]; all others are as the problem has them.
+        """Return the flight at values of given parameters [SI]; all others are as the problem has them.
 
-        `patient` watches in place of `watch` while the flight at the first values is found, from which all others are
-        followed.
+        `patient` replaces `watch` while the flight at the first values is found, from which all others are followed.
 
         Raises
         ------
         NoneNear
-            If there is none near the flight before, and a short look from nothing found none.
+            If none is near the flight before, and a short cold start found none.
         PeriluneError
-            If there is none: why.
+            If there is none, with the reason.
         """
         began, why = time.perf_counter(), ""
         try:
@@ -136,12 +135,12 @@ class Answering:
         return 0.5 * (float(axis.low) + float(axis.high))
 
     def problem_at(self, values: Mapping[str, float]) -> Problem:
-        """The problem at values of given parameters [SI].
+        """Return the problem at values of given parameters [SI].
 
         Raises
         ------
         PeriluneError
-            If one of them is outside what is declared of it.
+            If one of them is outside its declared range.
         """
         return self.problem.with_given(**{name: value for name, value in values.items() if name in self.problem.given})
 
@@ -180,9 +179,9 @@ class Answering:
             raise NoneNear(what, advice=advice) from None
 
     def _begun(self, problem: Problem, watch: Watch, patient: Watch) -> tuple[Solution, str, str]:
-        """The first flight. A link may hold what a slider reached, and no start does, or not soon.
+        """Find the first flight; a link may hold values that a slider reached, and a cold start does not, or not soon.
 
-        Then it is followed from the flight at the first values, which is looked for once.
+        Then it is followed from the flight at the first values, which is searched for once.
         """
         if _alike(problem, self.problem):
             self._from_first = False
@@ -216,10 +215,10 @@ class Answering:
     def _followed(
         self, problem: Problem, last: Solution, watch: Watch, *, step: float = 1.0, limit: float = _FOLLOW
     ) -> tuple[Solution | None, int]:
-        """The flight before, followed to a problem, and in how many steps: one that fails is halved.
+        """Follow the flight before to a problem, halving steps that fail; returns also the number of steps.
 
-        Each flight on the way is the flight before of the next step, also of one to newer values, for which this may be
-        dropped. Behind the smallest step the whole rest of the way is tried as long as there is time.
+        Each flight on the way is the start of the next step, also of one to newer values, for which this may be
+        dropped. After the smallest step the whole rest of the way is tried while there is time.
 
         Raises
         ------
@@ -286,11 +285,11 @@ def keeps(solution: Solution) -> bool:
 
 
 class _TooLong(BaseException):
-    """A look that takes too long; no error, which a method would try to mend."""
+    """End of the time of a short solve; no `Exception`, which a method would try to recover from."""
 
 
 def _shortly(watch: Watch, seconds: float) -> Watch:
-    """The same for so long [s of CPU], then `_TooLong`."""
+    """Return the watch with a limit of CPU time [s], after which it raises `_TooLong`."""
     end = time.thread_time() + seconds
 
     def seen(event: Iteration | str) -> None:
@@ -302,9 +301,9 @@ def _shortly(watch: Watch, seconds: float) -> Watch:
 
 
 def family(solution: Solution) -> dict[str, object] | None:
-    """J of the extremals along which the first free parameter is held, as far as others were found, and a little more.
+    """Compute J of extremals with the first free parameter held, over the range of those found and a little more.
 
-    None where nothing is free, or the answer has arcs: {"name", "unit", "values", "objective"}, SI.
+    None if nothing is free, or the answer has several arcs; else {"name", "unit", "values", "objective"}, SI.
     """
     curves = solution.trajectories
     if not isinstance(curves, Curves) or not solution.problem.free:

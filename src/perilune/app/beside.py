@@ -1,4 +1,4 @@
-"""What takes long beside the server: a process for one piece of work after the other, and threads for answers.
+"""Long work outside the server: a process for one piece of work after the other, and threads for answers.
 
 Neither outlives the program.
 """
@@ -23,11 +23,11 @@ _T = TypeVar("_T")
 
 
 class Dropped(BaseException):
-    """Nobody waits for what is computed; no error, which a method would try to mend."""
+    """End of work for which nobody waits; no `Exception`, which a method would try to recover from."""
 
 
 class Killed(PeriluneError):
-    """The process of some work was killed whenever it was begun."""
+    """Failure of work whose process was killed at each attempt."""
 
 
 async def in_thread(work: Callable[..., _T], *arguments: Any) -> _T:
@@ -52,7 +52,7 @@ async def in_thread(work: Callable[..., _T], *arguments: Any) -> _T:
 
 
 class Beside:
-    """A process that does one piece of work after the other; one that was killed is begun anew."""
+    """Process that does one piece of work after the other; a killed one is started again."""
 
     def __init__(self) -> None:
         self._context = get_context("spawn")
@@ -105,7 +105,7 @@ class Beside:
         return running.result()
 
     def close(self) -> None:
-        """End it, in the middle of its work too."""
+        """End the process, even in the middle of its work."""
         self._end()
 
     def _end(self) -> None:
@@ -120,7 +120,7 @@ _number: Any = None  # in the process: that of the work that somebody waits for
 
 
 def _begin(wanted: Any) -> None:
-    """Know what is waited for, and leave nothing behind a program that was killed."""
+    """Initialise the process: share the number of the wanted work, and end with a killed program."""
     global _number
     _number = wanted
     end_with_parent()

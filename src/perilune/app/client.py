@@ -1,7 +1,6 @@
-"""One page that is open: what it asks, what it is told, and what is computed for it meanwhile.
+"""Connection to one open page: its requests, the messages to it, and the computations for it.
 
-The newest values are answered and older ones dropped; at rest the flight is compared with what is found from nothing,
-and proved.
+The newest values are answered and older ones dropped; at rest the flight is compared with a cold start, and proved.
 """
 
 from __future__ import annotations
@@ -126,7 +125,7 @@ class Client:
             doing.cancel()  # nobody waits for it if the page has gone
 
     def _flown(self, request: dict[str, Any]) -> Flown | PeriluneError | None:
-        """In a thread: the flight at the newest values, why there is none, or None where newer values have come."""
+        """Return, in a thread, the flight at the newest values, its error, or None if newer values have come."""
         self._doing = "stating the problem"
 
         def watching(clock: Callable[[], float], longest: float) -> Watch:
@@ -293,7 +292,7 @@ class Client:
 
 
 def in_words(error: Exception) -> PeriluneError:
-    """The same for a page; what is no refusal is a fault of the program."""
+    """Return an error for a page; one that is no refusal is a fault of the program."""
     if isinstance(error, PeriluneError):
         return error
     got = f"{type(error).__name__}: {str(error)[:300]}"
@@ -301,7 +300,7 @@ def in_words(error: Exception) -> PeriluneError:
 
 
 def asked(text: str, subject: Subject) -> dict[str, Any]:
-    """A request of a page, looked at: finite numbers of an ordinary size for knobs that there are.
+    """Parse and check a request of a page: finite numbers of ordinary size for existing knobs.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the page is made of, as it lies in the package."""
+"""Files of the page, as they lie in the package."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib.resources import files
 
 
 def page_files() -> dict[str, bytes]:
-    """All that the page is made of, by name."""
+    """Return all files of the page, by name."""
     found, left = dict[str, bytes](), [("", files("perilune.app") / "page")]
     while left:
         before, folder = left.pop()

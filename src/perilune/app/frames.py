@@ -1,4 +1,4 @@
-"""What the page is told: a solution, a refusal, a proof, each as one JSON document."""
+"""Messages to the page: a solution, a refusal, a proof, each as one JSON document."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ def _coasts() -> list[list[list[float]]]:
 
 
 def flight(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> dict[str, Any]:
-    """The flight with all that is drawn of it, at about so many points; numbers in the units beside them.
+    """Return the message of a flight with all that is drawn of it; numbers in the units given with them.
 
-    Its columns have at least so many significant digits.
+    It has about `points` points, and at least `digits` significant digits in its columns.
     """
     lasting = [trajectory.duration for trajectory in solution.trajectories]
     phases, begin = list[dict[str, Any]](), 0.0
@@ -102,7 +102,7 @@ def _labels(solution: Solution) -> dict[str, str]:
 
 
 def extremals(solution: Solution) -> dict[str, Any]:
-    """All that were found, best first: in words, and the free parameters and J of each [SI]."""
+    """Return the message of all extremals found, best first: in words, and free parameters and J of each [SI]."""
     found = [{"free": dict(extremal.free), "objective": extremal.objective} for extremal in solution.extremals]
     return finite({"extremals": extremals_document(solution), "roots": found})
 
@@ -120,7 +120,7 @@ def _views(solution: Solution) -> dict[str, Any]:
 
 
 def proof(verification: Verification) -> dict[str, Any]:
-    """The checks as lights: each with its value, its limit and what it shows."""
+    """Return the message of the checks: each with its value, its limit and its meaning."""
     return {
         "level": verification.level,
         "within": verification.within,
@@ -140,7 +140,7 @@ def proof(verification: Verification) -> dict[str, Any]:
 
 
 def refusal(error: PeriluneError) -> dict[str, Any]:
-    """Why there is no flight, in words."""
+    """Return the message of an error in place of a flight."""
     reason = error.reason if isinstance(error, InfeasibleError) else ""
     return {
         "what": error.what,
@@ -153,7 +153,7 @@ def refusal(error: PeriluneError) -> dict[str, Any]:
 
 
 def rounded(values: Vector | Sequence[float], digits: int = _DIGITS) -> list[float | None]:
-    """Numbers as short as they may be; None for what is none. With all digits they stay as they are."""
+    """Round numbers to significant digits, None for those not finite; with all digits they stay as they are."""
     told = np.asarray(values, dtype=float)
     good = np.isfinite(told)
     if digits < ALL_DIGITS:
@@ -166,7 +166,7 @@ def rounded(values: Vector | Sequence[float], digits: int = _DIGITS) -> list[flo
 
 
 def drawn(values: Vector, digits: int = _DIGITS) -> list[float | None]:
-    """The same of a curve: what is far from nothing beside what it spans needs more digits to show how it goes."""
+    """Round a curve; one far from zero relative to its span needs more digits to show its shape."""
     seen = values[np.isfinite(values)]
     span, most = (np.ptp(seen), np.abs(seen).max()) if len(seen) else (0.0, 0.0)
     return rounded(values, digits + (math.ceil(math.log10(most / span)) if span > most * _FLAT else 0))

@@ -1,4 +1,4 @@
-"""One page that needs no server: flights at a grid of an atlas's points, in a file that may be sent by mail."""
+"""Static page without a server: flights at a grid of an atlas's points, in a file that can be sent by mail."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def moving(subject: Subject) -> tuple[Knob, ...]:
 
 
 class Frozen(NamedTuple):
-    """A page, and what is on it in words."""
+    """Static page, and its content in words."""
 
     page: str
     words: str
 
 
 def frozen_page(subject: Subject, watch: Watch = silent, chosen: Sequence[Knob] = ()) -> Frozen:
-    """A page with the flights over one parameter or two, all others as they are.
+    """Make a page with the flights over one parameter or two, all others as they are.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def _outside(subject: Subject, chosen: Sequence[Knob]) -> Iterator[str]:
 
 
 def _grid(knob: Knob, count: int) -> list[float]:
-    """So many values evenly over a range, but that the nearest within is the first one, which the page begins with."""
+    """Space values evenly over a range, but move the nearest inner one to the page's first value."""
     grid = np.linspace(knob.low, knob.high, count)
     if knob.low < knob.value < knob.high:
         grid[np.clip(np.abs(grid - knob.value).argmin(), 1, count - 2)] = knob.value
@@ -101,10 +101,10 @@ def _grid(knob: Knob, count: int) -> list[float]:
 
 
 def _along(subject: Subject, points: Sequence[Mapping[str, float]], watch: Watch) -> list[dict[str, Any]]:
-    """The flights at a row of points: from the map, else each from the one before.
+    """Return the flights at a row of points: from the map, else each from the one before.
 
-    From neighbour to neighbour a family is kept across a jump. So what is not on the map is followed from the other end
-    of the row too, where it begins from nothing, and of both the better is taken.
+    From neighbour to neighbour a family is kept across a jump. So flights off the map are followed from the other end
+    of the row too, with a cold start there, and the better of both is taken.
     """
     problem, atlas = subject.problem, subject.atlas
     there, back = Answering(problem, atlas, subject.known), Answering(problem, atlas)
@@ -129,7 +129,7 @@ def _one(answering: Answering, values: Mapping[str, float], watch: Watch) -> dic
 
 
 def _page(files: Mapping[str, bytes], document: str) -> str:
-    """All parts in one file, with a policy that lets nothing else in."""
+    """Join all parts in one file, with a policy that admits nothing else."""
     text = {name: content.decode("utf-8") for name, content in files.items()}
     styles = [text["vendor/uPlot.min.css"], text["style.css"]]
     scripts = [text["vendor/uPlot.iife.min.js"], text["draw.js"], _ANSWERS, text["app.js"]]

@@ -1,4 +1,4 @@
-"""What can be dragged: the given parameters of a problem, each with its unit and a range."""
+"""Knobs of the page: the given parameters of a problem, each with its unit and a range."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FAR = 1e4  # m: lengths from here on are shown in km
 
 @dataclass(frozen=True, kw_only=True)
 class Knob:
-    """One parameter that can be moved.
+    """Parameter that can be moved.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ class Knob:
     natural: bool = False
 
     def shown(self, value: float) -> str:
-        """A value [SI] in the unit in which it is shown."""
+        """Format a value [SI] in its display unit."""
         return f"{value / self.size:.6g} {self.unit}".removesuffix(" 1")
 
 
 def knobs(problem: Problem, atlas: Atlas | None = None) -> tuple[Knob, ...]:
-    """Every given parameter that can be moved, the axes of an atlas first, and what nobody chooses last.
+    """Return every given parameter that can be moved, the axes of an atlas first, natural constants last.
 
-    Where some are keys of a scenario, the others follow from these, and are left out.
+    If some are keys of a scenario, the others follow from these, and are left out.
     """
     axes = () if atlas is None else atlas.region.axes
     found = [_knob(problem, axis.name, float(axis.low), float(axis.high), mapped=True) for axis in axes]
@@ -83,7 +83,7 @@ def _knob(problem: Problem, name: str, low: float, high: float, mapped: bool = F
 
 
 def _reach(problem: Problem, name: str) -> tuple[float, float] | None:
-    """A range around a value, as far as it may be stated and flown; None where nothing says how wide it is."""
+    """Return a range around a value within which it can be stated and flown; None if its width is unknown."""
     value, room = float(problem.given[name].value), _room(problem, name)
     if not room:
         return None
@@ -114,7 +114,7 @@ def _room(problem: Problem, name: str) -> float:
 
 
 def _end(problem: Problem, name: str, value: float, end: float) -> float:
-    """The end of a range: where from `value` on all can be stated and, if anything there can, be flown."""
+    """Return the end of a range: all values up to it can be stated and, if any there can, be flown."""
     values = np.linspace(value, end, _LOOKS + 1)
     flown = _possible(problem, name, values)
     if not flown[0]:  # nor is the value itself: as far as something can be flown, if it is not much further
@@ -144,7 +144,7 @@ def _stated(problem: Problem, name: str, value: float) -> bool:
 
 
 def _shown(unit: str, most: float) -> tuple[str, float]:
-    """The unit in which a designer reads it, and its size in SI."""
+    """Return the display unit, and its size in SI."""
     if unit == "rad":
         return "deg", math.pi / 180
     if unit == "m" and most >= _FAR:

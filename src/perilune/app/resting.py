@@ -1,6 +1,6 @@
-"""What is done when nothing moves: a flight is compared with what is found from nothing, and proved.
+"""Work when nothing moves: a flight is compared with a cold start, and proved.
 
-What is followed from neighbour to neighbour stays on its family of extremals, across a jump of the best too.
+A flight followed from neighbour to neighbour stays on its family of extremals, even across a jump of the best.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Compared:
 
 @dataclass(frozen=True, kw_only=True)
 class Proved:
-    """A proof of a solution: how that ended, its checks, and how long it took [s]."""
+    """Proof of a solution: outcome, checks, and time that it took [s]."""
 
     outcome: Outcome
     verification: Verification
@@ -63,17 +63,17 @@ class Proved:
         return {"outcome": self.outcome.name, "level": level, "proof": shown, "took": self.took}
 
     def of(self, solution: Solution) -> Solution:
-        """The solution with it."""
+        """Return the solution with the proof."""
         return replace(solution, outcome=self.outcome, verification=self.verification)
 
 
 def compared(followed: Solution, watch: Watch) -> Compared:
-    """Solve from nothing what was followed, and take the better of both.
+    """Solve the problem of a followed flight by a cold start, and take the better of both.
 
     Raises
     ------
     PeriluneError
-        If nothing is found from nothing.
+        If the cold start finds no solution.
     """
     found = solve(followed.problem, level=0, watch=watch)
     room, best = _SAME * (1.0 + abs(found.objective)), found.extremals
@@ -93,7 +93,7 @@ def compared(followed: Solution, watch: Watch) -> Compared:
 
 
 def from_nothing(problem: Problem, watch: Watch) -> Compared:
-    """A flight where none is near.
+    """Solve by a cold start where no flight is near.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def from_nothing(problem: Problem, watch: Watch) -> Compared:
 
 
 def proved(solution: Solution, watch: Watch) -> Proved:
-    """The proof of a solution."""
+    """Prove a solution, and take the time."""
     began = time.perf_counter()
     found = prove(solution, LEVEL)
     return Proved(outcome=found.outcome, verification=found.verification, took=time.perf_counter() - began)

@@ -38,7 +38,7 @@ _HEADERS = {
 
 
 class Explorer:
-    """Serves one subject.
+    """Server of one subject.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Explorer:
         self.app.router.redirect_slashes = False  # who does not know the token is told nothing
 
     def close(self) -> None:
-        """End what is still computed."""
+        """End all computations."""
         self._beside.close()
 
     # -- files ----------------------------------------------------------------------------------------------------

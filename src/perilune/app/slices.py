@@ -28,9 +28,9 @@ class Slices:
     def at(
         self, values: Mapping[str, float], axes: Sequence[str], wanted: Callable[[], bool] = lambda: True
     ) -> dict[str, Any] | None:
-        """J all over one or two axes of the atlas, the others as they are now.
+        """Return J over one or two axes of the atlas, the others at their present values.
 
-        None where the atlas is of other values, or it is wanted no longer.
+        None if the atlas is of other values, or the slice is wanted no longer.
         """
         atlas, knobs = self.subject.atlas, self.subject.knobs
         if atlas is None or any(not knob.mapped and values.get(knob.name, knob.value) != knob.value for knob in knobs):

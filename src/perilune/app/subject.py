@@ -1,4 +1,4 @@
-"""What is explored: a scenario, a solution that was saved, an atlas; or the landing with which everybody begins."""
+"""Subject of the explorer: a scenario, a saved solution, an atlas; or the landing of the template."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Subject:
         return self.problem.title or self.problem.name
 
     def scenario(self, values: Mapping[str, float]) -> str:
-        """The scenario with values of the knobs [SI] in it.
+        """Return the scenario with values of the knobs [SI] in it.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class Subject:
 
 
 def exact(value: float, shown: str, unit: str) -> str:
-    """A value in SI as a quantity in the unit that is shown, which reads back to the last bit; else in SI."""
+    """Format a value in SI in its display unit if that reads back to the last bit; else in SI."""
     near = value / parse_quantity("1" if shown == "1" else f"1 {shown}", unit)
     below, above = math.nextafter(near, -math.inf), math.nextafter(near, math.inf)
     for number in (near, below, above, math.nextafter(below, -math.inf), math.nextafter(above, math.inf)):
@@ -85,7 +85,7 @@ def exact(value: float, shown: str, unit: str) -> str:
 
 
 def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
-    """Look at what a path leads to.
+    """Return the subject that a path leads to.
 
     Parameters
     ----------

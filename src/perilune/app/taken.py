@@ -1,4 +1,4 @@
-"""What a page takes away of the flight that it shows: the scenario, a table, figures."""
+"""Downloads of the flight on a page: the scenario, a table, figures."""
 
 from __future__ import annotations
 

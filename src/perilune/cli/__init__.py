@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def main() -> NoReturn:
-    """Entry point of the console script."""
+    """Run the command line of the process; entry point of the console script."""
     heeded = _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler  # a job in the background ignores Ctrl-C
     if heeded:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # it ends without a word until there is somebody to say one
@@ -62,7 +62,7 @@ def _leave(code: int) -> NoReturn:
 
 
 def _fill_closed_streams() -> None:
-    """Put nothing where the caller closed a stream (``2>&-``), else a file of ours gets its number and the words."""
+    """Open the null device for each closed stream (``2>&-``), else a file of ours gets its number and the output."""
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if getattr(sys, name) is None:
             handle = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
@@ -73,7 +73,7 @@ def _fill_closed_streams() -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line; the exit code."""
+    """Run one command line; returns the exit code."""
     try:
         from perilune.cli.commands import obey
 

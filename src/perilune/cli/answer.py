@@ -1,4 +1,4 @@
-"""What a command says, for people and for programs, and the exit code that goes with it."""
+"""Answers of commands, for people and for programs, with their exit codes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Answer:
 
 
 def deliver(as_json: bool, work: Callable[[], Answer], verbose: bool = False) -> int:
-    """Do the work of a command, say its answer or why there is none, if verbose with all that was tried.
+    """Do the work of a command and print its answer or refusal, if verbose with all attempts.
 
     Returns
     -------
@@ -48,9 +48,9 @@ def deliver(as_json: bool, work: Callable[[], Answer], verbose: bool = False) ->
 
 
 class Files:
-    """Files that are written of an answer, which is given all the same where they cannot be.
+    """Files written for an answer, which is given even if they cannot be.
 
-    Where its result itself is not there, the exit code is that of the fault, unless the answer has another.
+    If the result itself is not written, the exit code is that of the fault, unless the answer has another.
     """
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class Files:
 
     @contextmanager
     def written(self) -> Iterator[None]:
-        """Catch what a writer raises; Ctrl-C goes on, also where foreign code made an error of its own of it."""
+        """Catch the errors of a writer, but not Ctrl-C, even if foreign code turned it into an error of its own."""
         try:
             yield
         except Exception as error:
@@ -77,13 +77,13 @@ class Files:
                 self.failed.append(worded)
 
     def tell(self) -> None:
-        """Print on stderr what is said of files that failed."""
+        """Print on stderr the errors of files that failed."""
         for error in self.failed:
             _trace(error)
             aside(f"perilune: {error}")
 
     def noted(self, answer: Answer) -> Answer:
-        """Return the answer with what is said of files that failed, and print it on stderr."""
+        """Return the answer with the errors of files that failed, and print these on stderr."""
         self.tell()
         if not self.failed:
             return answer
@@ -91,7 +91,7 @@ class Files:
         return replace(answer, document=document, exit_code=answer.exit_code or self._code)
 
     def placed(self, answer: Answer, out: Path | None) -> Answer:
-        """Return the same, with where the files are as the last words."""
+        """Return the answer with the place of the files at the end of its text."""
         if out is not None and not self._code:
             but = f", but for {len(self.failed)} of its files" if self.failed else ""
             answer = replace(answer, text=f"{answer.text}\n\nwritten to {out}{but}")
@@ -99,7 +99,7 @@ class Files:
 
 
 def failed(error: Exception) -> Answer:
-    """Return what is said where a command cannot go on."""
+    """Return the answer for an error that ends a command."""
     if isinstance(error, PeriluneError):
         _trace(error)
     elif os.environ.get("PERILUNE_TRACEBACK") and not isinstance(error, OSError):
@@ -108,7 +108,7 @@ def failed(error: Exception) -> Answer:
 
 
 def _trace(error: PeriluneError) -> None:
-    """Print what is behind an error, where it is asked for by who wrote what failed."""
+    """Print the traceback behind an error, if the environment asks for it."""
     if os.environ.get("PERILUNE_TRACEBACK") and (behind := error.__cause__ or error.__context__) is not None:
         from traceback import format_exception
 
@@ -122,13 +122,13 @@ def _code_of(error: Exception) -> int:
 
 
 def _missing(error: Exception) -> str:
-    """Name of a package that is not installed; "" for any other error."""
+    """Return the name of a package that is not installed; "" for any other error."""
     found = isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("perilune")
     return str(error.name) if found and isinstance(error, ModuleNotFoundError) else ""
 
 
 def _worded(error: Exception) -> PeriluneError:
-    """Return any error in our four parts."""
+    """Return any error as a `PeriluneError` with its four parts."""
     if isinstance(error, PeriluneError):
         return error
     if isinstance(error, OSError):
@@ -168,7 +168,7 @@ def _parts(error: PeriluneError) -> dict[str, str]:
 
 
 def say(answer: Answer, as_json: bool) -> int:
-    """Print an answer where it belongs: a refusal on stderr, and on stdout as well if JSON is wanted.
+    """Print an answer on stdout; a refusal on stderr, and on stdout as well if JSON is wanted.
 
     Returns
     -------
@@ -190,7 +190,7 @@ def say(answer: Answer, as_json: bool) -> int:
 
 
 def tell(text: str, code: int = 0) -> int:
-    """Print a text on stdout; the exit code, that of a fault where stdout cannot be written."""
+    """Print a text on stdout; returns the exit code, that of a fault if stdout cannot be written."""
     try:
         print(text, flush=True)
     except OSError as error:
@@ -202,7 +202,7 @@ def tell(text: str, code: int = 0) -> int:
 
 
 def aside(text: str) -> None:
-    """Print a text on stderr; where that cannot be written nobody is told, and nothing else changes."""
+    """Print a text on stderr; ignore a stderr that cannot be written."""
     with suppress(OSError):
         print(text, file=sys.stderr, flush=True)
 

@@ -1,4 +1,4 @@
-"""What may be typed: the commands, their arguments and options, and the help that lists them."""
+"""Commands, their arguments and options, and the help that lists them."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class Told(Exception):
 
 
 def parsed(arguments: Sequence[str]) -> argparse.Namespace:
-    """The command line as a record, `command` among its fields.
+    """Parse the command line into a record, `command` among its fields.
 
     Raises
     ------
     PeriluneError
-        If it is none.
+        If it is not valid.
     Told
-        With the text, where only that is wanted.
+        With the text, if only help or version is wanted.
     """
     words = list(arguments)
     if words[:1] == ["help"]:
@@ -67,12 +67,12 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def settings(typed: argparse.Namespace) -> dict[str, Any]:
-    """The settings of the method, by name; None where none was typed."""
+    """Return the settings of the method, by name; None for those not typed."""
     return {name: getattr(typed, name) for name in ("nodes", "tolerance", "polish", "starts", "seed")}
 
 
 def help_text() -> str:
-    """The help of the whole program."""
+    """Return the help of the whole program."""
     return _parsers()[0].format_help()
 
 
@@ -90,7 +90,7 @@ def _unknown_argument(word: str, parser: argparse.ArgumentParser) -> PeriluneErr
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong by an error of ours, and its help by `Told`, so that both leave as all answers do."""
+    """Parser that reports errors by `PeriluneError`, and help by `Told`, so that both are printed as answers are."""
 
     def error(self, message: str) -> NoReturn:
         raise PeriluneError(message, advice=f"{self.prog} --help")
@@ -272,7 +272,7 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
 
 
 def _atlas(command: Callable[..., _Parser]) -> None:
-    """The command ``atlas`` and its actions."""
+    """Add the command ``atlas`` and its actions."""
     made = command("atlas", "Map optimal flights over a region of parameters once, and answer from the map at once.")
     actions = made.add_subparsers(dest="action", metavar="ACTION", title="Actions", required=True)
     directory = option("directory", metavar="DIR", type=Path, help="The atlas, as `perilune atlas build` made it.")

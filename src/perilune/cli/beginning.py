@@ -1,4 +1,4 @@
-"""What there is to begin with: the template of a kind, or the examples of the manual."""
+"""The command ``new``: the template of a kind, or the examples of the manual."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ EXAMPLES = "examples"  # beside the kinds, as a word of `perilune new`
 
 
 def new_answer(typed: Namespace) -> Answer:
-    """Write what was asked for, without replacing anything unless that was asked for too."""
+    """Write a template or the examples; replace nothing unless forced."""
     from perilune.scenario import KINDS, kind_names, template
 
     kind, file = typed.kind, typed.place
@@ -35,7 +35,7 @@ def new_answer(typed: Namespace) -> Answer:
 
 
 def _examples(directory: Path, force: bool) -> Answer:
-    """Copy all of them. A package has them beside its rooms, the source archive in a folder of its own."""
+    """Copy all examples, which lie inside an installed package, or in a folder of the source archive."""
     here = Path(__file__).parents[1]
     source = next(place for place in (here / EXAMPLES, here.parents[1] / EXAMPLES) if place.is_dir())
     if not force and directory.exists():

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def obey(arguments: Sequence[str]) -> int:
-    """Parse a command line and do what it says; the exit code."""
+    """Parse a command line and run its command; returns the exit code."""
     try:
         typed = parsed(arguments)
     except Told as asked:
@@ -79,9 +79,9 @@ def _solve(typed: Namespace) -> Answer:
 
 
 def _beside(solution: Solution) -> Solution | None:
-    """The plainer flight that the problem's views name, for the figures.
+    """Solve for the plainer flight that the problem's views name, for the figures.
 
-    None where it is that already, or has no solution.
+    None if the solution is that already, or it has no solution.
     """
     from perilune.solve import solve as solve_problem
 
@@ -204,7 +204,7 @@ def _verify(typed: Namespace) -> Answer:
 
 
 def _certified(solution: Solution, file: Path) -> str:
-    """Write the certificate of a theorem; what is said of it."""
+    """Write the certificate of a theorem; returns a sentence on it."""
     from perilune.io.files import fresh_file, json_text
 
     if solution.verification.certificate is None:

@@ -17,7 +17,7 @@ PARTS = {
 
 
 def diagnosis(clear_cache: bool) -> Answer:
-    """Look, and remove the machine code kept on disk before if that is wanted."""
+    """Examine the installation, after removing the machine code kept on disk if that is wanted."""
     import platform
     from importlib.util import find_spec
 

@@ -1,4 +1,4 @@
-"""The command ``explore``: a page on this machine, and what is said while it is open."""
+"""The command ``explore``: a page on this machine, and messages while it is open."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _written(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> 
 
 
 def _chosen(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:
-    """The parameters that were named, each with the range that was stated, or its own."""
+    """Return the parameters that were named, each with the stated range, or its own."""
     from perilune.scenario import bounds_of
 
     known: dict[str, Knob] = {knob.key: knob for knob in subject.knobs}
@@ -113,7 +113,7 @@ def _chosen(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:
 
 
 def _refuse_unstated(problem: Problem, chosen: Sequence[Knob]) -> None:
-    """Refuse an end of a range with which no problem can be stated, whatever else moves."""
+    """Refuse an end of a range at which no problem can be stated, whatever else moves."""
     refused: dict[tuple[str, float], PeriluneError] = {}
     stated: set[tuple[str, float]] = set()
     for corner in product(*((knob.low, knob.high) for knob in chosen)):
@@ -130,7 +130,7 @@ def _refuse_unstated(problem: Problem, chosen: Sequence[Knob]) -> None:
 
 
 def _listening(port: int) -> socket.socket:
-    """A socket on this machine alone."""
+    """Return a socket that listens on this machine only."""
     made = socket.socket()
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

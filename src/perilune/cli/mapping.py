@@ -38,7 +38,7 @@ def _build(typed: Namespace) -> Answer:
         )  # fmt: skip
 
     def going_on() -> str:
-        """Nothing where nothing was begun, or the atlas that was to be replaced is still there."""
+        """Return advice on going on; empty if nothing was begun, or the atlas to be replaced is still there."""
         begun = _written(typed.out / HEADER)
         return "the same command with --resume goes on" if begun and (typed.resume or begun != there) else ""
 
@@ -72,7 +72,7 @@ def _extend(typed: Namespace) -> Answer:
         wanted[key] = bounds
 
     def going_on() -> str:
-        """Nothing where the wider region is not surveyed yet: the atlas is what it was."""
+        """Return advice on going on; empty until the wider region is surveyed, as the atlas is unchanged."""
         wide = (atlas.store.survey() or {}).get("digest") != atlas.survey.get("digest")
         return f"perilune atlas extend {typed.directory} builds what is missing" if wide or not wanted else ""
 
@@ -82,7 +82,7 @@ def _extend(typed: Namespace) -> Answer:
 
 
 def _axis_ranges(atlas: Atlas, vary: list[str]) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Ranges of axes [SI] as they were typed."""
+    """Yield the typed ranges of axes [SI]."""
     from perilune.scenario import bounds_of
     from perilune.words.declared import Quantity
 
@@ -100,7 +100,7 @@ def _merge(typed: Namespace) -> Answer:
     from perilune.atlas.store import HEADER
 
     def going_on() -> str:
-        """Nothing where nothing was copied yet, or an atlas is there: the one that was to be replaced, or the new."""
+        """Return advice on going on; empty if nothing was copied yet, or an atlas is there, old or new."""
         copied = typed.out.is_dir() and any(typed.out.iterdir()) and not _written(typed.out / HEADER)
         return f"{typed.out} is no atlas yet; the same command merges again" if copied else ""
 
@@ -111,7 +111,7 @@ def _merge(typed: Namespace) -> Answer:
 
 
 def _problem(typed: Namespace, axes: Mapping[str, tuple[float, float]]) -> Problem:
-    """The problem of the file as it stands, or where it leaves an axis open, with its first value."""
+    """Return the problem of the file, or if it leaves an axis open, with the first value of that."""
     from perilune.scenario import load_file
 
     at_ends = varied(typed.file, typed.changes, axes)
@@ -208,7 +208,7 @@ def _opened(typed: Namespace) -> Atlas:
 
 
 def _values(atlas: Atlas, at: list[str]) -> dict[str, float]:
-    """Values of the axes [SI] as they were typed."""
+    """Return the typed values of the axes [SI]."""
     axes, found = {axis.name: axis for axis in atlas.region.axes}, dict[str, float]()
     for stated in at:
         key, sign, text = (part.strip() for part in stated.partition("="))

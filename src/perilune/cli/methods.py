@@ -21,12 +21,12 @@ NAMES = tuple(SETTINGS)
 
 
 def method_of(name: str, settings: Mapping[str, Any] | None = None) -> Method:
-    """The method of a name, with its default settings but for those given; None is not given.
+    """Return the method of a name, with default settings for those that are None.
 
     Raises
     ------
     PeriluneError
-        If there is none, or if it has no such setting or no such value of one.
+        If the name, a setting or the value of one is unknown.
     """
     if name not in NAMES:
         raise unknown_name("method", name, list(NAMES))

@@ -1,4 +1,4 @@
-"""Options that commands share, as argparse is told of them."""
+"""Options that commands share, in the form that argparse takes."""
 
 from __future__ import annotations
 
@@ -60,24 +60,24 @@ Option = tuple[tuple[str, ...], dict[str, Any]]  # its flags, and what argparse 
 
 
 def option(*flags: str, **settings: Any) -> Option:
-    """Flags of an option, and what it is."""
+    """Return the flags and keywords of an option."""
     return flags, settings
 
 
 def switch(flag: str, about: str, **settings: Any) -> Option:
-    """Something that is on or off."""
+    """Return an option that is on or off."""
     return option(flag, action="store_true", help=about, **settings)
 
 
 def level(least: int, usual: int) -> Option:
-    """The level of a proof."""
+    """Return the option for the level of a proof."""
     text = f"Verification level to prove, {_range(least, THEOREM)}" + ("; 0 for none" if not least else "")
     read = whole(least, THEOREM)
     return option("--level", metavar="LEVEL", type=read, default=usual, help=f"{text}. Usually {usual}.")
 
 
 def prove(what: str, otherwise: str = "") -> Option:
-    """The level to which something is proved on the way, usually not at all."""
+    """Return the option for the level to which a command proves its solutions, by default none."""
     help_ = f"{what}, to level 1 to {THEOREM}{otherwise}; 0, as usual, for none."
     return option("--prove", metavar="LEVEL", type=whole(0, THEOREM), default=0, help=help_)
 

@@ -1,7 +1,4 @@
-"""What happens beside the work.
-
-Progress on stderr, warnings, and what is kept when the work does not end well.
-"""
+"""Progress on stderr, warnings, and files kept after a failure."""
 
 from __future__ import annotations
 
@@ -43,8 +40,8 @@ def _iteration_line(i: Iteration) -> str:
 def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | str], None]]:
     """Yield a `watch` that keeps lines in `log`, and prints them if verbose.
 
-    What takes longer than two seconds shows for how long it is at work and on what: beside a spinner on a
-    terminal, else in a line every few seconds.
+    Work of more than two seconds shows its duration and present line: next to a spinner on a terminal, else in a line
+    every few seconds.
     """
     shown: AbstractContextManager[Any] = nullcontext()
     clock = WorkClock()
@@ -81,7 +78,7 @@ class WorkClock:
     count: str = ""
 
     def hear(self, line: str, *, printed: bool = False) -> None:
-        """Remember a line, and whether it was printed."""
+        """Remember a line, and the time if it was printed."""
         if line.startswith(_BEST_SO_FAR):
             self.best = f"; {line}"
         elif line:
@@ -93,12 +90,12 @@ class WorkClock:
         self.printed = time.monotonic() if printed else self.printed
 
     def text(self, line: str = "") -> str:
-        """Return what is shown beside a spinner."""
+        """Return the text next to a spinner."""
         seconds = time.monotonic() - self.began
         return (f"{seconds:.0f} s: " if seconds > _FIRST_WORD else "") + (line or self.line) + self.best
 
     def print_line(self) -> None:
-        """Print for how long the command is at work, where nothing was printed for a while."""
+        """Print the time that the command has been at work, if nothing was printed for a while."""
         now = time.monotonic()
         if now - self.printed > (_FIRST_WORD if self.printed == self.began else _NEXT_WORD):
             self.printed = now
@@ -131,7 +128,7 @@ class Told:
     count: str = ""
 
     def line(self, text: str, width: int) -> Text:
-        """One line that is not longer than the terminal is wide."""
+        """Return one line that is not longer than the terminal is wide."""
         from rich.text import Text
 
         if found := _COUNT.findall(text):
@@ -142,14 +139,14 @@ class Told:
 
 
 def warn(found: Sequence[Finding]) -> None:
-    """Print every comparison that warns; one that forbids the flight is the refusal's to say."""
+    """Print every comparison that warns; the refusal reports one that forbids the flight."""
     for f in found:
         if f.verdict == "warning":
             aside(f"warning: {f.meaning} ({f.name} {f.told[0]}, {f.told[1]})")
 
 
 def note(text: str) -> None:
-    """Print what the reader of the answer should know beside it."""
+    """Print a note to the reader of the answer."""
     aside(f"perilune: {text}")
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C, which is not to be lost wherever it is met."""
+"""Handling of Ctrl-C, which must not be lost anywhere."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ STOPPED = Event()
 
 
 def stop(*_: object) -> NoReturn:
-    """Ctrl-C: what an import or a file leaves open when it is cut short is no news for who asked for it."""
+    """Raise KeyboardInterrupt, without warnings of what an interrupted import or file leaves open."""
     sys.unraisablehook = _again
     STOPPED.set()
     raise KeyboardInterrupt
 
 
 def heed() -> None:
-    """Ctrl-C, where what was computed may have lost it, or taken it for a fault: before an answer is made of that."""
+    """Raise a Ctrl-C that a computation may have lost, or taken for a fault, before an answer is made of it."""
     if STOPPED.is_set():
         raise KeyboardInterrupt
 
 
 @contextmanager
 def put_off() -> Iterator[None]:
-    """Ctrl-C waits until the block has ended, which puts what was computed where it is kept."""
+    """Defer Ctrl-C until the block, which stores results, has ended."""
     if current_thread() is not main_thread():
         yield
         return
@@ -44,7 +44,7 @@ def put_off() -> Iterator[None]:
 
 @contextmanager
 def advised(advice: Callable[[], str]) -> Iterator[None]:
-    """Ctrl-C, or what foreign code made of it, with words on what may be done then; none where these are empty."""
+    """Add advice to Ctrl-C, or to an error that foreign code made of it; none if the advice is empty."""
     try:
         yield
     except BaseException as error:
@@ -54,7 +54,7 @@ def advised(advice: Callable[[], str]) -> Iterator[None]:
 
 
 def _again(ignored: sys.UnraisableHookArgs) -> None:
-    """Ctrl-C once more where the first met a destructor, which lets no exception out."""
+    """Raise Ctrl-C again if the first met a destructor, which lets no exception out."""
     if ignored.exc_type is KeyboardInterrupt:
         from _thread import interrupt_main
         from threading import Timer

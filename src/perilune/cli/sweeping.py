@@ -91,7 +91,7 @@ def sweep_answer(order: Namespace) -> Answer:
 
 @contextmanager
 def workers(count: int) -> Iterator[Executor | None]:
-    """Processes to compute in, where more than one is asked for."""
+    """Enter a pool of processes to compute in; None for a single one."""
     if count < 2:
         yield None
         return
@@ -126,7 +126,7 @@ def elsewhere(order: Namespace) -> Iterator[Submits | None]:
 
 
 def _begin() -> None:
-    """Ctrl-C is the parent's to answer; if that is killed, its processes end too."""
+    """Initialise a process of the pool: leave Ctrl-C to the parent, and end if that is killed."""
     from perilune.families.elsewhere import end_with_parent
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -154,7 +154,7 @@ def ranges(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]
 
 
 def _refuse_used(order: Namespace) -> None:
-    """Refuse a directory in which something else is, or a sweep that is neither to be gone on with nor replaced."""
+    """Refuse a directory with other content, or with a sweep that is neither to be resumed nor replaced."""
     from perilune.families.store import MANIFEST
     from perilune.io.files import in_use
 
@@ -177,7 +177,7 @@ def _refuse_used(order: Namespace) -> None:
 
 
 def varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Scenario:
-    """The scenario with the keys in it; both ends of the ranges and lists are checked as the file itself is."""
+    """Return the scenario with values of the keys; both ends of ranges and lists are checked as the file itself is."""
     from perilune.scenario import load_file, quantities_of
 
     known, found = quantities_of(file, changes), None

@@ -27,7 +27,7 @@ _ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?(?P<host>[\w.-]{1,253}|\[[0-9a-fA-
 
 
 class Cluster:
-    """A Dask client as an executor that `perilune.families.elsewhere.answers` takes.
+    """Dask client as an executor that `perilune.families.elsewhere.answers` takes.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ class Cluster:
         self._look, self._there = time.monotonic() + _LOOK, True
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> _Future:
-        """Begin a call; each is its own, also where another has the same arguments."""
+        """Begin a call, a new one even if another has the same arguments."""
         return _Future(self.client.submit(function, *arguments, pure=False))
 
     def waited(self) -> None:
-        """Look now and then whether anybody computes; calls wait for workers as long as they have to."""
+        """Check now and then that there are workers; calls wait for them without limit."""
         if time.monotonic() < self._look:
             return
         before, self._look = self._there, time.monotonic() + _LOOK
@@ -57,7 +57,7 @@ class Cluster:
 
 
 class _Future:
-    """A call that was begun; a cluster that is lost is told as that of a process pool is."""
+    """Call that was begun; the loss of the cluster raises the same error as that of a process pool."""
 
     def __init__(self, future: Any) -> None:
         self._future = future
@@ -72,7 +72,7 @@ class _Future:
             raise BrokenExecutor(str(error)[:200] or "the scheduler is gone") from error
 
     def cancel(self) -> Any:
-        """Give the call up."""
+        """Cancel the call."""
         return self._future.cancel()
 
     def add_done_callback(self, called: Callable[[Any], Any]) -> None:
@@ -82,7 +82,7 @@ class _Future:
 
 @contextmanager
 def cluster(address: str, tell: Callable[[str], None] = silent) -> Iterator[Cluster]:
-    """The cluster of a scheduler, for as long as the block lasts.
+    """Connect to the cluster of a scheduler for the block.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _refuse_silent(address: str) -> None:
-    """Refuse an address at which nobody listens, before a client waits for it and complains in its own words."""
+    """Refuse an address at which nobody listens, before a client waits for it and reports its own error."""
     found = _ADDRESS.fullmatch(address)
     if found is None:
         raise _silent(address, "no such address")

@@ -1,4 +1,4 @@
-"""Along one parameter, each member from its neighbour.
+"""Continuation along one parameter, each member from its neighbour.
 
 The base extremal (with any bounded free parameter held) is continued: predicted by its sensitivity to the parameter,
 corrected by Newton, the step halved where that fails. At each value all extremals are then sought again, so that the
@@ -28,13 +28,13 @@ class Continuation:
         self.forget()
 
     def forget(self) -> None:
-        """Start anew: the member before has no answer."""
+        """Reset: the member before has no answer."""
         self.base: Member | None = None
         self.before = 0.0
         self.limits: Limits | None = None
 
     def solve(self, problem: Problem, watch: Watch) -> Solution:
-        """The member of a problem, by continuation where there is a base, else by the whole ladder; unverified."""
+        """Solve a member by continuation from the base extremal, or by the whole ladder without one; unverified."""
         search = Search(self.settings, problem, watch)
         base = None if self.base is None else self._continued(problem, self.base, search)
         solution = self.settings.answer(search, base=base)
@@ -43,7 +43,7 @@ class Continuation:
         return solution
 
     def _continued(self, problem: Problem, base: Member, search: Search) -> Member | None:
-        """The base extremal at the problem's own value of the parameter, from that at the value before."""
+        """Continue the base extremal from the value before to the problem's own value of the parameter."""
         target, before = problem.given[self.name].value, self.before
         if before == target:
             return base

@@ -98,7 +98,7 @@ def family_dataset(family: Family) -> xarray.Dataset:
 
 
 def grid_of(family: Family) -> np.ndarray | None:
-    """Numbers of the members that are the grid of the parameters' values, each axis as it was asked for; None else."""
+    """Return the numbers of the members as a grid, each axis in the order of the request; None if they are no grid."""
     if not family.points:
         return None
     axes = [list(dict.fromkeys(column)) for column in zip(*(p.values for p in family.points), strict=True)]
@@ -121,9 +121,9 @@ def parameter_fields(family: Family) -> list[Field]:
 
 
 def result_fields(family: Family) -> list[Field]:
-    """Free parameters and results, at each member; NaN where it has no solution.
+    """Return free parameters and results, at each member; NaN where it has no solution.
 
-    One that is called as a parameter of the family has ``_result`` behind its name.
+    One with the name of a parameter of the family has ``_result`` appended.
     """
     known: dict[str, tuple[str, str, Callable[[Solution], float]]] = {}
     for solution in (p.solution for p in family.points if p.solution is not None):
@@ -141,7 +141,7 @@ def result_fields(family: Family) -> list[Field]:
 
 
 def given_fields(family: Family) -> list[Field]:
-    """Given parameters that are not varied and the same in all members that have a solution."""
+    """Return the given parameters that are not varied and equal in all members with a solution."""
     problems = [p.solution.problem for p in family.points if p.solution is not None] or [family.problem]
     return [
         _field(name, given.unit, np.array([given.value]), "", ())

@@ -1,4 +1,4 @@
-"""Calls that any executor makes, in any order: a process pool's, or a Dask client's."""
+"""Calls on any executor, in any order: those of a process pool, or of a Dask client."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Submits(Protocol):
 
 @runtime_checkable
 class Waits(Protocol):
-    """An executor that knows why nothing may come back."""
+    """Executor that knows why no result may come back."""
 
     def waited(self) -> None:
         """Called again and again while nothing comes back."""
@@ -68,7 +68,7 @@ def here(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
 
 
 def begin_processes(executor: Submits | None, call: Call) -> None:
-    """Let the processes of a pool begin, each with a call that makes it ready, while there is nothing for them yet."""
+    """Start the processes of a pool ahead of the work, each with a call that prepares it."""
     if isinstance(executor, ProcessPoolExecutor):  # threads are there, and a cluster's workers as well
         with suppress(BrokenExecutor):  # who wants an answer is told
             for _ in range(os.cpu_count() or 1):
@@ -77,7 +77,7 @@ def begin_processes(executor: Submits | None, call: Call) -> None:
 
 @contextmanager
 def deaf() -> Iterator[None]:
-    """A process that begins in it does not hear Ctrl-C, which the terminal sends to all: it ends with the program."""
+    """Let processes that begin in the block ignore Ctrl-C, which the terminal sends to all; the program ends them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -89,7 +89,7 @@ def deaf() -> Iterator[None]:
 
 
 def end_with_parent() -> None:
-    """Let this process of a pool end when its program is killed: it holds both ends of its queue, and would wait on."""
+    """End this process of a pool when its program is killed; holding both ends of its queue it would wait forever."""
     parent = parent_process()
     assert parent is not None, "of a process of a pool"
 
@@ -101,7 +101,7 @@ def end_with_parent() -> None:
 
 
 def told_of_loss(answers: Iterator[Kind]) -> Iterator[Kind]:
-    """The same, with a lost worker named in the user's words."""
+    """Yield the same answers; report a lost worker by a `PeriluneError`."""
     try:
         yield from answers
     except BrokenExecutor as error:

@@ -30,7 +30,7 @@ _FAILURES = {outcome.exit_code: outcome for outcome in (Outcome.NOT_CONVERGED, O
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class FamilyPoint:
-    """One member: the parameters' values in SI, the solution, or (`failure`, `message`) why there is none."""
+    """Member of a family: the parameters' values in SI, and the solution, or `failure` and `message` without one."""
 
     values: tuple[float, ...]
     solution: Solution | None
@@ -48,13 +48,13 @@ class FamilyPoint:
 
     @property
     def value(self) -> float:
-        """Value of the parameter, of a family along one."""
+        """Return the value of the parameter, for a family along one."""
         (only,) = self.values
         return only
 
     @property
     def outcome(self) -> Outcome:
-        """The solution's outcome, or how the member failed."""
+        """Return the solution's outcome, or the failure."""
         if self.solution is not None:
             return self.solution.outcome
         assert self.failure is not None  # seen to when it was made
@@ -67,7 +67,7 @@ class FamilyPoint:
 
 
 def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint:
-    """The member that an error stands in for: it cannot be flown, the search for it failed, or it makes no sense."""
+    """Return the member for an error: it is infeasible, its search failed, or its values are refused."""
     return FamilyPoint(values=values, solution=None, message=str(error), failure=_FAILURES[error.exit_code])
 
 
@@ -106,24 +106,24 @@ class Family:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """SI units of the parameters."""
+        """Return the SI units of the parameters."""
         return tuple(self.problem.unit_of(name) for name in self.parameters)
 
     @property
     def parameter(self) -> str:
-        """The parameter, of a family along one."""
+        """Return the parameter, for a family along one."""
         (only,) = self.parameters
         return only
 
     @property
     def unit(self) -> str:
-        """SI unit of the parameter, of a family along one."""
+        """Return the SI unit of the parameter, for a family along one."""
         (only,) = self.units
         return only
 
     @called_in_words
     def to_dataframe(self) -> pandas.DataFrame:
-        """The members as rows of a frame of pandas; see `perilune.families.datasets.family_frame`.
+        """Return the members as rows of a frame of pandas; see `perilune.families.datasets.family_frame`.
 
         Parameters, free parameters and results, angles in degrees and everything else in SI (``attrs["units"]``), then
         ``outcome``, ``verification_level``, ``within`` and ``message``.
@@ -137,7 +137,7 @@ class Family:
 
     @called_in_words
     def to_xarray(self) -> xarray.Dataset:
-        """The members as a data set of xarray; see `perilune.families.datasets.family_dataset`.
+        """Return the members as a data set of xarray; see `perilune.families.datasets.family_dataset`.
 
         Its dimensions are the parameters where the members are a grid, else the one dimension ``point``.
 
@@ -150,7 +150,7 @@ class Family:
 
 
 def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:
-    """Names of the parameters and values of every member; of a grid the last parameter changes fastest.
+    """Return the names of the parameters and the values of every member; in a grid the last one changes fastest.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[flo
 
 
 def _parameter(problem: Problem, name: Any) -> str:
-    """The parameter of a name, in which a dot may stand for an underscore."""
+    """Return the parameter of a name, in which a dot may stand for an underscore."""
     if not isinstance(name, str):
         raise refused(name, "a text", "the name of a parameter")
     name, known = parameter_name(name), sorted({*problem.given, *problem.free_names})

@@ -1,4 +1,4 @@
-"""Members of a family: what each is asked, in what order or where they are computed, and how far it is.
+"""Members of a family: the problem of each, the order and place of computing, and the progress.
 
 Every member passes the gate that `perilune.solve.solve` has, then its method, then the proof. Members along one
 parameter lead to each other (`perilune.families.continued`); all others are independent, so that any executor may
@@ -31,7 +31,7 @@ Found = Iterator[tuple[int, FamilyPoint]]
 
 @dataclass(frozen=True, kw_only=True)
 class Members:
-    """The members of a family and how each is solved.
+    """Members of a family, with the method and proof of each.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Members:
     time_limit: float
 
     def solved(self, todo: Sequence[int], executor: Submits | None) -> Found:
-        """Each of the members `todo` with its number, as soon as it is there."""
+        """Yield each of the members `todo` with its number, as soon as it is solved."""
         if executor is None and len(self.names) == 1 and isinstance(self.method, Indirect):
             return self._continued(todo, self.method)
         return self._one_by_one(todo) if executor is None else told_of_loss(self._elsewhere(todo, executor))
@@ -104,7 +104,7 @@ class Members:
                 note(f"stored member {i:06d} does not prove and is solved again")
 
     def problem_of(self, i: int) -> Problem:
-        """The problem of a member, which its own records may refuse."""
+        """Return the problem of a member, whose values its records may refuse."""
         return self.problem.with_given(**dict(zip(self.names, self.values[i], strict=True)))
 
     @cached_property
@@ -113,7 +113,7 @@ class Members:
         return preflight(self.problem, dict(zip(self.names, zip(*self.values, strict=True), strict=True)))
 
     def _gate(self, i: int) -> Problem:
-        """The problem of a member that nothing forbids."""
+        """Return the problem of a member; raise if physics forbids it."""
         problem = self.problem_of(i)
         refuse_impossible(member(self._findings, i))
         return problem
@@ -149,7 +149,7 @@ class Members:
                 yield i, failed_point(self.values[i], error)
 
     def _elsewhere(self, todo: Sequence[int], executor: Submits) -> Found:
-        """By an executor, in the order in which they come back."""
+        """Yield members solved by an executor, in the order of completion."""
         done, refused = len(self.values) - len(todo), list[tuple[int, FamilyPoint]]()
         how = self.method, self.level, self.tolerance, self.time_limit
 
@@ -179,7 +179,7 @@ class Members:
 def solved_member(
     problem: Problem, method: Method, level: int, tolerance: Tolerance, time_limit: float, values: tuple[float, ...]
 ) -> FamilyPoint:
-    """One member, in whichever process; what is refused comes back as a member with its reason."""
+    """Solve one member, in any process; a refusal is returned as a member with its reason."""
     try:
         solution = solve(problem, method, level=level, tolerance=tolerance, time_limit=time_limit)
         return FamilyPoint(values=values, solution=solution)
@@ -188,7 +188,7 @@ def solved_member(
 
 
 def proof_of_member(solution: Solution, level: int) -> Verification | None:
-    """The proof of a stored member; None of one that states what no proof can compute with."""
+    """Prove a stored member; None if its content cannot be computed with."""
     try:
         return verify(solution, level=level)
     except PeriluneError:

@@ -45,14 +45,14 @@ _OURS = re.compile(r"\d{6,}\.(json|npz)|\.writing-.*|sweep\.json")
 
 
 class Store:
-    """The directory of one sweep."""
+    """Directory of one sweep."""
 
     def __init__(self, directory: Path, members: Members) -> None:
         self.directory: Path = directory
         self.members: Members = members
 
     def open(self, note: Callable[[str], None]) -> dict[int, FamilyPoint]:
-        """The members that are there, unverified, by their number; the directory is made where there is none.
+        """Return the stored members, unverified, by their number; makes a missing directory.
 
         Parameters
         ----------
@@ -89,7 +89,7 @@ class Store:
             raise _unusable(self.directory, str(error.strerror), "a directory that you may write") from error
 
     def write(self, i: int, point: FamilyPoint) -> None:
-        """Keep one member."""
+        """Store one member."""
         solution = point.solution
         if solution is not None:
             self._put(f"{i:06d}.npz", _curves(solution))
@@ -168,7 +168,7 @@ def _curves(solution: Solution) -> bytes:
 
 
 def _read_curves(file: Path, problem: Problem, document: Mapping[str, Any]) -> tuple[Trajectory, ...]:
-    """The curves of a member, checked as those of a saved solution are."""
+    """Read the curves of a member, checked as those of a saved solution are."""
     try:
         content = bounded_bytes(file, "table of curves", LARGEST_FILE, expected="the curves of a member", advice="")
         with zipfile.ZipFile(io.BytesIO(content)) as packed:

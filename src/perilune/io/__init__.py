@@ -1,1 +1,1 @@
-"""Files: written, read back."""
+"""Files of solutions: written and read back."""

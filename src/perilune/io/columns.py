@@ -1,4 +1,4 @@
-"""A solution as named columns over time: what tables and figures are made of.
+"""A solution as named columns over time, of which tables and figures are made.
 
 States, outputs, controls and costates are read from the solution's own curves, a `Direction` control
 normalised again after interpolation, and the Hamiltonian ``H = lam . f(x, u)`` is evaluated with the
@@ -24,7 +24,7 @@ from perilune.words.types import Matrix, Vector
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """One named quantity with its unit at every time of a table, shape (n,)."""
+    """Named quantity with its unit at every time of a table, shape (n,)."""
 
     name: str
     unit: str
@@ -32,14 +32,21 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """Name and unit, as in the first row of a table."""
+        """Return name and unit, as in the first row of a table."""
         return f"{self.name} [{self.unit}]"
 
 
 def hamiltonian(solution: Solution, k: int, t: Vector, control: Matrix | None = None) -> Vector:
-    """H of phase k at times t, in units of J per second.
+    """Evaluate H of phase k at times t, in units of J per second; NaN where the method gives no costates.
 
-    With the flown control, or with another, shape (components, n). NaN where the method gives no costates.
+    Parameters
+    ----------
+    solution, k
+        The solution, and the number of the phase.
+    t
+        Times in the phase [s], shape (n,).
+    control
+        Control in place of the flown one, shape (components, n).
     """
     if solution.trajectories[k].costate is None:
         return np.full(len(t), math.nan)
@@ -56,9 +63,9 @@ def hamiltonian_terms(solution: Solution, k: int, t: Vector, control: Matrix | N
 
 
 def required_hamiltonian(solution: Solution, k: int) -> float:
-    """Value that H of phase k must have, in units of J per second: minus dJ/dT, as its duration T is free.
+    """Return the value that H of phase k must have, in units of J per second: minus dJ/dT, as its duration T is free.
 
-    0 where J sees the end state only, -1 where J is the flight time.
+    It is 0 if J depends on the end state only, -1 if J is the flight time.
     """
     p, name, step = solution.parameters, solution.problem.phases[k].duration, 1e-20
     end = solution.problem.phases[-1].state_record(*solution.trajectories[-1].state.values[-1])
@@ -67,7 +74,7 @@ def required_hamiltonian(solution: Solution, k: int) -> float:
 
 
 def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str, Column]:
-    """Everything known of phase k, by name.
+    """Return all columns of phase k, by name.
 
     Parameters
     ----------
@@ -101,7 +108,7 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
 
 
 def _unwrapped(solution: Solution, k: int, t: Vector, outputs: Sequence[Any]) -> list[Any]:
-    """Outputs of phase k at times t, each angle with the whole turns that it has made since the begin of the flight."""
+    """Return outputs of phase k at times t, each angle with its whole turns since the begin of the flight."""
     variables, found = solution.problem.phases[k].output_variables, list(outputs)
     angles = {v.name: i for i, v in enumerate(variables) if v.unit == "rad"}
     # A first phase from its begin without a jump is as it is, which is known at once.
@@ -117,7 +124,7 @@ def _unwrapped(solution: Solution, k: int, t: Vector, outputs: Sequence[Any]) ->
 
 
 def _angles(solution: Solution, last: int, names: Sequence[str]) -> dict[str, tuple[Vector, Vector]]:
-    """Times of phase `last` and each output there, unwrapped from the begin of the flight, where it is a number."""
+    """Return times of phase `last` and each finite output there, unwrapped from the begin of the flight."""
     ends, found = dict[str, float](), dict[str, tuple[Vector, Vector]]()
     for k, phase in enumerate(solution.problem.phases[: last + 1]):
         here = [i for i, v in enumerate(phase.output_variables) if v.name in names]
@@ -139,7 +146,7 @@ def _angles(solution: Solution, last: int, names: Sequence[str]) -> dict[str, tu
 
 
 def nodes(trajectory: Trajectory) -> Vector:
-    """Times at which to look for the state's nodes: the first of two at one time lies before the switch there."""
+    """Return times at which to evaluate the state's nodes: the first of two equal ones lies before the switch there."""
     t = trajectory.time.copy()
     first = np.flatnonzero(np.diff(t) == 0)
     t[first] = np.nextafter(t[first], 0.0)
@@ -147,19 +154,19 @@ def nodes(trajectory: Trajectory) -> Vector:
 
 
 def seen_at(trajectory: Trajectory, count: int = 601) -> Vector:
-    """So many even times, and both sides of every switch: what jumps there is seen as a step, and not as a ramp."""
+    """Return evenly spaced times and both sides of every switch, so that a jump shows as a step, not a ramp."""
     return np.union1d(np.linspace(0.0, trajectory.duration, count), sides(trajectory))
 
 
 def sides(trajectory: Trajectory) -> Matrix:
-    """Times before and behind every switch, of whatever curve."""
+    """Return the times before and behind every switch of any curve."""
     curves = (trajectory.state, trajectory.control, *filter(None, (trajectory.costate,)))
     switches = np.concatenate([curve.time[1:][np.diff(curve.time) == 0] for curve in curves])
     return np.array([np.nextafter(switches, 0.0), switches])
 
 
 def per_unit(objective_unit: str, unit: str) -> str:
-    """Write the unit of what is J per another: of a costate per unit of its state, of H per second."""
+    """Return the unit of J per another unit: for a costate per unit of its state, for H per second."""
     if unit == "1":
         return objective_unit
     if unit == objective_unit:
@@ -168,7 +175,7 @@ def per_unit(objective_unit: str, unit: str) -> str:
 
 
 def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]:
-    """(time from the begin of the flight [s], column) for each phase that has the column, as `seen_at`."""
+    """Return (time from the begin of the flight [s], column) for each phase that has the column, as `seen_at`."""
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
         t = seen_at(trajectory)
@@ -185,10 +192,10 @@ def _column(name: str, unit: str, values: Any, t: Vector) -> Column:
 
 
 def spoken(unit: str) -> tuple[float, str]:
-    """Factor from an SI unit to the one in which a reader expects it, and that unit: degrees for radians."""
+    """Return the factor from an SI unit to the display unit, and that unit: degrees for radians."""
     return (180 / math.pi, "deg") if unit == "rad" else (1.0, unit)
 
 
 def rounded(value: float, unit: str) -> float:
-    """A value in its spoken unit without the rounding of pi: 30 degrees, and not 29.999999999999996."""
+    """Return a value in its display unit without the rounding of pi: 30 degrees, not 29.999999999999996."""
     return float(f"{value:.15g}") if unit == "deg" else float(value)

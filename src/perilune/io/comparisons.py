@@ -1,7 +1,7 @@
-"""What physics says of a problem before it is solved (`Problem.preflight`), as a tree for JSON and back.
+"""Comparisons of a problem with physics before it is solved (`Problem.preflight`), as a tree for JSON and back.
 
-Its comparisons are formulas of the given parameters, each with words that are the same everywhere: the formulas are
-kept as expressions, so that no code is needed to ask them again. A model's own come with its records, and need none.
+Comparisons are formulas of the given parameters with constant texts: the formulas are saved as expressions, so that no
+code is needed to evaluate them again. Those of a model come with its records, and are not saved.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _TEXTS = tuple(f.name for f in fields(Finding) if f.name not in (*_NUMBERS, *_FL
 
 @dataclass(frozen=True)
 class Comparisons:
-    """Comparisons that were written down: called as ``preflight(p, m)``."""
+    """Saved comparisons, called as ``preflight(p, m)``."""
 
     found: tuple[Finding, ...]
     expression: Expression
 
     def __call__(self, p: Any, m: Any) -> tuple[Finding, ...]:
-        """All of them at values of the parameters."""
+        """Evaluate all of them at values of the parameters."""
         values = iter(self.expression(p, m))
         return tuple(replace(f, value=next(values), limit=next(values)) for f in self.found)
 
@@ -52,7 +52,7 @@ def compared_alike(problem: Problem, other: Problem, places: Places) -> bool:
 
 
 def comparisons_document(problem: Problem, places: Places) -> dict[str, Any]:
-    """The comparisons of a problem as a tree.
+    """Return the comparisons of a problem as a tree.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def comparisons_document(problem: Problem, places: Places) -> dict[str, Any]:
 
 
 def read_comparisons(document: Any, problem: Problem) -> Comparisons:
-    """Comparisons out of a file, checked.
+    """Read and check the comparisons of a file.
 
     Raises
     ------

@@ -74,9 +74,9 @@ def results(solution: Solution) -> dict[str, dict[str, Any]]:
 
 
 def solution_document(solution: Solution) -> dict[str, Any]:
-    """Make what ``perilune solve --json`` prints; a number that is not finite becomes None.
+    """Make the document that ``perilune solve --json`` prints; a number that is not finite becomes None.
 
-    Of a solution that was loaded, ``claimed`` names what is only the file's word.
+    For a loaded solution ``claimed`` names the unverified claims of its file.
     """
     statistics = solution.statistics
     claims = {"claimed": ["method", "statistics", *_structure(solution)]} if statistics.claimed else {}
@@ -105,7 +105,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
 
 
 def _structure(solution: Solution) -> dict[str, Any]:
-    """The arcs by name; nothing where nobody has read them."""
+    """Return the entry of the named arcs; empty if they were not determined."""
     return {"structure": [asdict(arc) for arc in solution.structure]} if solution.structure else {}
 
 
@@ -136,9 +136,9 @@ def _check_document(check: Check) -> dict[str, Any]:
 
 
 def extremals_document(solution: Solution) -> list[dict[str, Any]]:
-    """List the extremals, best first: what the parameters alone decide of the results, the objective, the nature.
+    """List the extremals, best first: results that the parameters decide, the objective, the nature.
 
-    Where J is a result but for a constant, or the negative of one, that result stands for it.
+    A result that equals J up to a constant or the sign is given in place of J.
     """
     problem = solution.problem
     first, last = ([math.nan] * len(problem.phases[k].states) for k in (0, -1))
@@ -189,7 +189,7 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
 
 
 def write_solution_files(solution: Solution, directory: Path, scenario_text: str | None) -> list[PeriluneError]:
-    """Write the files of `save` into a directory that exists; return what is said of tables that failed."""
+    """Write the files of `save` into a directory that exists; return the errors of tables that failed."""
     (directory / SOLUTION_FILE).write_text(json_text(whole_document(solution, scenario_text)), encoding="utf-8")
 
     def table(path: Path, k: int) -> None:
@@ -200,18 +200,18 @@ def write_solution_files(solution: Solution, directory: Path, scenario_text: str
 
 
 def solution_files(solution: Solution) -> list[str]:
-    """Names of what `write_solution_files` writes."""
+    """Return the names of the files that `write_solution_files` writes."""
     return [SOLUTION_FILE, *(trajectory_name(solution, k) for k in range(len(solution.trajectories)))]
 
 
 def trajectory_name(solution: Solution, k: int) -> str:
-    """Name of the table of phase k."""
+    """Return the file name of the table of phase k."""
     names = solution.problem.phases
     return "trajectory.csv" if len(names) == 1 else f"trajectory_{k + 1}_{names[k].name}.csv"
 
 
 def whole_document(solution: Solution, scenario_text: str | None = None) -> dict[str, Any]:
-    """Everything about a solution, as the tree that ``solution.json`` holds."""
+    """Return the whole solution as the tree that ``solution.json`` holds."""
     return {
         "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
         "versions": versions(),
@@ -222,7 +222,7 @@ def whole_document(solution: Solution, scenario_text: str | None = None) -> dict
 
 
 def problem_document(problem: Problem, scenario_text: str | None = None) -> dict[str, Any]:
-    """A problem as a tree that `perilune.io.reload.read_problem` makes it of again, wherever it was stated."""
+    """Return a problem as a tree from which `perilune.io.reload.read_problem` makes it again, however it was stated."""
     scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
     return {
         "scenario": scenario,
@@ -241,7 +241,7 @@ def _made_document(problem: Problem) -> dict[str, Any] | None:
 
 
 def answer_document(solution: Solution) -> dict[str, Any]:
-    """Everything about a solution but its problem and its curves."""
+    """Return the tree of a solution without its problem and its curves."""
     problem, short = solution.problem, solution_document(solution)
     return {
         "method": solution.method,
@@ -267,7 +267,7 @@ def answer_document(solution: Solution) -> dict[str, Any]:
 
 
 def phases_document(solution: Solution) -> list[dict[str, Any]]:
-    """The curves of each phase, with the names and units of their components."""
+    """Return the curves of each phase, with the names and units of their components."""
     problem = solution.problem
     return [
         _phase_document(phase, trajectory, problem.objective_unit)
@@ -276,7 +276,7 @@ def phases_document(solution: Solution) -> list[dict[str, Any]]:
 
 
 def trajectory_csv(solution: Solution, k: int = 0) -> str:
-    """Phase k as comma-separated values at the state's nodes; units in the header, angles in degrees."""
+    """Return phase k as comma-separated values at the state's nodes; units in the header, angles in degrees."""
     table = columns(solution, k)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -289,7 +289,7 @@ def trajectory_csv(solution: Solution, k: int = 0) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of this program and of what it computes with."""
+    """Return the versions of this program and of the packages that it computes with."""
     found = {"perilune": perilune_version, "python": platform.python_version()}
     for package in ("numpy", "scipy", "casadi", "llvmlite"):
         loaded = sys.modules.get(package)  # to ask the package index takes longer than to write the document

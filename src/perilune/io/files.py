@@ -33,9 +33,9 @@ except ImportError:  # Windows: what a killed process leaves there stays
 
 
 class NotWrittenError(PeriluneError):
-    """Some files of a result could not be written; all others of it are where they belong.
+    """Failure to write some files of a result; all others of it were written.
 
-    `failed` has an error in words for each file, whose cause is what its writer raised.
+    `failed` has an error for each file, whose cause is the error of its writer.
     """
 
     def __init__(self, failed: Sequence[PeriluneError]) -> None:
@@ -57,7 +57,7 @@ _HEAD = 2000  # bytes
 
 @contextmanager
 def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
-    """Directory to write into; its files appear in `target` when the block ends without an error.
+    """Enter a directory to write into; its files appear in `target` when the block ends without an error.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
 
 
 def refuse_name_of_file(target: Path) -> None:
-    """Refuse a directory that is not there and is called as a file: who says ``--out map.png`` wants no such folder."""
+    """Refuse a missing directory with the name of a file: ``--out map.png`` does not mean a folder."""
     if target.suffix.lower() in _OF_FILES and not target.exists():
         raise PeriluneError(
             "the output directory is called as a file", got=str(target), expected="a directory, which holds all files",
@@ -120,7 +120,7 @@ def refuse_name_of_file(target: Path) -> None:
 
 
 def new_file(file: str | Path, what: str, force: bool = False) -> Path:
-    """The path of a file to write, behind links; refuses what is no file, and one that is there unless forced."""
+    """Return the path of a file to write, behind links; refuse one that is no file, or exists unless forced."""
     path = demand_path(file, f"the file of {what}")
     if str(path) == "-":
         raise PeriluneError(
@@ -142,7 +142,7 @@ def new_file(file: str | Path, what: str, force: bool = False) -> Path:
 
 @contextmanager
 def fresh_file(target: Path, what: str) -> Iterator[Path]:
-    """A place beside a file to write to; it becomes that file when the block ends without an error.
+    """Enter a temporary file next to a target; it becomes the target when the block ends without an error.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def fresh_file(target: Path, what: str) -> Iterator[Path]:
 
 
 def write_each(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[PeriluneError]:
-    """Write files one by one, so that one that fails takes no other with it.
+    """Write files one by one, so that the failure of one leaves the others.
 
     Parameters
     ----------
@@ -193,13 +193,13 @@ def write_each(directory: Path, writers: Mapping[str, Callable[[Path], object]])
 
 
 def refuse_unwritten(failed: Sequence[PeriluneError]) -> None:
-    """Raise what is said of files that could not be written, if there are any."""
+    """Raise the errors of files that could not be written, if there are any."""
     if failed:
         raise NotWrittenError(failed) from failed[0].__cause__
 
 
 def unwritten(what: str, error: Exception) -> PeriluneError:
-    """Return in words why something is not there: what its writer raised, which is the cause."""
+    """Return the error for something that was not written, with the writer's error as its cause."""
     if isinstance(error, PeriluneError):
         got, advice = "; ".join(text for text in (error.what, error.got) if text), error.advice
     elif isinstance(error, OSError):
@@ -218,7 +218,7 @@ def in_use(target: Path) -> bool:
 
 
 def _temporary(target: Path) -> tuple[Path, int | None]:
-    """A directory to write into, locked while its writer lives; those of writers that were killed are removed."""
+    """Make a directory to write into, locked while its writer lives; those of killed writers are removed."""
     prefix = f".{target.name}-writing-"
     for left in target.parent.glob(glob.escape(prefix) + "?" * 8):  # as `mkdtemp` names them
         if left.is_dir() and not left.is_symlink() and (lock := _locked(left)) is not None:
@@ -231,7 +231,7 @@ def _temporary(target: Path) -> tuple[Path, int | None]:
 
 
 def _locked(directory: Path) -> int | None:
-    """Handle of a directory that is locked by it; None where another has it, it is gone, or nothing can be locked."""
+    """Lock a directory and return the handle; None if another process has it, it is gone, or locks do not work."""
     if fcntl is None:
         return None
     with suppress(OSError):
@@ -268,7 +268,7 @@ def _move(work: Path, target: Path) -> None:
 
 
 def _results_in(target: Path) -> set[Path]:
-    """Every file that runs of this program wrote into a directory."""
+    """Return every file that runs of this program wrote into a directory."""
     found = {path for path in target.iterdir() if _RESULTS.fullmatch(path.name) and path.is_file()}
     if _near_head(target / "report.md", _REPORT):
         found.add(target / "report.md")
@@ -296,7 +296,7 @@ def finite(value: Any) -> Any:
 
 
 def json_text(document: Any) -> str:
-    """JSON with an indented outline; innermost rows of numbers stay on one line each."""
+    """Return JSON with an indented outline; innermost rows of numbers stay on one line each."""
     return _outline(finite(document), "") + "\n"
 
 

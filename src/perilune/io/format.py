@@ -1,4 +1,4 @@
-"""What a saved solution is called and how large it may be, for those who write it and those who read it."""
+"""Names and size limits of the files of a saved solution, for writing and for reading."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ LARGEST_FILE = 64 * 2**20  # bytes; the largest trajectory (6401 nodes, 10 state
 
 
 def hash_of(scenario_text: str) -> str:
-    """SHA-256 of the text in UTF-8, hexadecimal."""
+    """Return the SHA-256 of the text in UTF-8, hexadecimal."""
     return hashlib.sha256(scenario_text.encode("utf-8")).hexdigest()

@@ -36,7 +36,7 @@ def made_document(problem: Problem) -> dict[str, Any] | None:
 
 
 def read_made(document: Mapping[str, Any], given: Mapping[str, Given]) -> Problem:
-    """The problem that the model makes, with the given values that it was solved with.
+    """Make the problem by its model, with the given values of the solution.
 
     Raises
     ------

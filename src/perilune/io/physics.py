@@ -36,7 +36,7 @@ _SPEC = re.compile(r"(\.\d{1,2})?[efg]?", re.ASCII)
 
 
 def physics_document(problem: Problem) -> dict[str, Any]:
-    """Everything about a problem but its given values."""
+    """Return the tree of a problem without its given values."""
     expressions = problem.form.expressions
     return {
         "name": problem.name,
@@ -56,7 +56,7 @@ def physics_document(problem: Problem) -> dict[str, Any]:
 
 
 def _written(key: Any) -> str:
-    """The key of a function as a text: ``start``, ``0.dynamics``, ``links.0``."""
+    """Return the key of a function as a text: ``start``, ``0.dynamics``, ``links.0``."""
     return key if isinstance(key, str) else ".".join(str(k) for k in key)
 
 
@@ -67,7 +67,7 @@ def _phase_document(phase: Phase) -> dict[str, Any]:
 
 
 def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Problem:
-    """The problem of a document, its functions expressions.
+    """Build the problem of a document, with expressions for its functions.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Pro
 
 
 def _scale(document: Mapping[str, Any]) -> float | None:
-    """Scale of the objective; files of before it had one are without."""
+    """Return the scale of the objective; None in files of earlier versions."""
     return None if document.get("objective_scale") is None else number(document, "objective_scale", "problem")
 
 
@@ -119,7 +119,7 @@ def _rows(document: Mapping[str, Any], name: str, kind: type) -> tuple[Any, ...]
 
 
 def _phase(entry: Any, where: str) -> Phase:
-    """A phase without its functions."""
+    """Read a phase without its functions."""
     if not isinstance(entry, dict):
         refuse(where, str(entry)[:40], "a record")
     name = text(entry, "name")
@@ -139,11 +139,11 @@ def _phase(entry: Any, where: str) -> Phase:
 
 
 def _nothing(*arguments: Any) -> None:
-    """Stands for the dynamics until they are read."""
+    """Stand in for the dynamics until they are read."""
 
 
 def _views(document: Mapping[str, Any]) -> Views:
-    """Views whose words can do no more than be shown."""
+    """Read views, whose texts are checked to be harmless when formatted and as file names."""
     views = record(Views, document.get("views"), "problem.views")
     for history in views.histories:
         if not _NAME.fullmatch(history.name):
@@ -159,13 +159,13 @@ def _views(document: Mapping[str, Any]) -> Views:
 
 
 class _Functions:
-    """The functions of a document by their key; None where there is none."""
+    """Functions of a document by their key; None for a missing one."""
 
     def __init__(self, tapes: Mapping[str, Any], phases: list[Phase], parameters: set[str]) -> None:
         self.tapes, self.phases, self.parameters = tapes, phases, parameters
 
     def __call__(self, key: Any, k: int) -> Any:
-        """The function of a key, which takes states and controls of phase k."""
+        """Return the function of a key, which takes states and controls of phase k."""
         name, phase = _written(key), self.phases[k]
         if name not in self.tapes:
             return None

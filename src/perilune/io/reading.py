@@ -29,7 +29,15 @@ Kind = TypeVar("Kind")
 
 
 def refuse(where: str, got: str, expected: str) -> NoReturn:
-    """Raise for one entry."""
+    """Raise the refusal of one entry.
+
+    Parameters
+    ----------
+    where
+        Name of the entry.
+    got, expected
+        The value that was found and the one that was expected, in words.
+    """
     raise PeriluneError(
         f"the saved solution does not fit its own problem: {where}",
         got=got,
@@ -39,14 +47,14 @@ def refuse(where: str, got: str, expected: str) -> NoReturn:
 
 
 def tree(content: str, what: str, advice: str = _AGAIN) -> Any:
-    """Parse JSON without what it leaves open: names that occur twice, numbers that are not finite, endless nesting.
+    """Parse JSON strictly: no repeated names, no numbers that are not finite, no endless nesting.
 
-    Texts without control characters, but for the ends of lines: who prints one moves nobody's cursor.
+    Texts may have no control characters but ends of lines, so that none moves the cursor when printed.
 
     Raises
     ------
     PeriluneError
-        If it is not so; `what` names the document, `advice` says what to do.
+        If it breaks these rules; `what` names the document, `advice` says what to do.
     """
     refuse_nested(content, what, DEEPEST_TREE, expected="records and tables, nothing deeper", advice=advice)
 
@@ -80,12 +88,12 @@ def tree(content: str, what: str, advice: str = _AGAIN) -> Any:
 
 
 def _whole(digits: str) -> int | float:
-    """An integer; beyond all that are meant, a number like others, so that nothing overflows later."""
+    """Parse an integer; one with many digits becomes a float, so that nothing overflows later."""
     return int(digits) if len(digits) < 18 else float(digits)
 
 
 def part(entry: Mapping[str, Any], name: str, kind: type) -> Any:
-    """The entry of a name, of a kind."""
+    """Return the entry of a name, checked to be of a kind."""
     value = entry.get(name)
     if not isinstance(value, kind):
         refuse(name, str(value)[:40], {dict: "a record", list: "a list", str: "a text"}[kind])
@@ -93,7 +101,7 @@ def part(entry: Mapping[str, Any], name: str, kind: type) -> Any:
 
 
 def text(entry: Mapping[str, Any], name: str) -> str:
-    """A text that is no longer than a name, a title or a sentence may be."""
+    """Return the text of a name, checked not to be longer than a sentence may be."""
     found = part(entry, name, str)
     if len(found) > LONGEST_TEXT:
         refuse(name, f"{len(found)} characters", f"a text of at most {LONGEST_TEXT}")
@@ -101,7 +109,7 @@ def text(entry: Mapping[str, Any], name: str) -> str:
 
 
 def number(entry: Mapping[str, Any], name: str, where: str) -> float:
-    """A finite number; text and booleans are none."""
+    """Return the finite number of a name; texts and booleans are refused."""
     return _number(entry.get(name), f"{where}.{name}")
 
 
@@ -118,13 +126,13 @@ def _number(value: Any, where: str) -> float:
 
 
 def numbers(document: Mapping[str, Any], name: str) -> dict[str, float]:
-    """Values of ``{key: {"value": number}}``."""
+    """Return the values of ``{key: {"value": number}}``."""
     entries = part(document, name, dict)
     return {key: number(part(entries, key, dict), "value", f"{name}.{key}") for key in entries}
 
 
 def array(value: Any, where: str, shape: tuple[int | None, ...]) -> Any:
-    """Array of finite numbers of a shape (None: any length); text and booleans are not numbers."""
+    """Return an array of finite numbers of a shape (None: any length); texts and booleans are refused."""
     try:
         found = np.asarray(value)
     except ValueError:
@@ -143,7 +151,7 @@ def array(value: Any, where: str, shape: tuple[int | None, ...]) -> Any:
 
 
 def member(kind: type, found: Any, where: str) -> Any:
-    """The member of an enumeration, unless it is None."""
+    """Return the member of an enumeration; refuse None."""
     if found is None:
         refuse(where, "an unknown word", "one of " + ", ".join(str(m.name) for m in kind))  # type: ignore[attr-defined]
     return found
@@ -153,7 +161,7 @@ def member(kind: type, found: Any, where: str) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A record as a tree for JSON, without the fields that are at their defaults."""
+    """Return a record as a tree for JSON, without the fields that have their defaults."""
     if is_dataclass(value) and not isinstance(value, type):
         shown = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
         defaults = {f.name: f.default for f in fields(value)}
@@ -162,7 +170,7 @@ def plain(value: Any) -> Any:
 
 
 def record(kind: type[Kind], document: Any, where: str) -> Kind:
-    """A record of a kind; its own checks are made as ever."""
+    """Build a record of a kind, which makes its own checks."""
     if not isinstance(document, dict):
         refuse(where, str(document)[:40], "a record")
     hints, known = _hints(kind), {f.name: f for f in fields(kind) if f.init}  # type: ignore[arg-type]
@@ -181,7 +189,7 @@ def _hints(kind: type) -> dict[str, Any]:
 
 
 def _entry(hint: Any, value: Any, where: str) -> Any:
-    """A value of a declared type."""
+    """Return a value, checked to be of a declared type."""
     if get_origin(hint) in (Union, UnionType):
         choices = get_args(hint)
         if value is None and NoneType in choices:

@@ -78,7 +78,7 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
 def opened(
     directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None
 ) -> tuple[Solution, Mapping[str, Any]]:
-    """As `load`, with the tree that the file holds."""
+    """Load a solution as `load` does, with the tree that the file holds."""
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
     path = demand_path(directory, "the directory of a saved solution")
@@ -107,7 +107,7 @@ def _claimed_proof(document: Mapping[str, Any]) -> str:
 
 
 def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Sequence[Trajectory]) -> Solution:
-    """The solution of a problem, unverified, out of `perilune.io.export.answer_document`."""
+    """Read the solution of a problem, unverified, from `perilune.io.export.answer_document`."""
     free = numbers(document, "free")
     if set(free) != set(problem.free_names):
         refuse("free", ", ".join(sorted(free)) or "none", ", ".join(problem.free_names) or "none")
@@ -147,7 +147,7 @@ def _tolerance(said: Any) -> Tolerance:
 
 
 def _document(path: Path) -> dict[str, Any]:
-    """The JSON tree of a file of this format; errors as of `load`."""
+    """Read the JSON tree of a file of this format; errors as of `load`."""
     expected = f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it"
     if path.suffix.lower() == ".toml" and path.is_file():
         advice = f"perilune solve {path} --out DIR"
@@ -171,9 +171,9 @@ def _document(path: Path) -> dict[str, Any]:
 
 
 def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
-    """The problem by its scenario or its model where there is one, which must be that of the expressions.
+    """Build the problem by its scenario or its model, if any, which must agree with the expressions.
 
-    These alone are the problem where the package that brings its kind is not installed.
+    The problem is built from the expressions only if the package that brings its kind is not installed.
     """
     alone = document["format"]["version"] == WITH_SCENARIO_ONLY and document["format"]["name"] == FORMAT_NAME
     stated = None
@@ -212,7 +212,7 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
 
 
 def as_read_back(document: Mapping[str, Any]) -> Problem:
-    """The problem of a document that `perilune.io.export.problem_document` made without a scenario."""
+    """Build the problem of a document that `perilune.io.export.problem_document` made without a scenario."""
     return read_problem({**document, "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION}}, _no_scenario)
 
 
@@ -244,7 +244,7 @@ def _scenario_text(document: Mapping[str, Any]) -> str:
 
 
 def _check_given(document: Mapping[str, Any], problem: Problem) -> None:
-    """Refuse a file whose parameters are not those its scenario gives."""
+    """Refuse a file whose parameters differ from those of its scenario."""
     saved = numbers(document, "given")
     for name, given in problem.given.items():
         if name not in saved or not math.isclose(saved[name], given.value, rel_tol=_ROUNDING, abs_tol=0.0):
@@ -254,7 +254,7 @@ def _check_given(document: Mapping[str, Any], problem: Problem) -> None:
 
 
 def read_trajectories(document: Mapping[str, Any], problem: Problem) -> tuple[Trajectory, ...]:
-    """The curves of a document."""
+    """Read the curves of a document."""
     free = numbers(document, "free")
     entries = part(document, "phases", list)
     if len(entries) != len(problem.phases):
@@ -280,7 +280,7 @@ def read_trajectories(document: Mapping[str, Any], problem: Problem) -> tuple[Tr
 
 
 def _check_directions(phase: Phase, control: Curve, where: str) -> None:
-    """Refuse a control that points nowhere; whether it points where it should is for the proof to find."""
+    """Refuse a control without direction; its optimality is for the proof to check."""
     for first, last in directions(phase.controls):
         if np.linalg.norm(control.values[:, first:last], axis=1).min() < 0.5:
             refuse(where, "a direction of length 0", "directions of length 1")
@@ -330,7 +330,7 @@ def _nature(word: str) -> Nature:
 
 
 def _structure(document: Mapping[str, Any]) -> tuple[NamedArc, ...]:
-    """The arcs by name; files of before there were any are without."""
+    """Read the named arcs; empty for files of earlier versions."""
     entries = part(document, "structure", list) if "structure" in document else []
     if len(entries) > MOST_ENTRIES or not all(isinstance(e, dict) for e in entries):
         refuse("structure", f"{len(entries)} entries", f"at most {MOST_ENTRIES} records")

@@ -1,4 +1,4 @@
-"""What files say a second time of a solution, compared with the solution itself.
+"""Derived content of saved files, compared with the solution itself.
 
 ``solution.json`` states results beside its curves, and ``trajectory.csv`` repeats the curves. Each number of these is
 computed again and compared with what stands there; a file that differs is a failed check of level 1, which names the
@@ -52,13 +52,13 @@ class Repeated:
 
     @classmethod
     def of(cls, path: Path, document: Mapping[str, Any]) -> Repeated:
-        """By where a solution was loaded from, and the document that it was."""
+        """Return the derived content of a loaded document and the place of its files."""
         phases = [{name: value for name, value in p.items() if name not in _CURVES} for p in document["phases"]]
         parts = {name: document[name] for name in _PARTS if name in document}
         return cls(path if path.is_dir() else None, {**parts, "phases": phases})
 
     def __call__(self, solution: Solution) -> tuple[Check, ...]:
-        """A check of level 1 for each file."""
+        """Return a check of level 1 for each file."""
         checks = [file_check(SOLUTION_FILE, list(_document_slips(solution, self.said)))]
         if self.place is None or not self.place.is_dir():
             return tuple(checks)
@@ -77,7 +77,7 @@ def is_table(name: str) -> bool:
 
 
 def compared(name: str, place: Path, slips: Callable[[str], Iterator[str]]) -> Check:
-    """The check of one file of text; one that cannot be read repeats nothing that is known."""
+    """Return the check of a file of text, failed if it cannot be read."""
     try:
         text = bounded_text(place / name, "file", LARGEST_FILE, expected="as it was written", advice="remove it")
         return file_check(name, list(slips(text)))
@@ -86,7 +86,7 @@ def compared(name: str, place: Path, slips: Callable[[str], Iterator[str]]) -> C
 
 
 def file_check(name: str, slips: list[str]) -> Check:
-    """The check of a file with these slips."""
+    """Return the check of a file with these differences."""
     first = f"; the first: {slips[0]}" if slips else ""
     return Check(
         name=name, level=1, value=float(len(slips)), limit=0.0, unit="1",
@@ -95,7 +95,7 @@ def file_check(name: str, slips: list[str]) -> Check:
 
 
 def _moved(solution: Solution, k: int, share: float) -> Iterator[Solution]:
-    """The same solution with one component of one curve of phase k larger by a share of it, one after the other."""
+    """Yield the solution with one component of one curve of phase k enlarged by a share of it, for each component."""
     flown = solution.trajectories[k]
     for kind in _CURVES:
         curve: Curve | None = getattr(flown, kind)
@@ -112,7 +112,7 @@ def _moved(solution: Solution, k: int, share: float) -> Iterator[Solution]:
 
 
 def _document_slips(solution: Solution, said: Mapping[str, Any]) -> Iterator[str]:
-    """Entries of the document that are others than those of the solution."""
+    """Yield the entries of the document that differ from the solution."""
     known = {**answer_document(solution), "phases": phases_document(solution)}
     slips = [slip for part in said for slip in _differences(said[part], known[part], part, {})]
     if slips:  # they may be rounding
@@ -122,7 +122,7 @@ def _document_slips(solution: Solution, said: Mapping[str, Any]) -> Iterator[str
 
 
 def _result_limits(solution: Solution) -> dict[str, float]:
-    """By how much each result may differ."""
+    """Return the limit by which each result may differ."""
     found = {name: result.value for name, result in solution.results.items()}
     limits = {name: AGREEMENT * abs(value) for name, value in found.items()}
     for k in range(len(solution.trajectories)):
@@ -133,7 +133,7 @@ def _result_limits(solution: Solution) -> dict[str, float]:
 
 
 def _differences(said: Any, known: Any, where: str, limits: Mapping[str, float]) -> Iterator[str]:
-    """Entries that a file has and that are others, or none, in what is known."""
+    """Yield the entries of a file that are different, or missing, in the known tree."""
     if isinstance(said, dict) and isinstance(known, dict):
         for name, value in said.items():
             if name not in known:
@@ -165,7 +165,7 @@ def _shown(value: Any) -> str:
 
 
 def _table_slips(solution: Solution, k: int, text: str) -> Iterator[str]:
-    """Cells of a table that are not those of the solution, by row (the heading is row 1) and column."""
+    """Yield the cells of a table that differ from the solution, by row (the heading is row 1) and column."""
     headings = [column.heading for column in columns(solution, k).values()]
     rows = list(csv.reader(StringIO(text)))
     first = [*headings[:-1], f"H [{solution.problem.objective_unit}/s]"]  # as the first tables called it: [s/s], too
@@ -196,12 +196,12 @@ def _table_slips(solution: Solution, k: int, text: str) -> Iterator[str]:
 
 
 def _values(solution: Solution, k: int, t: Vector | None = None) -> Matrix:
-    """The table of phase k, (columns, nodes)."""
+    """Return the table of phase k, (columns, nodes)."""
     return np.array([column.values for column in columns(solution, k, t).values()])
 
 
 def _cell_limits(solution: Solution, k: int) -> Matrix:
-    """By how much each cell of it may differ."""
+    """Return the limit by which each cell of it may differ."""
     values = _values(solution, k)
     limits = np.zeros(values.shape) + ROUNDING * np.nanmax(np.abs(values), axis=1, initial=0.0)[:, None]
     for other in _moved(solution, k, ROUNDING):

@@ -13,7 +13,7 @@ MOST_INSTRUCTIONS, MOST_TABLES = 50_000, 100  # of one function in a file; the l
 
 
 def tape_of(document: Any, names: Mapping[str, Sequence[str]], what: str) -> Tape:
-    """A tape out of a file, checked: known operations, operands before their use, names of the given records.
+    """Read and check a tape: known operations, operands before their use, names of the given records.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What leaves the program: documents, tables, figures, reports. matplotlib is imported for figures only."""
+"""Output of the program: documents, tables, figures, reports. matplotlib is imported for figures only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_all(
     ordinary: Solution | None = None,
     force: bool = False,
 ) -> None:
-    """Write everything about a solution: ``solution.json``, ``trajectory.csv``, figures, ``report.md``.
+    """Write all files of a solution: ``solution.json``, ``trajectory.csv``, figures, ``report.md``.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def write_all(
 def add_report(
     solution: Solution, directory: Path, *, scenario_text: str | None, ordinary: Solution | None = None
 ) -> None:
-    """Write the same beside what `perilune.save` wrote of the solution, which stays where this ends by an error."""
+    """Add figures and report to the files that `perilune.save` wrote, which stay if this fails."""
     from perilune.io.export import solution_files
     from perilune.io.files import fresh_directory, refuse_unwritten
 
@@ -70,7 +70,7 @@ def add_report(
 def _write_report(
     solution: Solution, work: Path, scenario_text: str | None, ordinary: Solution | None
 ) -> list[PeriluneError]:
-    """Write figures and report into a directory; return what is said of those that failed."""
+    """Write figures and report into a directory; return the errors of those that failed."""
     from matplotlib.figure import Figure
 
     from perilune.io.files import FIGURES, unwritten, write_each

@@ -1,7 +1,7 @@
-"""The flight as it goes: the way with the vehicle on it, its thrust, the clock and the height.
+"""Animation of a flight: the path with the vehicle on it, its thrust, the clock and the height.
 
-The way is seen from the side, distance along the ground against height, each to its own scale, the exhaust at its
-true angle to the horizon; a problem that is nowhere in space shows its first history with a point that runs along it.
+The path is seen from the side, distance along the ground against height, each to its own scale, the exhaust at its
+true angle to the horizon; a problem without a place in space shows its first history with a point running along it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class _Way:
 def animate(
     solution: Solution, file: str | Path | None = None, *, seconds: float = 8.0, force: bool = False
 ) -> FuncAnimation:
-    """Show a flight as it goes.
+    """Animate a flight.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def animate(
 
 
 def _way(solution: Solution, frames: int) -> _Way:
-    """The way at times that are evenly apart."""
+    """Return the path at evenly spaced times."""
     whole = solution.duration
     time = np.linspace(0.0, whole, max(frames, 2))
     problem = solution.problem

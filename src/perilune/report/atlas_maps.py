@@ -34,7 +34,7 @@ _DOTS = 3000  # nodes that are drawn one by one
 
 
 def atlas_maps(shown: Slice) -> dict[str, Figure]:
-    """Every figure of a slice, by file name.
+    """Draw every figure of a slice; returns them by file name.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def atlas_maps(shown: Slice) -> dict[str, Figure]:
 
 
 def _drawings(shown: Slice) -> dict[str, Callable[[], Figure]]:
-    """Return what draws each figure, by its name."""
+    """Return the function that draws each figure, by its name."""
     if not shown.answers.good.any():
         raise PeriluneError(
             "there is nothing to draw", got="; ".join(f"{text}: {n} points" for text, n in shown.counts.items()),
@@ -100,7 +100,7 @@ def write_maps(shown: Slice, directory: str | Path, force: bool = False) -> list
 
 
 def _told(name: str, unit: str, values: Vector) -> tuple[float, str]:
-    """Factor to the unit in which a reader expects a quantity, and the text of its axis."""
+    """Return the factor to the display unit of a quantity, and the text of its axis."""
     factor, unit = spoken(unit)
     least, longer = LONG.get(unit, (math.inf, unit))
     if np.nanmax(np.abs(values), initial=0.0) >= least:
@@ -120,7 +120,7 @@ def _along(axis: Axis, values: Vector) -> tuple[Vector, str]:
 
 
 def _panels(shown: Slice, count: int = 1) -> tuple[Figure, list[Any], list[Vector]]:
-    """A figure of panels over the axes of a slice, one below the other, and the values along the axes."""
+    """Make a figure of panels over the axes of a slice, one below the other; returns also the values along the axes."""
     plane = len(shown.axes) == 2
     figure, axes = new_figure((2.75 if plane else 2.3) if count == 1 else 0.5 + (2.1 if plane else 1.3) * count, count)
     panels, values = list(np.atleast_1d(axes)), list[Vector]()
@@ -142,7 +142,7 @@ def _panels(shown: Slice, count: int = 1) -> tuple[Figure, list[Any], list[Vecto
 
 
 def _filled(shown: Slice, panel: Any, along: list[Vector], values: Vector, **settings: Any) -> Any:
-    """Colours of values at all points of a slice over two axes; none where a value is NaN."""
+    """Draw colours of values at all points of a slice over two axes; none where a value is NaN."""
     rows = np.ma.masked_invalid(values.reshape(shown.shape).T)
     return panel.pcolormesh(*along, rows, shading="nearest", rasterized=True, **settings)
 
@@ -156,7 +156,7 @@ def _spans(shown: Slice, panel: Any, along: Vector) -> None:
 
 @styled
 def _quantity(shown: Slice, values: Vector, text: str) -> Figure:
-    """One quantity: colours with lines of equal value over two axes, curves along one."""
+    """Draw one quantity: colours with lines of equal value over two axes, curves along one."""
     figure, (panel,), along = _panels(shown)
     known = values[np.isfinite(values)]
     if len(along) == 1:
@@ -181,7 +181,7 @@ def _quantity(shown: Slice, values: Vector, text: str) -> Figure:
 
 
 def _equal(shown: Slice, panel: Any, along: list[Vector], values: Vector) -> None:
-    """Lines of equal value, of each sheet for itself: between two of them the value may jump."""
+    """Draw lines of equal value for each sheet separately, as the value may jump between two."""
     known = values[np.isfinite(values)]
     levels, least = _round(np.quantile(known, np.linspace(0.1, 0.9, 7))), _SAME * np.abs(known).max()
     for number in range(len(shown.sheets)):
@@ -196,7 +196,7 @@ def _equal(shown: Slice, panel: Any, along: list[Vector], values: Vector) -> Non
 
 
 def _round(levels: Vector) -> Vector:
-    """Levels with as few digits as tell them apart, so that lines can be labelled."""
+    """Round levels to as few digits as keep them distinct, so that lines can be labelled."""
     step = np.min(np.diff(np.unique(levels)), initial=np.inf)
     if not 0 < step < np.inf:
         return levels
@@ -205,13 +205,13 @@ def _round(levels: Vector) -> Vector:
 
 
 def _named(shown: Slice) -> list[tuple[str, str]]:
-    """Label and colour of each sheet."""
+    """Return label and colour of each sheet."""
     return [(label.replace("_", " "), _SHEETS[number % len(_SHEETS)]) for number, label in enumerate(shown.sheets)]
 
 
 @styled
 def _sheets(shown: Slice) -> Figure:
-    """From which sheet each answer is, and why there is none where there is none."""
+    """Draw the sheet of each answer, and the reason for points without one."""
     figure, (panel,), along = _panels(shown)
     count = len(shown.sheets)
     kinds = [*_named(shown), *zip(shown.reasons, (_NOTHING * len(shown.reasons))[: len(shown.reasons)], strict=True)]
@@ -266,7 +266,7 @@ def _nodes(shown: Slice) -> Figure:
 
 @styled
 def _errors(shown: Slice) -> Figure:
-    """Relative errors of what cells give, and their bound behind Newton's method."""
+    """Draw the relative errors of what cells give, and the error bound after Newton's method."""
     errors = {
         "first guess, from the cell": shown.answers.guess_error,
         "polished: bound on the error": shown.answers.error_bound,

@@ -1,8 +1,8 @@
-"""A directory of a solution, proved: the solution with all that its files repeat, and the report that lies beside it.
+"""Verification of a directory: the solution, its derived files, and its report.
 
-What a reader takes for the answer is not only what was flown. The proof of a loaded solution compares what its own
-files say a second time (`perilune.io.repeated`); here the results and extremals of ``report.md`` are compared too, a
-failed check naming the place. Pictures and files of others are named as not compared.
+A reader may take any of the files for the answer. The proof of a loaded solution compares its derived content
+(`perilune.io.repeated`); here the results and extremals of ``report.md`` are compared too, a failed check naming the
+place. Pictures and foreign files are named as not compared.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def proved_directory(directory: str | Path, level: int = 3, watch: Watch | None 
 
 
 def _report_slips(solution: Solution, text: str, whole: bool) -> Iterator[str]:
-    """Rows of the tables of results and, where all of them are confirmed, of extremals that are others."""
+    """Yield differing rows in the table of results and, if all extremals are confirmed, in theirs."""
     found = {told: tuple(cells) for told, *cells in (spoken(n, r) for n, r in solution.results.items())}
     for name, *cells in _rows(text, "Results")[1:]:
         known = found.get(name, ("nothing", ""))
@@ -94,7 +94,7 @@ def _report_slips(solution: Solution, text: str, whole: bool) -> Iterator[str]:
 
 
 def _rows(markdown: str, heading: str) -> list[list[str]]:
-    """Cells of the table below a heading, its head first."""
+    """Return the cells of the table below a heading, its head first."""
     section = markdown.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
     lines = [line for line in section.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines[:1] + lines[2:]]

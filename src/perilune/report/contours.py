@@ -39,7 +39,7 @@ _WIDTH = 4.4  # inches: one column, and the bar of colours
 
 
 def map_names(problem: Problem, parameters: tuple[str, ...]) -> list[str]:
-    """Names of the quantities that a map of the problem's families can show, but for results that views add."""
+    """Return the names of the quantities that a map of the problem's families can show, without results of views."""
     variables = [*problem.result_variables]
     for phase in problem.phases:
         variables += [*phase.mark_variables, *phase.integral_variables]
@@ -142,7 +142,7 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
 
 
 def _quantities(family: Family) -> dict[str, tuple[Vector, str]]:
-    """Values and unit of everything that a member has, by name; a parameter goes before a result of its name."""
+    """Return values and unit of all quantities of a member, by name; a parameter has precedence over a result."""
     count = len(family.points)
     found = {f.name: (np.full(count, f.values[0]), f.unit) for f in given_fields(family)}
     found |= {f.name: (f.values, f.unit) for f in result_fields(family)}
@@ -174,14 +174,14 @@ def _usual(family: Family, table: Mapping[str, tuple[Vector, str]]) -> str:
 
 
 def _told(values: Vector, unit: str, name: str) -> tuple[Vector, str]:
-    """Values in the unit of the text of their axis, and that text."""
+    """Return values in the unit of their axis, and the text of the axis."""
     least, longer = LONG.get(unit, (math.inf, unit))
     factor, unit = (1e-3, longer) if np.nanmax(np.abs(values), initial=0.0) >= least else (1.0, unit)
     return factor * values, f"{parameter_name(name).replace('_', ' ')} ({unit})".removesuffix(" (1)")
 
 
 def _triangles(placed: np.ndarray, known: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of the grid with three good corners, and those with a place and another corner, (n, 3) each."""
+    """Return the triangles of the grid with good corners only, and others whose corners have places, (n, 3) each."""
     full, empty = list[tuple[int, ...]](), list[tuple[int, ...]]()
     for i, j in product(range(placed.shape[0] - 1), range(placed.shape[1] - 1)):
         a, b, c, d = (int(placed[i + p, j + q]) for p, q in ((0, 0), (1, 0), (1, 1), (0, 1)))
@@ -208,7 +208,7 @@ def _folded(along: Vector, across: Vector, triangles: np.ndarray) -> bool:
 
 
 def _levels(height: Vector) -> Vector:
-    """Whole values through all of a quantity; about it, where it is the same everywhere."""
+    """Return round levels over the range of a quantity; around its value if that is constant."""
     known = height[np.isfinite(height)]
     low, high = float(known.min()), float(known.max())
     if high - low <= 1e-9 * max(abs(low), abs(high)):
@@ -218,7 +218,7 @@ def _levels(height: Vector) -> Vector:
 
 
 def _contours(axes: Any, mesh: Triangulation, height: Vector, levels: Vector) -> Any:
-    """Colours, and lines that have their value."""
+    """Draw colours, and lines with their value."""
     filled = np.where(np.isfinite(height), height, levels[0])  # of corners that no triangle has
     drawn = axes.tricontourf(mesh, filled, levels=levels, cmap="viridis")
     label_lines(axes, axes.tricontour(mesh, filled, levels=levels, colors="white", linewidths=0.6))
@@ -226,13 +226,13 @@ def _contours(axes: Any, mesh: Triangulation, height: Vector, levels: Vector) ->
 
 
 def label_lines(axes: Any, lines: Any) -> None:
-    """Write at lines of equal value what it is, legible on any colour."""
+    """Label lines of equal value, legibly on any colour."""
     for text in axes.clabel(lines, fmt="%g", fontsize=6, inline=True, inline_spacing=2):
         text.set_path_effects([withStroke(linewidth=1.0, foreground="#00000080")])
 
 
 def _members(axes: Any, family: Family, along: Vector, across: Vector, good: np.ndarray, folded: bool) -> None:
-    """A dot at each member with a solution, hollow where it is not proved; a cross or plus at each without."""
+    """Mark each member with a dot, hollow if it is not proved; with a cross or plus if it has no solution."""
     doubted, infeasible = (
         np.array([p.outcome is outcome for p in family.points], dtype=bool)
         for outcome in (Outcome.NOT_PROVED, Outcome.INFEASIBLE)

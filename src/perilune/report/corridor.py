@@ -26,7 +26,7 @@ _LINES = 5  # of each quantity
 
 @styled
 def corridor(solution: Solution, shown: Corridor) -> Figure:
-    """Each phase that has the quantities: its way, and lines of round values of `shown.equal`."""
+    """Draw the path of each phase that has the quantities, and lines of round values of `shown.equal`."""
     figure, ax = new_figure(height=3.0)
     for k, trajectory in enumerate(solution.trajectories):
         names = [v.name for v in solution.problem.phases[k].output_variables]
@@ -59,7 +59,7 @@ def corridor(solution: Solution, shown: Corridor) -> Figure:
 
 
 def _grid(solution: Solution, k: int, shown: Corridor, height: Any, speed: Any) -> dict[str, Matrix]:
-    """Outputs of phase k over its heights and speeds."""
+    """Evaluate outputs of phase k over its heights and speeds."""
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
     x, u = solution.flown(k, np.array([0.5 * trajectory.duration]))
     state = {name: float(value[0]) for name, value in zip(phase.state_names, x, strict=True)}
@@ -96,6 +96,6 @@ def _labelled(
 
 
 def _round(value: float) -> float:
-    """The largest of 1, 2, 5, 10, ... that is not above a value."""
+    """Return the largest of 1, 2, 5, 10, ... that is not above a value."""
     power = 10.0 ** math.floor(math.log10(value))
     return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value)

@@ -30,8 +30,8 @@ FAMILY_NAME = "family"
 def family_document(family: Family) -> dict[str, Any]:
     """Make the tree: parameter, unit, whether Ctrl-C cut it short; of each point value, outcome, results, message.
 
-    `within` is what of a stated tolerance its proof needed.
-    Of a family along several parameters ``parameters`` and ``values`` stand in their place, in one order.
+    `within` is the part of a stated tolerance that its proof needed.
+    A family along several parameters has ``parameters`` and ``values`` in their place, in the same order.
     """
     shown = [spoken(unit) for unit in family.units]
     heads = [{"name": name, "unit": unit} for name, (_, unit) in zip(family.parameters, shown, strict=True)]
@@ -72,7 +72,7 @@ def family_csv(family: Family) -> str:
 
 
 def family_figure(family: Family) -> Figure:
-    """Each result that varies against the one parameter, one panel below the other; what is not proved stands out."""
+    """Draw each result that varies against the one parameter, in panels; unproved points stand out."""
     from perilune.report.histories import family_panels
 
     document = family_document(family)

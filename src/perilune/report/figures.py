@@ -27,7 +27,7 @@ __all__ = ["drawings", "label", "save", "solution_figures", "tell_doubts"]
 
 
 def solution_figures(solution: Solution, beside: Solution | None = None) -> dict[str, Figure]:
-    """Every figure that the solution has data for, by file name.
+    """Draw every figure that the solution has data for; returns them by file name.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def _with_doubts(draw: Callable[[], Figure], flights: Mapping[str, Solution]) ->
 
 
 def tell_doubts(figure: Figure, flights: Mapping[str, Solution]) -> None:
-    """Below a figure what is known of each flight that is not proved: it may go where nothing else tells."""
+    """Write the failed proof of each unproved flight below a figure, which may be seen without other files."""
     doubts = {
         called: flight.verification.told for called, flight in flights.items() if flight.outcome != Outcome.PROVED
     }
@@ -94,7 +94,7 @@ def label(solution: Solution) -> str:
 
 
 def _generic(problem: Problem) -> tuple[History, ...]:
-    """Each state and each control, of a problem that says nothing of its figures."""
+    """Return a history of each state and each control, for a problem that states no figures."""
     both = {
         "states": [name for phase in problem.phases for name in phase.state_names],
         "controls": [name for phase in problem.phases for name in phase.control_names],

@@ -24,7 +24,7 @@ _COLOURS = (BLUE, VERMILION, GREEN, PURPLE)
 
 @styled
 def ground_track(solution: Solution, shown: Ground) -> Figure:
-    """Track of each phase in its colour over the whole map; a circle where it begins, a triangle where it ends."""
+    """Draw the track of each phase over the whole map; a circle at its begin, a triangle at its end."""
     figure, ax = new_figure(height=3.9, width=WIDTH)
     for line in coastline() if shown.coasts else ():
         ax.plot(*line.T, color=GREY, linewidth=0.5, label="_")
@@ -49,12 +49,12 @@ def ground_track(solution: Solution, shown: Ground) -> Figure:
 
 
 def wrapped(longitude: Vector) -> Vector:
-    """Longitudes [deg] from -180 to 180."""
+    """Wrap longitudes to -180 to 180 [deg]."""
     return (np.asarray(longitude) + 180.0) % 360.0 - 180.0
 
 
 def on_map(longitude: Vector, latitude: Vector) -> tuple[Vector, Vector]:
-    """A track [deg] from edge to edge of the map: where it leaves at one side it goes on at the other, after a NaN."""
+    """Split a track [deg] at the edges of the map: it leaves at one side and continues at the other after a NaN."""
     east = np.unwrap(longitude, period=360.0)
     turns = np.floor((east + 180.0) / 360.0)
     x, y = [], []
@@ -72,7 +72,7 @@ def on_map(longitude: Vector, latitude: Vector) -> tuple[Vector, Vector]:
 
 @cache
 def coastline() -> tuple[Matrix, ...]:
-    """Coasts of the Earth: lines of (longitude, latitude) [deg], shape (n, 2) each."""
+    """Read the coasts of the Earth: lines of (longitude, latitude) [deg], shape (n, 2) each."""
     text = (files("perilune.report") / "coastline.csv").read_text(encoding="utf-8")
     rows = (row for row in text.splitlines() if not row.startswith("#"))
     return tuple(np.array([point.split(",") for point in row.split()], dtype=float) for row in rows)

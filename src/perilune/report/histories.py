@@ -1,4 +1,4 @@
-"""Quantities against time, and families against a parameter: what every problem has, whatever it is about.
+"""Figures that every problem has: quantities against time, and families against a parameter.
 
 Axis texts come from the problem's variables: their `label`, or their name, and the unit in which a reader expects them
 (angles in degrees, long ways in kilometres).
@@ -37,7 +37,7 @@ GREEK = ("alpha", "beta", "gamma", "phi", "psi", "theta")
 
 @styled
 def history(flights: Mapping[str, Solution], shown: History) -> Figure:
-    """Each quantity of a `History` in its panel against time, several flights in each."""
+    """Draw each quantity of a `History` in its panel against time, several flights in each."""
     problem = next(iter(flights.values())).problem
     sampled = {
         name: {who: flight_columns(solution, name) for who, solution in flights.items()} for name in shown.quantities
@@ -73,7 +73,7 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
 
 
 def _spans(sampled: Mapping[str, Mapping[str, list[tuple[Any, Column]]]]) -> dict[str, float]:
-    """The largest change along the flights of any quantity that has the unit of each."""
+    """Return for each quantity the largest change, along the flights, of any quantity of the same unit."""
     changes: dict[str, tuple[str, float]] = {}
     for name, flown in sampled.items():
         columns = [column for parts in flown.values() for _, column in parts]
@@ -83,7 +83,7 @@ def _spans(sampled: Mapping[str, Mapping[str, list[tuple[Any, Column]]]]) -> dic
 
 
 def mark_phases(axes: Any, solution: Solution, begin: float, last: float) -> None:
-    """Dotted lines in all panels where one phase ends and the next begins, between times; names of long phases."""
+    """Draw dotted lines in all panels between phases, within a range of times, and the names of long phases."""
     ends = np.cumsum([0.0, *(trajectory.duration for trajectory in solution.trajectories)])
     if len(ends) < 3:
         return
@@ -100,7 +100,7 @@ def mark_phases(axes: Any, solution: Solution, begin: float, last: float) -> Non
 
 
 def axis_text(problem: Problem, shown: list[Column]) -> tuple[str, float]:
-    """Text of an axis that shows these columns of one name, and the factor from their unit to that of the text."""
+    """Return the text of an axis for columns of one name, and the factor from their unit to that of the text."""
     name, unit, factor = shown[0].name, shown[0].unit, 1.0
     least, longer = LONG.get(unit, (math.inf, unit))
     if max(float(np.abs(column.values).max()) for column in shown) >= least:
@@ -112,7 +112,7 @@ def axis_text(problem: Problem, shown: list[Column]) -> tuple[str, float]:
 
 @styled
 def costates(solution: Solution) -> Figure:
-    """Each costate against time, with its unit."""
+    """Draw each costate against time, with its unit."""
     states = dict.fromkeys(name for phase in solution.problem.phases for name in phase.state_names)
     found = [flight_columns(solution, f"lambda_{name}") for name in states]
     figure, axes = new_figure(height=0.5 + 0.95 * len(found), rows=len(found))
@@ -139,9 +139,18 @@ def _costate_symbol(column: Column) -> str:
 
 @styled
 def family_panels(value: np.ndarray, results: Mapping[str, np.ndarray], parameter: str, doubted: np.ndarray) -> Figure:
-    """Panels of results (axis label: values, NaN where none) against a parameter, sharing its axis.
+    """Draw panels of results against a parameter, sharing its axis.
 
-    Points that are `doubted` failed their proof.
+    Parameters
+    ----------
+    value
+        Values of the parameter, shape (n,).
+    results
+        Values of each result by the text of its axis, shape (n,), NaN for none.
+    parameter
+        Text of the parameter's axis.
+    doubted
+        True for points that failed their proof, shape (n,).
     """
     rows = max(len(results), 1)
     figure, axes = new_figure(height=0.6 + 1.15 * rows, rows=rows)

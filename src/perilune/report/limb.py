@@ -1,4 +1,4 @@
-"""The path over the limb of the body: ground and flight in one picture, downrange to scale, height stretched.
+"""Figure of the path over the limb of the body: ground and flight, downrange to scale, height stretched.
 
 A landing from 15 km covers some hundred kilometres of ground, so at true scale its height would be a hair's
 width. The height above the ground is stretched by a round factor, which the picture names; angles at the
@@ -23,7 +23,7 @@ WIDTH = 7.0  # inches: two columns, as the path is long and flat
 
 @styled
 def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
-    """Path of each flight from ignition to touchdown, thrust shown by strokes along the exhaust."""
+    """Draw the path of each flight from ignition to touchdown, thrust shown by strokes along the exhaust."""
     first = next(iter(flights.values()))
     radius = getattr(first.parameters, first.problem.views.radius)
     plane = plane_of_flight(first)
@@ -37,7 +37,7 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
     middle = 0.5 * (begin + end)
 
     def place(phi: Any, height: Any) -> tuple[Any, Any]:
-        """Kilometres right and up from the ground at the middle; flight is to the right."""
+        """Return kilometres right and up from the ground at the middle; flight is to the right."""
         r = radius + stretch * (np.asarray(height) - ground_level)
         return r * np.sin(phi - middle) / 1e3, (r * np.cos(phi - middle) - radius) / 1e3
 
@@ -81,7 +81,7 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
 
 
 def plane_of_flight(solution: Solution) -> Matrix:
-    """Unit vectors, as rows: up at ignition, and ahead along the horizon there, in the inertial axes."""
+    """Return unit vectors, as rows: up at ignition, and ahead along the horizon there, in the inertial axes."""
     position, velocity, _ = (vector[:, 0] for vector in solution.inertial(0, np.zeros(1)))
     up = position / np.linalg.norm(position)
     ahead = velocity - (velocity @ up) * up
@@ -91,7 +91,7 @@ def plane_of_flight(solution: Solution) -> Matrix:
 
 
 def _path(solution: Solution, plane: Matrix, radius: float) -> tuple[Vector, Vector]:
-    """Angle from ignition [rad] and height above the body's radius [m] along the flight."""
+    """Return angle from ignition [rad] and height above the body's radius [m] along the flight."""
     times = map(seen_at, solution.trajectories)
     r = np.concatenate([solution.inertial(k, t)[0] for k, t in enumerate(times)], axis=1)
     above, ahead = plane @ r
@@ -99,7 +99,7 @@ def _path(solution: Solution, plane: Matrix, radius: float) -> tuple[Vector, Vec
 
 
 def _round_factor(value: float) -> float:
-    """Largest of 1, 2, 5, 10, ... that is not above the value."""
+    """Return the largest of 1, 2, 5, 10, ... that is not above the value."""
     if value < 1:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))
@@ -109,7 +109,7 @@ def _round_factor(value: float) -> float:
 def _thrust_strokes(
     axes: Any, solution: Solution, plane: Matrix, radius: float, place: Any, colour: str, length: float
 ) -> None:
-    """Strokes from the path along the exhaust, opposite the thrust, at equal times; none where the engine is off."""
+    """Draw strokes from the path along the exhaust, opposite the thrust, at equal times; none with the engine off."""
     whole = solution.duration
     for k, trajectory in enumerate(solution.trajectories):
         t = np.linspace(0.02, 0.98, max(2, round(12 * trajectory.duration / whole))) * trajectory.duration

@@ -12,7 +12,7 @@ _HEAD = f"{'ignition':>21} {'landing':>10}  {'pass':10} {'off the plane':>22} {'
 
 
 def opportunities_document(found: Sequence[Opportunity]) -> dict[str, Any]:
-    """All passes with their numbers in SI and radians; what no turn reaches has none."""
+    """Return all passes with their numbers in SI and radians; None for numbers of a pass that no turn reaches."""
     rows = [
         {**vars(one), "utc": one.utc and f"{one.utc:%Y-%m-%dT%H:%M:%SZ}", "settings": dict(one.settings)}
         for one in found
@@ -23,7 +23,7 @@ def opportunities_document(found: Sequence[Opportunity]) -> dict[str, Any]:
 
 
 def opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
-    """A table of the passes that may be made, or of all, and how to solve the first of them."""
+    """Return a table of the passes that can be made, or of all, and the command that solves the first."""
     shown = [one for one in found if every or one.verdict != OUT_OF_REACH]
     if not shown:
         return f"no pass of {len(found)} can be made"

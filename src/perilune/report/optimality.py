@@ -1,4 +1,4 @@
-"""The minimum condition as a figure: the Hamiltonian along the flight, and what another control would add to it."""
+"""Figure of the minimum condition: the Hamiltonian along the flight, and its increase by other controls."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from perilune.words.types import Vector
 
 @styled
 def optimality(solution: Solution) -> Figure:
-    """H along the flight, and what turning the thrust adds to H, which must not be negative."""
+    """Draw H along the flight, and the increase of H by turned thrusts, which must not be negative."""
     phases, begin = solution.problem.phases, 0.0
     per = per_unit(solution.problem.objective_unit, "s")
     planar = all(directions(phase.controls) == ((0, 2),) and len(phase.controls) == 1 for phase in phases)

@@ -1,4 +1,4 @@
-"""Problems, solutions and proofs as a notebook shows them: a few lines of HTML with a picture inside, no network.
+"""Problems, solutions and proofs in a notebook: a few lines of HTML with a picture inside, no network.
 
 Names may be those of a stranger's file, so every text is escaped, and the picture is an image that runs nothing.
 """
@@ -26,7 +26,7 @@ _MOST = 12  # rows of a table
 
 
 def solution_page(solution: Solution) -> str:
-    """Outcome, proof and results beside the way that is flown."""
+    """Return HTML of outcome, proof and results next to a figure of the path."""
     rows = [tuple(spoken(name, result)) for name, result in solution.results.items()]
     head = f"{solution.problem.heading}: {solution.outcome.name}, {solution.verification.title}"
     drawn = _picture(plot(solution), f"the flight of {solution.problem.heading}")
@@ -34,7 +34,7 @@ def solution_page(solution: Solution) -> str:
 
 
 def problem_page(problem: Problem) -> str:
-    """Phases, what is given and what is free."""
+    """Return HTML of the phases, the given and the free parameters."""
     phases = [
         (phase.name, ", ".join(phase.state_names), ", ".join(phase.control_names) or "none") for phase in problem.phases
     ]
@@ -47,7 +47,7 @@ def problem_page(problem: Problem) -> str:
 
 
 def verification_page(verification: Verification) -> str:
-    """Each check with its value and limit, those that failed first."""
+    """Return HTML of each check with its value and limit, failed ones first."""
     checks = sorted(verification.checks, key=lambda check: check.passed)
     rows = [
         ("ok" if c.passed else "FAILED", c.name, str(c.level), told(c.value, c.unit), c.limit_told()) for c in checks

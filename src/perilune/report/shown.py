@@ -13,7 +13,7 @@ _FIRST = ("path", "track", "ground_track")  # the way in space, where there is o
 
 
 def plot(solution: Solution, name: str = "") -> Figure:
-    """A figure of a solution.
+    """Draw a figure of a solution.
 
     Parameters
     ----------

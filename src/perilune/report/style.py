@@ -1,4 +1,4 @@
-"""The house style of every figure, and how a figure is made and saved.
+"""Common style of all figures; making and saving of figures.
 
 One column wide (3.4 in) with 8 pt text, so that it is legible in a two-column paper; the colours are those of Okabe
 and Ito (2008), distinct in every colour vision, and lines differ in dash as well. Figures are made by matplotlib's
@@ -53,14 +53,14 @@ LOOKS = ((BLUE, "-"), (VERMILION, "--"), (GREEN, ":"))
 
 
 def time_text(problem: Problem) -> str:
-    """Text of the axis of time; a flight that begins with a free fall has its ignition later."""
+    """Return the text of the axis of time, which counts from ignition unless the flight begins with a free fall."""
     return f"time from {'ignition' if problem.phases[0].controls else 'the start'} (s)"
 
 
 def save(figure: Figure, directory: Path, name: str) -> None:
     """Write ``name.png`` and ``name.svg``; equal figures give equal files.
 
-    Both have the layout of the first: to lay a figure out takes two thirds of the time of drawing it.
+    Both share the layout of the first, which takes two thirds of the time of drawing.
     """
     with matplotlib.rc_context(STYLE):
         FigureCanvasAgg(figure).print_figure(directory / f"{name}.png", metadata={"Software": None})
@@ -72,14 +72,14 @@ def save(figure: Figure, directory: Path, name: str) -> None:
 
 
 def new_figure(height: float = 2.3, rows: int = 1, cols: int = 1, width: float = COLUMN_WIDTH) -> tuple[Figure, Any]:
-    """Figure of one column's width in the house style, and its axes (an array if there are several)."""
+    """Make a figure of one column's width in the common style; returns also its axes (an array if several)."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         return figure, figure.subplots(rows, cols, sharex=rows > 1 and cols == 1)
 
 
 def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
-    """Draw in the house style: ticks and legends take their sizes when they are made."""
+    """Make a function draw in the common style, as ticks and legends take their sizes when they are made."""
 
     def drawn(*args: Any, **kwargs: Any) -> Figure:
         with matplotlib.rc_context(STYLE):
@@ -90,7 +90,7 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
 
 def widen(axes: Any, least: float) -> None:
-    """Widen the vertical range of axes about its middle to a least span: what is smaller looks as flat as it is."""
+    """Widen the vertical range of axes about its middle to a least span, so that small changes look flat."""
     low, high = axes.get_ylim()
     if high - low < least:
         middle = 0.5 * (low + high)
@@ -98,7 +98,7 @@ def widen(axes: Any, least: float) -> None:
 
 
 def legend_above(figure: Figure, axes: Any, columns: int = 2) -> None:
-    """Legend over the axes, where it can hide no line; what is longer than the figure is wide is broken."""
+    """Put the legend above the axes, where it hides no line, in rows no wider than the figure."""
     handles, labels = axes.get_legend_handles_labels()
     labels = [fill(label, WIDEST) for label in labels]
     figure.legend(handles, labels, loc="outside upper center", ncols=columns, handlelength=2.2)
@@ -113,7 +113,19 @@ def lines(
     from_zero: bool = False,
     log: bool = False,
 ) -> Figure:
-    """Curves (x, y, style, name) and marked points (x, y, text, offset of the text in pt); y logarithmic with `log`."""
+    """Draw curves (x, y, style, name) and marked points (x, y, text, offset of the text in pt).
+
+    Parameters
+    ----------
+    curves, marks
+        Curves and marked points.
+    labels
+        Texts of the axes.
+    height
+        Of the figure [in].
+    from_zero, log
+        True for a vertical axis from zero, and for a logarithmic one.
+    """
     figure, axes = new_figure(height)
     colours = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GREY)
     named = 0

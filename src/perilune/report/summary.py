@@ -26,9 +26,9 @@ _AGAIN = "those that the file lists, each found again"
 
 
 def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
-    """Plain text for a terminal, 80 columns: results, extremals, proof, how it was found.
+    """Return plain text for a terminal, 80 columns: results, extremals, proof, method.
 
-    Without `every_check` the checks are counted, level by level, and only those that failed are shown.
+    Without `every_check` checks are counted, level by level, and only failed ones are shown.
     """
     lines = [
         f"{solution.problem.heading}: {_outcome(solution)}",
@@ -65,7 +65,7 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
 
 
 def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_text: str = "") -> str:
-    """Markdown report of one solution.
+    """Return the Markdown report of one solution.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Markdown table; a bar inside a cell is escaped."""
+    """Return a Markdown table; a bar inside a cell is escaped."""
 
     def row(cells: Sequence[Any]) -> str:
         return "| " + " | ".join(str(c).replace("|", "\\|").replace("\n", " ") for c in cells) + " |"
@@ -125,12 +125,12 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def spoken(name: str, result: Result) -> tuple[str, str, str]:
-    """Name, value and unit of a result as people say them."""
+    """Return name, value and unit of a result for people."""
     return (result.label or name.replace("_", " "), *quantity(result.value, result.unit))
 
 
 def quantity(value: float, unit: str) -> tuple[str, str]:
-    """A number with the decimals that are worth reading, and its unit: angles in degrees, and none where there is none.
+    """Format a number with sensible decimals, and its unit: angles in degrees, no unit for a pure number.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def _sentence(text: str) -> str:
 
 
 def _outcome(solution: Solution) -> str:
-    """The outcome with the level that was reached beside it, where a proof was asked for."""
+    """Return the outcome, with the level reached if a proof was asked for."""
     verified = solution.verification.checks
     return solution.outcome.name + (f", {solution.verification.title}" if verified else "")
 
@@ -166,7 +166,7 @@ def extremal_cells(solution: Solution) -> list[dict[str, str]]:
 
 
 def _extremal_rows(solution: Solution) -> list[list[str]]:
-    """Heading and one row for each extremal: what tells them apart."""
+    """Return the heading and a row for each extremal, of the columns in which they differ."""
     known = extremal_cells(solution)
     keys = list(known[0]) if known else []
     shown = [key for key in keys if key in keys[-2:] or len({cells[key] for cells in known}) > 1]
@@ -178,7 +178,7 @@ def _padded(rows: list[list[str]], row: list[str]) -> Iterable[tuple[str, int]]:
 
 
 def _counted(verification: Verification) -> list[str]:
-    """One line for each level that has checks."""
+    """Return a line with the count of checks for each level that has any."""
     lines = []
     for level, name in enumerate(LEVEL_NAMES):
         here = [c.passed for c in verification.checks if c.level == level]

@@ -15,7 +15,7 @@ from perilune.words.types import Matrix, Vector
 
 @styled
 def track(flights: Mapping[str, Solution]) -> Figure:
-    """Height and cross-range over downrange: the path from the side and from above."""
+    """Draw height and cross-range over downrange: the path from the side and from above."""
     figure, (side, top) = new_figure(height=3.2, rows=2)
     ways = {who: path(solution)[1] / 1e3 for who, solution in flights.items()}
     for (who, (along, across, height, *_)), (colour, dash) in zip(ways.items(), LOOKS, strict=False):
@@ -40,7 +40,7 @@ def track(flights: Mapping[str, Solution]) -> Figure:
 
 
 def path(solution: Solution) -> tuple[Vector, Matrix]:
-    """Times from the begin of the flight [s], shape (n,), and values of `Phase.track` then [m], shape (3 or 4, n)."""
+    """Return times from the begin of the flight [s], (n,), and values of `Phase.track` there [m], (3 or 4, n)."""
     times, parts, begin = [], [], 0.0
     for k, (phase, trajectory) in enumerate(zip(solution.problem.phases, solution.trajectories, strict=True)):
         t = seen_at(trajectory)

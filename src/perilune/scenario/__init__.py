@@ -42,9 +42,9 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """A problem, the tolerance stated for its proof, and the text they were made of, with every change made to it.
+    """Problem, the tolerance stated for its proof, and the text they were made of, with every change made to it.
 
-    The text is None where it is not all that they were made of, as it names another file.
+    The text is None if it names another file, and so does not state all of the problem.
     """
 
     text: str | None = field(repr=False)
@@ -103,7 +103,7 @@ def _document(path: str | Path, changes: Sequence[str]) -> tuple[str, dict[str, 
 
 @called_in_words
 def load_text(text: str) -> Problem:
-    """The problem of a scenario's text; errors as `load_file`."""
+    """Return the problem of a scenario's text; errors as `load_file`."""
     demand(text, str, "the text of a scenario", "perilune.scenario.load_file(FILE) reads a file")
     return problem_of(parse(text))
 

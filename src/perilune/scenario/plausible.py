@@ -28,7 +28,7 @@ DEEPEST_SITE = 0.1  # of the radius; the deepest basin known, on Vesta, has abou
 
 
 def refuse_slips(records: Mapping[str, Any]) -> None:
-    """PeriluneError for the first slip that shows in the records of a file; records of others are left to them."""
+    """Raise PeriluneError for the first slip in the records of a file; records of other packages are not checked."""
     body: Any = records.get("body")
     if isinstance(body, Body):
         _check_body(body)
@@ -50,7 +50,7 @@ def refuse_slips(records: Mapping[str, Any]) -> None:
 
 
 def _check_body(body: Body) -> None:
-    """Density and rotation that no body has are slips of units."""
+    """Refuse a density or rotation that no body has, as a slip of units."""
     like = known_like(body)
     density = body.gravitational_parameter / GRAVITATIONAL_CONSTANT / (4 / 3 * math.pi * body.radius**3)
     if not DENSITIES[0] < density < DENSITIES[1]:
@@ -81,7 +81,7 @@ def _check_body(body: Body) -> None:
 
 
 def _check_orbit(orbit: Orbit, body: Body) -> None:
-    """Refuse altitudes that a slip between km and m makes; what is not above the surface is another matter."""
+    """Refuse altitudes that a slip between km and m makes; one below the surface is checked elsewhere."""
     terrain = 1e-4 * body.radius
     for name, altitude in values_of(orbit).items():
         if 0.0 < altitude < terrain:
@@ -123,7 +123,7 @@ def _check_site(key: str, altitude: float, body: Body) -> None:
 
 
 def _check_interface(interface: Interface, body: Body) -> None:
-    """Refuse an interface down where mountains are."""
+    """Refuse an interface as low as mountains."""
     if interface.altitude < HIGHEST_GROUND * body.radius:
         _refuse(
             "interface.altitude is lower than mountains",

@@ -62,7 +62,7 @@ def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]
 
 
 def _listed(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
-    """Values in SI of a list, in its order."""
+    """Return the values in SI of a list, in its order."""
     quantity, parts = _split(key, text, known, ",")
     if not all(parts) or any(":" in part for part in parts) or len(text) > _LONGEST_LIST:
         raise PeriluneError(
@@ -85,7 +85,7 @@ def _listed(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
 
 @called_in_words
 def bounds_of(key: str, text: str, known: Mapping[str, Quantity]) -> tuple[float, float]:
-    """Ends in SI of ``"LOW:HIGH"`` for a key; the unit may stand in each part or in the last only.
+    """Return the ends in SI of ``"LOW:HIGH"`` for a key; the unit may stand in each part or in the last only.
 
     Raises
     ------

@@ -45,7 +45,7 @@ def problem_of(document: Mapping[str, Any], folder: Path | None = None) -> Probl
 
 
 def tolerance_of(document: Mapping[str, Any]) -> Tolerance:
-    """The tolerance that a file states for the proof; errors as `problem_of`."""
+    """Return the tolerance that a file states for the proof; errors as `problem_of`."""
     section = _kind_of(document).in_file[PROOF]
     return _record(_kind_of(document), PROOF, section, document.get(PROOF))
 
@@ -76,7 +76,7 @@ def names_files(document: Mapping[str, Any]) -> bool:
 
 
 def names_of(section_name: str, section: Section) -> dict[str, Key]:
-    """Keys that a section may have, in order."""
+    """Return the keys that a section may have, in order."""
     kind = {"kind": Key(field="kind", declared=KIND, default=HYBRID.name)} if section_name == "problem" else {}
     return {**kind, **section.keys}
 
@@ -111,7 +111,7 @@ def _check_names(kind: Kind, name: str, table: Any) -> None:
 
 
 def _record(kind: Kind, name: str, section: Section, table: Any, folder: Path | None = None) -> Any:
-    """The record that a section states."""
+    """Return the record that a section states."""
     compare = f"compare with `perilune new {kind.name}`"
     if table is None:
         if not section.required:
@@ -137,7 +137,7 @@ def _record(kind: Kind, name: str, section: Section, table: Any, folder: Path | 
 
 
 def _refuse_both(name: str, section: Section, values: Mapping[str, Any]) -> None:
-    """A section may state one record or another, and not a part of each."""
+    """Refuse a section that states parts of two alternative records."""
     one = next((key for key in values if key not in keys_of(section.record)), None)
     if one is not None:
         others = [key for key in values if key in keys_of(section.record)]
@@ -150,7 +150,7 @@ def _refuse_both(name: str, section: Section, values: Mapping[str, Any]) -> None
 
 
 def _known(name: str, section: Section, values: dict[str, Any]) -> dict[str, Any]:
-    """Values of a record that may be stated by its name, in place of all keys that it must have."""
+    """Return the values of a record that may be stated by its name in place of all required keys."""
     own = {key: k for key, k in keys_of(section.record).items() if k.required and key != "name"}
     if "name" not in values:
         missing = next((key for key in own if key not in values), None)
@@ -183,7 +183,7 @@ def _value(key: str, found: Key, stated: Any, folder: Path | None) -> Any:
 
 
 def _beside(key: str, stated: str, folder: Path | None) -> str:
-    """The file that a scenario names, which lies in its own folder or below it: a stranger's reaches no other."""
+    """Return the file that a scenario names, in its own folder or below it, so that a stranger's reaches no other."""
     way = PurePosixPath(stated)
     within = bool(stated) and stated.isprintable() and not way.is_absolute() and ".." not in way.parts
     found = None if folder is None or not within or any(c in stated for c in ":\\") else folder / way

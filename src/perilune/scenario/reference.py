@@ -23,7 +23,7 @@ _HEAD = """\
 
 @called_in_words
 def template(kind: str = "hybrid_landing") -> str:
-    """A commented scenario to start from.
+    """Return a commented scenario to start from.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def template(kind: str = "hybrid_landing") -> str:
 
 
 def _refuse_no_scenario(kind: Kind, body: str) -> None:
-    """Refuse the example of a package that cannot be read back; one that names a file lies beside none yet."""
+    """Refuse the example of a package that cannot be read back, unless it names a file, which is not there yet."""
     try:
         document = parse(body)
         if not names_files(document):
@@ -57,7 +57,7 @@ def _refuse_no_scenario(kind: Kind, body: str) -> None:
 
 
 def _first_quantity(kind: Kind, body: str) -> str:
-    """The first quantity that a template states, as a change of it is typed; of a kind without any, how it would be."""
+    """Return a change of the first quantity of a template as it is typed; a made-up one for a kind without any."""
     stated = (
         f"{name}.{key}={value}"
         for name, values in tomllib.loads(body).items()
@@ -90,7 +90,7 @@ def _beside(line: str, comment: str) -> str:
 
 
 def reference() -> str:
-    """The reference page of all keys, in Markdown."""
+    """Return the reference page of all keys, in Markdown."""
     lines = [
         "# Every key of a scenario",
         "",

@@ -20,13 +20,13 @@ DEEPEST_NESTING = 4  # brackets; a scenario needs one
 
 
 def read(path: Path) -> str:
-    """Text of a file of bounded size."""
+    """Read the text of a file of bounded size."""
     advice = f"perilune new {path.name if path.suffix == '.toml' else 'my_lander.toml'}"
     return bounded_text(path, "scenario file", LARGEST_FILE, expected="a TOML file, which is text", advice=advice)
 
 
 def parse(text: str) -> dict[str, Any]:
-    """Tree of a text that keeps the limits."""
+    """Parse a text within the limits into a tree of sections."""
     longest = max(map(len, text.splitlines()), default=0)
     if len(text) > LARGEST_FILE or longest > LONGEST_LINE:
         raise PeriluneError(
@@ -81,7 +81,7 @@ def apply(document: dict[str, Any], change: str) -> None:
 
 
 def written(document: Mapping[str, Any], changes: Sequence[str]) -> str:
-    """TOML of a tree of sections, with the changes in a comment."""
+    """Return TOML of a tree of sections, with the changes in a comment."""
     lines = [f"# changed with --set {json.dumps(change, ensure_ascii=False)}" for change in changes]
     for section, table in document.items():
         lines += ["", f"[{section}]"]

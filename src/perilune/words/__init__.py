@@ -1,1 +1,1 @@
-"""The words that every room uses: outcomes, units, maths, array types."""
+"""Common ground of all rooms: outcomes, units, maths, declarations, array types."""

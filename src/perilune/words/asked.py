@@ -1,4 +1,4 @@
-"""Whether a verb of the library is given what it asks for: if not, a refusal in the user's words."""
+"""Check the arguments of the library's functions; refuse wrong ones in the user's words."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SPOKEN: dict[Any, str] = {str: "a text", Callable: "a function"}
 
 
 def called_in_words(asked: Asked) -> Asked:
-    """A verb, a method or a class that says what of a call is wrong: a keyword it has not, too much, too little."""
+    """Make a function, method or class report a wrong call: an unknown keyword, too many or too few values."""
     given: Any = asked
     # What is itself called is named by its class, as what is made of that would be: curve(t).
     name = given.__qualname__.split(".")[-2].lower() if given.__name__ == "__call__" else given.__name__
@@ -45,7 +45,15 @@ def called_in_words(asked: Asked) -> Asked:
 
 
 def computing_in_words(expected: str, *names: str) -> Callable[[type[Kind]], type[Kind]]:
-    """A class whose methods of these names say what cannot be computed with, and what they expect."""
+    """Make methods of a class report values that they cannot compute with, and what they expect.
+
+    Parameters
+    ----------
+    expected
+        Text on what the methods expect.
+    names
+        Names of the methods.
+    """
 
     def of(kind: type[Kind]) -> type[Kind]:
         for name in names:
@@ -118,7 +126,14 @@ def demand(value: Any, kind: type, what: str, advice: str = "") -> None:
 
 
 def demand_row(values: Any, what: str, *kinds: Any) -> None:
-    """Refuse what is no row of records of these kinds: one of them alone is none.
+    """Refuse anything but a row of records of these kinds; a single record is not a row.
+
+    Parameters
+    ----------
+    values, kinds
+        The row, and the classes of its records.
+    what
+        Plural name of the records for the message.
 
     Raises
     ------
@@ -136,7 +151,7 @@ def demand_row(values: Any, what: str, *kinds: Any) -> None:
 
 
 def demand_records(*pairs: tuple[Any, type]) -> None:
-    """Refuse what are not the records, each beside its class, that a model is made of."""
+    """Refuse values that are not records of the class paired with each."""
     for value, kind in pairs:
         demand(
             value, kind, f"{_article(kind.__name__)} {kind.__name__}", f"{kind.__name__}(...) with its numbers in SI"
@@ -144,7 +159,7 @@ def demand_records(*pairs: tuple[Any, type]) -> None:
 
 
 def demand_callable(value: Any, what: str) -> None:
-    """Refuse what cannot be called, unless it is None.
+    """Refuse a value that can neither be called nor is None.
 
     Raises
     ------
@@ -156,7 +171,7 @@ def demand_callable(value: Any, what: str) -> None:
 
 
 def demand_path(value: Any, what: str) -> Path:
-    """The path that a value is; nothing needs to be there.
+    """Return a value as a path, which need not exist.
 
     Raises
     ------
@@ -175,13 +190,21 @@ def demand_path(value: Any, what: str) -> Path:
 
 
 def refused(value: Any, expected: str, what: str, advice: str = "") -> PeriluneError:
-    """The refusal of a value of another kind."""
+    """Return the error for a value of a wrong kind.
+
+    Parameters
+    ----------
+    value, expected
+        The value, and a text on what was expected.
+    what, advice
+        Use of the value, for the message; advice on what to try.
+    """
     got = f"the class {value.__name__}, and not {value.__name__}()" if isinstance(value, type) else _shown(value)
     return PeriluneError(f"this is not {what}", got=got, expected=expected, advice=advice)
 
 
 def demand_level(level: Any, known: Sequence[int]) -> None:
-    """Refuse a verification level that there is not.
+    """Refuse an unknown verification level.
 
     Raises
     ------
@@ -196,7 +219,7 @@ def demand_level(level: Any, known: Sequence[int]) -> None:
 
 
 def demand_number(value: Any, name: str) -> None:
-    """Refuse a setting that is no real number; NaN and infinity are numbers here.
+    """Refuse a setting that is not a real number; NaN and infinity are accepted.
 
     Raises
     ------
@@ -213,7 +236,7 @@ def _is_number(value: Any) -> bool:
 
 
 def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N', 'N') reads a text") -> None:
-    """Refuse what is no single real number: NaN, truth values and texts are none, though Python makes floats of them.
+    """Refuse anything but a single real number: NaN, truth values and texts too, though Python makes floats of them.
 
     Raises
     ------
@@ -228,7 +251,7 @@ def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N'
 
 
 def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
-    """A number, or an array of numbers, as NumPy has it, with at most so many axes.
+    """Return a number, or an array of numbers with at most `most` axes, as NumPy has it.
 
     Raises
     ------
@@ -253,7 +276,7 @@ def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
 
 
 def demand_index(value: Any, count: int, what: str) -> None:
-    """Refuse what is not the number of one of so many.
+    """Refuse anything but an index below `count`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What may come from a stranger: size and nesting are limited before it is parsed, and what is printed is one line."""
+"""Untrusted text: its size and nesting are limited before it is parsed, and it is printed in one line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TEXTS = re.compile(r""""(?:\\.|[^"\\\n]+)*+"?+|'[^'\n]*+'?+|#[^\n]*+""")
 
 
 def bounded_bytes(path: Path, what: str, largest: int, *, expected: str, advice: str) -> bytes:
-    """Content of a file of at most `largest` bytes.
+    """Read a file of at most `largest` bytes.
 
     Parameters
     ----------
@@ -56,7 +56,10 @@ def bounded_bytes(path: Path, what: str, largest: int, *, expected: str, advice:
 
 
 def bounded_text(path: Path, what: str, largest: int, *, expected: str, advice: str) -> str:
-    """Content as text in UTF-8, or in UTF-16 that begins with its mark, as PowerShell and spreadsheets write it."""
+    """Read a file as text in UTF-8, or in UTF-16 with its mark, as PowerShell and spreadsheets write it.
+
+    Arguments as of `bounded_bytes`.
+    """
     raw = bounded_bytes(path, what, largest, expected=expected, advice=advice)
     try:
         return raw.decode("utf-16" if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
@@ -70,13 +73,13 @@ def bounded_text(path: Path, what: str, largest: int, *, expected: str, advice: 
 
 
 def one_line(text: str, most: int = 120) -> str:
-    """A text as it may be printed: in one line of at most so many characters, none of which moves a cursor."""
+    """Return a text that is safe to print: one line of at most `most` characters, none of which moves a cursor."""
     line = "".join(c if c.isprintable() else "?" for c in " ".join(text[: 10 * most].split()))
     return line if len(line) <= most else f"{line[: most - 1]}…"
 
 
 def refuse_nested(text: str, what: str, deepest: int, *, expected: str, advice: str) -> None:
-    """Refuse a text of TOML or JSON with more than `deepest` brackets inside each other, before it is parsed."""
+    """Refuse a text of TOML or JSON with more than `deepest` nested brackets, before it is parsed."""
     bare = _TEXTS.sub("", text)
     depth = reached = 0
     for character in re.findall(r"[\[\]{}]", bare):

@@ -1,4 +1,4 @@
-"""A number of a model is declared once, where its record is: unit, example, range, hint, what it is.
+"""Declarations of a model's numbers, once, in its records: unit, example, range, hint, meaning.
 
     @record("vehicle")
     class Vehicle:
@@ -30,12 +30,12 @@ T = TypeVar("T")
 
 
 def parameter_name(key: str) -> str:
-    """Name of the parameter that a key of a scenario states: ``vehicle.thrust`` is ``vehicle_thrust``."""
+    """Return the parameter that a key of a scenario states: ``vehicle_thrust`` for ``vehicle.thrust``."""
     return key.replace(".", "_")
 
 
 class Stated(float):
-    """A number in SI that remembers the decimal text and unit it was stated in; what is computed of it does not."""
+    """Number in SI that remembers the decimal text and unit in which it was stated; results of computing do not."""
 
     text: str
 
@@ -50,7 +50,7 @@ class Stated(float):
 
 
 def stated_text(value: float) -> str:
-    """The text in which a value was stated; empty for a plain number."""
+    """Return the text in which a value was stated; empty for a plain number."""
     return value.text if isinstance(value, Stated) else ""
 
 
@@ -70,12 +70,12 @@ class Quantity:
     also: tuple[str, ...] = ()
 
     def read(self, value: object) -> Stated:
-        """Value in SI of a scenario's text, or of a bare number where there is no unit to guess.
+        """Return the value in SI of a scenario's text, or of a bare number where there is no unit to guess.
 
         Raises
         ------
         PeriluneError
-            With what is wrong, without the key.
+            If the text is not such a quantity; the message does not name the key.
         """
         if self.unit == "1" and _is_number(value):
             value = repr(value)
@@ -98,7 +98,7 @@ class Quantity:
         return Stated(number, value.strip())
 
     def check(self, value: float, got: str = "") -> None:
-        """PeriluneError, without the key, for a value in SI that is no number, not finite or out of range."""
+        """Raise PeriluneError, without the key, for a value in SI that is no number, not finite or out of range."""
         try:
             if isinstance(value, bool):
                 raise TypeError
@@ -129,16 +129,16 @@ class Quantity:
 
     @property
     def spoken_unit(self) -> str:
-        """The unit in which people say it: degrees for angles, else SI."""
+        """Return the unit for people: degrees for angles, else SI."""
         return "deg" if self.unit == "rad" else self.unit
 
     def shown(self, value: float) -> str:
-        """A value in SI with its spoken unit."""
+        """Format a value in SI in its spoken unit."""
         return f"{value / unit(self.spoken_unit)[0]:g} {self.spoken_unit}".removesuffix(" 1")
 
     @property
     def range(self) -> str:
-        """The range in words; empty where there is none."""
+        """Return the range in words; empty for none."""
         if math.isfinite(self.low) and math.isfinite(self.high):
             low, high = f"{self.low / unit(self.spoken_unit)[0]:g}", self.shown(self.high)
             if not (self.open_low or self.open_high):
@@ -152,7 +152,7 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Words:
-    """A text of a record: any, or one of `choices`; or the way to a file, as seen from where it is stated."""
+    """Declaration of a text of a record: any text, one of `choices`, or a path relative to the stating file."""
 
     example: str
     choices: tuple[str, ...] = ()
@@ -173,7 +173,7 @@ class Words:
 
 @dataclass(frozen=True, kw_only=True)
 class Key:
-    """One key of a record's section: the field that it fills, and at which place of a pair.
+    """Key of a record's section: the field that it fills, and the place in a pair.
 
     `default` is MISSING (of `dataclasses`) where the key must be stated.
     """
@@ -203,7 +203,7 @@ def quantity(
     about: str = "",
     also: tuple[str, ...] = (),
 ) -> Any:
-    """Field of a record that is a number in SI.
+    """Declare a field of a record that is a number in SI.
 
     Parameters
     ----------
@@ -236,9 +236,9 @@ def quantity(
 
 
 def span(unit: str, lower: str, upper: str, *, default: tuple[float, float], name: str, about: str = "") -> Any:
-    """Field of a record that is a pair of numbers, lower and upper, within the default; keys ``…_lower``, ``…_upper``.
+    """Declare a field that is a pair of numbers, lower and upper, within the default; keys ``…_lower``, ``…_upper``.
 
-    `name` is what it is called in messages.
+    `name` is its name in messages.
     """
     low, high = (v * (1 + 1e-12) for v in default)  # a bound in degrees need not be the same to the last digit
     declared = {
@@ -257,9 +257,9 @@ def span(unit: str, lower: str, upper: str, *, default: tuple[float, float], nam
 def words(
     example: str, *choices: str, default: Any = MISSING, called: str = "", about: str = "", file: bool = False
 ) -> Any:  # fmt: skip
-    """Field of a record that is a text, one of the choices where there are any, or the way to a `file`.
+    """Declare a field of a record that is a text, one of the choices if there are any, or the path of a `file`.
 
-    `called` is its key where Python keeps that word for itself.
+    `called` is its key if that is a reserved word of Python.
     """
     declared = Words(example=example, choices=choices, about=about, file=file)
     return field(default=default, metadata={"keys": {"": declared}, "called": called})
@@ -287,7 +287,7 @@ def record(section: str) -> Callable[[type[T]], type[T]]:
 
 
 def _asked_for(kind: type) -> Callable[..., None]:
-    """The constructor of a record, which refuses names that it has not and names what is left out."""
+    """Return the constructor of a record, which refuses unknown names and reports missing ones."""
     constructor, known = kind.__init__, {f.name: f for f in fields(kind)}  # type: ignore[misc]
 
     @wraps(constructor)
@@ -306,13 +306,13 @@ def _asked_for(kind: type) -> Callable[..., None]:
 
 
 def section_of(kind: type) -> str:
-    """Section of a record's class."""
+    """Return the section of a record's class."""
     return kind.__section__  # type: ignore[attr-defined]
 
 
 @cache
 def keys_of(kind: type) -> Mapping[str, Key]:
-    """Keys of a record's section, in order."""
+    """Return the keys of a record's section, in order."""
     found = dict[str, Key]()
     for f in fields(kind):
         for place, (ending, declared) in enumerate(f.metadata.get("keys", {}).items()):
@@ -328,12 +328,12 @@ def keys_of(kind: type) -> Mapping[str, Key]:
 
 @cache
 def _spans(kind: type) -> tuple[Field[Any], ...]:
-    """Fields of a record that are pairs."""
+    """Return the fields of a record that are pairs."""
     return tuple(f for f in fields(kind) if "span" in f.metadata)
 
 
 def values_of(made: Any) -> dict[str, Any]:
-    """Value of each key of a record."""
+    """Return the value of each key of a record."""
     return {
         name: getattr(made, key.field) if key.place is None else getattr(made, key.field)[key.place]
         for name, key in keys_of(type(made)).items()
@@ -341,7 +341,7 @@ def values_of(made: Any) -> dict[str, Any]:
 
 
 def made_of(kind: type[T], values: Mapping[str, Any]) -> T:
-    """The record with these values of its keys, checked; what is left out has its default."""
+    """Build a record with these values of its keys, checked; other keys have their defaults."""
     arguments: dict[str, Any] = {}
     for name, key in keys_of(kind).items():
         value = values.get(name, key.default)
@@ -354,7 +354,7 @@ def made_of(kind: type[T], values: Mapping[str, Any]) -> T:
 
 
 def check_values(made: Any, parameters: Mapping[str, float]) -> None:
-    """PeriluneError if the parameters that a record declares could not be its values; other parameters may be there."""
+    """Raise PeriluneError if parameters that a record declares could not be its values; others are ignored."""
     section, keys, own = section_of(type(made)), keys_of(type(made)), values_of(made)
     values = {n: parameters[f"{section}_{n}"] for n in keys if f"{section}_{n}" in parameters}
     texts = {n: own[n] for n, key in keys.items() if isinstance(key.declared, Words)}
@@ -387,7 +387,7 @@ def _check_fields(made: Any) -> None:
 
 
 def named(key: str, error: PeriluneError) -> PeriluneError:
-    """The same error with the key in front."""
+    """Return the same error with the key in front."""
     what = f"- {error.what}" if error.what.startswith(("this ", "the ")) else error.what
     return PeriluneError(f"{key} {what}", got=error.got, expected=error.expected, advice=error.advice)
 

@@ -1,4 +1,4 @@
-"""What is made when somebody looks at it."""
+"""Sequences that are made on first access."""
 
 from __future__ import annotations
 

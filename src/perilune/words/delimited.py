@@ -71,7 +71,7 @@ class DelimitedTable:
     what: str
 
     def cells(self, line: TextLine, count: int) -> list[str] | None:
-        """Cells of a line above the numbers; None where no delimiter makes so many of it."""
+        """Return the cells of a line above the numbers; None if no delimiter splits it into `count`."""
         for delimiter in (self.delimiter, *_DELIMITERS):
             found = _split(line.text, delimiter)
             if found is not None and delimiter == " ":
@@ -81,7 +81,7 @@ class DelimitedTable:
         return None
 
     def number(self, row: CellRow, column: int) -> float:
-        """The number in a cell.
+        """Return the number in a cell.
 
         Raises
         ------
@@ -154,7 +154,7 @@ def _refuse_long(comments: list[TextLine], what: str) -> None:
 
 
 def _split(text: str, delimiter: str) -> list[str] | None:
-    """Cells of a line; None where its quotes do not close."""
+    """Split a line into cells; None if its quotes do not close."""
     if delimiter == " ":
         text = text.replace("\t", " ").strip()
     try:
@@ -189,7 +189,7 @@ def _likeness(lines: list[TextLine], delimiter: str) -> tuple[int, int]:
 
 
 def _with_brackets(cells: list[str]) -> list[str]:
-    """Cells apart by blanks, what stands in brackets together with what it belongs to."""
+    """Join a cell in brackets with the one before it, of cells separated by blanks."""
     joined, depth = list[str](), 0
     for cell in cells:
         if joined and (depth > 0 or cell.startswith(("(", "["))):

@@ -36,7 +36,7 @@ COMPLEX.fmax = lambda a, b: np.where(np.real(a) >= np.real(b), a, b)
 
 
 def stacked(values: Sequence[Any], shape: tuple[int, ...], dtype: Any = complex) -> Any:
-    """Values of a user's function as one array (len(values), *shape); constants are broadcast."""
+    """Stack the values of a user's function into one array (len(values), *shape); constants are broadcast."""
     out = np.empty((len(values), *shape), dtype=dtype)
     for i, value in enumerate(values):
         out[i] = value
@@ -44,7 +44,7 @@ def stacked(values: Sequence[Any], shape: tuple[int, ...], dtype: Any = complex)
 
 
 def jacobian(function: Callable[[Any], Any], z: Any, scale: Vector) -> Any:
-    """First derivatives by complex step with respect to z/scale, at many points at once.
+    """Compute first derivatives by complex step with respect to z/scale, at many points at once.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""What a module shows of itself, and what methods of records do by rooms above theirs.
+"""Facade of modules: their public names, and methods of records that higher rooms implement.
 
-The package's face knows where a method is done, and is asked when one is called. So a solution draws itself, and its
-room knows none of those that draw; nothing is loaded before it is used.
+The package knows where a method is implemented, and is asked when one is called. So a solution can draw itself while
+its room imports nothing that draws, and nothing is loaded before it is used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ def listed(public: Iterable[str]) -> list[str]:
 
 
 def method(name: str) -> Callable[..., Any]:
-    """The function that a method of this name calls with its record."""
+    """Return the function that a method of this name calls with its record."""
     import perilune
 
     return perilune._method(name)

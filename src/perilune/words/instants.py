@@ -16,7 +16,7 @@ _FINER = re.compile(r"[.,]\d{6}\d*[1-9]")  # than a microsecond, which a datetim
 
 
 def instant(stated: str | datetime, name: str = "the epoch") -> datetime:
-    """UTC of a time, which it is in unless it says otherwise.
+    """Return a time in UTC, the zone of a time that states none.
 
     Raises
     ------

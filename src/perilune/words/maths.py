@@ -111,7 +111,7 @@ class Table:
 
     @cached_property
     def pieces(self) -> Any:
-        """Coefficients (powers, pieces) of polynomials in x less the left knot, highest power first; with the ends."""
+        """Return coefficients (powers, pieces) of polynomials in x less the left knot, highest power first."""
         from scipy.interpolate import PchipInterpolator, PPoly, make_interp_spline
 
         x, y = np.array(self.x), np.array(self.y)
@@ -131,7 +131,7 @@ class Table:
 
     @property
     def knots(self) -> Any:
-        """Left knot of each of `pieces`; the first piece, before the table, counts from its first knot."""
+        """Return the left knot of each of `pieces`; the first piece, before the table, counts from its first knot."""
         return np.array([self.x[0], *self.x])
 
     @cached_property
@@ -140,16 +140,16 @@ class Table:
         return hashlib.sha256(json.dumps([self.x, self.y, self.kind]).encode()).hexdigest()[:16]
 
     def __call__(self, value: Any) -> Any:
-        """Values at numbers or arrays, real or complex."""
+        """Return values at numbers or arrays, real or complex."""
         return self.piece(np.searchsorted(self.x, np.real(value), side="right"), value)
 
     def piece(self, i: Any, value: Any) -> Any:
-        """Values of its pieces i, wherever the numbers lie; piece 0 lies before the first knot."""
+        """Return values of its pieces i, wherever the numbers lie; piece 0 lies before the first knot."""
         return _horner(self.pieces[:, i], value - self.knots[i])
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """The knots where a high derivative jumps: all of them, or of a smooth spline its ends."""
+        """Return the knots where a high derivative jumps: all of them, or the ends of a smooth spline."""
         return (self.x[0], self.x[-1]) if self.is_spline else self.x
 
     @property
@@ -158,7 +158,7 @@ class Table:
         return self.kind in _SPLINES
 
     def chosen(self, value: Any, choose: Choose, side: int | None = None) -> Any:
-        """The same by choices between pieces, for symbols; the `side` between two `kinks` goes on beyond them."""
+        """Return values by choices between pieces, for symbols; the `side` between two `kinks` goes on beyond them."""
         first, last = 0, len(self.x)
         if side is not None:
             inner = self.is_spline
@@ -166,12 +166,12 @@ class Table:
         return self._chosen(self.pieces, value, choose, first, last)
 
     def slope(self, value: Any, choose: Choose) -> Any:
-        """The derivative, by choices between pieces; at a knot where it jumps, that of the piece above."""
+        """Return the derivative by choices between pieces; at a knot where it jumps, that of the piece above."""
         powers = np.arange(len(self.pieces))[::-1, None]
         return self._chosen((powers * self.pieces)[:-1], value, choose, 0, len(self.x))
 
     def _chosen(self, pieces: Any, value: Any, choose: Choose, first: int, last: int) -> Any:
-        """The piece of coefficients `pieces` in which a value lies, of the pieces from `first` to `last`."""
+        """Evaluate the piece of coefficients `pieces` in which a value lies, of the pieces from `first` to `last`."""
         rows = [[float(v) for v in row] for row in (self.knots, *pieces)]
         found = [row[first] for row in rows]
         for k in range(first + 1, last + 1):

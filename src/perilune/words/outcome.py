@@ -1,4 +1,4 @@
-"""How a computation ended, and what is said when it could not be done.
+"""Outcomes of computations, and errors that say why one failed.
 
 Every answer leaves with an `Outcome`, whose value is the advice. Every refusal is a `PeriluneError` that says *what* is
 wrong, what was *got*, what was *expected* and what to *try*.
@@ -77,7 +77,7 @@ class PeriluneError(ValueError):
 
 
 def _as_it_was(kind: type[PeriluneError], arguments: tuple[Any, ...], parts: dict[str, Any]) -> PeriluneError:
-    """An error on the other side of a process border."""
+    """Rebuild an error on the other side of a process border."""
     error = kind.__new__(kind, *arguments)
     error.__dict__.update(parts)
     return error
@@ -111,7 +111,7 @@ class InfeasibleError(PeriluneError):
 
 
 class NotConvergedError(PeriluneError):
-    """Every rung of the ladder failed.
+    """Failure of every rung of the ladder.
 
     `partial` carries what was computed before: the best iterate's residuals in physical units and the rungs tried.
     `flight` is the best flight that was found, a Solution though no extremal, or None: `partial["missed"]` says what it
@@ -136,13 +136,18 @@ class NotConvergedError(PeriluneError):
 
 
 class UnknownKindError(PeriluneError):
-    """A kind of problem is none of these, nor one that an installed package brings."""
+    """Unknown kind of problem: neither built in nor brought by an installed package."""
 
 
 def unknown_name(kind: str, got: object, known: Sequence[str], also: Mapping[str, str] | None = None) -> PeriluneError:
-    """Error for a name that does not exist, with the nearest one offered; a long list begins with the nearest.
+    """Return the error for an unknown name, with the nearest one offered; a long list begins with the nearest.
 
-    `also` are other names, each with the one that is known.
+    Parameters
+    ----------
+    kind, got
+        Kind of the name in words, and the name.
+    known, also
+        Known names; other names, each with the known one that it stands for.
     """
     import difflib
 
@@ -170,7 +175,7 @@ def unknown_name(kind: str, got: object, known: Sequence[str], also: Mapping[str
 
 
 class Named(dict[str, Kept]):
-    """A dictionary that says which names there are when it is asked for another; `kind` is what they are names of."""
+    """Dictionary whose error for an unknown key lists the known ones; `kind` is the kind of the names."""
 
     def __init__(self, kind: str, entries: Mapping[str, Kept]) -> None:
         super().__init__(entries)

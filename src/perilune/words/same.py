@@ -1,4 +1,4 @@
-"""Whether two records hold the same: field by field, arrays and NaN included."""
+"""Equality of records: field by field, arrays and NaN included."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 
 def same(one: Any, other: Any) -> bool:
-    """Equality in which a NaN is itself, and arrays, mappings and sequences of equal entries are equal."""
+    """Return True if two values are equal, where NaN equals NaN, and containers and arrays compare by their entries."""
     if one is other:
         return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):

@@ -76,7 +76,7 @@ _EXACT = {"slug": Fraction(repr(_POUND)) * Fraction(repr(STANDARD_GRAVITY)) / Fr
 
 @lru_cache(maxsize=256)
 def unit(text: str) -> tuple[float, Dimension]:
-    """Factor to SI and dimension of a unit expression.
+    """Return the factor to SI and the dimension of a unit expression.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def unit(text: str) -> tuple[float, Dimension]:
 
 
 def _powers(text: str) -> Iterator[tuple[str, float]]:
-    """Each unit of an expression, with its power."""
+    """Yield each unit of an expression, with its power."""
     parts = re.split(r"([*/])", text.replace("**", "^").replace(" ", ""))
     for operator, part in zip(["*", *parts[1::2]], parts[::2], strict=True):
         match = _FACTOR.fullmatch(part)
@@ -119,7 +119,7 @@ def _powers(text: str) -> Iterator[tuple[str, float]]:
 
 
 def _nearest(name: str) -> str:
-    """The advice of the unit that is spelt most like a name, if any is."""
+    """Return the advice to use the unit that is spelt most like a name, if any is."""
     import difflib  # which nothing needs that is right
 
     if name.startswith(","):
@@ -131,12 +131,12 @@ def _nearest(name: str) -> str:
 
 
 def demand_si_unit(text: Any, what: str) -> None:
-    """Refuse a unit that is not SI: inside, one that would scale a number is a mistake waiting to happen.
+    """Refuse a unit that is not SI: inside, a unit that scales numbers invites mistakes.
 
     Raises
     ------
     PeriluneError
-        Named by `what` it is the unit of.
+        With `what`, the quantity of the unit, in the message.
     """
     demand(text, str, f"the unit of {what}", 'write for example "m/s"')
     factor, dimension = unit(text)
@@ -150,14 +150,22 @@ def demand_si_unit(text: Any, what: str) -> None:
 
 
 def dimension_text(dimension: Dimension) -> str:
-    """SI unit of a dimension, such as ``"m^3/s^2"``."""
+    """Return the SI unit of a dimension, such as ``"m^3/s^2"``."""
     powers = [(n if abs(e) == 1 else f"{n}^{abs(e):g}", e) for n, e in zip(_BASE_NAMES, dimension, strict=True)]
     over, under = [text for text, e in powers if e > 0], [text for text, e in powers if e < 0]
     return "*".join(over or ["1"]) + "".join("/" + u for u in under)
 
 
 def told(value: float, unit_text: str, digits: int = 6) -> str:
-    """A value in SI for people: angles in degrees, and no unit where there is none."""
+    """Format a value in SI for people: angles in degrees, no unit for a pure number.
+
+    Parameters
+    ----------
+    value, unit_text
+        In SI, with its SI unit.
+    digits
+        Significant digits.
+    """
     if unit_text == "rad":
         value, unit_text = math.degrees(value), "deg"
     return f"{value:z.{digits}g} {unit_text}".removesuffix(" 1")
@@ -174,21 +182,21 @@ def told_outwards(value: float, unit_text: str, side: str, digits: int = 5) -> s
 
 
 def told_range(values: Iterable[float], unit_text: str) -> str:
-    """``-3 kg to 4.5 kg``: the ends of what has a value; one where all are the same, nothing where none is."""
+    """Format the range of finite values, as ``-3 kg to 4.5 kg``; one value if all are equal, empty for none."""
     finite = [value for value in values if math.isfinite(value)]
     ends = (told(end, unit_text) for end in (min(finite), max(finite))) if finite else ()
     return " to ".join(dict.fromkeys(ends))
 
 
 def quotient(numerator: str, denominator: str) -> str:
-    """SI unit of a quotient of two units, such as that of a costate."""
+    """Return the SI unit of a quotient of two units, as of a costate."""
     above, below = unit(numerator)[1], unit(denominator)[1]
     a, b, c, d = (x - y for x, y in zip(above, below, strict=True))
     return dimension_text((a, b, c, d))
 
 
 def parse_quantity(text: str, expected_unit: str, example: str = "", hint: str = "") -> float:
-    """Value in SI of a quantity such as ``"15 km"``.
+    """Parse a quantity such as ``"15 km"`` into its value in SI.
 
     Parameters
     ----------
@@ -238,7 +246,7 @@ def parse_quantity(text: str, expected_unit: str, example: str = "", hint: str =
 
 
 def exact_quantity(text: str) -> tuple[Fraction, int] | None:
-    """The value in SI of a quantity with its decimals taken exactly.
+    """Return the value in SI of a quantity with its decimals taken exactly.
 
     Parameters
     ----------
@@ -279,7 +287,7 @@ _LARGEST = 1e15  # of a scale in SI: a tenth of a light year
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Scales:
-    """One length [m], time [s], mass [kg] and temperature [K] that make the numbers of a problem of order one."""
+    """Scales of length [m], time [s], mass [kg] and temperature [K] that make the numbers of a problem of order one."""
 
     length: float = 1.0
     time: float = 1.0
@@ -300,7 +308,7 @@ class Scales:
         return {}  # asked for a score of times in each solve
 
     def of(self, unit_text: str) -> float:
-        """SI size of one canonical unit of the given unit's dimension: ``canonical = SI / scale``."""
+        """Return the SI size of one canonical unit of the given unit's dimension: ``canonical = SI / scale``."""
         size = self._sizes.get(unit_text) if isinstance(unit_text, str) else None
         if size is None:
             if not isinstance(unit_text, str):

@@ -1,4 +1,4 @@
-"""What a long computation tells while it runs, and the time that it may take.
+"""Progress and time limits of long computations.
 
 A computation reports to a `Watch`: each iteration, and lines of text. Deep inside of it, where no watch is passed,
 `at_work` is a sign of life for the computation that is at work in this context (`contextvars`): it is told at most once
@@ -20,7 +20,7 @@ _SIGN_EVERY = 1.0  # s between two signs of life that are told
 
 @dataclass(frozen=True, kw_only=True)
 class Iteration:
-    """One iteration of Newton's method or of a mesh: norms are scaled, damping is alpha of Cho et al. 2015 (23)."""
+    """Iteration of Newton's method or of a mesh: norms are scaled, damping is alpha of Cho et al. 2015 (23)."""
 
     number: int
     residual: float
@@ -33,16 +33,16 @@ Watch = Callable[[Iteration | str], None]
 
 
 def silent(event: Iteration | str) -> None:
-    """Watch nothing."""
+    """Ignore an event."""
 
 
 class TimeLimitReached(BaseException):
-    """The time limit of a computation is over; no error, which a method would try to mend.
+    """End of a computation's time limit; no `Exception`, which a method would try to recover from.
 
     Attributes
     ----------
     tried
-        What a search had tried until then.
+        Attempts of a search until then.
     """
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class TimeLimitReached(BaseException):
 
 @dataclass
 class Progress:
-    """A computation at work: a `Watch` that passes events on, and ends the work when its time is over.
+    """Computation at work: a `Watch` that passes events on, and ends the work when its time is over.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Progress:
         self.watch(event)
 
     def demand_time(self) -> None:
-        """End the work once where its time is over, and that of which it is a part where that is so.
+        """End the work once its time is over, or the time of the work of which it is a part.
 
         Raises
         ------
@@ -100,13 +100,13 @@ class Progress:
             raise TimeLimitReached
 
     def at_work(self, text: str) -> None:
-        """Tell a sign of life where nothing was told for a second."""
+        """Report a sign of life if nothing was reported for a second."""
         self.demand_time()
         if time.monotonic() - self.heard > _SIGN_EVERY:
             self(text)
 
     def flight(self) -> tuple[Any, bool] | None:
-        """Return the best flight that is known so far, and whether it is an extremal; None where there is none."""
+        """Return the best flight known so far, and True if it is an extremal; None without any flight."""
         return None if self.best is None else (self.best[2](), self.best[0])
 
 
@@ -115,7 +115,7 @@ _AT_WORK: ContextVar[Progress | None] = ContextVar("_AT_WORK", default=None)
 
 @contextmanager
 def progressing(watch: Watch | None, subject: Any = None, limit: float = math.inf) -> Iterator[Progress]:
-    """Enter a computation, as a part of that which is at work in this context, if any.
+    """Enter a computation, as a part of the one at work in this context, if any.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def progressing(watch: Watch | None, subject: Any = None, limit: float = math.in
 
 
 def at_work(text: Iteration | str) -> None:
-    """Give a sign of life of the computation at work, if any; also a `Watch` for a part that tells no more than that.
+    """Report a sign of life of the computation at work, if any; also a `Watch` for a part that reports no more.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def at_work(text: Iteration | str) -> None:
 def best_so_far(
     subject: Any, objective: float, told: Callable[[], str], flight: Callable[[], Any], *, extremal: bool
 ) -> None:
-    """Remember the best flight of what is computed, and tell of it, unless a better one is known.
+    """Remember and report the best flight of a computation, unless a better one is known.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ _PLAYED = 60.0  # s, that a flight takes when it is played
 
 
 def write_czml(solution: Solution, about: Mapping[str, str], epoch: datetime, path: Path) -> None:
-    """Write the document.
+    """Write a flight as CZML.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def _colour(*rgb: int) -> dict[str, Any]:
 
 
 def joined(flown: list[Leg]) -> Leg:
-    """The whole flight with one sample of each time; of samples about a jump the last, and the first before it."""
+    """Join legs into one flight with one sample of each time; about a jump the last, and the first before it."""
     time = np.concatenate([leg.time for leg in flown])
     told, kept = apart(time)
     found = {
@@ -116,17 +116,17 @@ def joined(flown: list[Leg]) -> Leg:
 
 
 def _rows(time: Vector, *values: Matrix) -> list[float]:
-    """Time and values of each sample, one behind the other."""
+    """Interleave time and values of each sample in one list."""
     return np.concatenate([time[None], *values]).T.ravel().tolist()
 
 
 def _smooth(time: Vector) -> list[np.ndarray]:
-    """Numbers of the samples from one jump to the next."""
+    """Return the numbers of the samples from one jump to the next, for each smooth part."""
     return np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) < 1.5 * JUMP) + 1)
 
 
 def attitudes(flight: Leg) -> list[float]:
-    """Time and quaternion (x, y, z, w) from the axes of the vehicle to those of the body, of each sample."""
+    """Return time and quaternion (x, y, z, w) from the axes of the vehicle to those of the body, for each sample."""
     size = np.linalg.norm(flight.push, axis=0)
     x, before, last, rows = flight.velocity[:, np.argmax(size > 0)], None, np.zeros(4), []
     for part in _smooth(flight.time):
@@ -142,7 +142,7 @@ def attitudes(flight: Leg) -> list[float]:
 
 
 def _thinned(time: Vector, along: Matrix) -> list[int]:
-    """Numbers of those directions (n, 3) between which an even turn is nowhere off by more than half of `_TURNED`."""
+    """Select directions (n, 3) between which an even turn is nowhere off by more than half of `_TURNED`."""
     kept, spans = {0, len(time) - 1}, [(0, len(time) - 1)]
     while spans:
         a, b = spans.pop()
@@ -161,12 +161,12 @@ def _thinned(time: Vector, along: Matrix) -> list[int]:
 
 
 def _angle(one: np.ndarray, other: np.ndarray) -> Any:
-    """Between unit vectors, in the last axis of both [rad]."""
+    """Return the angle between unit vectors along the last axis of both [rad]."""
     return 2 * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(one - other, axis=-1)))
 
 
 def _turned(vector: Vector, before: Vector, behind: Vector) -> Vector:
-    """A vector as it goes with the least turn that brings one direction to another."""
+    """Rotate a vector by the smallest rotation that brings one direction to another."""
     axis, cosine = np.cross(before, behind), before @ behind
     if cosine < 1e-9 - 1:  # about any axis, that of the vector too
         return vector
@@ -175,7 +175,7 @@ def _turned(vector: Vector, before: Vector, behind: Vector) -> Vector:
 
 
 def _beside(vector: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Unit vector at right angles to an axis, as near to a vector as can be."""
+    """Return the unit vector at right angles to an axis that is nearest to a vector."""
     axis = axis / np.linalg.norm(axis)
     for start in (vector, np.eye(3)[np.argmin(np.abs(axis))]):
         found = start - (start @ axis) * axis
@@ -185,7 +185,7 @@ def _beside(vector: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def _quaternion(matrix: Matrix) -> np.ndarray:
-    """Quaternion (x, y, z, w) of a rotation, by its largest component."""
+    """Return the quaternion (x, y, z, w) of a rotation, computed from its largest component."""
     trace = np.trace(matrix)
     squares = np.array([*(1 + 2 * np.diag(matrix) - trace), 1 + trace])
     k = int(np.argmax(squares))

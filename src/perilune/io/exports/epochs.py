@@ -13,12 +13,12 @@ TICK = 1e-6  # s
 
 
 def epoch_of(solution: Solution, stated: str | datetime | None) -> datetime | None:
-    """UTC at the begin of the flight: what is stated, else what the problem says, else None.
+    """Return UTC at the begin of the flight: the stated epoch, else the problem's, else None.
 
     Raises
     ------
     PeriluneError
-        If what is stated is no time, or another than the problem's own, or the flight goes on too long for it.
+        If the stated epoch is no time, or differs from the problem's own, or the flight goes on too long for it.
     """
     space = solution.problem.views.space
     own = space.epoch if space is not None else ""
@@ -39,7 +39,7 @@ def epoch_of(solution: Solution, stated: str | datetime | None) -> datetime | No
 
 
 def needed_epoch(solution: Solution, stated: str | datetime | None, form: str) -> datetime:
-    """The same for a format that has no times without one.
+    """Return the epoch as `epoch_of` does, for a format that needs one.
 
     Raises
     ------
@@ -62,12 +62,12 @@ def stamp(epoch: datetime, seconds: float) -> str:
 
 
 def stamp_of_tick(epoch: datetime, seconds: float) -> str:
-    """The same to a microsecond, which is how finely most readers see time."""
+    """Return UTC as `stamp` does, to a microsecond, as finely as most readers resolve time."""
     return utc_after(epoch, 1000 * round(seconds / TICK))[:-3]
 
 
 def leap_seconds_told(epoch: datetime, seconds: float) -> str:
-    """Return a sentence on the leap seconds within so many seconds after the epoch, by those that are known."""
+    """Return a sentence on the known leap seconds within so many seconds after the epoch."""
     days = leap_seconds_within(epoch, seconds)
     if not days:
         return "No leap second that is known lies within the flight."

@@ -11,7 +11,7 @@ ENDINGS = {"netcdf": ".nc", "csv": ".csv", "parquet": ".parquet", "oem": ".oem",
 
 
 def format_of(path: Path, format: str | None, known: Sequence[str]) -> str:
-    """The format that a file is to be written in.
+    """Return the format in which to write a file.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ def write_oem(
     object_name: str | None = None,
     object_id: str | None = None,
 ) -> None:
-    """Write the message.
+    """Write a flight as an orbit ephemeris message.
 
     Parameters
     ----------
@@ -63,13 +63,12 @@ def write_oem(
 
 
 def demand_object(text: str, keyword: str) -> None:
-    """Refuse what no OBJECT_NAME or OBJECT_ID of a message can be.
+    """Refuse a text that cannot be the OBJECT_NAME or OBJECT_ID of a message.
 
     Raises
     ------
     PeriluneError
-        If it is no line of 1 to 80 printable ASCII characters that begins and ends with none that is
-        blank.
+        If it is not a line of 1 to 80 printable ASCII characters, without blanks at its ends.
     """
     fits = isinstance(text, str) and 0 < len(text) <= _NAMED and text.isascii() and text.isprintable()
     if not fits or text != text.strip():
@@ -99,7 +98,7 @@ def _told(solution: Solution, about: Mapping[str, str], body: str, epoch: dateti
 
 
 def _mass_and_thrust(solution: Solution, name: str) -> list[str]:
-    """A comment on what the format has no place for, where the phase has one mass [kg] among its states."""
+    """Return a comment on mass and thrust, which the format lacks, if one state of the phase is a mass [kg]."""
     k = [phase.name for phase in solution.problem.phases].index(name)
     masses = [i for i, state in enumerate(solution.problem.phases[k].states) if state.unit == "kg"]
     if len(masses) != 1:
@@ -114,7 +113,7 @@ def _mass_and_thrust(solution: Solution, name: str) -> list[str]:
 
 
 def _comments(texts: Iterator[str]) -> Iterator[str]:
-    """Comments in lines of letters that the standard knows."""
+    """Yield comments in lines of the standard's characters."""
     for text in texts:
         line = "COMMENT"
         for word in _plain(text).split():
@@ -126,7 +125,7 @@ def _comments(texts: Iterator[str]) -> Iterator[str]:
 
 
 def _plain(text: str) -> str:
-    """One line of letters that the standard knows: names are those of who stated the problem."""
+    """Return a text as one line of the standard's characters, as names may have any."""
     return one_line(text.replace("Δ", "Delta "), most=10_000).encode("ascii", "replace").decode()
 
 

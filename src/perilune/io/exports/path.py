@@ -1,4 +1,4 @@
-"""The way of a flight in space, at so many times that cubic Hermite interpolation between them loses a millimetre.
+"""Path of a flight in space, at times so close that cubic Hermite interpolation is off by a millimetre at most.
 
 Axes are inertial, those of the body itself at the begin of the flight, or turn with the body (`Leg.turning`).
 """
@@ -23,7 +23,7 @@ _NEAR = 1e-3  # of the way to the next time, at which a rate is looked for
 
 @dataclass(frozen=True, kw_only=True)
 class Leg:
-    """One phase.
+    """Path of one phase in space.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ class Leg:
         return bool(np.any(self.push))
 
     def turned(self, matrix: Matrix) -> Leg:
-        """The same in other axes that do not turn."""
+        """Return the leg in other axes that do not turn."""
         names = ("position", "velocity", "push", "push_rate")
         return replace(self, **{name: matrix @ getattr(self, name) for name in names})
 
     def turning(self, rate: float) -> Leg:
-        """The same in axes that turn about z at a rate [rad/s]; velocities, and rates, are beside them."""
+        """Return the leg in axes that turn about z at a rate [rad/s]; velocities and rates are relative to these."""
         sine, cosine = np.sin(rate * self.time), np.cos(rate * self.time)
 
         def back(v: Matrix) -> Matrix:
@@ -72,12 +72,12 @@ class Leg:
 
 
 def apart(time: Vector) -> tuple[Vector, np.ndarray]:
-    """Times that are `JUMP` apart: of those about a jump the last, and the first that much before it.
+    """Space times by at least `JUMP`: of those about a jump keep the last, and the first moved that much before it.
 
     Returns
     -------
     tuple
-        All times, those before a jump as they are told then, and which of them are kept.
+        All times with those before a jump moved, and the numbers of the ones that are kept.
     """
     # To the next; twice as far as one is moved, which so keeps behind those before it.
     near = np.append(np.diff(time) < 2 * JUMP, False)
@@ -108,7 +108,7 @@ def space_of(solution: Solution, form: str) -> Space:
 
 
 def legs(solution: Solution, bent: float | None = None, tick: float | None = None) -> list[Leg]:
-    """The phases in inertial axes; a phase without length has none.
+    """Return the phases in inertial axes; a phase of zero duration has none.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> Leg:
 
 
 def _ticking(leg: Leg, solution: Solution, k: int, begin: float, tick: float) -> Leg:
-    """The same at whole multiples of a tick; the rate of its thrust is that of the time before."""
+    """Return the leg at whole multiples of a tick, with the rate of thrust of the time before."""
     wholes, first = np.unique(np.round(leg.time / tick), return_index=True)
     duration = solution.trajectories[k].duration
     inside = np.clip(wholes * tick - begin, 0.0, duration)
@@ -178,7 +178,7 @@ def _ticking(leg: Leg, solution: Solution, k: int, begin: float, tick: float) ->
 
 
 def _rates(solution: Solution, k: int, t: Vector, push: Matrix) -> Matrix:
-    """Rates of the thrust, by how it goes on to the next time, or came from the one before where it jumps."""
+    """Return the rates of thrust, by a difference ahead, or back from a time at which thrust jumps."""
     width = np.append(np.diff(t), 0.0)
     step = _NEAR * np.where(width > JUMP, width, -np.roll(width, 1))
     moved, step = solution.inertial(k, t + step)[2] - push, (t + step) - t
@@ -186,9 +186,9 @@ def _rates(solution: Solution, k: int, t: Vector, push: Matrix) -> Matrix:
 
 
 def _bent(solution: Solution, k: int, t: Vector, push: Matrix) -> Vector:
-    """By what share of the thrust its linear interpolation is off between two times, at two places, shape (n - 1,).
+    """Return the relative error of linear interpolation of thrust between times, at two places, shape (n - 1,).
 
-    A cubic that is off somewhere is so at one of these places, but not always in the middle.
+    A cubic with an error somewhere has one at one of these places, but not always in the middle.
     """
     found = np.zeros(len(t) - 1)
     for part in (0.25, 0.75):

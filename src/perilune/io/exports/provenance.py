@@ -16,7 +16,7 @@ from perilune.problem.solution import Solution
 
 
 def provenance(solution: Solution, scenario_text: str | None = None, document: Any = None) -> dict[str, str]:
-    """Words about a solution, by name.
+    """Return texts on the origin of a solution, by name.
 
     Parameters
     ----------
@@ -53,5 +53,5 @@ def _program(found: Mapping[str, str]) -> str:
 
 
 def _parameters(values: Mapping[str, tuple[float, str]]) -> str:
-    """JSON of values with their units."""
+    """Return JSON of values with their units."""
     return json.dumps(finite({name: [float(value), unit] for name, (value, unit) in values.items()}))

@@ -25,7 +25,7 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """One column of the table.
+    """Column of the table.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Field:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightTable:
-    """All columns; `time` is in seconds from the begin of the flight, `phase` the number of each row's phase."""
+    """Table of a flight; `time` is in seconds from the begin of the flight, `phase` the number of each row's phase."""
 
     time: Vector
     phase: np.ndarray
@@ -55,12 +55,12 @@ class FlightTable:
 
     @property
     def phase_names(self) -> np.ndarray:
-        """Name of each row's phase."""
+        """Return the name of each row's phase."""
         return np.array(self.phases)[self.phase]
 
 
 def flight_table(solution: Solution, parted: bool = False) -> FlightTable:
-    """The table of a solution.
+    """Make the table of a solution.
 
     Parameters
     ----------
@@ -103,9 +103,9 @@ def flight_table(solution: Solution, parted: bool = False) -> FlightTable:
 
 
 def _parted(times: list[Vector], looks: list[Vector]) -> tuple[list[Vector], list[Vector]]:
-    """Times of each phase that are a microsecond apart, and where in it they are looked for.
+    """Return times of each phase at least a microsecond apart, and the times in it at which to evaluate it.
 
-    Of those about a jump the last is left, and the first that much before it.
+    Of those about a jump the last is kept, and the first moved that much before it.
     """
     whole, ends = np.concatenate(times), np.cumsum([len(time) for time in times])[:-1]
     told, kept = apart(whole)

@@ -43,9 +43,9 @@ _PARTED = (
 
 
 def write_csv(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
-    """One row of names with units, then numbers that read back to the last bit; angles without the rounding of pi.
+    """Write names with units, then numbers that read back to the last bit; angles without the rounding of pi.
 
-    A format without words beside the table: the proof stands in each row, whatever is cut out of it.
+    The format has no texts outside the table: the proof stands in each row, so that any part of it has it.
     """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -64,7 +64,7 @@ def write_csv(table: FlightTable, about: Mapping[str, str], epoch: datetime | No
 
 
 def write_parquet(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
-    """One column each, with its unit and what it is; the provenance as JSON under the key ``perilune``."""
+    """Write Parquet: columns with unit and description; the provenance as JSON under the key ``perilune``."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -83,7 +83,7 @@ def write_parquet(table: FlightTable, about: Mapping[str, str], epoch: datetime 
 
 
 def write_netcdf(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
-    """By SciPy, as the conventions have it."""
+    """Write NetCDF by SciPy, following the CF conventions."""
     from scipy.io import netcdf_file
 
     for name in (f.name for f in table.fields):
@@ -108,7 +108,7 @@ def write_netcdf(table: FlightTable, about: Mapping[str, str], epoch: datetime |
 
 
 def dataset_of(table: FlightTable, about: Mapping[str, str], epoch: datetime | None) -> xarray.Dataset:
-    """The same as a data set of xarray, in which longitude, latitude, height, time and phase are coordinates."""
+    """Return the table as a data set of xarray, with longitude, latitude, height, time and phase as coordinates."""
     try:
         import xarray
     except ImportError:
@@ -122,7 +122,7 @@ def dataset_of(table: FlightTable, about: Mapping[str, str], epoch: datetime | N
 
 
 def frame_of(table: FlightTable, about: Mapping[str, str]) -> pandas.DataFrame:
-    """The same as a frame of pandas, its index the time [s]; units and provenance in `attrs`."""
+    """Return the table as a frame of pandas, its index the time [s]; units and provenance in `attrs`."""
     try:
         import pandas
     except ImportError:
@@ -156,7 +156,7 @@ def _file_attributes(table: FlightTable, about: Mapping[str, str], epoch: dateti
 
 
 def _variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np.ndarray, dict[str, Any]]]:
-    """Values and attributes of each variable."""
+    """Return values and attributes of each variable."""
     time: dict[str, Any] = {"units": "s", "long_name": _TIME}
     if epoch is not None:
         since = f"seconds since {stamp(epoch, 0.0).replace('T', ' ')[:-3]}"
@@ -192,12 +192,12 @@ def _attributes(f: Field, places: list[str]) -> dict[str, Any]:
 
 
 def cf_unit(unit: str) -> str:
-    """A unit as the CF conventions have it."""
+    """Return a unit in the form of the CF conventions."""
     return _CF_UNITS.get(unit, unit)
 
 
 def missing_package(what: str, package: str) -> PeriluneError:
-    """The error where a package of the extra `export` is not installed."""
+    """Return the error for a missing package of the extra `export`."""
     return PeriluneError(f"{what} needs {package}, which is not installed", advice="pip install 'perilune[export]'")
 
 

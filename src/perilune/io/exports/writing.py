@@ -88,7 +88,7 @@ def write(
     object_id: str | None = None,
     force: bool = False,
 ) -> Path:
-    """As `export`, with what is to be said of the solution (`perilune.io.exports.provenance`)."""
+    """Write a solution as `export` does, with given texts on its origin (`perilune.io.exports.provenance`)."""
     path, format = placed(file, format, force)
     named = demand_named(format, object_name, object_id)
     found = needed_epoch(solution, epoch, _TIMED[format]) if format in _TIMED else None
@@ -98,13 +98,13 @@ def write(
 
 
 def placed(file: str | Path, format: str | None, force: bool) -> tuple[Path, str]:
-    """The file as a path, and its format; refuses a format that there is not, and a file that must not be replaced."""
+    """Return the file as a path, and its format; refuse an unknown format, or a file that must not be replaced."""
     path = new_file(file, "an export", force)
     return path, format_of(path, format, FORMATS)
 
 
 def demand_named(format: str, object_name: str | None, object_id: str | None) -> dict[str, str | None]:
-    """The two by their names; refuses a format that has no place for them, and what they cannot be there."""
+    """Return the names of the object by their keywords; refuse a format without them, and names it does not allow."""
     named = {"object_name": object_name, "object_id": object_id}
     asked = {name: text for name, text in named.items() if text is not None}
     if asked and format != "oem":
@@ -136,10 +136,10 @@ def _writer(format: str, named: Mapping[str, str | None]) -> Callable[[Solution,
 
 
 def to_xarray(solution: Solution, *, epoch: str | datetime | None = None) -> xarray.Dataset:
-    """The flight as a data set of xarray: what ``format="netcdf"`` writes, opened.
+    """Return the flight as a data set of xarray, with the content that ``format="netcdf"`` writes.
 
     Its dimension is the time, which increases strictly: ``interp`` and ``sel(time=..., method="nearest")`` take it.
-    Where something jumps the row before is that of a microsecond earlier.
+    At a jump the row before is that of a microsecond earlier.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def to_xarray(solution: Solution, *, epoch: str | datetime | None = None) -> xar
 
 
 def to_dataframe(solution: Solution) -> pandas.DataFrame:
-    """The flight as a frame of pandas, its index the time from the begin of the flight [s].
+    """Return the flight as a frame of pandas, its index the time from the begin of the flight [s].
 
     Raises
     ------
