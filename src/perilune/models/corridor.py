@@ -24,7 +24,7 @@ class Corridor:
 
     tilt: float | None = quantity(
         "rad", "50 deg", default=None, above=0.0, below=0.5 * math.pi, outside="is no angle",
-        about="most angle of the thrust from the vertical; up to it the lander may touch down tilted",
+        about="greatest angle of the thrust from the vertical; up to it the lander may touch down tilted",
     )  # fmt: skip
     slope: float | None = quantity(
         "rad", "20 deg", default=None, above=0.0, below=0.5 * math.pi, outside="is no angle",

@@ -80,7 +80,7 @@ _SHARE: dict[str, Any] = {
 class Throttle:
     """Range of the throttle, in shares of full thrust."""
 
-    lower: float = quantity("1", "0.3", **_SHARE, about="least share of full thrust")
+    lower: float = quantity("1", "0.3", **_SHARE, about="smallest share of full thrust")
     upper: float = quantity("1", "0.9", **_SHARE, about="greatest share of full thrust")
 
     def __post_init__(self) -> None:

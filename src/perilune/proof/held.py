@@ -30,7 +30,7 @@ from perilune.proof.strict import STRICT_LIMIT, from_switches
 from perilune.proof.switching import SLOPE_LIMIT, gradient_along
 from perilune.words.types import Matrix, Vector
 
-_DEPENDENT = 1e-6  # of the largest slope: conditions whose slopes are that close to each other are not told apart
+_DEPENDENT = 1e-6  # of the largest slope: conditions whose slopes are closer are not distinguished
 
 
 @dataclass(frozen=True, kw_only=True)
