@@ -350,7 +350,7 @@ def test_a_deorbit_burn_of_seconds_is_solved_again_from_beside_it() -> None:
 
 
 def test_where_every_wait_is_about_as_good_neighbours_are_met() -> None:
-    """Over Mercury, which turns slowly: J hardly depends on when it ignites, and is known all the same."""
+    """Over Mercury, which turns slowly: J hardly depends on when it ignites, and tells its costates all the same."""
     landed = solve(powered_descent(
         Vehicle(mass=7783.99144, thrust=283821.311, specific_impulse=275.563122),
         Ignition(altitude=28920.7844, longitude=0.0, latitude=0.282335874, heading=2.90140907,
@@ -360,8 +360,8 @@ def test_where_every_wait_is_about_as_good_neighbours_are_met() -> None:
         target="anywhere", throttle=(0.0, 1.0),
     ), level=2)  # fmt: skip
     parts, _ = cut(ended(landed))
-    along_x = next(neighbours(parts, lambda problem, guess: Indirect().run(problem, guess)))
-    assert (along_x.name, along_x.passed) == ("initial_costate_x", True)
+    costates = [*neighbours(parts, lambda problem, guess: Indirect().run(problem, guess))]
+    assert len(costates) == 7 and max(check.value for check in costates) < 1e-9  # 1e-6 is allowed
 
 
 def test_steps_of_a_long_coast_make_no_conjugate_point() -> None:

@@ -28,6 +28,7 @@ from perilune.methods.rungs import Met, Rungs
 from perilune.methods.smoothing import SMOOTH, Smoothing
 from perilune.methods.starts import (
     NEARLY,
+    beside_flat,
     followed,
     held_in,
     known,
@@ -357,6 +358,8 @@ class Search:
                 start, held, limits = there[0][None], there[1], trials.limits
                 yield trials.settled(start, held, limits=limits, accuracy=accuracy, tolerance=tolerance)[0]
 
+        if (self.compared or is_neighbour(self.problem)) and (beside := beside_flat(trials, y, choice)) is not None:
+            yield beside
         if may_be_cut(trials.conditions):
             yield trials.settled(y[None], choice, limits=trials.limits, **finest)[0]
             yield from led(ROUGHEST, TOLERANCE)

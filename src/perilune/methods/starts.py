@@ -10,11 +10,12 @@ from perilune.conditions.canonical import extremal_parameters
 from perilune.methods.assemble import unknowns_from
 from perilune.methods.ladder import Ladder
 from perilune.methods.trials import Trials
-from perilune.problem.neighbours import is_neighbour
+from perilune.problem.neighbours import is_neighbour, moved, offset_of
 from perilune.problem.solution import Solution
 from perilune.problem.symbolic import canonical_free
 from perilune.shooting.active import Limits, limits_of
 from perilune.shooting.continuation import Member, follow
+from perilune.shooting.flat import flat_direction, root_across
 from perilune.shooting.function import Root
 from perilune.words.types import Matrix, Vector
 
@@ -195,3 +196,24 @@ def followed(trials: Trials, guess: Solution, y: Vector) -> tuple[Vector, Vector
         return None
     reached = next(iter(follow(Member(value=0.0, root=begin), [1.0], correct, tangent)))
     return None if reached is None else (reached.root.y, last[1])
+
+
+def beside_flat(trials: Trials, y: Vector, choice: Vector) -> Root | None:
+    """Return the root of a moved start with what a flat optimum hardly changes held; None where there is none.
+
+    J of a neighbour whose parameter is held tells a curvature, to which what is held would add: of that none either.
+
+    Parameters
+    ----------
+    trials
+        Of a neighbour.
+    y, choice
+        Unknowns of the extremal beside it, and what that holds.
+    """
+    problem, shooting = trials.problem, trials.shooting
+    names = {offset_of(state.name) for state in problem.phases[0].states} & {*problem.given}
+    if not any(problem.given[name].value for name in names):
+        return None
+    same = moved(problem, **dict.fromkeys(names, 0.0))
+    flat = flat_direction(shooting.at(y[None], extremal_parameters(same), choice)[0])
+    return None if flat is None else root_across(shooting, y, trials.p, choice, flat)
