@@ -183,7 +183,7 @@ def _sample(problem: Any, scales: Scales, place: int) -> tuple[SimpleNamespace, 
 
 
 def _values(problem: Any, scales: Scales, place: int) -> list[tuple[Stated, int, float]]:
-    """Return (function, place of its result, value) of all that the user's functions return at it, canonical."""
+    """Return (function, result's place, value) of all that the user's functions return at the sample, canonical."""
     p, points = _sample(problem, scales, place)
     everywhere = {
         "p": p, "t": 0.7 * problem.scales.time / scales.time, "first": points[0][0], "last": points[-1][0]
