@@ -249,7 +249,20 @@ def real_root(square: ca.SX) -> ca.SX:
 
 
 def unit_share(condition: ca.SX, d: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return a linear condition on d as axis . d = share, with an axis of length one."""
+    """Return a linear condition on d as axis . d = share, with an axis of length one.
+
+    Parameters
+    ----------
+    condition
+        An expression that is linear in d.
+    d
+        Symbols of the direction, two or three.
+
+    Returns
+    -------
+    (axis, share)
+        A unit vector and an expression without d.
+    """
     axis = ca.gradient(condition, d)
     size = ca.norm_2(axis)
     return axis / size, -ca.substitute(condition, d, ca.SX.zeros(d.numel(), 1)) / size

@@ -193,7 +193,20 @@ def combinations(kinds: Sequence[Scalar], held: Sequence[ca.SX]) -> Iterator[tup
 
 
 def pivots(symbols: Sequence[ca.SX], held: Sequence[ca.SX]) -> list[int] | None:
-    """Assign to each condition a scalar that holds it, each another one; None where there are not enough."""
+    """Assign to each condition a scalar that holds it, each another one; None where there are not enough.
+
+    Parameters
+    ----------
+    symbols
+        Symbols of the scalars.
+    held
+        Conditions of these scalars.
+
+    Returns
+    -------
+    list or None
+        For each condition the place of its scalar.
+    """
     if not held:
         return []
     for i, symbol in enumerate(symbols):

@@ -146,7 +146,15 @@ def _differentiation(of: bytes) -> Matrix:
 
 
 def interpolation_matrix(points: Vector, at: Vector) -> Matrix:
-    """Return values at `at` of the polynomial through values at the points, shape (len(at), len(points))."""
+    """Return values at `at` of the polynomial through values at the points, shape (len(at), len(points)).
+
+    Parameters
+    ----------
+    points
+        Points of [-1, 1], (n,).
+    at
+        Places of [-1, 1], (m,).
+    """
     difference = np.asarray(at, dtype=float)[:, None] - points[None, :]
     hit = np.abs(difference) < 1e-200  # its inverse would overflow
     difference[hit] = 1.0

@@ -195,7 +195,15 @@ def _bound_as_condition(phase: Phase, limit: ElasticLimit, bounded: Any) -> Phas
 
 
 def relaxations(limit: ElasticLimit, free: Mapping[str, float]) -> dict[str, float]:
-    """Return by how much each condition of a limit gives [SI], the largest first, from the free parameters."""
+    """Return by how much each condition of a limit gives [SI], the largest first, from the free parameters.
+
+    Parameters
+    ----------
+    limit
+        The limit that was made elastic.
+    free
+        Free parameters [SI] by name, of a solution of the relaxed problem.
+    """
     if limit.kind != "end":
         return {limit.names[0]: free[_SLACK]}
     given = {name: free[f"{_SLACK}_{name}_over"] + free[f"{_SLACK}_{name}_under"] for name in limit.names}

@@ -103,7 +103,15 @@ def packed(values: PhaseValues) -> Vector:
 
 
 def unpacked(layouts: tuple[Layout, ...], w: Vector) -> tuple[PhaseValues, ...]:
-    """Return the values of every phase from the unknowns behind the free parameters."""
+    """Return the values of every phase from the unknowns behind the free parameters.
+
+    Parameters
+    ----------
+    layouts
+        Of each phase.
+    w
+        Unknowns without the free parameters, canonical.
+    """
     at, found = 0, []
     for layout in layouts:
         ends = [at, *(at + end for end in accumulate(layout.sizes))]
@@ -120,7 +128,15 @@ def unpacked(layouts: tuple[Layout, ...], w: Vector) -> tuple[PhaseValues, ...]:
 
 
 def by_kind(layouts: tuple[Layout, ...], values: Vector) -> dict[tuple[int, str], Vector]:
-    """Return the values of all rows by (phase, kind of condition)."""
+    """Return the values of all rows by (phase, kind of condition).
+
+    Parameters
+    ----------
+    layouts
+        Of each phase.
+    values
+        One value for each row of the program.
+    """
     at, found = 0, {}
     for k, layout in enumerate(layouts):
         for kind, size in layout.rows.items():
@@ -135,6 +151,13 @@ def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, 
 
     The first segment of a phase has its start too; of each the rows are as many as the states, and take those before
     only.
+
+    Parameters
+    ----------
+    layouts
+        Of each phase.
+    free
+        Number of free parameters, which stand before all other unknowns.
     """
     states, dynamics, at, row = list[Vector](), list[Vector](), free, 0
     for layout in layouts:
@@ -153,7 +176,20 @@ def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, 
 
 @lru_cache(maxsize=64)
 def unit_lengths(layouts: tuple[Layout, ...], free: int) -> list[tuple[Vector, Matrix]]:
-    """Return rows that hold directions at length one, and the unknowns in each, an entry for each direction."""
+    """Return rows that hold directions at length one, and the unknowns in each, an entry for each direction.
+
+    Parameters
+    ----------
+    layouts
+        Of each phase.
+    free
+        Number of free parameters, which stand before all other unknowns.
+
+    Returns
+    -------
+    list
+        (rows, (n,); unknowns, (n, components)) of each direction of a phase.
+    """
     found, at, row = list[tuple[Vector, Matrix]](), free, 0
     for layout in layouts:
         count, before = len(layout.directions), dict(layout.rows)

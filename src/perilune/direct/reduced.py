@@ -222,6 +222,14 @@ class Reduced:
 
 
 def negative(factor: Matrix, places: Vector) -> int:
-    """Count negative eigenvalues of a symmetric matrix from its factors: two rows pivoted together have one."""
+    """Count negative eigenvalues of a symmetric matrix from its factors: two rows pivoted together have one.
+
+    Parameters
+    ----------
+    factor
+        Triangular factor with the pivots on its diagonal, (n, n).
+    places
+        Pivots as LAPACK's ``sytrf`` returns them, (n,): not positive for two rows pivoted together.
+    """
     alone = places > 0
     return int((~alone).sum()) // 2 + int((factor.diagonal()[alone] < 0).sum())

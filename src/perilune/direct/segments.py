@@ -111,7 +111,15 @@ def sampler(flown: Sequence[Segment]) -> Sampler:
 
 
 def sampled(program: Program, samplers: Sequence[Sampler]) -> tuple[PhaseValues, ...]:
-    """Return the first values of a program's unknowns from one sampler for each phase."""
+    """Return the first values of a program's unknowns from one sampler for each phase.
+
+    Parameters
+    ----------
+    program
+        The program.
+    samplers
+        State and control [SI] at fractions of each phase.
+    """
     problem, p, found = program.problem, program.problem.parameters({}), []
     for phase, mesh, layout, sample in zip(problem.phases, program.meshes, program.layouts, samplers, strict=True):
         joints = np.array(mesh.joints)

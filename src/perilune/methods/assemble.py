@@ -42,7 +42,18 @@ def objective_scale(problem: Problem) -> float:
 
 
 def residual_scales(problem: Problem, conditions: Conditions) -> Vector:
-    """Return the SI size of the canonical unit of each residual."""
+    """Return the SI size of the canonical unit of each residual.
+
+    Parameters
+    ----------
+    problem, conditions
+        The problem and its boundary value problem.
+
+    Returns
+    -------
+    Vector
+        One size [SI] for each residual, in their order.
+    """
     J, free = problem.objective_size, free_scales(problem.free, problem)
     states = [
         np.concatenate([state_scales(problem, phase), free[list(extremal.constants)]])

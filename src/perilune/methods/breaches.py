@@ -72,7 +72,15 @@ def broken_by_control(structure: Structure, whole: Solution) -> Breach | None:
 
 
 def breaches_of(solution: Solution, slack: float) -> Iterator[Breach]:
-    """Yield what a solution breaks by more than a slack [canonical], by its tables; bounds of its control too."""
+    """Yield what a solution breaks by more than a slack [canonical], by its tables; bounds of its control too.
+
+    Parameters
+    ----------
+    solution
+        A solution of any method.
+    slack
+        What may be broken, canonical.
+    """
     problem, p = solution.problem, solution.parameters
     for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
         nodes = (flown.state.time, flown.control.time)

@@ -302,7 +302,15 @@ def _each(controls: Sequence[Control], u: Any, change: Callable[[Control, slice,
 
 
 def normalised(controls: Sequence[Control], u: Any) -> Any:
-    """Return controls (components, ...) with every direction of length 1."""
+    """Return controls (components, ...) with every direction of length 1.
+
+    Parameters
+    ----------
+    controls
+        Controls of the phase.
+    u
+        Their components, (components, ...).
+    """
     return _each(controls, u, lambda control, _, part: control.normalised(part))
 
 
@@ -336,7 +344,20 @@ def admissible_rates(controls: Sequence[Control], u: Any, rates: Any, p: Any) ->
 
 
 def control_scales(controls: Sequence[Control], scales: Scales) -> Vector:
-    """Return the SI size of the canonical unit of each component."""
+    """Return the SI size of the canonical unit of each component.
+
+    Parameters
+    ----------
+    controls
+        Controls of the phase.
+    scales
+        Canonical units.
+
+    Returns
+    -------
+    Vector
+        Sizes [SI], (components,).
+    """
     return np.array([scales.of(control.unit) for control in controls for _ in control.names])
 
 

@@ -135,7 +135,15 @@ def possible(found: Sequence[Finding]) -> Any:
 
 
 def member(found: Sequence[Finding], index: int) -> tuple[Finding, ...]:
-    """Return the findings of one of many problems that were judged together."""
+    """Return the findings of one of many problems that were judged together.
+
+    Parameters
+    ----------
+    found
+        Findings of arrays, or of numbers that all problems share.
+    index
+        Number of the problem.
+    """
 
     def pick(values: Any) -> float:
         return float(values if np.ndim(values) == 0 else values[index])

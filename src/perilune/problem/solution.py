@@ -364,7 +364,20 @@ class Solution(ShownSolution):
 
 
 def full(values: Any, t: Vector) -> Vector:
-    """Return a quantity at every time, also where the physics returns one number for all."""
+    """Return a quantity at every time, also where the physics returns one number for all.
+
+    Parameters
+    ----------
+    values
+        A number, or one for each time.
+    t
+        Times, (n,).
+
+    Returns
+    -------
+    Vector
+        A read-only view, (n,).
+    """
     return np.broadcast_to(np.asarray(values, dtype=float), np.shape(t))
 
 

@@ -273,7 +273,20 @@ def canonical_given(problem: Problem) -> Vector:
 
 
 def canonical_free(problem: Problem, free: Mapping[str, float]) -> Vector:
-    """Return the values of the free parameters in canonical units, from SI."""
+    """Return the values of the free parameters in canonical units, from SI.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    free
+        Values [SI] by name.
+
+    Returns
+    -------
+    Vector
+        Canonical values in the order of `Problem.free`.
+    """
     return np.array([free[f.name] / problem.scales.of(f.unit) for f in problem.free])
 
 

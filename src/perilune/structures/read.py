@@ -291,7 +291,15 @@ def closer(t: Vector, room: Vector, slack: float) -> Vector:
 
 
 def rounding(room: Vector, size: float) -> float:
-    """Return what counts as rounding of S along a phase; that of its `size` where S goes through little."""
+    """Return what counts as rounding of S along a phase; that of its `size` where S goes through little.
+
+    Parameters
+    ----------
+    room
+        S along a phase [SI], (n,).
+    size
+        Size of S [SI].
+    """
     return max(ROUNDING * float(np.ptp(room)), EXACTLY * size)
 
 

@@ -86,7 +86,20 @@ def leaves_bounds(solution: Solution, k: int) -> bool:
 
 
 def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]]:
-    """Return by level the regimes of each scalar of phase k that is singular for a while; nothing of others."""
+    """Return by level the regimes of each scalar of phase k that is singular for a while; nothing of others.
+
+    Parameters
+    ----------
+    solution
+        A solution with costates, else nothing is read.
+    k
+        Number of the phase.
+
+    Returns
+    -------
+    dict
+        Stays by level, which is `EXACT` or one of `LEVELS`.
+    """
     found: dict[tuple[int, float], list[Stay]] = {level: [] for level in (EXACT, *LEVELS)}
     if solution.trajectories[k].costate is None:
         return found
@@ -246,7 +259,15 @@ def _at_bounds(name: str, t: Vector, upper: Vector, begin: float, end: float) ->
 
 
 def runs(true: Vector, kind: Vector | None = None) -> list[tuple[int, int]]:
-    """Return the first and last index of each run of true values, each of one kind."""
+    """Return the first and last index of each run of true values, each of one kind.
+
+    Parameters
+    ----------
+    true
+        Truth values, (n,).
+    kind
+        Numbers of kinds, (n,); by default all are of one kind.
+    """
     kind = np.zeros(len(true)) if kind is None else kind
     edges = np.nonzero((np.diff(true.astype(int)) != 0) | (np.diff(kind.astype(int)) != 0))[0] + 1
     bounds = zip([0, *edges.tolist()], [*(edges - 1).tolist(), len(true) - 1], strict=True)

@@ -256,7 +256,15 @@ def _room(state: Variable, side: str, limit: str) -> Expression:
 
 
 def without_bounds(phase: Phase, bounds: Sequence[tuple[int, str]]) -> tuple[Variable, ...]:
-    """Return the states of a phase without some of their bounds."""
+    """Return the states of a phase without some of their bounds.
+
+    Parameters
+    ----------
+    phase
+        The phase.
+    bounds
+        (number of the state, "lower" or "upper") of each bound to leave out.
+    """
     states = list(phase.states)
     for i, side in bounds:
         states[i] = replace(states[i], **{side: -math.inf if side == "lower" else math.inf})
