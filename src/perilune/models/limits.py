@@ -213,8 +213,8 @@ def stopping_distance(
     Parameters
     ----------
     position, velocity
-    From the centre [m], and relative to the turning body [m/s], in axes that turn with it; over flat ground from the
-        point under the vehicle.
+        From the centre [m], and relative to the turning body [m/s], in axes that turn with it; over flat ground
+        from the point under the vehicle.
     axis
         Unit vector of the rotation in them.
     r_site

@@ -191,7 +191,7 @@ class Allowed:
         return u.reshape(shape), there.reshape(shape[1:])
 
     def push(self, x: Matrix, u: Matrix, lam: Matrix) -> Matrix:
-        """sum of mu dc/dx, which lam' has beside -dH/dx: J per second and canonical unit of each state, (n, N)."""
+        """Return sum of mu dc/dx that lam' adds to -dH/dx: J per second and canonical unit of each state, (n, N)."""
         mu = self.multipliers(x, u, lam).mu
         out, at = np.zeros(x.shape), np.nonzero(mu.any(axis=0))[0]
         if len(at):

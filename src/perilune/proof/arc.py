@@ -179,7 +179,7 @@ class Arc:
 
     @cached_property
     def breaks(self) -> Vector:
-        """Times inside the phase at which the table of the control begins anew: switches, joints of a mesh [s]."""
+        """Return the times inside the phase at which the control's table breaks: switches, joints of a mesh [s]."""
         time = self.trajectory.control.time
         return time[1:][(np.diff(time) == 0) & (time[1:] < self.duration)]
 

@@ -5,11 +5,11 @@ plus the size of a quantity in canonical units. An answer of the indirect method
 guess, an answer of the direct method with the extremal that Newton's method reaches from it. What was found on
 either side is listed, and the answer must be the best of it: a proof that *nothing* is better there is not.
 
-Where the answer touches a condition on states, or rides along it, its costates jump, and methods tell them in different
+Where the answer has contact points or boundary arcs, its costates jump, and methods give them in different
 ways along an arc: with the multiplier of S, or of S^(q). On a mesh the jumps are spread. There curves and free
-parameters are compared with an answer of the problem restated with the same arcs (`touched`), in which there is one way
-to tell costates; the other method solves that from its own answer. The times at which it rides are held: J is flat in
-them to third order.
+parameters are compared with an answer of the problem restated with the same arcs (`touched`), in which costates are
+unique; the other method solves that from its own answer. The times of the boundary arcs are fixed: J is flat in them
+to third order.
 """
 
 from __future__ import annotations

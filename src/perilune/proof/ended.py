@@ -1,7 +1,7 @@
 """A bound of a state that holds the end of a phase, as the mass of a stage that burns out: its multiplier.
 
 A flight keeps x >= b at the end too, so that a range x(T) >= b there asks nothing new: restated with it the problem has
-the same flights. Of one that comes to the bound at the end alone, the multiplier of the bound is that of the range,
+the same flights. For one that is on the bound only at the end, the multiplier of the bound is that of the range,
 
     lam(T) = dPhi/dx + mu e,    mu <= 0 at a lower bound, >= 0 at an upper one,
 

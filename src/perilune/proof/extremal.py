@@ -155,9 +155,9 @@ def _multiplier_sizes(arc: Arc, known: Vector | float) -> Vector:
 
 
 def all_multipliers(arcs: Sequence[Arc]) -> list[Vector]:
-    """Multipliers nu [J per unit] of the end conditions of all phases.
+    """Return the multipliers nu [J per unit] of the end conditions of all phases.
 
-    A condition on parameters alone, as that durations have a given sum, stands in no lam(t_f): its multiplier is what
+    A condition only on parameters, as that durations have a given sum, is in no lam(t_f): its multiplier is what
     makes J stationary in the free parameters, by least squares, as far as there is one.
     """
     nu, size = [end_multipliers(arc)[0] for arc in arcs], objective_scale(arcs[0].solution)

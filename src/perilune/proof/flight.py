@@ -199,11 +199,11 @@ def state_deviation(arc: Arc, start: Vector, sizes: Vector | None = None) -> Dev
 
 
 def costate_deviation(arc: Arc) -> tuple[Deviation, Vector]:
-    """Costates flown along the table of the state from their own value at an end, less their table.
+    """Return costates integrated along the table of the state from their value at an end, less their table.
 
-    From the end from which errors grow less: what comes down through air forgets how fast it was, so that costates at
-    its start follow from those at its end, and not the other way round. Also what errors of them are at the start,
-    scaled, (n,): what they have grown to there, where they come from the end, and else 1, of what tells.
+    Start at the end from which errors grow less: a descent through air forgets its speed, so that costates at its
+    start follow from those at its end, and not the other way round. Also return their errors at the start, scaled,
+    (n,): as grown from the end, or else 1.
     """
     pieces, slopes, still = arc.looked_at
     n, unit = len(arc.state_scale), arc.costate_scale[:, None, None]
@@ -248,7 +248,7 @@ class Joints:
     first
         Deviation at the start, (n,).
     jumps
-    Value that should follow less that of the table, at each joint, (n, N - 1).
+        Value that should follow less that of the table, at each joint, (n, N - 1).
     over
         By joint, the matrix by which a deviation passes where it is not the identity.
     """

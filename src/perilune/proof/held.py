@@ -92,7 +92,7 @@ def held_along(
 
     Returns
     -------
-    The third is False where a condition holds for a part of the times only, or the moves do not tell conditions apart.
+    The third is False where a condition holds only at some of the times, or the moves do not distinguish conditions.
     """
     if arc.allowed is None:
         return None, basis, True

@@ -2,8 +2,8 @@
 
 Newton's method starts from the unknowns that the file holds of an extremal. What it reaches must have the objective and
 the free parameters that are listed, and must pass levels 1 and 2 as any solution does. The numbers that remain are
-those reached; what each extremal *is* follows from them alone: its curvature, the bounds that it sits on, and its place
-among those that were found again. Of one optimum alone there is no best.
+those reached; what each extremal *is* follows only from them: its curvature, the bounds that it sits on, and its place
+among those that were found again. A single optimum is not called the best.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Quick test, at a few points, of whether a flight may touch a condition or follow it: most flights do not.
 
-What is touched is at an edge of the tables, where costates jump; what is ridden is ridden between edges.
+Contact points are at an edge of the tables, where costates jump; boundary arcs lie between edges.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
 def _with_multipliers(solution: Solution) -> Solution:
     """Return the solution with the multipliers that its curves imply where it gives none, as at contact points.
 
-    Neighbours hold the ranges that it is held by: a duration in two parts at its longest is told by nothing else.
+    Neighbours keep its active ranges: nothing else shows that a duration in two parts is at its longest.
     """
     arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
     implied = {

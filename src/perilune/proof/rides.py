@@ -1,8 +1,8 @@
 """Boundary arcs of a flight: checks of their multipliers to first order, and their variations to second order.
 
-Where an arc begins or ends the costates of S itself (`ridden`) may jump, as at a touch (`touched`), by nu dS/dx with
-nu <= 0 alone. Where a phase ends there its end conditions may take any part of the jump, and at the start of the flight
-all that no free parameter moves.
+Where an arc begins or ends the costates of S itself (`ridden`) may jump, as at a contact point (`touched`), only by
+nu dS/dx with nu <= 0. Where a phase ends there its end conditions may take any part of the jump, and at the start of
+the flight all that no free parameter moves.
 
 **To second order** every feasible flight close by has
 
@@ -20,7 +20,7 @@ At a touch with nu next to nothing it is enough as well that d2L > 0 for all var
 the time of the touch being that of the least S: J - J* >= L - L* holds for nu <= 0, and no strict sign is asked for.
 
 So it is at a touch where S'' is next to nothing: to let its time vary gains what S'' takes, nu (dS')^2/S'', and where
-that is most of a variation nothing is left to be told from rounding.
+that is most of a variation nothing can be distinguished from rounding.
 
 Where H is linear in a scalar control, and S of order 1, that convexity fails, and another order of things holds: as
 S' determines the control, all of the second variation is in S, and mu > 0 up to both ends of the arc makes every S > 0
@@ -366,8 +366,8 @@ def _concave(part: Arc) -> str:
 def _lowered(along: Sequence[Ridden]) -> float:
     """Return the most that any admissible control lowers H of lam - eta dS^(q-1)/dx, scaled, as S >= 0 itself requires.
 
-    With the multiplier of S in the place of that of S^(q), u minimises H among all controls, and not those alone that
-    keep S^(q) = 0 (Hartl, Sethi, Vickson 1995, section 5). What lam differs by beside is across all controls.
+    With the multiplier of S in the place of that of S^(q), u minimises H among all controls, and not only those that
+    keep S^(q) = 0 (Hartl, Sethi, Vickson 1995, section 5). The rest of lam's difference is across all controls.
     """
     part = along[0].part
     inside, lam = part.sampled, part.sampled.lam

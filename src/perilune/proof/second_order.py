@@ -18,7 +18,7 @@ becomes int du' H_uu du + sum D_k dt_k^2 with D_k > 0 of `strict`. Where no cont
 d2J is the Hessian of the Lagrangian of the finite-dimensional problem in switching times and free parameters, whose
 positivity on the critical cone is sufficient together with the strict conditions of `strict`. A switch may lie at an
 end of the flight, with an arc of no length beyond it. Where the end
-conditions leave no variation at all, these suffice alone, and kappa is 0.
+conditions leave no variation at all, only these are needed, and kappa is 0.
 
 On a singular arc the integral of its control has the control's place (`singular`). The control jumps at both ends, the
 times of which have no curvature of their own; what is left of its impulse at the end is a free parameter.
@@ -31,7 +31,7 @@ On which side of 1 kappa lies does not depend on how time is normalised; how far
 The form is discretised on equal steps with a constant control each (implicit midpoint rule), what of the control
 varies as `variations` says. Source:
 Gelfand and Fomin (1963), sections 27-29; Bryson and Ho (1975), chapter 6; Hestenes (1966); Maurer, Buskens, Kim,
-Kaya (2005) and Osmolovskii and Maurer (2012), chapters 5-7, for switching times, alone and beside a regular control.
+Kaya (2005) and Osmolovskii and Maurer (2012), chapters 5-7, for switching times, without and with a regular control.
 """
 
 from __future__ import annotations

@@ -183,9 +183,9 @@ def _minimum(arc: Arc) -> Check:
 
 
 def _on_surfaces(allowed: Allowed, x: Matrix, u: Matrix, parts: list[list[Matrix]]) -> tuple[list[list[Matrix]], Any]:
-    """Samples of each control with some more on the conditions that it changes alone; and those of several controls.
+    """Return samples of each control with more on the conditions that only it changes; and those of several controls.
 
-    They are moved onto what is held all along, and to each condition that is active beside it.
+    They are moved onto what is held all along, and to each condition that is active in addition.
     """
     controls, active = allowed.phase.controls, allowed.active(x, u)
     slopes, joint = np.abs(allowed.slopes(x, u)).max(axis=2), []

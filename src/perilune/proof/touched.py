@@ -5,11 +5,11 @@ Where S(x, p) >= 0 is touched, at a time of the flight's own choice,
     lam(t-) = lam(t+) + nu dS/dx,   nu <= 0,   H(t-) = H(t+),
 
 nu being the change of J as the condition is moved, J + nu S. The flight is cut there, and at the beginning and the end
-of every arc that rides along S = 0, and proved as an answer of the problem restated with these arcs as phases
+of every boundary arc S = 0, and proved as an answer of the problem restated with these arcs as phases
 (`perilune.structures.restate`), whose conditions at the cuts are S = 0 and its derivatives. Where to cut is found here,
 by the tables themselves. A neighbour of the flight that does not touch S pays to first order where nu < 0 strictly.
 
-Arcs that are ridden have files of their own (`ridden`, `rides`).
+Boundary arcs have files of their own (`ridden`, `rides`).
 
 Source: Bryson and Ho (1975), sections 3.11-3.13; Hartl, Sethi, Vickson (1995), sections 4 and 5.
 """

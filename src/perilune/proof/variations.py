@@ -40,15 +40,15 @@ class Kept:
     holds
         Values that vanish to first order all along it, and so have to where it begins.
     end
-    Values that have to vanish where it ends, in addition to the end conditions.
+        Values that have to vanish where it ends, in addition to the end conditions.
     left
         Names of the end conditions that need not be kept.
     tied
-        Whether its duration stays in proportion to that of the phase before.
+        True if its duration stays in proportion to that of the phase before.
     steady
-        Whether no control jumps where something begins or ends to be ridden at its ends.
+        True if no control jumps where a boundary arc begins or ends at its ends.
     pays
-        The least multiplier of what is ridden over its largest, where that is what counts: H is linear in the control.
+        Least multiplier of a boundary arc over its largest, where that decides: H is linear in the control.
     """
 
     rides: tuple[str, ...] = ()
@@ -107,11 +107,11 @@ class Stretch:
     span, edges
         Times at both ends [s], and the same as numbers or as names of parameters.
     first, last
-        Whether the arc begins and ends with it.
+        True if the arc begins, and ends, with it.
     place
         Of the stretch between the edges of the arc; None for one of no length beyond a switch at an end of the flight.
     across
-        What of the control is other there than on the arc beside it: its place, and its value [SI].
+        Component of the control that differs from the neighbouring arc: its place, and its value [SI].
     """
 
     span: tuple[float, float]

@@ -19,7 +19,7 @@ Printed = MappingProxyType[str, tuple[float, str, str]]
 
 
 def numbers(printed: Printed, computed: Mapping[str, float]) -> str:
-    """Section with every printed number beside ours, which has two more decimals than the paper prints."""
+    """Return the section with every printed number and ours, which has two more decimals than the paper prints."""
     rows = []
     for name, (value, unit, where) in printed.items():
         decimals, ours = len(str(value).partition(".")[2]), computed[name]

@@ -68,7 +68,7 @@ class Arc:
     half
         Length of lambda.
     joint
-        Whether what is least for each scalar alone may be no minimum of all, which has to be seen (`minimum`).
+        True if the least for each scalar by itself may be no minimum of all, which has to be proved (`minimum`).
     implicit
         Names of the scalars w that no formula gives.
     stationary
@@ -269,12 +269,12 @@ Limits = Mapping[str, tuple[Expression | None, Expression | None]]
 def _control(
     graph: Graph, phase: Phase, H: Expression, regimes: Regimes, limits: Limits, behind: int
 ) -> tuple[dict[Any, Expression], tuple[Expression, ...], Expression, bool, tuple[str, ...]]:
-    """The control that minimises H in these regimes.
+    """Return the control that minimises H in these regimes.
 
     Returns
     -------
     Each component by key; how strongly it asks for each direction; H without directions; whether its minimum is not
-    that of each scalar alone; and then the scalars that are entries of z themselves, from `behind` on.
+    that of each scalar by itself; and then the scalars that are entries of z themselves, from `behind` on.
     """
     found: dict[Any, Expression] = {}
     strengths = []

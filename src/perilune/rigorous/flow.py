@@ -6,7 +6,7 @@ Taylor coefficient of order n that the equations give for every start in Z. If
     P([0, h]) + z_n(Z) [0, h^n]  lies in the interior of Z,
 
 then every solution that begins where P does stays in Z, and z(h) lies in P(h) + z_n(Z) h^n (Corliss, Rihm, *Validating
-an a priori enclosure using high-order Taylor series*, 1996). The same holds for the tangents V' = F'(z) V beside it,
+an a priori enclosure using high-order Taylor series*, 1996). The same holds for its tangents V' = F'(z) V,
 whose polynomials follow from the coefficients of F'(z), to a lower order.
 """
 

@@ -79,7 +79,7 @@ def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Calla
     order
         Of the steps.
     tell
-        Is told of every part.
+        Called with a line for every part.
     """
     where = next(_not_covered(boundary, root), "")
     if where:

@@ -80,7 +80,7 @@ def attempt(solution: Solution, tell: Callable[[str], None], efforts: Sequence[S
     solution
         With costates; it is where the search begins, and nothing in it is trusted.
     tell
-        Is told of every part.
+        Called with a line for every part.
     efforts
         Tried in order, until one proves a root.
     """

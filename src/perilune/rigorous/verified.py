@@ -23,7 +23,7 @@ def with_theorem(verification: Verification, solution: Solution, watch: Watch | 
     solution
         What was verified.
     watch
-        Is told of every part.
+        Receives a line for every part.
     """
     return with_attempt(verification, attempt(solution, watch or silent))
 

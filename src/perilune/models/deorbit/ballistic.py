@@ -14,7 +14,7 @@ dynamic pressure of falls in a plane are computed, each held up by as much as an
 more than h^2/8 of its second derivative along each axis, and one with a kink by no more than h/4 of the jump of its
 slope there. Both are less than a quarter of the second differences on the grid. Where some fall of a cell does not
 land, nothing is said of what is between, but that it differs by no more than neighbours do. A fall that leaves the air
-and is not down three turns later is none that an entry may last.
+and is not down three turns later lasts longer than an entry may.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ which grows with r. One burn at full thrust does not rise far meanwhile: what ea
 within the time t that is left by no more than dV t (1 + n t) (Clohessy and Wiltshire's equations), and never beyond
 what its energy allows. The integral over the velocity change bounds the **path angle**, at 1.3 to 1.5 times what an
 impulse against the velocity gives. Oblateness, which moves the height by kilometres and tilts the path by some J2, and
-the turning of the body, beside which angles are told, stand on top.
+the turning of the body, relative to which angles are given, are added.
 """
 
 from __future__ import annotations

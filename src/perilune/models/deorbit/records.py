@@ -63,7 +63,7 @@ class Aim:
         self.instant()
 
     def instant(self) -> datetime | None:
-        """Return the epoch in UTC; refuse a text that is none."""
+        """Return the epoch in UTC; refuse any other text."""
         return None if self.epoch is None else instant(self.epoch, "problem.epoch")
 
 

@@ -1,4 +1,4 @@
-"""Report and figures on Cho, Kim, Leeghim 2015: printed beside computed, claims, discrepancies."""
+"""Report and figures on Cho, Kim, Leeghim 2015: printed and computed values, claims, discrepancies."""
 
 from __future__ import annotations
 

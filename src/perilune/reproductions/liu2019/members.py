@@ -81,7 +81,7 @@ def missed_by_cubic(grid: Sequence[Member], at: Sequence[Member], known: Vector,
 def by_cubic(grid: Sequence[Member], at: Member, known: Matrix) -> Vector:
     """The paper's prediction (16) at one manoeuvre point of several quantities, known on the grid (quantities, points).
 
-    Ten coefficients, found from the ten nearest points of the grid; the smallest ones where these do not tell them.
+    Ten coefficients, found from the ten nearest points of the grid; the smallest where these leave them open.
     """
     off = np.array([(m.longitude, m.latitude) for m in grid]) - (at.longitude, at.latitude)
     near = np.argsort((off**2).sum(axis=1))[:10]

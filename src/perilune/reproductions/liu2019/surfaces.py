@@ -65,7 +65,7 @@ def fits(grid: Sequence[Member], at: Sequence[Member]) -> str:
 
 @styled
 def surfaces(members: Sequence[Member]) -> Figure:
-    """Contours of each quantity between the points; one that does not vary is told in words."""
+    """Contours of each quantity between the points; one that does not vary is given in words."""
     figure, axes = new_figure(height=5.6, rows=3, cols=3, width=7.0)
     place = np.array([(m.longitude, m.latitude) for m in members])
     for number, (ax, (text, values)) in enumerate(zip(axes.flat, nine(members).items(), strict=True)):

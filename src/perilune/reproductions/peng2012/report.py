@@ -1,4 +1,4 @@
-"""Report and figures on Peng, Li, Shen, Tang 2012: printed beside computed, claims, discrepancies."""
+"""Report and figures on Peng, Li, Shen, Tang 2012: printed and computed values, claims, discrepancies."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def scaled_hamiltonian(solution: Solution, t: Sequence[float] | np.ndarray) -> n
 
 
 def point_times(solution: Solution) -> np.ndarray:
-    """Times of the Gauss points [s], at which alone the equations hold exactly."""
+    """Return the times of the Gauss points [s], only at which the equations hold exactly."""
     return 0.5 * (rule("gauss", PRINTED_POINTS).points + 1.0) * solution.free["flight_time"]
 
 
