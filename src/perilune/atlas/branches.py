@@ -1,9 +1,9 @@
 """Branches: layers of one sheet that lie over one another.
 
 Around a cusp a sheet turns from one layer into another without a fold, so that it comes to one place with several
-extremals. A branch has one extremal at a place, as cells need it. Where the corners of a cell lie on different layers,
-extremals at its corners do not fit together along its edges: what each of them leads to at the other end of such an
-edge begins a branch, unless there is one that has it.
+extremals. A branch has one extremal at a place, as cells need it. If the corners of a cell lie on different layers,
+their extremals do not fit together along its edges: the extremal to which a corner leads at the other end of such an
+edge begins a branch, unless some branch has it.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ ANSWERING = (Status.ONE_STEP, Status.MORE_STEPS, Status.NO_ANSWER, Status.BREAKS
 
 
 def arrays_of(extremals: Sequence[Extremal]) -> tuple[Whole, Whole, Matrix]:
-    """Sheets, places and unknowns of extremals, in lanes."""
+    """Return sheets, places and unknowns of extremals, in lanes."""
     sheet, place, y = zip(*extremals, strict=True) if extremals else ((), (), ())
     return np.array(sheet, dtype=np.int64), np.array(place, dtype=np.int64), np.array(y)
 
 
 def torn_edges(nodes: Nodes, corners: Whole, size: Matrix) -> tuple[Whole, Whole, Whole]:
-    """Edges of cells whose ends do not fit together.
+    """Find edges of cells whose ends do not fit together.
 
     Parameters
     ----------

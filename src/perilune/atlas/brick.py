@@ -1,15 +1,15 @@
 """A brick: one box of the region, each sheet in it cut into cells until every cell answers from its corners.
 
-A cell is cut in two where Newton's method, from what its corners give at its middle, would need more than one step to
-the tolerance; along the axis along which they are least like a quadratic. New corners begin at what the old ones give
-there. A sheet that does not reach all corners of a cell ends inside it; the cell is cut further, down to a least size,
-and what is left there answers nothing. A cell that has no corner of a sheet is looked at again when all others are
-done: where some of them have nodes on its border the sheet may go on from there, and the cell is cut after all.
+A cell is cut in two if Newton's method, begun at its middle with what its corners give, would need more than one step
+to the tolerance; along the axis along which they are least like a quadratic. New corners begin with what the old ones
+give there. A sheet that does not reach all corners of a cell ends inside it; the cell is cut further, down to a least
+size, and smaller remainders do not answer. A cell without a corner on a sheet is examined again when all others are
+done: if some of them have nodes on its border the sheet may go on from there, and the cell is cut after all.
 
 Where a sheet comes to one place with several extremals it has several branches (`perilune.atlas.branches`), each with
 cells of its own. The first branch of a sheet begins with the whole brick; a later one goes on from a node in the
-smallest cells in which a sheet may end, until it runs into another. It begins with an extremal to which no branch leads
-that has nothing there; to which one does, that goes on from there instead.
+smallest cells in which a sheet may end, until it runs into another. It begins with an extremal to which no branch
+without a node there leads; if one does, that branch goes on from there instead.
 
 All cells of one wave are computed together, in lanes.
 """
@@ -50,7 +50,7 @@ _MOST_BRANCHES = 32  # of all sheets together, beside the first of each
 
 
 class Brick:
-    """Cuts one box of the region.
+    """Subdivision of one box of the region into cells.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Brick:
         self._ending = dict[tuple[int, ...], NDArray[np.bool_]]()  # of torn cells the corners whose layers end there
 
     def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cells | None = None) -> Cut:
-        """Compute everything.
+        """Cut the brick and compute all nodes and cells.
 
         Parameters
         ----------
@@ -132,7 +132,7 @@ class Brick:
         return Cut(nodes=nodes, cells=done, own=tuple(self.lattice.own))
 
     def _given_by_none(self, done: Cells, number: int) -> NDArray[np.bool_]:
-        """At which corners of a torn cell there are answers that no other branch gives in it.
+        """Return a mask of the corners of a torn cell with answers that no other branch gives in it.
 
         Two branches that change places on their layers in one cell know all that is around it, and are torn both.
         """
@@ -185,9 +185,9 @@ class Brick:
         return not waiting.all()
 
     def _branched(self, done: Cells) -> Cells | None:
-        """Cells to begin with of what is left: none where branches grow, else the whole brick for another branch.
+        """Return first cells for waiting extremals: none if branches grow, else the whole brick for a new branch.
 
-        None where nothing is left, or there are too many branches.
+        None if no extremal waits, or there are too many branches.
         """
         self._left += self._passed_over(done)
         had = self.lattice.had(done, self._left).tolist()
@@ -200,7 +200,7 @@ class Brick:
         return self._begun_with(self.lattice.another_branch(sheet), place[None], y[None])
 
     def _begun_with(self, branch: int, place: Whole, y: Matrix) -> Cells:
-        """The whole brick as a cell of a branch that is known at places inside it alone."""
+        """Return the whole brick as a cell of a branch that is known only at places inside it."""
         which = np.full(len(place), branch)
         self.lattice.solved(which, place, y, np.full(len(place), np.inf))
         root = self.lattice.wholes(which[:1])
@@ -252,7 +252,7 @@ class Brick:
         return done, self._halved(some(done, cut), done.axis[cut])
 
     def _with_beginnings(self, cells: Cells) -> NDArray[np.bool_]:
-        """In which cells a sheet began."""
+        """Return a mask of the cells in which a sheet began."""
         out = np.zeros(len(cells), dtype=bool)
         for sheet, place in self._inside.items():
             for i in np.nonzero(np.isin(cells.branch, self.lattice.alike(sheet)))[0].tolist():
@@ -311,9 +311,9 @@ class Brick:
         return done, replace(halves, corners=corners)
 
     def _meet(self, done: Cells) -> int:
-        """Note at which of its new nodes a later branch has run into another: it does not go on from there.
+        """Note the new nodes at which a later branch has run into another, from which it does not go on.
 
-        The number of the first new node.
+        Returns the number of the first new node.
         """
         new = np.arange(first := self._looked_at, self.nodes.count)
         self._looked_at = self.nodes.count
@@ -360,13 +360,13 @@ class Brick:
         return np.where(torn >= 0, torn, status), axis
 
     def _halved(self, cells: Cells, axis: Whole) -> Cells:
-        """Both halves of cells, one after the other, with the corners that they lack."""
+        """Return both halves of cells, one after the other, with their new corners solved."""
         return self._looked_around(self.lattice.filled(self.lattice.halves(cells, axis), cells))
 
     def _looked_around(self, cells: Cells) -> Cells:
-        """The same where small cells have what their own corners lead to at those that they lack.
+        """Solve missing corners of small cells from each of their own corners.
 
-        What is guessed from corners on several layers leads to none of them, and none of them ends there.
+        A guess from corners on several layers leads to none of these, though none of them ends there.
         """
         before, known = self.nodes.count, -1
         small = self.lattice.filled(some(cells, cells.size.max(axis=1, initial=0) <= self.ending))
@@ -379,7 +379,7 @@ class Brick:
 
 
 def _cut_after_all(done: Cells, cut: Whole) -> Cells:
-    """The same with some cells cut along their longest edges; their halves come behind all that there are."""
+    """Cut some cells along their longest edges; their halves follow all others."""
     status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
     axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT
     child[cut] = len(done) + 2 * np.arange(len(cut))

@@ -1,4 +1,4 @@
-"""Building an atlas: the survey, then every brick, anywhere and in any order; what is there is not computed again."""
+"""Building an atlas: the survey, then every brick, anywhere and in any order; stored bricks are not computed again."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def completed(
     executor: Submits | None,
     say: Watch,
 ) -> None:
-    """Compute what is missing of the bricks of a survey, and then of those into which a sheet goes on from others."""
+    """Compute the missing bricks of a survey, and then those into which a sheet continues from others."""
     with told_of_damage(MANIFEST):
         tasks = dict(first_tasks(kept, problem, region, survey, tolerance))
     for number in range(_ROUNDS):
@@ -160,7 +160,7 @@ def _complete(
     executor: Submits | None,
     say: Watch,
 ) -> None:
-    """Compute what is missing of one round."""
+    """Compute the missing bricks of one round."""
     named = {brick_name(key) + (f"~{number}" if number else ""): key for key in tasks}
     there = _written(kept, region, survey)
     say(_told(named, there, number))
@@ -205,7 +205,7 @@ def _pace(work: Mapping[str, int], there: Mapping[str, int], seconds: float) -> 
 def _everywhere(
     kept: Store, todo: Mapping[str, Task], executor: Submits | None, say: Watch
 ) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
-    """Shards of the bricks that can be claimed, as soon as they are there."""
+    """Yield the shards of the bricks that can be claimed, as soon as they are computed."""
     claims = dict[str, ExitStack]()
 
     def calls() -> Iterator[tuple[str, Call]]:
@@ -238,7 +238,7 @@ def _surveyed(
     say: Watch,
     anew: bool,
 ) -> dict[str, Any]:
-    """The survey's line of the manifest, made where there is none, or `anew`; of one that fails nothing is left."""
+    """Return the survey's line of the manifest, made if missing or with `anew`; a failed survey leaves no files."""
     kept.prepare(None if anew else header)
     while anew or (known := kept.survey()) is None:
         with kept.claimed("survey") as ours:
@@ -263,7 +263,7 @@ def _surveyed(
 
 
 def _survey(kept: Store, region: Region, found: Sequence[Found], notes: Sequence[str]) -> dict[str, Any]:
-    """Its line, behind its shards."""
+    """Write the shards of a survey and return its line."""
     places, _ = region.corners()
     charts, edges = [], [{"first": axis.first, "at": list(axis.edges)} for axis in region.axes]
     for number, one in enumerate(found):

@@ -1,4 +1,4 @@
-"""What a brick is made of: nodes at places of its lattice, and cells with nodes at their corners."""
+"""Content of a brick: nodes at places of its lattice, and cells with nodes at their corners."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Whole = NDArray[np.int64]
 
 
 def ending(d: int) -> int:
-    """The shortest edge of a cell in which a sheet ends, of so many axes: along each more its border has more cells."""
+    """Return the shortest edge of a cell in which a sheet ends, for d axes; with each the border has more cells."""
     return _ENDING.get(d, 2**8)
 
 
@@ -47,7 +47,7 @@ class Cells:
     Attributes
     ----------
     branch
-        Whose, (cells,).
+        Branch of each cell, (cells,).
     low, size
         Low corner and lengths, in lattice steps, (cells, d).
     corners
@@ -70,13 +70,13 @@ class Cells:
         return len(self.branch)
 
     def box(self, number: int) -> tuple[int, ...]:
-        """By which a cell is known: its branch, and where it lies."""
+        """Return the identity of a cell: its branch, and its box."""
         return (int(self.branch[number]), *self.low[number].tolist(), *self.size[number].tolist())
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cut:
-    """A brick that was cut.
+    """Brick that was cut.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Nodes:
         self.met: Whole = np.empty(0, dtype=np.int64)  # those where a later branch has run into another
 
     def add(self, keys: Whole, **columns: NDArray[Any]) -> None:
-        """Add nodes, known by their keys from now on."""
+        """Add nodes by their keys."""
         new = len(keys)
         self.known |= dict(zip(keys.tolist(), range(self.count, self.count + new), strict=True))
         for name, rows in columns.items():
@@ -127,7 +127,7 @@ class Nodes:
         self.count += new
 
     def forget(self, key: Whole) -> None:
-        """A node that is not of its branch is at its place no more, and nothing goes on from it."""
+        """Remove a node that is not of its branch from its place; no branch goes on from it."""
         if (number := self.known.pop(int(key), None)) is not None:
             self.met = np.append(self.met, number)
 
@@ -137,7 +137,7 @@ class Nodes:
         return np.fromiter(numbers, np.int64, keys.size).reshape(keys.shape)
 
     def at(self, key: Whole) -> Vector | None:
-        """The unknowns of one node, None where there is none."""
+        """Return the unknowns of one node, None for a missing one."""
         number = self.known.get(int(key))
         return None if number is None else self._rows["terms"][number, 0, :-1]
 
@@ -159,17 +159,17 @@ class Nodes:
         return found
 
     def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
-        """A column of nodes."""
+        """Return a column of nodes."""
         return self._rows[name][numbers]
 
     def along_slopes(self, numbers: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
-        """Unknowns at places along the slopes of nodes, and how much they change on the way; `step` is canonical."""
+        """Extrapolate unknowns to places along the slopes of nodes; returns also their change; `step` is canonical."""
         terms, move = self.rows("terms", numbers), (places - self.rows("place", numbers)) * step
         guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(len(step)))
         return guess, np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
 
     def guesses(self, cells: Cells, cell: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
-        """y at places of cells, and how much it changes there: by all corners, or along the slopes of the nearest."""
+        """Return y and its change at places of cells: interpolated from all corners, or along slopes of the nearest."""
         corners, size = cells.corners[cell], cells.size[cell] * step
         at = (places - cells.low[cell]) / cells.size[cell]
         away = np.abs(at[:, None] - bits(len(step))[None]).sum(axis=2)
@@ -201,9 +201,9 @@ class Nodes:
         return found
 
     def within(self, branch: int, low: Whole, high: Whole, first: int) -> Whole:
-        """The nodes of a branch in a box or on its border from which it goes on: beyond its own it may turn back.
+        """Return the nodes of a branch, from number `first` on, in a box or on its border from which it goes on.
 
-        From number `first` on.
+        Beyond the border of its sheet it may turn back, and does not go on.
         """
         here = slice(first, self.count)
         place = self._rows["place"][here]
@@ -227,7 +227,7 @@ def halved_at(low: Whole, axis: Whole, child: Whole) -> Whole:
 
 
 def leaves(axis: Whole, child: Whole, split: Whole, root: int, places: Matrix) -> Whole:
-    """The cells below one in which places lie, (points,)."""
+    """Return the leaf cells below one in which places lie, (points,)."""
     cell = np.full(len(places), root)
     while (going := np.nonzero(child[cell] >= 0)[0]).size:
         here = cell[going]
@@ -236,7 +236,7 @@ def leaves(axis: Whole, child: Whole, split: Whole, root: int, places: Matrix) -
 
 
 def leaves_of(cells: Cells, branch: int, places: Whole) -> Whole:
-    """The cells of a branch in which places lie, -1 where it has none."""
+    """Return the leaf cells of a branch in which places lie, -1 where it has none."""
     root = np.nonzero((cells.size == WHOLE).all(axis=1) & (cells.branch == branch))[0]
     if not len(root):
         return np.full(len(places), -1)
@@ -245,10 +245,10 @@ def leaves_of(cells: Cells, branch: int, places: Whole) -> Whole:
 
 
 def joined(waves: Sequence[Cells]) -> Cells:
-    """Cells one behind the other."""
+    """Concatenate cells."""
     return Cells(**{f.name: np.concatenate([getattr(w, f.name) for w in waves]) for f in fields(Cells)})
 
 
 def some(cells: Cells, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cells:
-    """Some of the cells."""
+    """Return some of the cells."""
     return Cells(**{f.name: getattr(cells, f.name)[which] for f in fields(Cells)})

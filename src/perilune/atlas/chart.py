@@ -44,7 +44,7 @@ class Extremals:
     cost, cost_slopes
         J (lanes,) and dJ/dp (lanes, d).
     converged
-        Which of them are roots, (lanes,).
+        True for roots, (lanes,).
     length
         |J^-1 h| over 1 + |y|: the step that Newton's method would make from here, (lanes,).
     stepped
@@ -63,12 +63,12 @@ class Extremals:
 
     @cached_property
     def orientation(self) -> Vector:
-        """Sign of det(dh/dy), (lanes,): it changes only where two families of extremals meet, at a fold."""
+        """Return the sign of det(dh/dy), (lanes,): it changes only where two families of extremals meet, at a fold."""
         columns = self.roots.plan.columns
         return orientation(self.roots.rows[:, columns.inverse].reshape(-1, columns.n, columns.n))
 
     def of(self, lanes: NDArray[np.int64]) -> Extremals:
-        """Some of the lanes."""
+        """Return some of the lanes."""
         named = {f.name: getattr(self, f.name)[lanes] for f in fields(self) if f.name != "roots"}
         return Extremals(**named, roots=self.roots.of(lanes))
 
@@ -90,7 +90,7 @@ class Holds:
 
 
 def orientation(inverse: NDArray[np.float64]) -> Vector:
-    """Sign of det J, from J^-1."""
+    """Return the sign of det J, given J^-1."""
     with np.errstate(all="ignore"):
         return np.linalg.slogdet(inverse)[0]
 
@@ -132,7 +132,7 @@ class Chart:
 
     @cached_property
     def user_free(self) -> Problem:
-        """The user's problem with the parameters free, as the one of the chart has them."""
+        """Return the user's problem with the parameters free, as in the problem of the chart."""
         return varied(self.user, self.names, self._sizes)
 
     @cached_property
@@ -148,7 +148,7 @@ class Chart:
 
     @cached_property
     def held_at(self) -> NDArray[np.int64]:
-        """Their places among the unknowns that Newton moves."""
+        """Return the places of the parameters among the unknowns that Newton's method moves."""
         return self.shooting.plan.at_free + np.array(self.varied_at)
 
     @cached_property
@@ -158,12 +158,12 @@ class Chart:
 
     @cached_property
     def active(self) -> NDArray[np.int64]:
-        """The same among all unknowns."""
+        """Return the places of the other unknowns among all unknowns."""
         return self.shooting.plan.active[self.places]
 
     @cached_property
     def _held(self) -> NDArray[np.int64]:
-        """Places of the parameters among all unknowns."""
+        """Return the places of the parameters among all unknowns."""
         return self.shooting.plan.active[self.held_at]
 
     @cached_property
@@ -187,7 +187,7 @@ class Chart:
         return choice
 
     def whole(self, values: Matrix, y: Matrix) -> Matrix:
-        """All unknowns of lanes."""
+        """Return all unknowns of lanes."""
         Y = np.zeros((len(values), self.shooting.plan.size))
         Y[:, self.active], Y[:, self._held] = y, values
         return Y
@@ -204,7 +204,7 @@ class Chart:
         return np.array([named.get(name, 0.0) for name in names])
 
     def solve(self, values: Matrix, y: Matrix, holds: Holds, **settings: Any) -> Extremals:
-        """Newton's method in each lane; settings as for it."""
+        """Solve by Newton's method in each lane; settings as for `Shooting`."""
         settings = {"limit": 12, "accuracy": FINEST, **settings}
         roots = self.shooting.solve(self.whole(values, y), self.p, self.choice(values, holds), **settings)
         return self.told_of(values, roots, holds.moves)
@@ -249,9 +249,9 @@ class Chart:
         )
 
     def terms(self, found: Extremals, holds: Callable[[Matrix], Holds]) -> NDArray[np.float64]:
-        """Values and derivatives of y and J for interpolation, (lanes, 2^d, n + 1); see `perilune.atlas.hermite`.
+        """Return y and J with derivatives for interpolation, (lanes, 2^d, n + 1); see `perilune.atlas.hermite`.
 
-        `holds` tells of as many values beside each lane as there are what it holds there.
+        `holds` returns what is held at values of the parameters close to each lane.
         """
         lanes, d = found.values.shape
         n = found.y.shape[1]

@@ -111,9 +111,9 @@ class Charted:
         return self.borders.short(whole, at, limits)
 
     def met(self, number: int, values: Matrix, y: Matrix, cost: Vector) -> Vector:
-        """J of extremals of a sheet as Newton's method meets them from what cells give, and as told where it does not.
+        """Return J of extremals of a sheet, solved by Newton's method from what cells give; `cost` where it fails.
 
-        Cells in which extremals break the path are not cut: what their corners promise is rough.
+        Cells in which extremals break the path are not cut, so what their corners give is rough.
         """
         if not len(y):
             return cost
@@ -121,7 +121,7 @@ class Charted:
         return np.where(polished.reached & np.isfinite(polished.cost), polished.cost, cost)
 
     def free(self, y: Matrix) -> Matrix:
-        """Free parameters of the user's problem [SI], (lanes, k), of all unknowns of the chart."""
+        """Return the free parameters of the user's problem [SI], (lanes, k), given all unknowns of the chart."""
         chart, own = self.chart, self.own_unknowns(y)[:, self.chart.own.free_at]
         at = {name: value for name, value in zip(chart.problem.free_names, (own * self._sizes).T, strict=True)}
         sums = {} if chart.course.structure is None else sums_of(chart.user, chart.course.structure)
@@ -131,7 +131,7 @@ class Charted:
         )])  # fmt: skip
 
     def solution(self, problem: Problem, roots: Sequence[Found], statistics: Statistics) -> Solution:
-        """Extremals of the chart as a solution of the user's problem at their values."""
+        """Return extremals of the chart as a solution of the user's problem at their values."""
         chart, structure = self.chart, self.chart.course.structure
         if structure is None:
             return composed(Indirect.name, problem, chart.own, roots, statistics)
@@ -143,7 +143,7 @@ class Charted:
         return y[:, self._own_places]
 
     def root(self, polished: Polished) -> Root:
-        """A polished extremal as a root of the problem itself, where the axes are given."""
+        """Return a polished extremal as a root of the problem itself, in which the axes are given."""
         return Root(
             y=self.own_unknowns(polished.y)[0],
             residual=polished.flown.seen.residual[:1],

@@ -1,4 +1,4 @@
-"""What stands in the shards of an atlas, column by column, in its header, and in the survey's line of its manifest."""
+"""Columns of the shards of an atlas, entries of its header, and of the survey's line of its manifest."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ COMPARISONS = "comparisons"  # key of what physics says of a problem of the user
 
 
 def node_type(d: int, n: int) -> np.dtype[Any]:
-    """Columns of a shard of nodes, of d axes and n unknowns."""
+    """Return the columns of a shard of nodes, for d axes and n unknowns."""
     return np.dtype(
         [
             ("sheet", "<i4"), ("branch", "<i4"), ("place", "<i4", (d,)), ("values", "<f8", (d,)),
@@ -36,7 +36,7 @@ def node_type(d: int, n: int) -> np.dtype[Any]:
 
 
 def cell_type(d: int) -> np.dtype[Any]:
-    """Columns of a shard of cells."""
+    """Return the columns of a shard of cells."""
     return np.dtype(
         [
             ("sheet", "<i4"), ("branch", "<i4"), ("low", "<i4", (d,)), ("size", "<i4", (d,)),
@@ -46,20 +46,20 @@ def cell_type(d: int) -> np.dtype[Any]:
 
 
 def seed_type(d: int, n: int) -> np.dtype[Any]:
-    """Columns of a shard of the survey: unknowns of a sheet at corners of bricks.
+    """Return the columns of a shard of the survey: unknowns of a sheet at corners of bricks.
 
-    Of one that reaches none at the `place` of the brick that has this low corner, in steps of its lattice.
+    A sheet that reaches no corner has them at the `place`, in lattice steps, of the brick with this low corner.
     """
     return np.dtype([("sheet", "<i4"), ("corner", "<i4", (d,)), ("place", "<i4", (d,)), ("y", "<f8", (n,))])
 
 
 def brick_name(key: tuple[int, ...]) -> str:
-    """Name of a brick of a chart: its numbers, ``m`` before those below zero."""
+    """Return the name of a brick of a chart: its numbers, with ``m`` before those below zero."""
     return "-".join(f"m{-number}" if number < 0 else str(number) for number in key)
 
 
 def header_problem(header: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
-    """The problem of a header, which asks of physics what the one that was mapped did."""
+    """Build the problem of a header, with the comparisons of the one that was mapped."""
     problem = read_problem(header, problem_from_scenario)
     if COMPARISONS not in header:
         return problem
@@ -72,30 +72,30 @@ def header_axes(region: Region) -> dict[str, Any]:
 
 
 def header_region(problem: Problem, header: Mapping[str, Any]) -> Region:
-    """The region that a header states."""
+    """Return the region that a header states."""
     with told_of_damage(HEADER):
         return region_of(problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]})
 
 
 def survey_region(region: Region, survey: Mapping[str, Any]) -> Region:
-    """The region of a survey: that of the header, unless it states edges of its own."""
+    """Return the region of a survey: that of the header, unless it states its own edges."""
     with told_of_damage(MANIFEST):
         return stated_region(region, survey["edges"]) if "edges" in survey else region
 
 
 def widths_of(chart: Mapping[str, Any], region: Region) -> Vector:
-    """Lengths of the ranges [SI] by which a chart's canonical units were chosen; a region that grows keeps them."""
+    """Return the lengths of the ranges [SI] that set a chart's canonical units; a region that grows keeps them."""
     return np.array(chart.get("widths", region.high - region.low), dtype=float)
 
 
 def places_of(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]:
-    """Numbers of the bricks that a chart may have."""
+    """Return the numbers of the bricks that a chart may have."""
     without = {tuple(place) for place in chart.get("without", ())}
     return [brick for brick in region.bricks if brick not in without]
 
 
 def seeded_places(region: Region, chart: Mapping[str, Any], seeds: NDArray[Any]) -> set[tuple[int, ...]]:
-    """Bricks that a chart may have and in which, or at whose corners, its survey has a sheet, by its shard."""
+    """Return the bricks of a chart in which, or at whose corners, its survey has a sheet, by its shard."""
     within = seeds["place"].any(axis=1)
     beside = (seeds["corner"][~within][:, None] - bits(len(region.axes))[None]).reshape(-1, len(region.axes))
     there = set(map(tuple, np.vstack([beside, seeds["corner"][within]]).tolist()))
@@ -103,7 +103,7 @@ def seeded_places(region: Region, chart: Mapping[str, Any], seeds: NDArray[Any])
 
 
 def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
-    """The sheets that the survey's line lists for a chart."""
+    """Return the sheets that the survey's line lists for a chart."""
     return tuple(
         Sheet(holds=dict(s["holds"]), orientation=float(s["orientation"]), nature=Nature[s["nature"]])
         for s in chart["sheets"]

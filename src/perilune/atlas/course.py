@@ -1,7 +1,7 @@
-"""What the extremals of a chart go through: conditions that the control keeps, and arcs of conditions on states.
+"""Arcs of the extremals of a chart: conditions that the control keeps, and arcs of conditions on states.
 
-Extremals that go through the same are roots of one shooting function, so that Newton's method leads from one to the
-other. Those of several arcs are extremals of the problem restated with a phase for each arc.
+Extremals with the same arcs are roots of one shooting function, so that Newton's method leads from one to the other.
+Extremals with several arcs are extremals of the problem restated with a phase for each arc.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ class Course:
 
     @cached_property
     def text(self) -> str:
-        """The arcs in words; nothing where there is one."""
+        """Return the arcs in words; empty for a single one."""
         return self.structure.text if self.structure is not None else ""
 
     def restated(self, problem: Problem, varied: Sequence[str]) -> Problem:
-        """The problem whose smooth extremals they are, whatever the parameters that are varied."""
+        """Return the problem whose smooth extremals they are, for any varied parameters."""
         return problem if self.structure is None else restate(problem, self.structure, repeated=False, varied=varied)
 
     def touched(self, problem: Problem) -> list[str]:
-        """Names of the multipliers of what is touched, none of which is above zero where that is worth it."""
+        """Return the names of the multipliers of contact points, none of which is positive at a minimum."""
         found = list[str]()
         for k, arcs in enumerate(self.structure.phases if self.structure is not None else ()):
             for j, arc in enumerate(arcs):
@@ -65,7 +65,7 @@ class Course:
         return found
 
     def document(self) -> dict[str, Any]:
-        """As a manifest has it; times are first values of lengths that are free."""
+        """Return the entry for a manifest; times are initial values of free durations."""
         if self.structure is None:
             return {"keep": list(self.keep)}
         arcs = [
@@ -79,7 +79,7 @@ PLAIN = Course()
 
 
 def course_from(document: Mapping[str, Any]) -> Course:
-    """The course that `Course.document` wrote."""
+    """Read the course that `Course.document` wrote."""
     keep, said = tuple(map(str, document["keep"])), document.get("structure")
     return Course(keep, None if said is None else Structure(tuple(tuple(map(_arc, arcs)) for arcs in said)))
 
@@ -128,9 +128,9 @@ def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
 
 
 def _settled(solution: Solution, structure: Structure) -> Structure:
-    """The same where scalars that keep what is ridden, and are on one bound all along each other arc, say so.
+    """State the regime of scalars that keep boundary arcs, and are on one bound along each other arc.
 
-    Where such an arc meets the ride the slope of H vanishes, so that there is a switch or none as rounding has it.
+    Where such an arc meets the boundary arc the slope of H vanishes, so that rounding decides if there is a switch.
     """
     phases = list(structure.phases)
     for k, arcs in enumerate(structure.phases):
@@ -145,14 +145,14 @@ def _settled(solution: Solution, structure: Structure) -> Structure:
 
 
 def _moved(problem: Problem, k: int, arc: Arc) -> set[str]:
-    """Components of the control that keep what an arc rides along."""
+    """Return the components of the control that keep the conditions of a boundary arc."""
     return {name for c in conditions_of(problem, k, arc.along).values() for name in moved_by(c)}
 
 
 def _regimes(
     solution: Solution, k: int, at: int, control: Bounded, arcs: Sequence[Arc], keeps: Sequence[bool]
 ) -> list[str | None]:
-    """The regime of a scalar on each arc; None where it is on no one bound."""
+    """Return the regime of a scalar on each arc; None where it is not on one bound throughout."""
     t, _, share = gain_along(solution, k, at, control)
     found, begin = list[str | None](), 0.0
     for arc, held in zip(arcs, keeps, strict=True):
@@ -164,7 +164,7 @@ def _regimes(
 
 
 def _refuse_unknown(solution: Solution, structure: Structure) -> None:
-    """Refuse arcs of which a second flight cannot tell whether they pay."""
+    """Refuse arcs whose multiplier signs a second flight cannot determine."""
     for k, arcs in enumerate(structure.phases):
         for arc in arcs:
             if arc.along and any(regime == "singular" for _, regime in arc.regimes):

@@ -1,4 +1,4 @@
-"""In how much of its region the cells of an atlas answer, told by the cells alone."""
+"""Share of its region in which the cells of an atlas answer, judged by the cells only."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def covered(atlas: Reader, points: int = LOOKED_AT) -> Covered:
 
 
 def refuse_nowhere(kept: Store, survey: Mapping[str, Any], axes: int) -> None:
-    """Refuse an atlas, complete as it is, of which no cell answers: it would refuse every query."""
+    """Refuse a complete atlas without an answering cell, which would refuse every query."""
     lines, nodes, poor = kept.latest(survey, axes).values(), 0, 0
     for line in lines:
         try:

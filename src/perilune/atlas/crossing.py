@@ -1,9 +1,9 @@
-"""Which sheet goes on where another crosses a bound of the user's: the one that is held there, or is let go.
+"""Continuation of sheets across the user's bounds, by one on which the bound becomes active, or inactive.
 
-An extremal beyond a bound is none, and one that is held where leaving the bound pays is none either; what is there in
-their place may lie between all points at which the survey solved. At a crossing both sheets have one extremal in
-common, so that what the other will be is known before it is met: it holds one bound more, or one less; it is on the
-side of folds on which J curves upwards along what is held or let go; and it is a minimum if the first one is.
+An extremal beyond a bound is not admissible, nor is one held at a bound that it gains by leaving; the sheet in their
+place may lie between all points at which the survey solved. At a crossing both sheets have one extremal in common, so
+that the other is known in advance: it has one active bound more, or one less; it is on the side of folds on which J
+curves upwards along the parameter that is held or let go; and it is a minimum if the first one is.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MOST = 32  # sheets that may go on where one crosses bounds, if they are more t
 
 
 def beside(borders: Borders, sheet: Sheet, values: Vector, y: Vector) -> Iterator[Sheet]:
-    """The sheets that may go on where one crosses bounds, and where these cross others in their turn, nearest first.
+    """Yield the sheets that may continue one across bounds, and across further bounds in turn, nearest first.
 
     Parameters
     ----------
@@ -70,10 +70,10 @@ def beside(borders: Borders, sheet: Sheet, values: Vector, y: Vector) -> Iterato
 
 
 def _orientation(chart: Chart, values: Vector, y: Vector, choice: Matrix, held: list[int], let_go: list[int]) -> float:
-    """Sign of det(dh/dy) where more is held, and less: on the side on which J curves upwards along what is let go.
+    """Return the sign of det(dh/dy) with other active bounds, where J curves upwards along released ones.
 
-    Along all of that it does where the determinant of J's second derivatives has the sign of a minimum; this is the
-    product of the curvatures as one after the other is let go.
+    J curves upwards along all of them if the determinant of its second derivatives has the sign of a minimum; this is
+    the product of the curvatures as one after the other is released.
     """
     shooting, plan, lanes = chart.shooting, chart.shooting.plan, 1 + len(let_go)
     values, Y = values[None].repeat(lanes, axis=0), chart.whole(values[None], y[None]).repeat(lanes, axis=0)
@@ -125,7 +125,7 @@ class Crossings:
         }  # fmt: skip
 
     def _going_on(self, sheet: Sheet, name: str, side: str) -> Iterator[int]:
-        """The sheets that go on where one crosses a bound."""
+        """Yield the sheets that continue one across a bound."""
         if sheet.holds.get(name) == side:
             holds = {other: its for other, its in sheet.holds.items() if other != name}
         else:
@@ -135,7 +135,7 @@ class Crossings:
                 yield number
 
     def met(self, done: Cells) -> Iterator[tuple[int, Whole, Matrix]]:
-        """Extremals that go on where cells have crossed bounds since this was asked, sheet by sheet.
+        """Yield extremals that continue cells across bounds, sheet by sheet, for crossings since the last call.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class Crossings:
             reached = _Reached(*(np.concatenate(parts) for parts in rows)) if onward else None
 
     def _borders(self, done: Cells) -> tuple[Whole, Whole, Whole]:
-        """Cells across a border, and of each a corner within it and one beyond, of those that were not looked at."""
+        """Return new cells across a border, with a corner within it and one beyond for each."""
         nodes = self._lattice.nodes
         cells = np.nonzero((done.status != Status.CUT) & self._lattice.minimum[done.branch])[0]
         corners = done.corners[cells]
@@ -232,9 +232,9 @@ class Crossings:
         return found, good, good & (self._lattice.borders.margins_of(self._lattice.all_sheets, which, found) >= 0)
 
     def untold(self, done: Cells) -> Whole:
-        """Numbers of cells without an answer of sheets that have crossed a bound behind which none was found.
+        """Return the numbers of unanswered cells of sheets that crossed a bound behind which no sheet was found.
 
-        There an answer may be better that is not known.
+        An unknown answer there may be better.
         """
         cells = np.nonzero(done.status == Status.NO_ANSWER)[0]
         lost = [sheet for sheet, _ in self._lost]
@@ -244,7 +244,7 @@ class Crossings:
 def _halved(
     at: Callable[[Whole, Whole], tuple[Matrix, NDArray[np.bool_]]], lanes: Whole, near: Whole, far: Whole
 ) -> tuple[Whole, Whole]:
-    """The last places before bounds, and the first beyond, between places before and beyond."""
+    """Bisect between places before and beyond bounds; return the last before and the first beyond."""
     while (apart := np.abs(far - near).max(axis=1, initial=0) > 1).any():
         middle = np.where(apart[:, None], (near + far) // 2, far)
         crossed = at(lanes, middle)[1].any(axis=1)

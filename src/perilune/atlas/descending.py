@@ -1,9 +1,9 @@
-"""What an extremal that is no answer becomes where it keeps the path and its bounds: down along J, in its own well.
+"""Descent from an inadmissible extremal to the admissible minimum of its basin.
 
-An extremal that breaks the path, or lies beyond a bound, has free parameters between bounds. With these held where it
-has them, or at the bound, there are flights that keep the path, of one of the charts; from there J falls to an answer
-of the same well. It is that one if on the straight way back from the answer J rises all along, by charts whose flights
-keep the path there; where it first turns on the way another answer lies, which may be known or not.
+An extremal that breaks the path, or lies beyond a bound, has free parameters between bounds. With these held at its
+values, or at the bound, flights of one of the charts keep the path; from there J falls to an answer in the same basin.
+It is the right one if J rises all along the straight line back from the answer, over charts whose flights keep the path
+there; where J first turns on the line another answer lies, which may be known or not.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _BESIDE = 2.0**-10  # of a range: within that no other well is looked for
 
 @dataclass
 class Known:
-    """An extremal of a chart in each lane: the number of the chart, -1 for none, its unknowns by charts, its J."""
+    """Extremal of a chart in each lane: number of the chart, -1 for none, unknowns by charts, and J."""
 
     chart: Lanes
     y: list[Matrix]
@@ -40,12 +40,12 @@ class Known:
 
     @classmethod
     def none(cls, charted: Sequence[Charted], count: int) -> Known:
-        """None in any lane."""
+        """Return lanes without extremals."""
         y = [np.full((count, one.unknowns), np.nan) for one in charted]
         return cls(np.full(count, -1), y, np.full(count, np.nan), np.full(count, -1))
 
     def put(self, lanes: Lanes, others: Known, its: Lanes) -> None:
-        """Take some lanes of others."""
+        """Take over some lanes of others."""
         for name in ("chart", "cost", "sheet"):
             getattr(self, name)[lanes] = getattr(others, name)[its]
         for own, other in zip(self.y, others.y, strict=True):
@@ -80,14 +80,14 @@ class _Way:
 
 
 class Descents:
-    """Descents over all charts of an atlas.
+    """Search for minima over all charts of an atlas.
 
     Attributes
     ----------
     names
-        Of what they go along: what lies between two bounds, of each chart.
+        Names of the parameters to search: those between two bounds, in each chart.
     settles
-        Whether that is all that is free: else wells may differ in what is not followed, and no doubt is ended so.
+        True if nothing else is free; otherwise basins may differ in other parameters, and the search ends no doubt.
     """
 
     def __init__(self, charted: Sequence[Charted]) -> None:
@@ -204,9 +204,9 @@ class Descents:
         bottom: Known,
         least: Vector,
     ) -> NDArray[np.bool_]:
-        """Go to the least J along one parameter, from bound to bound; whether flights are known all over its range.
+        """Search for the least J along one parameter, from bound to bound; return True where its whole range is flown.
 
-        Of `lanes` the `places`, what is at their `bottom` and the `least` J are put in.
+        Fills in `places`, extremals at the `bottom`, and the `least` J of `lanes`.
         """
         known, starts = np.ones(len(lanes), dtype=bool), places[lanes]
         for bounds in self._bounds(points):
@@ -228,7 +228,7 @@ class Descents:
         return self._of[0].bounds(points)
 
     def _places(self, points: Matrix, bounds: Bounds, known: Known, otherwise: Matrix) -> Matrix:
-        """Values of what is followed at extremals, within bounds, (lanes, k); others where none is known."""
+        """Return values of the searched parameters at extremals, within bounds, (lanes, k); `otherwise` without one."""
         at = otherwise.copy()
         for number, family in enumerate(self._of):
             if (lanes := np.nonzero(known.chart == number)[0]).size:
@@ -299,7 +299,7 @@ class Descents:
     def _way(
         self, points: Matrix, starts: Matrix, ends: Matrix, begins: Sequence[Matrix], best: Known, steps: int
     ) -> _Way:
-        """Along straight ways the best of what keeps the path, of all charts, from starts to ends."""
+        """Return the best flights of all charts that keep the path, on straight lines from starts to ends."""
         shape, n = (len(points), steps + 1), range(len(self._charted))
         way = _Way(
             np.full(shape, -1), [np.full((*shape, self._charted[i].unknowns), np.nan) for i in n],
@@ -325,7 +325,7 @@ class Descents:
         begins: Matrix,
         way: _Way,
     ) -> None:
-        """Put in what one chart has of some ways, where that keeps the path and is better than what there is."""
+        """Fill in flights of one chart on some lines where they keep the path and are better than others."""
         if not len(lanes):
             return
         found, cost, rises = family.along(
@@ -346,7 +346,7 @@ def _far(bounds: Bounds, target: Matrix, starts: Matrix) -> Vector:
 
 
 def _bounded(borders: Borders) -> list[str]:
-    """Names of what the user states that lies between two bounds."""
+    """Return the names of the user's parameters and ranges that lie between two bounds."""
     chart = borders.chart
     given = np.array([[chart.user.given[name].value for name in chart.names]])
     lower, upper = borders.at(given / chart.scale)

@@ -1,8 +1,8 @@
 """The nodes of an atlas as one file for other programs: NetCDF, which xarray opens, or Parquet.
 
-NetCDF is of the classic format with 64-bit offsets, which SciPy writes; Parquet needs pyarrow, of the extra ``export``.
-Both say what each column is and in which unit, and what was mapped by which versions. A file is written to the side
-and renamed.
+NetCDF has the classic format with 64-bit offsets, which SciPy writes; Parquet needs pyarrow, of the extra ``export``.
+Both describe each column with its unit, and the problem with the versions of programs. A file is written under another
+name and renamed.
 """
 
 from __future__ import annotations

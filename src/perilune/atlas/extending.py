@@ -1,9 +1,9 @@
-"""A wider atlas: bricks beside those that are there, which stay as they are.
+"""Extension of an atlas by more bricks; existing ones stay as they are.
 
-The wider region is surveyed as a new one would be. What is found of sheets that are known goes on with them; the others
-begin charts of their own, with bricks all over the region where they reach. A sheet that is not found again is carried
-on from where it was known. The survey's line in the manifest names the one that it extends: once it is there the atlas
-is the wider one, and before that nothing has changed.
+The wider region is surveyed as a new one would be. Extremals on known sheets continue these; others begin new charts,
+with bricks over all of the region that they reach. A sheet that is not found again is continued from where it was
+known. The survey's line in the manifest names the one that it extends: once it is written the atlas is the wider one,
+and before that nothing has changed.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def extend(
     sample: int | None = None,
     problem_from_scenario: Callable[[str], Problem] | None = None,
 ) -> Path:
-    """Map more of the same problem, around what there is.
+    """Map more of the same problem, around the present region.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def extend(
 def _extended(
     kept: Store, problem: Problem, region: Region, wide: Region, survey: Mapping[str, Any], method: Indirect, say: Watch
 ) -> dict[str, Any]:
-    """The line of the wider survey, behind its shards."""
+    """Write the shards of the wider survey and return its line."""
     widths = widths_of(survey["charts"][0], region)
     surveyed, found = Survey(problem=problem, region=wide, method=method, watch=say, widths=widths), list[Found]()
     with suppress(PeriluneError):  # nothing at the points that were tried: what is known is carried on all the same
@@ -197,7 +197,7 @@ def _is(found: Found, number: int, sheet: Sheet, places: NDArray[np.int64], know
 
 
 def _rows(sheets: Sequence[Corners], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """The shard of sheets at corners."""
+    """Return the rows of a shard of sheets at corners."""
     listed = [(number, corner, y) for number, known in enumerate(sheets) for corner, y in sorted(known.items())]
     rows = np.zeros(len(listed), dtype=dtype)
     for row, (number, corner, y) in zip(rows, listed, strict=True):

@@ -1,9 +1,9 @@
-"""Where a sheet goes on from one brick into another that did not know of it there.
+"""Seeds from neighbours: nodes from which a sheet continues into a brick that did not know it there.
 
-A brick begins with what the survey found at its corners. A sheet that enters it through a side alone is known to its
-neighbour: the nodes which that has on their common side, where this one has nothing, are what it goes on from. So are
-those where this one has other extremals of the same sheet, as nodes or in its cells: there the sheet has several
-branches.
+A brick begins with the survey's extremals at its corners. A sheet that enters it only through a side is known to its
+neighbour: the sheet continues from the neighbour's nodes on the common side at which this brick has none. So it does
+from nodes at which this brick has other extremals of the same sheet, as nodes or in its cells: there the sheet has
+several branches.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def spilled(
     sheets: Callable[[int], Sequence[Sheet]],
     passed_over: Callable[[Key, Rows], NDArray[np.bool_]] = _none,
 ) -> Iterator[tuple[Key, Rows]]:
-    """Nodes on the sides of bricks that go on into them, with their places as these have them.
+    """Yield nodes on the sides of bricks that continue into them, with their places in these.
 
     Parameters
     ----------

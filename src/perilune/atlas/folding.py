@@ -1,4 +1,4 @@
-"""Around a fold: where two sheets meet, extremals lead from one to the other by the length of their path.
+"""Continuation around a fold, where two sheets meet, by arc length from one to the other.
 
 Along a straight line of the parameters, p = a + s (b - a), extremals are a curve of (y, s). At a fold s turns back, and
 dy/ds is infinite; by the length of the curve it goes on. A step goes along its tangent, and Newton's method back to the
@@ -32,7 +32,7 @@ _BACK = 0.1  # of s, behind the start, which may lie before a fold at once
 def around_folds(
     chart: Chart, borders: Borders, sheet: Sheet, start: Matrix, y: Matrix, targets: Matrix
 ) -> Iterator[tuple[Vector, Vector, float]]:
-    """Extremals behind the folds at which a sheet ends on the way to some values.
+    """Yield extremals behind the folds at which a sheet ends on the way to some values.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def around_folds(
 
 
 def _unit(slope: Matrix) -> Matrix:
-    """Tangents of curves whose slope is told."""
+    """Return unit tangents of curves with given slopes."""
     with np.errstate(invalid="ignore", over="ignore"):
         tangent = np.column_stack([slope, np.ones(len(slope))])
         return tangent / np.linalg.norm(tangent, axis=1)[:, None]

@@ -1,6 +1,6 @@
-"""Extremals of one chart with some free parameters held, along straight ways of the axes and of these.
+"""Extremals of one chart with some free parameters held, along straight lines of the axes and of these.
 
-Where they keep the path and have arcs that are some, they are flights, and J with what is held is theirs.
+If they keep the path and have no negative arc duration, they are flights, and J with these parameters held is theirs.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ class HeldFamilies:
         self._plain = not charted.of_arcs and not any(margins(user, k) for k in range(len(user.phases)))
 
     def bounds(self, points: Matrix) -> Bounds:
-        """Lower and upper bounds of what is held, (lanes, k) each."""
+        """Return lower and upper bounds of the held parameters, (lanes, k) each."""
         lower, upper = self._charted.borders.at(points / self._chart.scale)
         return lower[:, self._at], upper[:, self._at]
 
     def clipped(self, points: Matrix, y: Matrix, bounds: Bounds, within: NDArray[np.bool_] | bool = False) -> Matrix:
-        """Values of what is held at extremals, within its `bounds`, (lanes, k).
+        """Return values of the held parameters at extremals, clipped to `bounds`, (lanes, k).
 
-        Those that are `within` all bounds, and gain by leaving none, are flown only where their unknowns do not say it:
-        what has a multiplier is at its bound.
+        Extremals `within` all bounds, which gain by leaving none, are flown only if their unknowns do not give them: a
+        range with a multiplier is at its bound.
         """
         values, free = points / self._chart.scale, self._chart.shooting.plan.free
         whole, conditions = self._chart.whole(values, y), self._chart.conditions
@@ -76,7 +76,7 @@ class HeldFamilies:
         return self._chart.shooting.held_values(found.roots)[0][:, self._at]
 
     def held_there(self, points: Matrix, y: Matrix) -> Matrix:
-        """Unknowns of extremals as those that are held where they are, (lanes, n)."""
+        """Return the unknowns of extremals with their own parameters held, (lanes, n)."""
         values = points / self._chart.scale
         places = np.hstack([values, self._at_extremals(values, y)])
         return self._chart.solve(values, y, self._held(np.arange(len(y)), places)).y
@@ -84,7 +84,7 @@ class HeldFamilies:
     def along(
         self, points: Matrix, begins: Matrix, starts: Matrix, ends: Matrix, steps: int
     ) -> tuple[NDArray[np.float64], Matrix, Matrix]:
-        """Unknowns, J and dJ along the way at places from starts to ends; J is NaN where no flight keeps the path."""
+        """Return unknowns, J and dJ along lines from starts to ends; J is NaN where no flight keeps the path."""
         there, first, last = (np.hstack([points / self._chart.scale, at]) for at in (ends, starts, ends))
         values, y = np.hsplit(begins, [points.shape[1]])
         begin = np.hstack([values, self._at_extremals(values, y)])

@@ -23,7 +23,7 @@ from perilune.words.types import Matrix, Vector
 
 @lru_cache(maxsize=8)
 def bits(d: int) -> NDArray[np.int64]:
-    """Digits of the numbers below 2^d, (2^d, d): of a corner which side it lies on, of a term what it is derived by."""
+    """Return the bits of the numbers below 2^d, (2^d, d): the side of a corner, or the derivatives of a term."""
     digits = np.arange(2**d)[:, None] >> np.arange(d)[None] & 1
     digits.flags.writeable = False
     return digits
@@ -61,14 +61,14 @@ def _products(d: int) -> Map:
 
 
 def interpolated(terms: NDArray[np.float64], at: Matrix, size: Matrix) -> Matrix:
-    """Values at points of boxes, (points, k), from the terms at their corners, (points, corners, terms, k)."""
+    """Interpolate at points of boxes, (points, k), from the terms at their corners, (points, corners, terms, k)."""
     points, k = len(at), terms.shape[-1]
     flat = weights(at, size).reshape(points, 1, -1)
     return np.matmul(flat, terms.reshape(points, -1, k))[:, 0]
 
 
 def interpolated_at(terms: Matrix, at: Vector, size: Vector) -> Vector:
-    """The same at one point of one box, (k,), from (corners * terms, k)."""
+    """Interpolate at one point of one box, (k,), from (corners * terms, k)."""
     return _products(len(at))(at[None], size[None])[0][0] @ terms
 
 

@@ -1,7 +1,7 @@
-"""What an extremal that lies beyond bounds, or gains by leaving one, becomes where it keeps them.
+"""Active-set correction of an extremal that lies beyond bounds, or gains by leaving one.
 
-It is held at what it is beyond, lets go of what it gains by leaving, and Newton's method goes on from there, until
-neither is left. Whether an answer that is known is that one, or better than it, is told by its J.
+It is held at the bounds that it is beyond and released from those that it gains by leaving, and Newton's method goes on
+from there, until neither is left. Its J tells if a known answer is the same, or better.
 """
 
 from __future__ import annotations

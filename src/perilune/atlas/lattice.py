@@ -1,7 +1,7 @@
-"""The extremals of a brick: Newton's method at the places of its lattice, and cells with corners there.
+"""Extremals of a brick: Newton's method at the places of its lattice, and cells with corners there.
 
-An extremal is a node, known by its branch and its place. Whether a root belongs to a branch is asked as it is found: it
-has to be near what led to it, and on its side of folds.
+An extremal is a node, identified by its branch and its place. A root belongs to a branch if it is near the guess that
+led to it, and on the branch's side of folds.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MOST = 16  # evaluations for a new corner
 
 
 class Lattice:
-    """The nodes of all branches in one box of the region.
+    """Nodes of all branches in one box of the region.
 
     Parameters
     ----------
@@ -76,13 +76,13 @@ class Lattice:
         self.minimum: NDArray[np.bool_] = np.array([sheet.minimum for sheet in self.sheets])
 
     def another_branch(self, sheet: int) -> int:
-        """The number of a new branch of a sheet."""
+        """Add a branch of a sheet and return its number."""
         self.own.append(sheet)
         self._told()
         return len(self.own) - 1
 
     def alike(self, sheet: int) -> list[int]:
-        """The branches that hold the same as a sheet, on the same side of folds."""
+        """Return the branches with the active bounds of a sheet, on the same side of folds."""
         mine = self.all_sheets[sheet]
         return [branch for branch, sheet in enumerate(self.sheets) if sheet.alike(mine)]
 
@@ -93,7 +93,7 @@ class Lattice:
     # -- cells ----------------------------------------------------------------------------------------------------
 
     def halves(self, cells: Cells, axis: Whole) -> Cells:
-        """Both halves of cells, one after the other."""
+        """Return both halves of cells, one after the other."""
         count = np.arange(len(cells))
         size, far = cells.size.copy(), cells.low.copy()
         size[count, axis] //= 2
@@ -102,7 +102,7 @@ class Lattice:
         return self._cells(np.repeat(cells.branch, 2), low, np.repeat(size, 2, axis=0))
 
     def wholes(self, branch: Whole) -> Cells:
-        """The whole brick as a cell of each branch."""
+        """Return the whole brick as a cell of each branch."""
         return self._cells(
             branch, np.zeros((len(branch), self.d), dtype=np.int64), np.full((len(branch), self.d), WHOLE)
         )
@@ -113,7 +113,7 @@ class Lattice:
         return Cells(branch=branch, low=low, size=size, corners=corners, axis=none, child=none, status=none)
 
     def filled(self, cells: Cells, wholes: Cells | None = None, near: Sequence[Whole] | None = None) -> Cells:
-        """The same with the corners solved for that are not there, from those of their `wholes`, or their own.
+        """Solve missing corners of cells from the corners of the cells that they halve, or their own.
 
         `near` are nodes of each cell to begin with in place of corners.
         """
@@ -144,9 +144,9 @@ class Lattice:
         return replace(cells, corners=self.corners(cells.branch, cells.low, cells.size))
 
     def walked_on(self, cells: Cells) -> Cells:
-        """The same with corners that they lack solved for by walks from the nearest at which they have an answer.
+        """Solve missing corners of cells by continuation from the nearest corner with an answer.
 
-        A sheet that bends more from one to the next than its slopes foretell does not end there.
+        A sheet that bends more from one to the next than its slopes predict does not end there.
         """
         sound = (cells.corners >= 0) & self.minimum[cells.branch][:, None] & ~np.isin(cells.corners, self.nodes.met)
         sound &= self.nodes.rows("margin", cells.corners) >= 0
@@ -206,7 +206,7 @@ class Lattice:
         return found, found.converged & (found.orientation == self.orientations[branch]) & (moved <= within)
 
     def solved(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> None:
-        """Newton's method at places; what of it belongs to its branch comes among the nodes."""
+        """Solve by Newton's method at places, and add the extremals of their branch to the nodes."""
         if not len(branch):
             return
         found, good = self.led(branch, places, guess, spread)
@@ -229,7 +229,7 @@ class Lattice:
         )
 
     def corners(self, branch: Whole, low: Whole, size: Whole) -> Whole:
-        """Nodes at the corners of cells, -1 where there is none."""
+        """Return the nodes at the corners of cells, -1 for missing ones."""
         return self.nodes.numbers(self.keys(branch[:, None], low[:, None] + bits(self.d)[None] * size[:, None]))
 
     def values(self, places: Whole) -> Matrix:

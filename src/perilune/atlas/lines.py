@@ -1,7 +1,7 @@
-"""What the lines of a manifest may say, so that one of another hand is refused in words before it is used.
+"""Checks of the lines of a manifest, so that a foreign one is refused in words before it is used.
 
-Each ends with a checksum of all else in it: of one digit that has changed nothing else would tell. Whether what they
-say is so, the shards tell; these are looked at where they are read (`perilune.atlas.store`).
+Each line ends with a checksum of its content, as nothing else would show a changed digit. The shards that it describes
+are checked when they are read (`perilune.atlas.store`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MOST_UNKNOWNS, _MOST_SHEETS, _MOST_CHARTS = 10_000, 10_000, 10_000
 
 
 def written_line(said: Mapping[str, Any]) -> str:
-    """A line as it is written, with its checksum and without its end."""
+    """Return a line as it is written, with its checksum, without the newline."""
     text = json.dumps(finite({name: value for name, value in said.items() if name != _CHECKSUM}), allow_nan=False)
     return f"{text[:-1]}{_LAST}{zlib.crc32(text.encode())}}}"
 
@@ -70,7 +70,7 @@ def told_of_damage(name: str) -> Iterator[None]:
 
 
 def refuse_no_survey(line: Mapping[str, Any]) -> None:
-    """ValueError for a survey's line that cannot be one; on which equations a chart stands others read."""
+    """Raise ValueError for an invalid line of a survey; the equations of its charts are checked elsewhere."""
     _demand(isinstance(line.get("digest"), str) and line["digest"].isalnum(), "a survey's digest")
     before, notes, edges, charts = (line.get(key, []) for key in ("before", "notes", "edges", "charts"))
     _demand(_all(before, str), "the surveys before one")
@@ -98,7 +98,7 @@ def refuse_no_survey(line: Mapping[str, Any]) -> None:
 
 
 def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
-    """ValueError for a brick's line that cannot be one, of an atlas of d axes and so many charts."""
+    """Raise ValueError for an invalid line of a brick, of an atlas of d axes and so many charts."""
     place: Any = line.get("brick")
     _demand(_all(place, int) and len(place) == d and all(map(_whole, place)), "numbers of a brick")
     _demand(_whole(line.get("chart")) and 0 <= line["chart"] < charts, "the chart of a brick")
@@ -110,7 +110,7 @@ def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
 
 
 def refuse_no_sample(line: Mapping[str, Any], d: int) -> None:
-    """ValueError for a line of proofs that cannot be one, of an atlas of d axes."""
+    """Raise ValueError for an invalid line of proofs, of an atlas of d axes."""
     _demand(_whole(line.get("asked")) and line["asked"] >= 0, "how many proofs")
     _demand(_whole(line.get("refused", 0)) and line.get("refused", 0) >= 0, "how many places are refused")
     for kind in ("drawn", "thin", "kept"):

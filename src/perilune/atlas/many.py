@@ -1,4 +1,4 @@
-"""Answers at many points of an atlas at once, in lanes: what `Atlas.query` does, for arrays."""
+"""Answers at many points of an atlas at once, in lanes: `Atlas.query` for arrays."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Answers:
     sheet
         Number of the sheet, counted through all charts.
     steps
-        Of Newton's method.
+        Number of Newton steps.
     guess_error, error_bound
         As of `perilune.atlas.mapped.Query`.
     slopes
@@ -90,7 +90,7 @@ class Answers:
 
 
 def answers(atlas: Reader, points: Matrix) -> Answers:
-    """Answers of an atlas at points [SI], (points, d)."""
+    """Return the answers of an atlas at points [SI], (points, d)."""
     points, d = np.asarray(demand_numbers(points, "points of an atlas")), len(atlas.region.axes)
     if points.ndim != 2 or points.shape[1] != d:
         raise PeriluneError(
@@ -132,12 +132,12 @@ class _Breaking:
     short: NDArray[np.bool_]
 
     def of(self, its: NDArray[np.bool_]) -> _Breaking:
-        """Some of them."""
+        """Return some of them."""
         return _Breaking(self.number, self.lanes[its], self.cost[its], self.y[its], self.short[its])
 
 
 class _Work:
-    """The arrays that are filled."""
+    """Arrays of the answers while they are computed."""
 
     def __init__(self, atlas: Reader, points: Matrix) -> None:
         count = len(points)
@@ -160,7 +160,7 @@ class _Work:
         self.bricks = region.bricks_of(self.points)
 
     def answer(self, some: NDArray[np.int64]) -> None:
-        """Polish what the cells of some points give, best first, until the others are clearly worse."""
+        """Polish the candidates of some points, best first, until the others are clearly worse."""
         some = some[self.answered[some] != Answered.OUTSIDE]
         atlas, offers = self.atlas, self._offers(some)
         cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
@@ -225,9 +225,9 @@ class _Work:
     def _doubted(
         self, breaking: Sequence[_Breaking], offers: Sequence[_Offered], vouching: Sequence[NDArray[np.bool_]]
     ) -> tuple[Vector, list[tuple[_Breaking, NDArray[np.bool_]]]]:
-        """The least J, or inf, of those that outdo what is known and cast doubt, lane by lane; what is followed.
+        """Return the least J, or inf, of better inadmissible extremals that cast doubt, (lanes,), and those to follow.
 
-        Of the latter it is told which cast doubt in any case.
+        The latter come with a mask of those that cast doubt in any case.
         """
         doubt, of = np.full(len(self.some), np.inf), [offer.charted for offer in offers]
         better = [self._outdoing(one, offers[one.number]) for one in breaking]
@@ -251,7 +251,7 @@ class _Work:
     def _become(
         self, doubt: Vector, offer: _Offered, lanes: Lanes, cost: Vector, y: Matrix, best: Known, *, turns: bool
     ) -> NDArray[np.bool_]:
-        """Let extremals that are no answers cast doubt, or what they become answer; which doubt is left of."""
+        """Let inadmissible extremals cast doubt, or their minima answer; return a mask of those that leave doubt."""
         if not len(lanes):
             return np.zeros(0, dtype=bool)
         atlas, points = self.atlas, self.points[self.some[lanes]]
@@ -281,7 +281,7 @@ class _Work:
         return doubt
 
     def _extremals(self, offer: _Offered, y: Matrix, cost: Vector) -> Known:
-        """Extremals of an offer as what follows them knows them."""
+        """Return extremals of an offer in the form that the search for minima takes."""
         number, found = self.atlas.charted.index(offer.charted), Known.none(self.atlas.charted, len(y))
         found.chart[:], found.y[number][:], found.cost[:] = number, y, cost
         return found
@@ -302,7 +302,7 @@ class _Work:
         return np.array([says(tuple(row)) for row in rows.tolist()], dtype=bool)[which.reshape(-1)]
 
     def _polished(self, points: NDArray[np.int64], offer: _Offered, y: Matrix) -> Polished:
-        """Polish, and keep what is better than what is known."""
+        """Polish unknowns of an offer, and keep answers that are better than known ones."""
         atlas, charted, chart = self.atlas, offer.charted, offer.charted.chart
         polished = charted.polish(self.points[points] / chart.scale, np.full(len(points), offer.sheet), y)
         known, rank, of_arcs = self.cost[points], self.charts.index(charted), charted.of_arcs

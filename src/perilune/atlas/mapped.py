@@ -1,4 +1,4 @@
-"""An answer that was read from an atlas: a solution that is made when it is looked at, and how it was read."""
+"""Answer that was read from an atlas: a solution that is made on first access, and a record of the reading."""
 
 from __future__ import annotations
 
@@ -54,20 +54,20 @@ class Query:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Mapped(Solution):
-    """A solution that was read from an atlas; `query` says how."""
+    """Solution that was read from an atlas; `query` is the record of the reading."""
 
     query: Query
 
     @classmethod
     def deferred(cls, objective: float, query: Query, make: Callable[[], Solution]) -> Mapped:
-        """One of which no more is made than J and `query` before it is looked at: in a sweep it seldom is."""
+        """Return a solution of which only J and `query` exist before it is accessed, which in a sweep it seldom is."""
         found = object.__new__(cls)
         found.__dict__.update(objective=objective, query=query, _make=make)
         return found
 
 
 class _Made:
-    """A field of a `Mapped` that is made, with all others, when it is first looked at."""
+    """Field of a `Mapped` that is made, with all others, on first access."""
 
     def __init__(self, name: str) -> None:
         self._name = name
