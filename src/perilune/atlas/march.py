@@ -1,4 +1,4 @@
-"""Marches of a second flight: how a phase begins, steps of equal length, what is seen at each, and what the ends say.
+"""Functions of a second flight: the start of a phase, equal steps with margins at each, and the end conditions.
 
 Steps are those of the extrapolated midpoint rule.
 
@@ -42,21 +42,21 @@ class Seen(NamedTuple):
     Attributes
     ----------
     path
-        The least of all conditions of the path and distances of states from their bounds; `FAR` where there is none.
+        The least of all conditions of the path and distances of states from their bounds; `FAR` without any.
     minimum
-        The least of H of another control minus H of the one that is flown.
+        The least of H of another control minus H of the flown one.
     drift
         Change of H along a phase.
     cost
         J.
     pays
-        The least multiplier of what is ridden, which is below zero where J falls if the flight leaves it.
+        The least multiplier of boundary arcs, which is below zero where J falls if the flight leaves one.
     residual
-        The most by which a condition at the ends is missed.
+        The largest violation of a condition at the ends.
     good
-        Whether nothing speaks against the extremal.
+        True if nothing is violated.
     nearly
-        Whether something speaks against it by as little as rounding or coarse steps may.
+        True if something is violated by as little as rounding or coarse steps may cause.
     """
 
     path: Any
@@ -70,7 +70,7 @@ class Seen(NamedTuple):
 
 
 def begun(conditions: Conditions, k: int) -> ca.Function:
-    """(y, numbers, state at the end of the phase before) -> the state that is marched, all of z, and the duration."""
+    """Build the function (y, numbers, end state of the phase before) -> marched state, all of z, and duration."""
     y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
     extremal = conditions.phases[k]
     before = _state(conditions, k - 1) if k else ca.SX(0, 1)
@@ -81,14 +81,14 @@ def begun(conditions: Conditions, k: int) -> ca.Function:
 
 
 def _state(conditions: Conditions, k: int) -> ca.SX:
-    """Symbols for what is marched of a phase: z, or x and what moves of Phi; and what was seen."""
+    """Return symbols for the marched state of a phase: z, or x and the moving part of Phi; and the margins so far."""
     extremal = conditions.phases[k]
     size = settling(extremal).flown.modes[0].size1_in(0) if extremal.settles else 2 * extremal.half
     return ca.SX.sym(f"state{k}", size + len(NOTHING_SEEN))
 
 
 def _end(conditions: Conditions, k: int, state: ca.SX) -> ca.SX:
-    """z at the end of a phase; of one that settles x, and zeros."""
+    """Return z at the end of a phase; for one that settles x, and zeros."""
     extremal = conditions.phases[k]
     n = extremal.half
     return ca.vertcat(state[:n], ca.SX.zeros(n, 1)) if extremal.settles else state[: 2 * n]
@@ -146,7 +146,7 @@ def ended(conditions: Conditions, rides: Rides) -> ca.Function:
 
 
 def step_along(rides: Rides, k: int, mode: int) -> ca.Function:
-    """One step: (z and what was seen so far, numbers, free parameters, length) -> the same behind it."""
+    """Build one step: (z and margins so far, numbers, free parameters, length) -> the same behind it."""
     extremal = rides.conditions.phases[k]
     size = 2 * extremal.half
     numbers = ca.SX.sym("numbers", extremal.modes[mode].size1_in(1))
@@ -169,7 +169,7 @@ def step_along(rides: Rides, k: int, mode: int) -> ca.Function:
 
 
 def step_settling(rides: Rides, k: int, mode: int) -> ca.Function:
-    """The same of a phase that settles, with (x, Phi) in the place of z: nothing steers it."""
+    """Build one step of a phase that settles, with (x, Phi) in place of z, and no control."""
     extremal = rides.conditions.phases[k]
     made = settling(extremal)
     flown, known = made.flown.modes[mode], made.flown.numbers.tolist()
@@ -186,9 +186,9 @@ def step_settling(rides: Rides, k: int, mode: int) -> ca.Function:
 
 
 def extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
-    """A step of order 8: midpoint rules of 2, 4, 6 and 8 parts, extrapolated in the square of their length.
+    """Return a step of order 8: midpoint rules of 2, 4, 6 and 8 parts, extrapolated in the square of their length.
 
-    What is extrapolated are ways from z, which are short: so a step rounds z once, and not some ten times.
+    Extrapolated are increments of z, which are small: so a step rounds z once, and not some ten times.
     """
     first, table = rate(z), list[ca.SX]()
     for j, count in enumerate(_SUBSTEPS):
@@ -205,7 +205,7 @@ def extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
 
 
 def _between(smooth: tuple[ca.SX, ca.SX], rate: Any, before: ca.SX, after: ca.SX, h: ca.SX) -> ca.SX:
-    """The least of conditions on states inside a step, by the cubic that has their values and rates at both ends."""
+    """Return the least of conditions on states inside a step, by the cubic of values and rates at both ends."""
     x, conditions = smooth
     if not conditions.numel():
         return ca.SX(FAR)
@@ -223,10 +223,10 @@ def _between(smooth: tuple[ca.SX, ca.SX], rate: Any, before: ca.SX, after: ca.SX
 def _seen(
     rides: Rides, k: int, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
 ) -> tuple[ca.SX, ca.SX, ca.SX, tuple[ca.SX, ca.SX]]:
-    """At a point the least condition, the least H of another control beyond that of the one flown, and that H.
+    """Return the least condition at a point, the least excess of H of other controls, and H of the flown one.
 
-    Where something is ridden other controls leave it, and are compared by L. Behind these are symbols for the states,
-    and the conditions on them alone.
+    On a boundary arc other controls leave it, and are compared by L. Last come symbols for the states, with the
+    conditions on states only.
     """
     problem, extremal = rides.stated, rides.conditions.phases[k]
     phase = problem.phases[k]
@@ -280,7 +280,7 @@ def _seen(
 
 
 def _samples(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
-    """Admissible controls all over the set of each phase."""
+    """Yield admissible controls all over the set of each phase."""
     choices, at = list[list[ca.SX]](), 0
     for here, kind in placed(phase.controls):
         flown = control[here.start : here.stop]
@@ -300,7 +300,7 @@ def _samples(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
 
 @lru_cache(maxsize=4)
 def _directions(components: int) -> tuple[tuple[float, ...], ...]:
-    """Unit vectors all around: eight in the plane, the faces and corners of a cube in space."""
+    """Return unit vectors all around: eight in the plane, the faces and corners of a cube in space."""
     if components == 2:
         return tuple((float(np.cos(a)), float(np.sin(a))) for a in np.arange(8) * np.pi / 4)
     whole = [v for v in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(v) in (1, 3)]

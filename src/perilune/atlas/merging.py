@@ -1,9 +1,9 @@
-"""Two atlases of one problem made one: of the same region, each a part of it, or of regions that lie side by side.
+"""Merging of two atlases of one problem: each a part of the same region, or of adjacent regions.
 
-Nothing is computed. The charts of the second follow those of the first, unless both were made from one survey; where
-both have a part of the region whole, that of the first is taken. Every shard is looked at before it is taken over, and
-a proof is taken over where all that answers at its node is. The header is written last: before that there is no atlas,
-and the same command goes on.
+Nothing is computed. The charts of the second follow those of the first, unless both were made from one survey; of a
+part of the region that is complete in both, that of the first is taken. Every shard is checked before it is copied, and
+a proof is copied if all that answers at its node is. The header is written last: before that there is no atlas, and the
+same command resumes.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ Place = tuple[int, ...]  # numbers of a brick, with its chart before them or wit
 
 @dataclass(frozen=True)
 class _Part:
-    """One of the two: where it is, its header, survey and region, its bricks by chart and numbers, and its proofs."""
+    """One of the two atlases: store, header, survey, region, bricks by chart and numbers, and proofs."""
 
     kept: Store
     header: Mapping[str, Any]
@@ -62,7 +62,7 @@ class _Part:
 
     @cached_property
     def wholes(self) -> set[Place]:
-        """Places of which no chart lacks a brick that its survey has sheets for."""
+        """Return places at which each chart has the bricks for which its survey has sheets."""
         d, found = len(self.region.axes), set(self.region.bricks)
         for number, chart in enumerate(self.survey["charts"]):
             seeds = self.kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
@@ -71,7 +71,7 @@ class _Part:
         return found
 
     def moved(self, shift: NDArray[np.int64]) -> _Part:
-        """The same with other numbers of places; the shards of its survey keep theirs."""
+        """Return the part with shifted numbers of places; the shards of its survey keep theirs."""
 
         def move(place: Sequence[int]) -> Place:
             return tuple((np.array(place) + shift).tolist())
@@ -174,7 +174,7 @@ def _nodes(lines: Iterable[Mapping[str, Any]]) -> int:
 
 
 def _versions_of(*headers: Mapping[str, Any]) -> dict[str, str]:
-    """The versions that computed what is there, which merging does not: where they differ, both."""
+    """Return the versions of the programs that computed the parts; both where they differ."""
     with told_of_damage(HEADER):
         found = [dict[str, str](header["versions"]) for header in headers]
         names = list(dict.fromkeys(name for one in found for name in one))
@@ -196,7 +196,7 @@ def _refuse_unlike(one: _Part, other: _Part) -> None:
 
 
 def _together(one: _Part, other: _Part) -> tuple[_Part, _Part, Region]:
-    """Both, the lower first, and the region that they make; the bricks of the second are numbered as it has them."""
+    """Return both parts, the lower first, and their joint region; the second's bricks keep their own numbers."""
     apart = [i for i, (a, b) in enumerate(zip(one.region.axes, other.region.axes, strict=True)) if a.edges != b.edges]
     if len(apart) == 1:
         a, b = one.region.axes[apart[0]], other.region.axes[apart[0]]
@@ -224,7 +224,7 @@ def _told(a: Axis, b: Axis) -> str:
 
 
 def _lines(kept: Store, one: _Part, other: _Part, region: Region, seal: str, watch: Watch) -> Iterator[dict[str, Any]]:
-    """The lines of the manifest, behind the shards that they name."""
+    """Yield the lines of the manifest, after the shards that they name are written."""
     d, same = len(region.axes), one.survey["digest"] == other.survey["digest"]
     shift = np.array([_shift(a, b, c) for a, b, c in zip(one.region.axes, other.region.axes, region.axes, strict=True)])
     other = other.moved(shift)
@@ -265,7 +265,7 @@ def _lines(kept: Store, one: _Part, other: _Part, region: Region, seal: str, wat
 def _proofs(
     parts: Sequence[_Part], region: Region, taken: Mapping[Place, tuple[_Part, Mapping[str, Any]]]
 ) -> tuple[dict[str, list[Any]], int]:
-    """The proofs at whose places all that answers is of the atlas that they are of, and how many others there are."""
+    """Return the proofs at places where only their own atlas answers, and the number of other proofs."""
     found, lost, of_place = {"drawn": [], "thin": [], "kept": []}, 0, dict[Place, list[_Part]]()
     for (_, *place), (part, _) in taken.items():
         of_place.setdefault(tuple(place), []).append(part)
@@ -291,7 +291,7 @@ def _shift(a: Axis, b: Axis, joined: Axis) -> int:
 def _copied(
     kept: Store, part: _Part, line: Mapping[str, Any], key: tuple[int, ...], digest: str, unknowns: int
 ) -> dict[str, Any]:
-    """The line of a brick of one of the two in the new manifest, behind its shards."""
+    """Copy the shards of a brick of one of the two, and return its line in the new manifest."""
     name, d = brick_name(key), len(key) - 1
     shards = {}
     for kind, dtype in (("nodes", node_type(d, unknowns)), ("cells", cell_type(d))):

@@ -1,4 +1,4 @@
-"""What an extremal behind a fold is: whether its second variation lets it be a minimum."""
+"""Classification of an extremal behind a fold by its second variation."""
 
 from __future__ import annotations
 

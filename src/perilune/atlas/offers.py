@@ -1,4 +1,4 @@
-"""What cells give at a point, before and behind Newton's method, and what of it leaves an answer in doubt."""
+"""Candidates of cells at a point, before and after Newton's method, and those that leave an answer in doubt."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ class Offer:
 
     @property
     def beyond(self) -> list[tuple[str, str]]:
-        """Names of what lies beyond a bound, each with the side."""
+        """Return the names of parameters and ranges beyond a bound, each with the side."""
         assert self.polished is not None
         bounds = self.charted.borders.bounds
         return [bounds[i] for i in np.nonzero(self.polished.beyond[0])[0].tolist()]
 
     @property
     def why(self) -> str:
-        """Why it is no answer, and casts doubt on others."""
+        """Return the reason why it is no answer, and casts doubt on others."""
         polished, sheet = self.polished, f"the sheet '{self.label}'"
         if polished is not None and (beyond := self.beyond):
             name, side = beyond[0]
@@ -142,7 +142,19 @@ def doubted(short: Any, left: Any, *, follows: bool, settles: bool) -> tuple[Any
 def doubted_of(
     better: Sequence[Offer], alike: Sequence[Offer], offers: Sequence[Offer], *, follows: bool, settles: bool
 ) -> tuple[list[Offer], list[Offer]]:
-    """The same of one point: `alike` are the best answers, and `offers` all that its cells give."""
+    """Return the candidates at one point that cast doubt, and those to follow, as `doubted`.
+
+    Parameters
+    ----------
+    better
+        Inadmissible candidates that are better than the answer.
+    alike
+        The best answers.
+    offers
+        All candidates at the point.
+    follows, settles
+        As of `doubted`.
+    """
     if not better:
         return [], []
     short = [np.array([one.short]) for one in better]

@@ -1,4 +1,4 @@
-"""What physics allows of the points of a region, asked at every query: as machine code where it can be traced."""
+"""Comparisons with physics at the points of a region, at every query: as machine code if they can be traced."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ def _compared(problem: Problem, names: Sequence[str], points: Matrix) -> NDArray
 
 
 def _traced(problem: Problem, names: Sequence[str]) -> ca.Function:
-    """(values of the parameters, all that is given) -> 1 where physics surely allows it; of others it has to be asked.
+    """Build (values of the parameters, all given) -> 1 where physics surely allows it; other points have to be asked.
 
-    CasADi takes 0 times anything for 0, x/x for 1 and the square of a root for what is under it, where what is stated
-    says NaN and allows nothing. So it is sure where no function on the way leaves the numbers and nothing is divided by
-    0; what does not vary is a symbol too.
+    CasADi takes 0 times anything for 0, x/x for 1 and the square of a root for its argument, where the stated formula
+    gives NaN and allows nothing. So the result is sure if no function on the way leaves the numbers and no divisor is
+    0; constants are symbols too.
     """
     recorder = Recorder()
     symbols = SimpleNamespace(**{name: recorder.input("p", name) for name in problem.given})

@@ -1,13 +1,12 @@
-"""From what cells give to extremals: one step of Newton's method or a few, and whether what is reached is an answer.
+"""Polish of what cells give to extremals: a few steps of Newton's method, and the judgement of the result.
 
-Each lane is a point with a sheet of its own. After the last evaluation one more step is made that is not evaluated: it
-is what is left, and by the law of squares it leaves nothing. The second flight (`perilune.atlas.reflight`) begins
-there.
+Each lane is a point with a sheet of its own. After the last evaluation one more step is made that is not evaluated: by
+quadratic convergence it leaves no residual. The second flight (`perilune.atlas.reflight`) begins there.
 
-How far the root can be follows from there: with h the residual of the second flight, Newton's method would step by
-J^-1 h, and by Kantorovich's theorem a root lies within twice that where the steps shrink as squares do, as those before
-did. It is as good as the numbers that it is computed with are. Source: Deuflhard, *Newton Methods for Nonlinear
-Problems*, Springer 2011, section 2.1.
+It bounds the distance of the root: with h the residual of the second flight, Newton's method would step by J^-1 h, and
+by Kantorovich's theorem a root lies within twice that if the steps shrink quadratically, as those before did. The bound
+is as good as the arithmetic that computes it. Source: Deuflhard, *Newton Methods for Nonlinear Problems*, Springer
+2011, section 2.1.
 """
 
 from __future__ import annotations
@@ -51,17 +50,17 @@ class Polished:
     y
         All unknowns of the chart behind the last step, (lanes, size).
     choice
-        What they hold.
+        What they hold, as of `Chart.choice`.
     course
-        How Newton's method went: columns `_LENGTH` and so on.
+        Course of Newton's method: columns `_LENGTH` and so on.
     told
-        What is told of them: columns `_ANSWERS` and so on.
+        Verdicts: columns `_ANSWERS` and so on.
     passed
         1 for bounds that they lie beyond.
     slopes
         dJ/dp of the axes, canonical, as the second flight has them.
     reached
-        Whether Newton's method converged to an extremal of the sheet.
+        True if Newton's method converged to an extremal of the sheet.
     flown
         Their second flights.
     """
@@ -77,17 +76,17 @@ class Polished:
 
     @property
     def rough(self) -> NDArray[np.int64]:
-        """Lanes in which Newton's method stopped near an extremal.
+        """Return the lanes in which Newton's method stopped near an extremal.
 
-        Where what it squares is large, as where a switch is about to appear, its steps shrink less at first, or the
-        last one leaves more.
+        If second derivatives are large, as where a switch is about to appear, steps shrink less at first, or the last
+        one leaves more.
         """
         stopped = ~self.reached & (self.course[:, _LENGTH] <= _NEAR)
         missed = np.maximum(self.flown.seen.residual, self.bound) > SLACK
         return np.nonzero(stopped | self.reached & missed)[0]
 
     def put(self, lanes: NDArray[np.int64], by: Polished) -> None:
-        """Put others, which begin where some lanes stopped, in their place."""
+        """Replace some lanes by others, which begin where they stopped."""
         by.course[:, _STEPS] += self.course[lanes, _STEPS]
         for name in ("y", "choice", "course", "told", "passed", "slopes", "reached"):
             getattr(self, name)[lanes] = getattr(by, name)
@@ -102,7 +101,7 @@ class Polished:
 
     @property
     def cost(self) -> Vector:
-        """J, canonical, as the second flight has it."""
+        """Return J of the second flight, canonical."""
         return self.flown.shown[:, _COST]
 
     @property
@@ -175,7 +174,7 @@ class Polisher:
         self._idle = list[_Polish]()
 
     def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
-        """Polish.
+        """Polish guesses.
 
         Parameters
         ----------
@@ -248,7 +247,7 @@ class Polisher:
         return compile_map(ca.Function("advance", [row, y, choice, course], [ca.cse(ca.densify(x)) for x in found]))
 
     def _exactly(self, y: ca.SX, choice: ca.SX) -> ca.SX:
-        """With free parameters that are held exactly where they are held: the last bit of a step is Newton's."""
+        """Return unknowns with held free parameters exactly at their values, as a step is off in the last bit."""
         plan, found = self.chart.shooting.plan, ca.SX(y)
         for i in range(plan.free):
             at = plan.at_free + i
@@ -297,7 +296,7 @@ class Polisher:
 
 
 class _Polish:
-    """The polish of so many lanes, bound to arrays."""
+    """Polish of a fixed number of lanes, bound to arrays."""
 
     def __init__(self, own: Polisher, lanes: int) -> None:
         chart, plan = own.chart, own.chart.shooting.plan
@@ -319,7 +318,7 @@ class _Polish:
         self._moves = bool(own.moving.any())
 
     def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
-        """See `Polisher`; the next call may overwrite what is returned."""
+        """Polish as `Polisher` does; the next call may overwrite the result."""
         own = self._own
         self._values[:], self._guess[:], self._sides[:] = values, guess, own.sides[which]
         self._limits()

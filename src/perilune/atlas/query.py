@@ -1,10 +1,9 @@
 """Reading an atlas: the answer at a point of the region, polished by Newton's method and flown again.
 
-The cells in which a point lies say what the unknowns of each sheet are there, to the fourth order in their size; a step
-or two of Newton's method makes that exact. What is reached has to be of its sheet and to keep its bounds, and it is
-flown again by another integrator. Of several sheets the best is the answer. No answer is extrapolated: outside of the
-region, in a cell in which a sheet ends that might be better, or where Newton's method leads to none, there is no
-answer, and it is said why.
+The cells around a point give the unknowns of each sheet there, to the fourth order in their size; a step or two of
+Newton's method makes that exact. The extremal reached has to be of its sheet and keep its bounds, and it is integrated
+again by another method. Of several sheets the best is the answer. No answer is extrapolated: outside of the region, in
+a cell in which a possibly better sheet ends, or where Newton's method fails, a query is refused with the reason.
 """
 
 from __future__ import annotations
@@ -37,11 +36,11 @@ _NEAREST = 64  # nodes that are asked where there is an answer
 
 
 class Atlas(Reader):
-    """An atlas that answers. Use `perilune.atlas.open`."""
+    """Atlas that answers queries. Use `perilune.atlas.open`."""
 
     @called_in_words
     def query(self, **values: float) -> Mapped:
-        """The answer at values of the axes.
+        """Return the answer at values of the axes.
 
         Parameters
         ----------
@@ -112,7 +111,7 @@ class Atlas(Reader):
 
     @called_in_words
     def query_many(self, points: Matrix) -> Answers:
-        """Answers at many points at once, in lanes.
+        """Return the answers at many points at once.
 
         Parameters
         ----------
@@ -190,7 +189,7 @@ class Atlas(Reader):
         return sorted(offers, key=lambda offer: offer.cost)
 
     def _extents(self, place: tuple[int, ...]) -> tuple[Vector, Vector, Vector]:
-        """The low corner of a brick, its width, and that of the smallest cells in parts of the region."""
+        """Return the low corner of a brick, its width, and a lattice step as a share of the region."""
         if place not in self._boxes:
             low, high = self.region.box(place)
             self._boxes[place] = low, high - low, (high - low) / (self.region.high - self.region.low) / WHOLE
@@ -217,7 +216,7 @@ class Atlas(Reader):
         return doubts + self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), left, tried)
 
     def _met(self, at: Vector, one: Offer) -> float:
-        """J of what breaks the path all over its cell, as Newton's method meets it."""
+        """Return J, reached by Newton's method, of a candidate that breaks the path all over its cell."""
         if one.breaks and not one.short and one.y is not None:
             values = (at / one.charted.chart.scale)[None]
             one.cost = float(one.charted.met(one.number, values, one.y[None], np.array([one.cost]))[0])
@@ -271,7 +270,7 @@ class Atlas(Reader):
         return True
 
     def _known(self, one: Offer | None, sheet: int) -> Known:
-        """An extremal as what follows them knows it."""
+        """Return a candidate in the form that the search for minima takes."""
         known = Known.none(self.charted, 1)
         if one is not None:
             number = self.charted.index(one.charted)
@@ -313,11 +312,11 @@ class Atlas(Reader):
         return Mapped.deferred(best.cost * problem.objective_size, query, solution)
 
     def _refuse_impossible(self, at: Vector) -> None:
-        """Refuse a point that physics refuses, as `solve` does: beside what is traced it may look at whole flights."""
+        """Refuse a point that physics refuses, as `solve` does, by comparisons that may include whole flights."""
         refuse_impossible(preflight(self.problem, dict(zip(self.region.names, at.tolist(), strict=True))))
 
     def _nothing(self, at: Vector, doubt: Offer | None) -> PeriluneError:
-        """Why there is no answer at a point of the region."""
+        """Return the error for a point of the region without an answer."""
         self._refuse_impossible(at)
         place, got = self.region.brick_of(at), self.region.told(at.tolist())
         if broken := self.damage(place):
@@ -339,7 +338,7 @@ class Atlas(Reader):
         )
 
     def _nearest(self, at: Vector) -> str:
-        """The nearest of the nodes around that has an answer, in words."""
+        """Describe the nearest node around that has an answer."""
         place, found = self.region.brick_of(at), list[Matrix]()
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is not None:

@@ -1,4 +1,4 @@
-"""An atlas as it is read: its header, its charts, and the bricks that a reader has looked at."""
+"""Reader of an atlas: its header, its charts, and the bricks that were read."""
 
 from __future__ import annotations
 
@@ -64,15 +64,15 @@ class Brick:
 
     @cached_property
     def arrays(self) -> tuple[Whole, Whole, Whole, Whole]:
-        """Axis, first child, where it is split and status of each cell."""
+        """Return axis, first child, place of the split and status of each cell."""
         return tuple(np.array(rows) for rows in (self.axis, self.child, self.split, self.status))  # pyright: ignore
 
     def leaves(self, root: int, places: Matrix) -> Whole:
-        """The cells of a branch, whose first cell is `root`, in which places lie, (points,)."""
+        """Return the cells of a branch, whose first cell is `root`, in which places lie, (points,)."""
         return leaves(*self.arrays[:3], root, places)
 
     def leaf(self, root: int, place: Sequence[float]) -> int:
-        """The cell of a branch, whose first cell is `root`, in which a place lies."""
+        """Return the cell of a branch, whose first cell is `root`, in which a place lies."""
         cell, axis, child, split = root, self.axis, self.child, self.split
         while child[cell] >= 0:
             cell = child[cell] + (place[axis[cell]] >= split[cell])
@@ -87,9 +87,9 @@ class Brick:
         return found
 
     def least(self, numbers: Whole, places: Matrix) -> Vector:
-        """The least J that corners of cells promise at places; where one has none, those of the least around it.
+        """Return the least J that corners of cells predict at places; without any, those of the smallest cell around.
 
-        A sheet without a corner of a cell may go through it all the same: it must not be passed over.
+        A sheet without a corner of a cell may still pass through it, and must not be missed.
         """
         corners = self.cells["corners"][numbers]
         while (bare := np.nonzero((numbers >= 0) & (corners < 0).all(axis=1))[0]).size:
@@ -117,7 +117,7 @@ class Brick:
         return interpolated_at(terms, (place - low) / size, canonical)
 
     def cell(self, number: int) -> _Cell:
-        """One of the cells."""
+        """Return one of the cells."""
         found = self._seen.get(number)
         if found is None:
             if len(self._seen) >= _MOST_SEEN:
@@ -130,7 +130,7 @@ class Brick:
 
 
 class _Cell(NamedTuple):
-    """Its low corner and size, the size canonical, and values and derivatives at its corners, (corners * terms, k)."""
+    """Cell as it is read: low corner, size, canonical size, and terms at its corners, (corners * terms, k)."""
 
     low: Vector
     size: Vector
@@ -139,7 +139,7 @@ class _Cell(NamedTuple):
 
 
 class Reader:
-    """An atlas on disk; it may grow meanwhile.
+    """Atlas on disk; it may grow meanwhile.
 
     Parameters
     ----------
@@ -170,14 +170,14 @@ class Reader:
         self.refresh()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy opens the directory again: machine code is of one process."""
+        """Pickle the directory only, which a copy opens again, as machine code belongs to one process."""
         return type(self), (self.store.directory, self._problem_from_scenario)
 
     def __repr__(self) -> str:
         return f"<Atlas of {self.problem.name}: {', '.join(axis.extent for axis in self.region.axes)}>"
 
     def refresh(self) -> None:
-        """Look again at what the manifest says."""
+        """Read the manifest again."""
         survey, before = self.store.survey(), self.said
         self.survey: dict[str, Any] = survey or {"charts": []}
         self.region: Region = survey_region(self._first, self.survey)
@@ -194,13 +194,13 @@ class Reader:
 
     @cached_property
     def inherited(self) -> int:
-        """Level that all answers at nodes reached which were drawn for a proof of it as it is now; 0 where none was."""
+        """Return the level that all drawn answers at nodes of the present atlas reached; 0 if none was drawn."""
         lines = self.store.samples(self.survey.get("digest"), self.rows, len(self.region.axes))
         return min((one["level"] for line in lines for one in (*line["drawn"], *line["thin"])), default=0)
 
     @cached_property
     def charted(self) -> list[Charted]:
-        """Its charts."""
+        """Return its charts."""
         with told_of_damage(MANIFEST):
             return [Charted(self.problem, self.region, said) for said in self.survey["charts"]]
 
@@ -216,14 +216,14 @@ class Reader:
 
     @called_in_words
     def begins(self, points: Matrix) -> list[Matrix]:
-        """The node of each chart that is nearest to points [SI], good or bad: values of the axes, and unknowns there.
+        """Return the node of each chart nearest to points [SI], valid or not: values of the axes, and unknowns there.
 
-        Canonical, NaN where a chart has none, (points, d + n) each.
+        Canonical, NaN for a chart without nodes, (points, d + n) each.
 
         Raises
         ------
         PeriluneError
-            If these are no points, one row each.
+            If these are not points, one row each.
         """
         d = len(self.region.axes)
         if np.shape(points := demand_numbers(points, "points of the region", most=2))[1:] != (d,):
@@ -258,9 +258,9 @@ class Reader:
 
     @cached_property
     def unbuilt(self) -> set[tuple[int, ...]]:
-        """Bricks at whose corners the survey has a sheet and that are not there, by chart and numbers.
+        """Return the missing bricks at whose corners the survey has a sheet, by chart and numbers.
 
-        Where a shard of the survey is damaged nobody knows them: `verify_atlas` names it.
+        If a shard of the survey is damaged they are unknown: `verify_atlas` names it.
         """
         d, found = len(self.region.axes), set[tuple[int, ...]]()
         for number, chart in enumerate(self.survey["charts"]):
@@ -271,12 +271,12 @@ class Reader:
 
     @called_in_words
     def brick(self, number: int, brick: tuple[int, ...]) -> Brick | None:
-        """A brick of a chart; None where there is none, or it is damaged.
+        """Return a brick of a chart; None if it is missing or damaged.
 
         Raises
         ------
         PeriluneError
-            If these are no number of a chart and no place of a brick.
+            If these are not the number of a chart and the place of a brick.
         """
         try:
             key = (number, *brick)
@@ -304,7 +304,7 @@ class Reader:
         return self._bricks[key]
 
     def _place(self, brick: Any) -> tuple[int, ...]:
-        """The numbers of a brick along the axes; refuses what has not as many."""
+        """Return the numbers of a brick along the axes; refuse any other count of them."""
         place = tuple(brick) if isinstance(brick, Sequence | np.ndarray) else ()
         if len(place) != len(self.region.axes) or not all(isinstance(part, Integral) for part in place):
             expected = f"the number of the brick along each of: {self._axes}"
@@ -336,7 +336,7 @@ def may_be_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.b
 
 
 def _refuse_wild(nodes: NDArray[Any], cells: NDArray[Any], d: int, sheets: int, name: str) -> None:
-    """Refuse a brick whose numbers lead nowhere, or in a circle; its checksum says only that it was written so."""
+    """Refuse a brick whose numbers point nowhere, or in a circle; its checksum shows only that it was written so."""
     own, child = np.arange(len(cells)), cells["child"]
     good = (child == -1) | (child > own) & (child < len(cells) - 1)
     good &= ((cells["corners"] >= -1) & (cells["corners"] < len(nodes))).all(axis=1)

@@ -1,11 +1,10 @@
-"""A second flight of an extremal, by another integrator: where it ends, and what it keeps on the way.
+"""Independent re-integration of an extremal, its second flight: end conditions, and margins along the path.
 
-The machine code of shooting goes by Dormand and Prince's pair of order 8 with steps of its own choice. Here the
-canonical equations are marched in equal steps by extrapolation of Gragg's midpoint rule to order 8, from the unknowns
-alone, and the conditions at the ends are evaluated anew. At each step the conditions of the path and the bounds of the
-states are looked at (those on states alone inside it too, by cubics), and whether H is less for any of some admissible
-controls than for the one that is flown. All of it is one call of machine code for each piece between switches, for one
-extremal or for many in lanes.
+The machine code of shooting uses Dormand and Prince's pair of order 8 with adaptive steps. Here the canonical equations
+are integrated in equal steps by extrapolation of Gragg's midpoint rule to order 8, from the unknowns only, and the
+conditions at the ends are evaluated again. Each step evaluates the conditions of the path and the bounds of the states
+(those on states only inside it too, by cubics), and compares H of some admissible controls with H of the flown one. All
+of it is one call of machine code for each interval between switches, for one extremal or for many in lanes.
 
 Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., Springer 1993,
 section II.9 (9.10), (9.13).
@@ -47,7 +46,7 @@ class Reflown:
     Attributes
     ----------
     residuals
-        Of all conditions, (lanes, conditions); 0 for those of what is held.
+        Residuals of all conditions, (lanes, conditions); 0 for those of held parameters.
     shown
         Columns of `seen`.
     rates
@@ -66,7 +65,7 @@ class Reflown:
 
     @property
     def rows(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-        """All but its arcs."""
+        """Return all arrays but its arcs."""
         return self.residuals, self.shown, self.rates, self.ranges
 
     @property
@@ -76,7 +75,7 @@ class Reflown:
 
     @property
     def sequence(self) -> NDArray[np.int64]:
-        """A number for the modes that each lane goes through, the same in every process."""
+        """Return a number for the sequence of modes of each lane, the same in every process."""
         told = [""] * len(self.shown)
         for phase, lanes, modes in self.arcs:
             for lane in lanes.tolist():
@@ -103,14 +102,14 @@ class Reflown:
         return Reflown(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=self.arcs)
 
     def replace(self, lanes: Lanes, by: Reflown) -> None:
-        """Put other flights of the same arcs in the place of some."""
+        """Replace some flights by others of the same arcs."""
         for own, other in zip(self.rows, by.rows, strict=True):
             own[lanes] = other
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """Between two switches, of some lanes: the mode, the lengths, and what makes z behind it of z at its end."""
+    """Interval between two switches, of some lanes: mode, lengths, and the map of z across the switch at its end."""
 
     mode: int
     length: Vector
@@ -118,7 +117,7 @@ class _Piece:
 
 
 class Reflights:
-    """Flies extremals of a chart a second time.
+    """Second flights of extremals of a chart.
 
     Parameters
     ----------
@@ -146,7 +145,7 @@ class Reflights:
         return [compile_map(extremal.mode) for extremal in self.conditions.phases]
 
     def __call__(self, y: Matrix, p: Matrix, choice: Matrix) -> Reflown:
-        """Fly again.
+        """Integrate extremals again.
 
         Parameters
         ----------
@@ -160,7 +159,7 @@ class Reflights:
         return self._flown(y, p, choice, self.times)
 
     def finer(self, y: Matrix, p: Matrix, choice: Matrix) -> Reflown:
-        """The same, and by finer steps where these miss by as little as coarse ones may."""
+        """Integrate again, and by finer steps where violations are as small as coarse steps may cause."""
         found = self._flown(y, p, choice, self.times)
         if (poor := np.nonzero(found.seen.nearly)[0]).size:
             numbers = p if len(p) == 1 else p[poor]
@@ -214,18 +213,18 @@ class Reflights:
         return tuple(found)
 
     def begun(self, k: int) -> Map:
-        """See `march.begun`."""
+        """Compile `march.begun`."""
         if k not in self._begun:
             self._begun[k] = compile_map(begun(self.conditions, k))
         return self._begun[k]
 
     @cached_property
     def ended(self) -> Map:
-        """See `march.ended`."""
+        """Compile `march.ended`."""
         return compile_map(ended(self.conditions, self._rides))
 
     def march(self, k: int, mode: int) -> Map:
-        """`STEPS` steps of a phase in a mode."""
+        """Compile `STEPS` steps of a phase in a mode."""
         if (k, mode) not in self._marches:
             step = step_settling if self.conditions.phases[k].settles else step_along
             self._marches[k, mode] = compile_map(step(self._rides, k, mode), times=STEPS)
@@ -234,7 +233,7 @@ class Reflights:
     def over_switches(
         self, k: int, state: Matrix, z: Matrix, duration: Vector, p: Matrix, free: Matrix, times: int
     ) -> list[Arcs]:
-        """March a phase that may switch from its start, in place: lanes with the modes that they go through."""
+        """March a phase that may switch, in place; return lanes with their sequences of modes."""
         arcs, last = list[Arcs](), state.shape[1] - len(NOTHING_SEEN)
         for lanes, pieces in self._sequences(k, z, duration, p):
             numbers, chosen, here = p if len(p) == 1 else p[lanes], free[lanes], state[lanes]
@@ -249,7 +248,7 @@ class Reflights:
         return arcs
 
     def _sequences(self, k: int, z: Matrix, duration: Vector, p: Matrix) -> Iterator[tuple[Lanes, list[_Piece]]]:
-        """Lanes that go through the same modes, and their pieces between switches."""
+        """Yield lanes with the same sequence of modes, and their intervals between switches."""
         extremal = self.conditions.phases[k]
         first = self._modes[k](z, p)[0][:, 0]
         whole = equations(extremal, (), ())
@@ -270,12 +269,12 @@ class Reflights:
 
 
 class _Leg:
-    """One phase of second flights, bound to arrays: (unknowns, numbers, state at the end of the phase before).
+    """Phase of second flights, bound to arrays: (unknowns, numbers, state at the end of the phase before).
 
     Attributes
     ----------
     state
-        That is marched, at the end.
+        Marched state at the end.
     """
 
     def __init__(self, own: Reflights, k: int, given: tuple[Matrix, Matrix, Matrix], times: int) -> None:
@@ -293,7 +292,7 @@ class _Leg:
             self.state = self._march.outputs[0]
 
     def __call__(self) -> list[Arcs]:
-        """Fly it: lanes with the modes that they go through."""
+        """March the phase; return lanes with their sequences of modes."""
         self._begun()
         if self._switches:
             duration = self._duration[:, 0]
@@ -312,7 +311,7 @@ class Reflight:
     Attributes
     ----------
     rows
-        Those of what they show, overwritten by the next call.
+        Arrays of results, overwritten by the next call.
     """
 
     def __init__(self, own: Reflights, y: Matrix, p: Matrix, choice: Matrix, times: Sequence[int]) -> None:
@@ -325,7 +324,7 @@ class Reflight:
         self.rows: tuple[Matrix, ...] = self._ended.outputs
 
     def __call__(self) -> Reflown:
-        """Fly them."""
+        """Make the flights."""
         arcs = [(k, *arc) for k, leg in enumerate(self._legs) for arc in leg()]
         self._ended()
         residuals, shown, rates, ranges = self.rows

@@ -1,4 +1,4 @@
-"""The region of an atlas: some parameters between bounds, divided into bricks."""
+"""Region of an atlas: some parameters between bounds, divided into bricks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # bricks along each of so many axes
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """A parameter that varies between two values.
+    """Parameter that varies between two values.
 
     Parameters
     ----------
@@ -64,11 +64,11 @@ class Axis:
 
     @property
     def extent(self) -> str:
-        """``vehicle.thrust from 430 N to 450 N``."""
+        """Return the range in words: ``vehicle.thrust from 430 N to 450 N``."""
         return f"{self.key} from {told_range(self.edges, self.unit)}"
 
     def told(self, value: float) -> str:
-        """A value of it [SI] in words."""
+        """Format a value of it [SI]."""
         return f"{self.key} {told(value, self.unit)}"
 
     @property
@@ -83,7 +83,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Region:
-    """All axes.
+    """Region spanned by its axes.
 
     Parameters
     ----------
@@ -100,49 +100,49 @@ class Region:
 
     @cached_property
     def low(self) -> Vector:
-        """Lower bounds [SI], (d,)."""
+        """Return lower bounds [SI], (d,)."""
         return np.array([axis.low for axis in self.axes])
 
     @cached_property
     def high(self) -> Vector:
-        """Upper bounds [SI], (d,)."""
+        """Return upper bounds [SI], (d,)."""
         return np.array([axis.high for axis in self.axes])
 
     @property
     def ends(self) -> list[dict[str, float]]:
-        """Its own corners, each as values [SI] by name."""
+        """Return its own corners, each as values [SI] by name."""
         return [dict(zip(self.names, at, strict=True)) for at in product(*((a.low, a.high) for a in self.axes))]
 
     @property
     def looks(self) -> list[dict[str, float]]:
-        """Its corners and points within, at which functions that are kept are compared with those that were stated."""
+        """Return its corners and inner points, at which saved functions are compared with stated ones."""
         within = np.random.default_rng(0).uniform(self.low, self.high, (_LOOKS, len(self.axes))).tolist()
         return [*self.ends, *(dict(zip(self.names, row, strict=True)) for row in within)]
 
     @property
     def bricks(self) -> list[tuple[int, ...]]:
-        """Numbers of all bricks, the last axis changing fastest."""
+        """Return the numbers of all bricks, the last axis changing fastest."""
         return list(product(*(axis.numbers for axis in self.axes)))
 
     def box(self, brick: tuple[int, ...]) -> tuple[Vector, Vector]:
-        """Corners of a brick [SI]; neighbours have the very same."""
+        """Return the low and high corner of a brick [SI]; neighbours share them exactly."""
         low, high = (
             np.array([axis.edge(n + side) for axis, n in zip(self.axes, brick, strict=True)]) for side in (0, 1)
         )
         return low, high
 
     def corners(self) -> tuple[NDArray[np.int64], Matrix]:
-        """Numbers of the corners of all bricks, (k, d), and their values [SI]."""
+        """Return the numbers of the corners of all bricks, (k, d), and their values [SI]."""
         numbers = [range(axis.first, axis.first + len(axis.edges)) for axis in self.axes]
         return np.array(list(product(*numbers))), np.array(list(product(*(axis.edges for axis in self.axes))))
 
     def brick_of(self, values: Vector) -> tuple[int, ...]:
-        """The brick in which a point [SI] of the region lies."""
+        """Return the brick in which a point [SI] of the region lies."""
         inner = zip(self.axes, values.tolist(), strict=True)
         return tuple(axis.first + bisect_right(axis.edges, value, 1, len(axis.edges) - 1) - 1 for axis, value in inner)
 
     def bricks_of(self, points: Matrix) -> NDArray[np.int64]:
-        """The bricks in which points [SI] lie, (points, d); for those outside of the region one beside them."""
+        """Return the bricks in which points [SI] lie, (points, d); a nearby one for points outside of the region."""
         columns = [
             axis.first + np.searchsorted(axis.edges[1:-1], values, side="right")
             for axis, values in zip(self.axes, points.T, strict=True)
@@ -150,7 +150,7 @@ class Region:
         return np.column_stack(columns)
 
     def told(self, values: Iterable[float]) -> str:
-        """A point [SI] in words."""
+        """Format a point [SI]."""
         return ", ".join(axis.told(value) for axis, value in zip(self.axes, values, strict=True))
 
     def outside(self, values: Sequence[float]) -> str | None:
@@ -165,7 +165,7 @@ class Region:
 
 
 def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = None) -> Region:
-    """The region that is asked for.
+    """Return the region that is asked for.
 
     Parameters
     ----------
@@ -225,16 +225,16 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
 
 
 def refuse_untaken(problem: Problem, region: Region) -> None:
-    """Refuse a region of whose values the records of a problem do not take some."""
+    """Refuse a region with values that the records of a problem refuse."""
     for corner in region.ends:
         problem.with_given(**corner)
 
 
 def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> None:
-    """Refuse ranges of free parameters that move otherwise than in the problem as an atlas keeps it.
+    """Refuse ranges of free parameters that move differently in the problem as an atlas saves it.
 
-    An atlas keeps formulas and numbers, and models with the values of their records: of a function of the user's
-    whoever opens it would have the ranges at one point only.
+    An atlas saves formulas and numbers, and models with the values of their records: of a user's function of ranges a
+    reader would have the values at one point only.
     """
     if problem.ranges is None:
         return
@@ -256,7 +256,7 @@ def _equal_parts(low: float, high: float, count: int) -> tuple[float, ...]:
 
 
 def wider(region: Region, axes: Mapping[str, tuple[float, float]]) -> Region:
-    """The same region with more bricks, no wider than those that are there, below and above these.
+    """Return the region with more bricks, no wider than the present ones, below and above these.
 
     Parameters
     ----------
@@ -291,17 +291,17 @@ def wider(region: Region, axes: Mapping[str, tuple[float, float]]) -> Region:
 
 
 def _parts_of(low: float, high: float, most: float) -> tuple[float, ...]:
-    """Edges of equal parts, none longer than `most`; none where there is nothing between."""
+    """Return the edges of equal parts, none longer than `most`; none for an empty range."""
     return _equal_parts(low, high, math.ceil((high - low) / most - 1e-9)) if high > low else ()
 
 
 def stated_region(region: Region, edges: Sequence[Mapping[str, Any]]) -> Region:
-    """A region with the edges that a manifest states of each axis.
+    """Return a region with the edges that a manifest states for each axis.
 
     Raises
     ------
     ValueError
-        If they are none.
+        If they are not valid edges.
     """
     found = []
     for axis, said in zip(region.axes, edges, strict=True):

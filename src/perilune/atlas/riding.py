@@ -1,4 +1,4 @@
-"""What second flights look at where a condition on states is ridden: that leaving it does not pay.
+"""Signs of multipliers on boundary arcs in second flights: leaving such an arc must not lower J.
 
 Along an arc of order q the control minimises L = H - eta S^(q) among all that are admissible, and S >= 0 itself has the
 multiplier
@@ -6,9 +6,10 @@ multiplier
     mu = (-1)^q d^q eta/dt^q >= 0.
 
 The costates of S itself are those of the canonical equations - eta dS/dx at q = 1, - eta dS'/dx + eta' dS/dx at q = 2.
-Where an arc begins or ends they may fall by nu dS/dx with nu <= 0 alone, and by what the conditions at the end of a
-phase of the user's take, or at the start of the flight by all that no free parameter moves. Here eta is an expression
-of state and costate, and so are its derivatives along the flight; `perilune.proof.rides` reads them off tables.
+Where an arc begins or ends they may fall only by nu dS/dx with nu <= 0, and by multiples of the end conditions' slopes
+at the end of a user's phase, or at the start of the flight by all that no free parameter moves. Here eta is an
+expression of state and costate, and so are its derivatives along the flight; `perilune.proof.rides` takes them from
+tables.
 
 Source: Bryson and Ho (1975), section 3.11; Hartl, Sethi, Vickson (1995), sections 4 and 5.
 """
@@ -45,7 +46,7 @@ _VANISHES = 1e-9  # of a slope: what end conditions leave of it is nothing
 
 @dataclass(frozen=True, kw_only=True)
 class Ride:
-    """A condition that is ridden along a phase of the problem restated.
+    """Condition on a boundary arc along a phase of the restated problem.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ class Ride:
 
 
 class Rides:
-    """All that the extremals of a chart ride along.
+    """Boundary arcs of the extremals of a chart.
 
     Parameters
     ----------
@@ -92,23 +93,23 @@ class Rides:
 
     @cached_property
     def user(self) -> Problem:
-        """The user's problem with the parameters of the chart free, as it is traced."""
+        """Return the user's problem with the parameters of the chart free, as it is traced."""
         return Unnumbered(self.chart.user_free).problem
 
     @cached_property
     def stated(self) -> Problem:
-        """The problem of the chart, as it is traced."""
+        """Return the problem of the chart, as it is traced."""
         return Unnumbered(self.chart.free).problem
 
     @cached_property
     def _sums(self) -> dict[str, tuple[str, ...]]:
-        """Durations of the user's that are sums of those of the parts."""
+        """Return the user's durations that are sums of the durations of parts."""
         structure = self.chart.course.structure
         return {} if structure is None else sums_of(self.user, structure)
 
     @property
     def _begins(self) -> set[int]:
-        """Numbers of the parts with which the user's phases begin."""
+        """Return the numbers of the parts with which the user's phases begin."""
         return {i for i, (k, _) in enumerate(self._arcs) if i == 0 or self._arcs[i - 1][0] != k}
 
     def _of(self, part: int) -> Iterator[Ride]:
@@ -138,7 +139,7 @@ class Rides:
     # -- along an arc -------------------------------------------------------------------------------------------------
 
     def pays(self, part: int, mode: int, z: ca.SX, numbers: ca.SX) -> list[ca.SX]:
-        """The multiplier mu of each condition that is ridden, over 1 + |eta|."""
+        """Return the multiplier mu of the condition of each boundary arc, over 1 + |eta|."""
         extremal, found = self.conditions.phases[part], list[ca.SX]()
         for ride in self.along[part]:
             rates = self._eta(extremal, ride, mode, z, numbers)
@@ -146,7 +147,7 @@ class Rides:
         return found
 
     def multipliers(self, part: int, mode: int, z: ca.SX, numbers: ca.SX) -> ca.SX:
-        """Eta of all that a phase holds; zero of what the user has it hold."""
+        """Return eta of all conditions that a phase holds; zero for those that the user states as held."""
         extremal, rows = self.conditions.phases[part], [ride.row for ride in self.along[part]]
         found = ca.SX.zeros(len(self.stated.phases[part].held_conditions), 1)
         if rows:
@@ -154,12 +155,12 @@ class Rides:
         return found
 
     def always(self, part: int) -> list[int]:
-        """Places of what the user has a phase hold, among all that it holds."""
+        """Return the places of the user's held conditions among all that a phase holds."""
         ridden = {ride.row for ride in self.along[part]}
         return [i for i in range(len(self.stated.phases[part].held_conditions)) if i not in ridden]
 
     def _eta(self, extremal: PhaseExtremal, ride: Ride, mode: int, z: ca.SX, numbers: ca.SX) -> list[ca.SX]:
-        """Eta and its first q derivatives along the flight."""
+        """Return eta and its first q derivatives along the flight."""
         symbol = ca.SX.sym("z", z.numel())
         found, rate = [extremal.multipliers[mode](symbol, numbers)[ride.row]], extremal.modes[mode](symbol, numbers)
         for _ in range(ride.order):
@@ -188,7 +189,7 @@ class Rides:
         return conditions_of(self.user, self._arcs[part][0], names)
 
     def _rate(self, part: int, rate: Expression, z: ca.SX, y: ca.SX, p: ca.SX) -> ca.SX:
-        """A rate with a control in it, where an arc begins or ends."""
+        """Evaluate a rate with a control in it, where an arc begins or ends."""
         phase, known = self.stated.phases[part], trace_parameters(self.stated)
         x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
         records = phase.state_record(*elements(x)), phase.control_record(*elements(u))
@@ -197,7 +198,7 @@ class Rides:
         return self._at([x, u], at, known, [ca.SX(value)], y, p)[0]
 
     def jumps(self, y: ca.SX, begins: Sequence[ca.SX], ends: Sequence[ca.SX], p: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """The least -nu of all jumps, each over 1 + its size, and by how much costates jump aside of the slopes.
+        """Return the least -nu of all jumps, each over 1 + its size, and the parts of jumps outside the slopes.
 
         Parameters
         ----------
@@ -219,7 +220,7 @@ class Rides:
     def _jump(
         self, joint: int, y: ca.SX, begins: Sequence[ca.SX], ends: Sequence[ca.SX], p: ca.SX
     ) -> tuple[ca.SX, ca.SX]:
-        """The nu of all that is ridden on either side of a joint, and what of the jump they do not explain."""
+        """Return the nu of boundary arcs on either side of a joint, and the part of the jump not explained by them."""
         first, last = joint == 0, joint == len(ends)
         x_of = [(begins[0] if first else ends[joint - 1])[: len(self.stated.phases[max(joint - 1, 0)].states)]]
         if not first and not last:
@@ -259,7 +260,7 @@ class Rides:
         return -rates[0] * slopes[0] if ride.order == 1 else rates[1] * slopes[0] - rates[0] * slopes[1]
 
     def _slopes(self, part: int, ride: Ride, at: ca.SX, y: ca.SX, p: ca.SX) -> list[ca.SX]:
-        """d(S^(i))/dx, i < q, in columns."""
+        """Return d(S^(i))/dx, i < q, in columns."""
         phase, known = self.stated.phases[part], trace_parameters(self.stated)
         x = ca.SX.sym("x", len(phase.states))
         u = phase.control_record(*([ca.SX(0.0)] * len(phase.control_names)))
@@ -274,7 +275,7 @@ class Rides:
         return self._at([x], [at], known, [ca.jacobian(behind, x)], y, p)[0]
 
     def _unexplained(self, joint: int, at: ca.SX, y: ca.SX, p: ca.SX) -> ca.SX:
-        """Takes from a jump of the costates all that the user's conditions have of it there."""
+        """Return the projection that removes the part of a costate jump that the user's conditions explain."""
         if joint == 0:  # only what a free parameter moves at the start has to be met
             known = trace_parameters(self.stated)
             own = [known.free[i] for i, name in enumerate(self.stated.free_names) if name not in self.chart.names]
@@ -305,7 +306,7 @@ class Rides:
         y: ca.SX,
         p: ca.SX,
     ) -> list[ca.SX]:
-        """Expressions in symbols and the parameters of the chart's problem, at values of them."""
+        """Evaluate expressions in symbols and the parameters of the chart's problem."""
         traced = ca.Function("at", [*symbols, known.given, known.free], list(expressions))
         return list(traced.call([*values, *self._told(y, p)]))
 
@@ -314,14 +315,14 @@ class Rides:
         return p[: len(self.stated.given)], y[self.conditions.free_at]
 
     def _users_free(self, y: ca.SX) -> ca.SX:
-        """Free parameters of the user's problem: durations in parts are their sums."""
+        """Return the free parameters of the user's problem; a duration is the sum of its parts."""
         names, free, sums = self.stated.free_names, y[self.conditions.free_at], self._sums
         own = [sum((free[names.index(part)] for part in sums.get(n, (n,))), ca.SX(0.0)) for n in self.user.free_names]
         return ca.vertcat(ca.SX(0, 1), *own)
 
 
 def _onto(columns: ca.SX) -> ca.SX:
-    """The projection onto the space that columns span."""
+    """Return the projection onto the space that columns span."""
     if not columns.size2():
         return ca.SX.zeros(columns.size1(), columns.size1())
     return ca.mtimes(columns, ca.solve(ca.mtimes(columns.T, columns), columns.T))

@@ -1,12 +1,12 @@
-"""The whole proof of some answers: nodes drawn at random, and nodes with a thin margin.
+"""Whole proofs of some answers: at nodes drawn at random, and at nodes with a thin margin.
 
-Each node of a brick carries what its second flight showed; the proof of level 3 takes a hundred times as long as the
-node itself. Of n answers that are drawn at random and all proved, at least a share 0.01^(1/n) of all would be proved,
-at 99 % confidence: with 459, 99 %. What is drawn are answers at nodes: places of nodes at which the atlas answers, so
-nothing is said of what lies between them, nor of places that a query refuses. Of these it is said how many were drawn.
+Each node of a brick carries the results of its second flight; the proof of level 3 takes a hundred times as long as the
+node itself. If n answers are drawn at random and all proved, at least a share 0.01^(1/n) of all would be proved, at
+99 % confidence: 99 % with n = 459. Answers are drawn at nodes at which the atlas answers, so the statement covers
+neither points between them nor places that a query refuses, whose number in the draw is stated.
 
-Nodes whose margin is thin lie beside the border of their sheet, where a bound begins or ends to be active; what goes
-wrong there would seldom be met by a draw among all.
+Nodes with a thin margin lie near the border of their sheet, where a bound becomes active or inactive; an error there
+would seldom be found by a draw among all.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Sample:
         return tuple(one for one in (*self.drawn, *self.thin, *self.kept) if not one.proved)
 
     def told(self, atlas: Atlas) -> list[str]:
-        """The same in sentences."""
+        """Describe the sample in sentences."""
         lines = [proved_text(self.proved, len(self.drawn))] if self.drawn else []
         lines += refused_text(self.refused, len(self.drawn))
         if self.thin:
@@ -118,7 +118,7 @@ class Sample:
 
 
 def demand_count(sample: Any) -> None:
-    """Refuse what is no number of proofs."""
+    """Refuse anything but a number of proofs."""
     if sample is not None and (isinstance(sample, bool) or not isinstance(sample, int) or sample < 0):
         raise refused(sample, "a whole number from 0, or None", "how many answers are to be proved")
 
@@ -153,9 +153,9 @@ def thin_ones(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.int64]
 
 
 def drawn_at_random(atlas: Atlas, count: int, rng: np.random.Generator, refused: Refused) -> Iterator[Drawn]:
-    """Answers at nodes that are drawn at random, no place twice, each with its values of the axes.
+    """Yield answers at nodes drawn at random, no place twice, each with its values of the axes.
 
-    Places that are drawn and have no answer are added to those that are `refused`.
+    Drawn places without an answer are added to `refused`.
     """
     keys = sorted(atlas.said)
     ends = np.cumsum([atlas.said[key]["nodes"]["rows"] for key in keys])
@@ -173,7 +173,7 @@ def drawn_at_random(atlas: Atlas, count: int, rng: np.random.Generator, refused:
 
 
 def drawn_thin(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[Drawn]:
-    """Answers at nodes with a thin margin, no place twice; of those in one brick the thinnest first."""
+    """Yield answers at nodes with a thin margin, no place twice; in each brick the thinnest first."""
     keys, seen = [key for key in sorted(atlas.said) if atlas.said[key].get("thin", 0)], set[tuple[float, ...]]()
     refused = Refused()
     for at in rng.permutation(len(keys)).tolist():
@@ -187,7 +187,7 @@ def drawn_thin(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[D
 
 
 def _answered(atlas: Atlas, values: NDArray[Any], seen: set[tuple[float, ...]], refused: Refused) -> Iterator[Drawn]:
-    """The answer at a place that was not seen yet, if there is one."""
+    """Yield the answer at a new place, if there is one."""
     if (told := tuple(values.tolist())) not in seen and told not in refused:
         try:
             found = atlas.query(**dict(zip(atlas.region.names, told, strict=True)))
@@ -220,9 +220,9 @@ def sampled(
     watch: Watch,
     problem_from_scenario: Callable[[str], Problem] | None = None,
 ) -> None:
-    """Draw the sample of an atlas that is complete, as far as it was not yet; it is kept in the manifest.
+    """Draw and prove the missing part of the sample of a complete atlas, and add it to the manifest.
 
-    Where another builder draws it is waited for, who may want fewer, or die.
+    Waits for another builder that is drawing, which may want fewer, or die.
     """
     if count == 0:
         return
@@ -252,7 +252,7 @@ def sampled(
 
 
 def sample_lines(atlas: Atlas) -> list[dict[str, Any]]:
-    """The lines of what was drawn of the atlas as it is now."""
+    """Return the lines of the samples of the present atlas."""
     return atlas.store.samples(atlas.survey.get("digest"), atlas.rows, len(atlas.region.axes))
 
 

@@ -1,4 +1,4 @@
-"""Where flights with one free parameter held keep the path, over all of its range, with the arcs that are known."""
+"""Scan for flights that keep the path, with one free parameter held over all of its range, with known arcs."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _MOST = 256  # points
 
 
 def scanned_names(problem: Problem, region: Region) -> list[str]:
-    """Free parameters and durations between bounds, along which there may be several wells: no axes."""
+    """Return free parameters and durations between bounds, without axes, along which J may have several minima."""
     return [f.name for f in problem.free if math.isfinite(f.upper - f.lower) and f.name not in region.names]
 
 
 def scanned_points(region: Region) -> Matrix:
-    """Corners and middles of bricks [SI]; of very many some, all over the region."""
+    """Return corners and middles of bricks [SI]; a selection all over the region if there are very many."""
     middles = [0.5 * (np.array(axis.edges[:-1]) + np.array(axis.edges[1:])) for axis in region.axes]
     points = np.vstack([region.corners()[1], list(product(*middles))])
     return points[np.linspace(0, len(points) - 1, min(len(points), _MOST)).astype(np.int64)]
@@ -65,9 +65,9 @@ class Scan:
     def add(
         self, values: Vector, course: Course, extremals: Sequence[Extremal], place: tuple[int, int, int] | None = None
     ) -> bool:
-        """Follow what an answer goes through, from the answer, wherever no flight is known; whether there are more.
+        """Follow the arcs of an answer where no flight is known; return True if more flights were found.
 
-        `place` is that of one that was solved amid a `gap`: what was met there before leads nowhere else.
+        `place` is that of an answer solved within a `gap`, where earlier extremals lead nowhere else.
         """
         chart = Chart(self._problem, self._region.names, self._widths, course)
         first = next((e for e in extremals if len(e.unknowns or ()) == len(chart.own.unknowns)), None)
@@ -102,9 +102,9 @@ class Scan:
         return bool(np.count_nonzero(self._flown) > before)
 
     def gap(self) -> tuple[tuple[int, int, int], Vector, str, float] | None:
-        """Amid the longest part of a range where extremals are met and no flight: place, point [SI], whose, the share.
+        """Return the middle of the longest range part with extremals but no flight: place, point [SI], name, share.
 
-        It is asked for once.
+        Each gap is returned once.
         """
         gaps, best = self._met & ~self._flown, (0, 0, 0, 0)
         for k, lane in zip(*np.nonzero(gaps.any(axis=2)), strict=True):

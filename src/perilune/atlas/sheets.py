@@ -1,9 +1,9 @@
 """Sheets: families of extremals over the region, each smooth in the parameters, and where they may be answers.
 
-A sheet is told by what its extremals hold (free parameters or ranges at a bound) and by the sign of det(dh/dy), which
-changes only at a fold, where two sheets meet. The conditions that it solves have roots beyond where they are an answer
-(a retro burn below zero): such nodes are kept beside those that are, so that a cell reaches across the border of its
-sheet, and whether a root may be an answer is asked at the point itself.
+A sheet is identified by its active bounds (free parameters or ranges at a bound) and by the sign of det(dh/dy), which
+changes only at a fold, where two sheets meet. Its conditions have roots beyond the border within which they are answers
+(a retro burn below zero): such nodes are kept too, so that a cell reaches across the border of its sheet, and the root
+at the point itself decides if it is an answer.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _MISSED = 1e-4  # of 1 + its size: a cell that gives a bound by so much wrong gi
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
-    """One family of extremals.
+    """Family of extremals.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class Borders:
         self.touched: list[int] = [unknowns.index(name) for name in chart.course.touched(chart.user)]
 
     def at(self, values: Matrix) -> Limits:
-        """Lower and upper bounds, canonical, (lanes, what can be held) each."""
+        """Return lower and upper bounds of what can be held, canonical, (lanes, k) each."""
         chart, given = self.chart, self._given
         lower, upper = self._lower[None].repeat(len(values), axis=0), self._upper[None].repeat(len(values), axis=0)
         if not self._told:
@@ -137,7 +137,7 @@ class Borders:
         return lower, upper
 
     def bind(self, values: Matrix) -> tuple[Limits, Callable[[], None]]:
-        """Bounds, and what fills them in anew for values of the parameters, which are read at each call."""
+        """Return bounds, and a function that fills them for values of the parameters, which it reads at each call."""
         if self._told and self._traced is not None:
             bound = self._traced.bind(values, self._numbers)
             lower, upper = bound.outputs
@@ -153,7 +153,7 @@ class Borders:
 
     @cached_property
     def _traced(self) -> Map | None:
-        """(values, canonical, and all that is given) -> lower and upper bounds, where what is stated can be traced."""
+        """Compile (values, canonical, and all given) -> lower and upper bounds, if the stated ranges can be traced."""
         chart = self.chart
         point, given = ca.SX.sym("point", len(chart.names)), ca.SX.sym("given", len(self._given))
         told = {name: given[i] for i, name in enumerate(self._given)}
@@ -168,7 +168,7 @@ class Borders:
         return compile_map(ca.Function("bounds", [point, given], [lower.T, upper.T]))
 
     def _state(self, p: Any, lower: Any, upper: Any, m: Any = NUMERIC) -> None:
-        """Fill in what parameters say of lanes, one or all."""
+        """Fill in the bounds that parameters state, for one lane or all."""
         for k, condition in enumerate(self._ranged, self.chart.shooting.plan.free):
             size = self.chart.problem.size_of(condition)
             lower[:, k], upper[:, k] = (bound / size for bound in condition.limits(p))
@@ -178,7 +178,7 @@ class Borders:
                 lower[:, i] = low
 
     def _ranges(self, p: Any, m: Any = NUMERIC) -> list[tuple[int, Any, Any]]:
-        """Bounds of free parameters that follow from the given ones, canonical; None for one that is not looked at."""
+        """Return bounds of free parameters that follow from given ones, canonical; None for an absent one."""
         if (problem := self.chart.problem).ranges is None:
             return []
         found = problem.ranges(p, m)
@@ -186,7 +186,7 @@ class Borders:
         return [(i, low / size if bounded else None, high / size) for i, low, high, size, bounded in told]
 
     def sides(self, sheets: Sequence[Sheet]) -> Matrix:
-        """At which bound each sheet holds what can be held, (sheets, what can be held); see `atlas.standing`."""
+        """Return the side at which each sheet holds each of what can be held, (sheets, k); see `atlas.standing`."""
         found = np.zeros((len(sheets), self.chart.shooting.plan.held))
         for row, sheet in zip(found, sheets, strict=True):
             for name, side in sheet.holds.items():
@@ -226,7 +226,7 @@ class Borders:
         return found
 
     def moves(self, sides: Matrix, values: Matrix) -> NDArray[np.float64] | None:
-        """Derivatives by the parameters of what lanes hold at such sides, (lanes, d, k); None where all of it stays."""
+        """Return derivatives by the parameters of bounds held at such sides, (lanes, d, k); None if constant."""
         if not self.moving(sides).any():
             return None
         found = np.zeros((len(values), len(self.chart.names), sides.shape[1]))
@@ -253,7 +253,7 @@ class Borders:
         return found | {(i, upper) for i, *both in told for upper, bound in enumerate(both) if np.ndim(bound)}
 
     def _rates(self, values: Matrix, i: int, upper: int) -> Matrix:
-        """Derivatives of a bound by the parameters, (lanes, d), canonical: differences of fourth order."""
+        """Differentiate a bound by the parameters, (lanes, d), canonical: differences of fourth order."""
         d, step = values.shape[1], _DIFFERENCE * self.chart.widths
         beside = np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * np.diag(step)  # (4, axes, d)
         bounds = self.at((values[:, None, None] + beside).reshape(-1, d))[upper][:, i].reshape(-1, 4, d)
@@ -262,7 +262,7 @@ class Borders:
     def missed(self, sheet: Sheet, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
         """Return True where a cell's value of a free parameter that its sheet holds misses its moving bound, (lanes,).
 
-        A bound that goes and comes back between the corners and the middle of a cell moves nothing that it knows.
+        The cell does not see a bound that moves away and back between its corners and its middle.
         """
         found, free = np.zeros(len(values), dtype=bool), self.chart.shooting.plan.free
         held = [(self.names.index(name), int(side == "upper")) for name, side in sheet.holds.items()]
@@ -274,7 +274,7 @@ class Borders:
 
     @cached_property
     def bounds(self) -> list[tuple[str, str]]:
-        """(name, side) of what the columns of `beyond` are."""
+        """Return (name, side) of the columns of `beyond`."""
         return [(name, side) for side in ("lower", "upper") for name in self.names]
 
     @cached_property
@@ -313,7 +313,7 @@ class Borders:
 
     @cached_property
     def symbols(self) -> Standing:
-        """For what is traced of one lane."""
+        """Return symbols for tracing one lane."""
         return Standing.symbols(self.chart.shooting.plan.held, len(self.touched))
 
     @cached_property
@@ -342,7 +342,7 @@ class Borders:
         return out
 
     def margins_of(self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals) -> Vector:
-        """`margins` of extremals, or of points that need be none."""
+        """Return the `margins` of extremals, or of points that need not be extremals."""
         at, rises = self.chart.shooting.held_values(found.roots)
         return self.margins(sheets, which, found.roots.y, at, rises, found.roots.choice, self.at(found.values))
 
@@ -356,7 +356,7 @@ class Borders:
         choice: Matrix,
         limits: Limits,
     ) -> Vector:
-        """`Standing.margin` of each lane.
+        """Evaluate `Standing.margin` of each lane.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
-"""Where a control is singular: that it is no worse than others to second order.
+"""Second-order condition of singular controls.
 
-H is linear in it there, and its slope Phi = dH/du vanishes all along, so that other values change nothing of H. With
+H is linear in such a control, and its slope Phi = dH/du vanishes all along, so that other values do not change H. With
 u in Phi'' = A + B u for the first time, B <= 0 is the generalised Legendre-Clebsch condition.
 
 Source: Kelley, Kopp, Moyer, *Singular extremals*, in Leitmann (ed.), Topics in Optimization, 1967.
@@ -20,7 +20,7 @@ from perilune.problem.symbolic import SYMBOLIC, column, elements, trace_paramete
 def bent(
     stated: Problem, phase: Phase, extremal: PhaseExtremal, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
 ) -> list[ca.SX]:
-    """-B of each control of a phase that is singular, over 1 + |B|; below zero where it is worst."""
+    """Return -B of each singular control of a phase, over 1 + |B|; below zero for a maximum."""
     known, n, found = trace_parameters(stated), extremal.state_count, list[ca.SX]()
     symbol, u, s = ca.SX.sym("z", z.numel()), ca.SX.sym("u", len(phase.control_names)), ca.SX.sym("s")
     x, lam = symbol[:n], symbol[extremal.half : extremal.half + n]
@@ -40,6 +40,6 @@ def bent(
 
 
 def _along(value: ca.SX, x: ca.SX, lam: ca.SX, rate: ca.SX) -> ca.SX:
-    """The rate of an expression of state and costate."""
+    """Return the rate of an expression of state and costate."""
     n = x.numel()
     return ca.dot(ca.gradient(value, x), rate[:n]) + ca.dot(ca.gradient(value, lam), rate[n:])

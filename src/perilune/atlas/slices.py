@@ -1,6 +1,6 @@
-"""A slice of an atlas: answers all over one or two of its axes, and of what has none why.
+"""Slice of an atlas: answers over one or two of its axes, with reasons for points without one.
 
-The points of a slice are asked as any others are (`perilune.atlas.many`), so a slice shows what a query would say.
+The points of a slice are answered as any others are (`perilune.atlas.many`), so a slice shows what queries return.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ class Slice:
     Attributes
     ----------
     problem
-        What is mapped.
+        The problem that is mapped.
     axes, at
-        Along which axes it goes, and where it lies along the others [SI].
+        Names of its axes, and values of the others [SI].
     values
-        Of the axes at its points [SI], an array for each axis.
+        Values of the axes at its points [SI], an array for each axis.
     answers
-        At all points, the last axis changing fastest.
+        Answers at all points, the last axis changing fastest.
     sheets
         Labels of all sheets, as `answers.sheet` counts them.
     why
-        Number of the reason of each point that has no answer, -1 where there is one, (points,).
+        Number of the reason of each point without an answer, -1 for others, (points,).
     reasons
-        Their texts.
+        Texts of the reasons.
     size
         Of the cell from which each answer was read: length along each of the axes as a share of the region, NaN
         where there is none, (points, axes).
@@ -99,7 +99,7 @@ class Slice:
 def sliced(
     atlas: Atlas, axes: Sequence[str] = (), at: Mapping[str, float] | None = None, *, points: int = POINTS
 ) -> Slice:
-    """Ask an atlas all over one or two of its axes.
+    """Query an atlas over one or two of its axes.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def sliced(
 
 
 def _held(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]:
-    """Values of axes that are held, as they have to be."""
+    """Return the checked values of axes that are held."""
     held, region = dict[str, float](), atlas.region
     for stated, value in at.items():
         name = parameter_name(stated)
@@ -170,7 +170,7 @@ def _held(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]:
 def _reasons(
     problem: Problem, over: Mapping[str, Vector], answers: Answers
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Number of each point's reason, and the reasons; where physics refuses a point, that is it."""
+    """Return the number of each point's reason, and the reasons; a refusal by physics is the comparison's."""
     texts, of_status = list[str](), np.zeros(len(answers.answered), dtype=np.int64)
     why = np.full(len(answers.answered), -1)
     for status, text in _WHY.items():
@@ -190,7 +190,7 @@ def _reasons(
 
 
 def _cells(atlas: Atlas, points: Matrix, answers: Answers, along: list[int]) -> tuple[Matrix, Matrix]:
-    """Shares of the region that the cells of the answers take along some axes, and the nodes at their corners."""
+    """Return the size of the cells of answers along some axes, as shares of the region, and the nodes at corners."""
     region, first = atlas.region, 0
     size, nodes = np.full((len(points), len(along)), np.nan), [np.empty((0, len(along)))]
     places, whole = region.bricks_of(points), (region.high - region.low) * WHOLE

@@ -1,9 +1,9 @@
-"""What a survey solves from nothing, and what the answers go through.
+"""Cold starts of a survey, and the arcs of their answers.
 
-The problem is solved at the middle and at the corners of the region, and between points whose answers go through
-different things. An answer tells the arcs of the best well alone. So where there are conditions of the path, flights
-with the arcs that are known are followed along free parameters between bounds as well, and where extremals that are
-held there break the path, and no flight keeps it, the problem is solved with the parameter held.
+The problem is solved at the middle and at the corners of the region, and between points whose answers have different
+arcs. An answer shows only the arcs of its own basin. So with conditions of the path, flights with known arcs are also
+followed along free parameters between bounds, and where extremals with such a parameter held break the path, and no
+flight keeps it, the problem is solved with the parameter held.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _MOST_HELD, _MOST_FAILED = 16, 3  # solves with a parameter held, and those that
 
 @dataclass(frozen=True)
 class Solved:
-    """The extremals at a point [SI], what they go through, and whether a parameter is held there."""
+    """Extremals at a point [SI], with their arcs, and a parameter that is held there, if any."""
 
     values: Vector
     course: Course
@@ -68,7 +68,7 @@ class Solving:
     notes: list[str] = field(default_factory=list)
 
     def run(self) -> list[Solved]:
-        """All answers."""
+        """Solve and return all answers."""
         _, corners = self.region.corners()
         low, high = self.region.low, self.region.high
         ends = (corners == low) | (corners == high)
@@ -84,7 +84,7 @@ class Solving:
         return [*solved, *self._held(solved)]
 
     def _between(self, solved: Sequence[Solved], failed: Sequence[Vector]) -> list[Solved]:
-        """Answers halfway between points whose answers go through different things: others may lie between these.
+        """Solve halfway between points whose answers have different arcs, as others may lie between these.
 
         So they may between an answer and a point at which none was found.
         """
@@ -105,7 +105,7 @@ class Solving:
         return found
 
     def _held(self, solved: Sequence[Solved]) -> list[Solved]:
-        """Answers with a parameter held where no flight of what is known keeps the path."""
+        """Solve with a parameter held where no flight with known arcs keeps the path."""
         scan, found, failed = Scan(self.problem, self.region, self.widths), list[Solved](), 0
         if not scan.names:
             return found
@@ -124,7 +124,7 @@ class Solving:
         return found
 
     def _solved(self, values: Vector, name: str | None = None, share: float = 0.0) -> Solved | None:
-        """The extremals at a point, with a parameter held at a share of its range; None where there is no answer."""
+        """Solve at a point, with a parameter held at a share of its range; None without an answer."""
         at = f"at {self.region.told(values.tolist())}"
         try:
             problem = self.problem.with_given(**dict(zip(self.region.names, values.tolist(), strict=True)))

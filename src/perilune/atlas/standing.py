@@ -1,6 +1,6 @@
-"""How an extremal stands to the bounds of what can be held: traced, so that one text serves a lane and many.
+"""Bound status of an extremal: traced, so that one text serves a single lane and many.
 
-A side is +1 where a sheet holds something at its lower bound, -1 at its upper one, and 0 where it does not hold it.
+A side is +1 if a sheet holds something at its lower bound, -1 at its upper one, and 0 if it does not hold it.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class Standing(NamedTuple):
     held
         1 where it is held, at a bound or as a parameter that varies.
     side
-        At which bound the sheet holds it.
+        Side at which the sheet holds it.
     lower, upper
         Its bounds.
     touched
-        Multipliers of what is touched.
+        Multipliers of contact points.
     """
 
     at: ca.SX
@@ -43,7 +43,7 @@ class Standing(NamedTuple):
 
     @staticmethod
     def symbols(count: int, touched: int) -> Standing:
-        """For so many that can be held, and so many that are touched."""
+        """Return symbols for `count` values that can be held, and `touched` contact points."""
         names = Standing._fields
         return Standing(*(ca.SX.sym(name, touched if name == "touched" else count) for name in names))
 
@@ -89,7 +89,7 @@ class Standing(NamedTuple):
         return ca.logic_and(arc, ca.logic_not(ca.mmax(against)))
 
     def within(self) -> Standing:
-        """The same with all values within their bounds."""
+        """Return the status with all values within their bounds."""
         return self._replace(at=ca.fmin(ca.fmax(self.at, self.lower), self.upper))
 
 

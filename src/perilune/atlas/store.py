@@ -1,11 +1,11 @@
 """An atlas on disk: a header, shards that never change, and a manifest to which lines are added.
 
-``atlas.json`` says what is mapped, over which region and how finely. A *shard* is one array in a file of NumPy's own
-format (``.npy``, a structured array that names its columns); it is written to the side and renamed, so that it is there
-whole or not at all. ``manifest.jsonl`` has one JSON object in each line: the survey, then each brick with the names of
+``atlas.json`` states the problem, the region and the tolerance. A *shard* is one array in a file of NumPy's own format
+(``.npy``, a structured array that names its columns); it is written under another name and renamed, so that it is
+complete or absent. ``manifest.jsonl`` has one JSON object in each line: the survey, then each brick with the names of
 its shards and their SHA-256, and a checksum of its own. A line is added by one write, after the shards that it names.
-So a kill at any moment costs the bricks that were being computed; several builders may work on one directory, each on
-bricks that it has locked; and a reader sees what is in the manifest when it looks.
+So a kill at any moment costs only the bricks that were being computed; several builders may work on one directory, each
+on bricks that it has locked; and a reader sees the content of the manifest at the time of reading.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _ANEW = "build the atlas anew: perilune atlas build ... --force"
 
 
 class Store:
-    """The directory of one atlas.
+    """Directory of one atlas.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Store:
         self.unreadable: int = 0  # lines that were written whole, and say nothing now
 
     def prepare(self, header: Mapping[str, Any] | None) -> None:
-        """Make the directory, or see that nothing is in it but the very same atlas, or any where `header` is None.
+        """Make the directory, or check that it holds only the same atlas, or any if `header` is None.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class Store:
 
     @property
     def seal(self) -> str:
-        """Checksum of the header, which a survey names: of the one that was read, if it was; "" where there is none."""
+        """Return the checksum of the header, which a survey names: of the one that was read, if any; "" without one."""
         if not self._seal and (self.directory / HEADER).exists():
             self.header()
         return self._seal
@@ -180,16 +180,16 @@ class Store:
         return self._lines
 
     def survey(self) -> dict[str, Any] | None:
-        """The line of the survey that counts.
+        """Return the line of the valid survey.
 
-        That is the first (where two builders made one at once, theirs is the same), or what extended it since: each
-        names the surveys ``before`` it, the last of which it extends.
+        It is the first (two builders that make one at once make the same), or the last extension of it: each names the
+        surveys ``before`` it, the last of which it extends.
 
         Raises
         ------
         PeriluneError
-            If it is of another hand, or all are of another header: extremals of one problem would be polished to those
-            of another, whose best they need not be.
+            If it is foreign, or all are of another header: extremals of one problem would be polished to those of
+            another, and need not be its best.
         """
         found, others = None, False
         for line in self.lines():
@@ -209,7 +209,7 @@ class Store:
         return found
 
     def bricks(self, survey: Mapping[str, Any], d: int) -> list[dict[str, Any]]:
-        """The lines of the bricks of a survey of d axes, and of those that it extends; errors of `survey`."""
+        """Return the lines of the bricks of a survey of d axes, and of those that it extends; errors of `survey`."""
         mine, charts = {survey["digest"], *survey.get("before", [])}, len(survey["charts"])
         found = [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
         with told_of_damage(MANIFEST):
@@ -220,7 +220,7 @@ class Store:
     def latest(
         self, survey: Mapping[str, Any], d: int, rounds: float = math.inf
     ) -> dict[tuple[int, ...], dict[str, Any]]:
-        """The last line of each brick by chart and numbers, of so many rounds; otherwise as `bricks`."""
+        """Return the last line of each brick by chart and numbers, of so many rounds; otherwise as `bricks`."""
         lines = (line for line in self.bricks(survey, d) if line.get("round", 0) <= rounds)
         return {(line["chart"], *line["brick"]): line for line in lines}
 
@@ -237,7 +237,7 @@ class Store:
         return end_line(survey, self.bricks(survey, d)) in self.lines()
 
     def samples(self, digest: Any, nodes: int, d: int) -> list[dict[str, Any]]:
-        """The lines of what was drawn of so many nodes of a survey of d axes; errors of `survey`."""
+        """Return the lines of samples of a survey of d axes with so many nodes; errors of `survey`."""
         found = [line for line in self.lines() if line.get("kind") == "sample"]
         with told_of_damage(MANIFEST):
             for line in found:
@@ -275,7 +275,7 @@ class Store:
             raise _unwritable(MANIFEST, error) from error
 
     def write_lines(self, lines: Iterable[Mapping[str, Any]]) -> None:
-        """Write the whole manifest at once, in the place of one that is there."""
+        """Write the whole manifest at once, in place of an existing one."""
         self._put(MANIFEST, "".join(written_line(line) + "\n" for line in lines).encode())
 
     def has(self, name: str, said: Mapping[str, Any]) -> bool:
@@ -294,7 +294,7 @@ class Store:
             return False
 
     def put(self, name: str, array: NDArray[Any]) -> dict[str, Any]:
-        """Write a shard; what the manifest says of it."""
+        """Write a shard; return its entry in the manifest."""
         content = io.BytesIO()
         np.save(content, array, allow_pickle=False)
         data = content.getvalue()
@@ -302,7 +302,7 @@ class Store:
         return {"file": name, "rows": len(array), "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
     def shard(self, said: Mapping[str, Any], dtype: np.dtype[Any], *, check: bool = True) -> NDArray[Any]:
-        """A shard as an array that reads the file where it is looked at.
+        """Return a shard as an array that reads the file on access.
 
         Raises
         ------
@@ -350,11 +350,11 @@ class Store:
             os.close(handle)
 
     def settled(self, name: str) -> None:
-        """Remove the file by which a brick was claimed; whoever opens another sees that the brick is there."""
+        """Remove the file by which a brick was claimed; another process finds the finished brick."""
         (self.directory / f".claim-{name}").unlink(missing_ok=True)
 
     def tidy(self) -> None:
-        """Remove what builders leave who are killed, or come too late, of what is there meanwhile."""
+        """Remove the files that killed or late builders leave, of bricks that exist meanwhile."""
         for file in self.directory.glob(".writing-*"):
             if (self.directory / file.name.split("-", 2)[-1]).exists():
                 file.unlink(missing_ok=True)
@@ -380,7 +380,7 @@ _claims = set[int]()  # files by which this process holds what it computes
 
 
 def _let_go() -> None:
-    """A worker that is forked holds none of them: it may outlive its builder."""
+    """Release inherited locks in a forked worker, which may outlive its builder."""
     for handle in _claims:
         os.close(handle)
     _claims.clear()
@@ -396,18 +396,18 @@ def digest_of(said: Any) -> str:
 
 
 def end_line(survey: Mapping[str, Any], bricks: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """The line by which a builder says that these are all lines of bricks: of one that is lost nothing else tells."""
+    """Return the line by which a builder states that these are all bricks, so that a lost line shows."""
     return {"kind": "end", "survey": survey["digest"], "bricks": len({line["name"] for line in bricks})}
 
 
 def sealed(header: Mapping[str, Any]) -> dict[str, Any]:
-    """A header with the checksum of all else in it."""
+    """Return a header with the checksum of its content."""
     said = {name: value for name, value in header.items() if name != CHECKSUM}
     return {**said, CHECKSUM: digest_of(said)}
 
 
 def seal_of(header: Mapping[str, Any]) -> str:
-    """The checksum that a header will have."""
+    """Return the checksum that a header will have."""
     return _whole(header)[CHECKSUM]
 
 
@@ -416,7 +416,7 @@ def _whole(header: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def clear(directory: Path) -> None:
-    """Remove the files of an atlas, and nothing else."""
+    """Remove the files of an atlas, and no others."""
     with contextlib.suppress(FileNotFoundError):
         for file in list(directory.iterdir()):
             if ours(file.name):

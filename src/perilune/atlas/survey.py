@@ -1,9 +1,9 @@
-"""The survey before the map: which sheets there are, and an extremal of each at every corner of a brick.
+"""Survey before the map: all sheets, with an extremal of each at every corner of a brick.
 
-The problem is solved from nothing at the middle and at the corners of the region. Each extremal that is found there,
-good or bad, begins a sheet, unless it lies on one already; sheets are carried to all corners of bricks by the tangent
-plane and Newton's method, in lanes, the step halved where that fails, and on from those that were reached to others.
-Where such a walk ends it is followed around the fold at which it does, to the sheet on the other side.
+The problem is solved without a guess at the middle and at the corners of the region. Each extremal found there, best or
+not, begins a sheet, unless it lies on a known one; sheets are continued to all corners of bricks by the tangent plane
+and Newton's method, in lanes, halving steps that fail, and from corners that were reached on to others. Where such a
+continuation ends at a fold it is followed around the fold to the sheet on the other side.
 """
 
 from __future__ import annotations
@@ -45,20 +45,20 @@ _AGAIN, _ROUNDING = 16, 1e-13  # extremals beside one, and how far, relative, th
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """One chart of the region with its sheets, and where they reach.
+    """Chart of the region with its sheets, and the corners that they reach.
 
     Attributes
     ----------
     sheets
-        In the order in which they were found.
+        Sheets in the order in which they were found.
     y
         Unknowns of each at the corners of bricks, NaN where it does not reach, (sheets, corners, n).
     times
-        How finely they are flown again (`perilune.atlas.reflight.Reflights`).
+        Multiples of steps in their second flights (`perilune.atlas.reflight.Reflights`).
     widths
-        Of `Chart` [SI].
+        Widths of the `Chart` [SI].
     small
-        Extremals of those that reach no corner.
+        Extremals of sheets that reach no corner.
     """
 
     chart: Chart
@@ -72,7 +72,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Inside:
-    """An extremal inside a brick: its sheet, the brick and the place in its lattice, the values there and unknowns."""
+    """Extremal inside a brick: its sheet, the brick and place in its lattice, parameters there, and unknowns."""
 
     sheet: int
     brick: tuple[int, ...]
@@ -83,7 +83,7 @@ class Inside:
 
 @dataclass
 class Survey:
-    """Finds the sheets of a region.
+    """Search for the sheets of a region.
 
     Parameters
     ----------
@@ -108,12 +108,12 @@ class Survey:
     notes: list[str] = field(default_factory=list)
 
     def run(self) -> list[Found]:
-        """All sheets, by charts.
+        """Find all sheets, by charts.
 
         Raises
         ------
         PeriluneError
-            If no point that was tried has an extremal that can be followed.
+            If no point has an extremal that can be followed.
         """
         solving = Solving(self.problem, self.region, self.method, self.watch, self._widths, self.notes)
         solved, (_, corners) = solving.run(), self.region.corners()
@@ -131,7 +131,7 @@ class Survey:
         return self.region.high - self.region.low if self.widths is None else self.widths
 
     def _found(self, course: Course, solved: Sequence[Solved], corners: Matrix) -> Found:
-        """The sheets of one chart."""
+        """Find the sheets of one chart."""
         chart = Chart(self.problem, self.region.names, self._widths, course)
         empty = np.empty((0, len(corners), len(chart.places)))
         found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=self._widths)
@@ -151,7 +151,7 @@ class Survey:
         return replace(found, times=Reflights(chart).fine_enough(y, chart.p[None]))
 
     def _with(self, known: Found, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> Found:
-        """The same with the sheets on which extremals at a point lie, and those behind the folds of these."""
+        """Add the sheets on which extremals at a point lie, and those behind the folds of these."""
         chart, borders, left = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
         for extremal in extremals:
             if extremal.unknowns and len(extremal.unknowns) != len(chart.own.unknowns):
@@ -166,7 +166,7 @@ class Survey:
         return self._with_these(known, corners, left)
 
     def _begun(self, known: Found, solved: Sequence[Solved]) -> Iterator[tuple[Vector, Vector, Sheet]]:
-        """Minima of J along parameters between bounds, all over the region, from the answers with what a chart has."""
+        """Yield minima of J along parameters between bounds, all over the region, from answers with a chart's arcs."""
         chart, borders, names = known.chart, known.borders, scanned_names(self.problem, self.region)
         begins = [
             (point.values, chart.told(np.array(extremal.unknowns)))
@@ -182,7 +182,7 @@ class Survey:
             yield from wells_around(chart, borders, names, points / chart.scale, values[near] / chart.scale, y[near])
 
     def _with_wells(self, known: Found, corners: Matrix) -> Found:
-        """The same with the sheets in other wells of J along parameters between bounds."""
+        """Add the sheets of other minima of J along parameters between bounds."""
         number = 0
         while number < len(known.sheets):
             reached = np.nonzero(np.isfinite(known.y[number, :, 0]))[0]
@@ -194,7 +194,7 @@ class Survey:
         return known
 
     def _with_these(self, known: Found, corners: Matrix, left: list[tuple[Vector, Vector, Sheet]]) -> Found:
-        """The same with the sheets on which extremals lie, canonical, and those behind the folds of these."""
+        """Add the sheets on which extremals, canonical, lie, and those behind the folds of these."""
         chart, borders, around = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
         while left or around:
             behind_a_fold = not left
@@ -240,7 +240,7 @@ class Survey:
             self.notes.append(said)
 
     def _with_small(self, known: Found, sheet: Sheet, values: Vector, y: Vector) -> Found:
-        """The same with a sheet that reaches no corner, from the nearest place in the lattice of its brick."""
+        """Add a sheet that reaches no corner, by an extremal at the nearest place in the lattice of its brick."""
         if not sheet.minimum:
             return known
         chart, at = known.chart, values * known.chart.scale
@@ -261,7 +261,7 @@ class Survey:
     def _carried(
         self, chart: Chart, borders: Borders, sheet: Sheet, corners: Matrix, values: Vector, y: Vector
     ) -> tuple[Matrix, list[tuple[Vector, Vector, Sheet]]]:
-        """A sheet at all corners of bricks, NaN where it does not reach, and extremals behind the folds on the way."""
+        """Continue a sheet to all corners of bricks, NaN where it ends; also return extremals behind its folds."""
         targets, (places, _) = corners / chart.scale, self.region.corners()
         here, share = walked(chart, borders, [sheet], *from_one(values, y, targets))
         ended = np.nonzero(share < 1.0)[0]
@@ -279,7 +279,7 @@ class Survey:
 
     @staticmethod
     def _known(known: Found, sheet: Sheet, corners: Matrix, values: Vector, y: Vector) -> int | None:
-        """On which sheet an extremal lies: from the nearest corners that one reaches it is carried there."""
+        """Return the sheet on which an extremal lies, by continuation from nearest corners; None for a new one."""
         away = np.abs(corners - values).sum(axis=1)
         for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
             if not other.alike(sheet):
@@ -300,8 +300,8 @@ def _courses(
 ) -> Iterator[tuple[Course, list[Solved]]]:
     """Yield each course, and the answers that go through it.
 
-    A control that keeps a condition flies as one that does not wherever that is not in its way, so that what some keep
-    all do, of other arcs too.
+    A control that keeps a condition equals one that does not wherever the condition is inactive, so that conditions
+    that some answers keep are kept in all courses.
     """
     every = dict.fromkeys(name for one in solved for name in one.course.keep)
     for text in dict.fromkeys(one.course.text for one in sorted(solved, key=lambda one: bool(one.course.text))):
@@ -343,7 +343,7 @@ def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
 
 
 def _offered(known: Found, number: int, sheet: Sheet) -> Found:
-    """The same, where one of its sheets is found to be a minimum of which that was not known."""
+    """Return the chart with one of its sheets marked as a minimum, if that was not known."""
     if known.sheets[number].minimum or not sheet.minimum or sheet.nature is Nature.UNPROVED:
         return known
     sheets = list(known.sheets)
@@ -352,10 +352,10 @@ def _offered(known: Found, number: int, sheet: Sheet) -> Found:
 
 
 def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
-    """The same with a sheet at corners, (corners, n).
+    """Return the chart with a sheet at corners, (corners, n), added.
 
-    With one extremal in common it is one that is known. Where it has others than that all the same, around a cusp, they
-    are kept as those of another.
+    With one extremal in common it is a known sheet. If it differs from that elsewhere, as around a cusp, the others are
+    kept as those of another sheet.
     """
     for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
         if other.alike(sheet):
@@ -369,7 +369,7 @@ def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
 
 
 def _with_promised(known: Found, corners: Matrix) -> Found:
-    """The same with the sheets that go on where those that there are cross bounds; bricks say whether there are any."""
+    """Add the sheets that would continue known ones across bounds; bricks find if there are any."""
     sheets, small = list(known.sheets), {one.sheet: (one.values, one.y) for one in known.small}
     for number, (sheet, y) in enumerate(zip(known.sheets, known.y, strict=True)):
         first = int(np.isfinite(y[:, 0]).argmax())
@@ -389,7 +389,7 @@ def said_of(found: Found) -> dict[str, Any]:
 
 
 def seeds(places: NDArray[np.int64], found: Found) -> NDArray[Any]:
-    """The shard of sheets at corners of bricks, and of what reaches none."""
+    """Return the shard of sheets at corners of bricks, and of sheets that reach none."""
     sheet, corner = np.nonzero(np.isfinite(found.y[:, :, 0]))
     rows = np.zeros(len(sheet) + len(found.small), dtype=seed_type(places.shape[1], found.y.shape[2]))
     first = rows[: len(sheet)]

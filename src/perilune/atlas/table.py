@@ -1,6 +1,6 @@
-"""Nodes of an atlas as a table: columns with names, units and what they mean, brick by brick, and where they come from.
+"""Nodes of an atlas as a table: columns with names, units and descriptions, brick by brick, and their provenance.
 
-What is of the user is in SI: values of the axes, free parameters, J and dJ/dp. What interpolation needs is canonical.
+Values of the axes, free parameters, J and dJ/dp are in SI; the terms of interpolation are canonical.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _OTHERS = {"objective", "chart", "sheet", "answer", "sequence", "terms", *_FLOWN
 
 
 def _own(parameter: str) -> str:
-    """Name of the column of a parameter, which may be called as another column is."""
+    """Return the name of the column of a parameter, changed if another column has it."""
     return f"parameter_{parameter}" if parameter in _OTHERS or parameter.startswith("slope_") else parameter
 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """One column.
+    """Column of the table.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Column:
 
 
 class Table:
-    """All nodes of an atlas.
+    """Table of all nodes of an atlas.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Table:
 
     @property
     def sheets(self) -> list[str]:
-        """Labels of all sheets, by their number."""
+        """Return the labels of all sheets, by their number."""
         return [label for charted in self.atlas.charted for label in charted.labels]
 
     @property
@@ -131,7 +131,7 @@ class Table:
         }
 
     def parts(self) -> Iterator[Mapping[str, NDArray[Any]]]:
-        """Columns of each brick, in the order of charts and numbers.
+        """Yield the columns of each brick, in the order of charts and numbers.
 
         Raises
         ------

@@ -1,6 +1,6 @@
-"""What there is to compute of an atlas, brick by brick, anywhere and in any order.
+"""Tasks of computing an atlas, brick by brick, anywhere and in any order.
 
-First every brick in which the survey knows a sheet; then, round by round, those into which one goes on from others.
+First every brick in which the survey has a sheet; then, round by round, those into which one continues from others.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from perilune.words.watch import Watch, silent
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One brick of one chart, as any process can compute it.
+    """Task of one brick of one chart, which any process can compute.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Task:
 
 
 def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Nodes and cells of a brick, as their shards have them."""
+    """Compute the nodes and cells of a brick, as their shards have them."""
     chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
     low, high = task.low / chart.scale, task.high / chart.scale
     before = None if task.before is None or not len(task.before[0]) else _cut_of(*task.before, len(task.sheets))
@@ -105,7 +105,7 @@ def _cut_of(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> Cut:
 
 
 def prepared(problem: Problem, names: tuple[str, ...], widths: Vector) -> None:
-    """Derive and compile what most bricks fly by, before there are any."""
+    """Derive and compile the functions that most bricks need, in advance."""
     Chart(problem, names, widths)
 
 
@@ -120,7 +120,7 @@ def _tools(
 def first_tasks(
     kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float
 ) -> Iterator[tuple[Key, Task]]:
-    """Every brick in which a sheet is known, by chart and numbers."""
+    """Yield every brick in which a sheet is known, by chart and numbers."""
     d = len(region.axes)
     for number, chart in enumerate(survey["charts"]):
         known = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
@@ -141,7 +141,7 @@ def first_tasks(
 def tasks_going_on(
     kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float, rounds: int
 ) -> Iterator[tuple[Key, Task]]:
-    """Every brick into which sheets go on from its neighbours, as they were after so many rounds."""
+    """Yield every brick into which sheets continue from its neighbours, as these were after so many rounds."""
     d, charts = len(region.axes), survey["charts"]
     lines = kept.latest(survey, d, rounds)
 

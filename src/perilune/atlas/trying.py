@@ -1,8 +1,8 @@
-"""Whether cells answer: what they give at their middle, and around it where they are large, beside what is there.
+"""Acceptance test of cells: their interpolation against extremals at their middle, and around it in large cells.
 
-At the middle alone a large cell would not be told of what comes and goes between there and its corners, such as a
-price that rises in a window of the parameters. What is tried beside the middle is at quarters along each axis that is
-long, so that the halves of a cell that is cut for it try the same points, until they are corners.
+A test at the middle only would miss what comes and goes between there and the corners of a large cell, such as a price
+that rises in a window of the parameters. Other tests are at quarters along each long axis, so that the halves of a cell
+that is cut for them test the same points, until they are corners.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def tried(
 def _at(
     lattice: Lattice, cells: Cells, share: Matrix, tolerance: float
 ) -> tuple[Matrix, NDArray[np.bool_], NDArray[np.bool_], Vector]:
-    """At places in cells: what they give, whether a step from there is enough, whether it is near, and the margin."""
+    """Test places in cells; return what cells give, masks of places where a step is enough and near, and margins."""
     values, given, holds, first = _given(lattice, cells, share)
     flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
     second = lattice.chart.at(values, np.where(flown[:, None], first.stepped, given[:, :-1]), holds)
@@ -73,7 +73,7 @@ def _at(
 
 
 def _given(lattice: Lattice, cells: Cells, share: Matrix) -> tuple[Matrix, Matrix, Holds, Extremals]:
-    """At places in cells: the parameters, what cells give of y and J, what is held, and what there is."""
+    """Return parameters, interpolated y and J, held parameters, and evaluated points at places in cells."""
     values = lattice.values(cells.low + share * cells.size)
     given = interpolated(lattice.nodes.rows("terms", cells.corners), share, cells.size * lattice.step)
     holds = lattice.borders.holds(lattice.sheets, cells.branch, values)
@@ -81,7 +81,7 @@ def _given(lattice: Lattice, cells: Cells, share: Matrix) -> tuple[Matrix, Matri
 
 
 def path_amid(lattice: Lattice, cells: Cells) -> Vector:
-    """By how much what cells give keeps the path at their middle, behind a step of Newton's method."""
+    """Return the least path condition of what cells give at their middle, after a step of Newton's method."""
     if not len(cells):
         return np.empty(0)
     chart = lattice.chart
@@ -90,7 +90,7 @@ def path_amid(lattice: Lattice, cells: Cells) -> Vector:
 
 
 def _told(lattice: Lattice, cells: Cells, share: Matrix, beyond: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """At which places what cells give is near an extremal and its J, or lies beyond a bound where that is expected."""
+    """Return True at places where what cells give is near an extremal and its J, or beyond a bound as expected."""
     _, given, _, here = _given(lattice, cells, share)
     margin = lattice.borders.margins_of(lattice.sheets, cells.branch, here)
     return np.where(beyond, margin < 0.0, _alike(here.length, here.cost, given[:, -1]))
@@ -115,6 +115,6 @@ def _around(cells: Cells, which: NDArray[np.bool_]) -> tuple[Whole, Matrix]:
 
 @lru_cache(maxsize=32)
 def _quarters(long: tuple[bool, ...]) -> Matrix:
-    """All places at quarters along the long axes, but the middle."""
+    """Return all places at quarters along the long axes, but the middle."""
     grid = np.array(list(product(*((0.25, 0.5, 0.75) if axis else (0.5,) for axis in long))))
     return grid[(grid != 0.5).any(axis=1)]

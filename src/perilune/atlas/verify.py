@@ -1,6 +1,6 @@
-"""Proving an atlas again: every shard by its checksum, and a random sample of its nodes to level 3.
+"""Verification of an atlas: every shard by its checksum, and a random sample of its nodes to level 3.
 
-What a draw says of the rest: `perilune.atlas.sampling`.
+See `perilune.atlas.sampling` for what a sample shows of the rest.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Verified:
 
 
 def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, watch: Watch = silent) -> Verified:
-    """Look at every shard, and prove some of the nodes.
+    """Check every shard, and prove some of the nodes.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Following extremals: along straight lines of parameters, and one sheet from corner to corner of bricks.
+"""Continuation of extremals: along straight lines of parameters, and of one sheet from corner to corner of bricks.
 
-Each walk goes by the tangent plane and Newton's method, in lanes; its step is halved where that fails.
+Each step goes along the tangent plane and is corrected by Newton's method, in lanes; a step that fails is halved.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _APART, _NEAR = 0.5, 0.02  # how far a root may lie from the tangent plane: of t
 
 
 class Walk:
-    """Extremals on straight ways, in lanes, each where it has come to.
+    """Extremals continued along straight lines, in lanes, each at its present place.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Walk:
             self._put(lanes, places[lanes], found)
 
     def go(self, lanes: Lanes, targets: Matrix, shortest: float = _SHORTEST) -> Vector:
-        """Lead some lanes to other places, (lanes, d + k); which share of its way each goes, by `shortest` at least."""
+        """Lead some lanes to other places, (lanes, d + k), in steps of at least `shortest`; return their shares."""
         starts = self._places[lanes]
         way, share, stride = targets - starts, np.zeros(len(lanes)), np.where(self.good[lanes], 1.0, 0.0)
         for _ in range(_ROUNDS):
@@ -114,7 +114,7 @@ class Walk:
     def along(
         self, targets: Matrix, steps: int, shortest: float
     ) -> tuple[NDArray[np.float64], Matrix, NDArray[np.float64]]:
-        """Lead all lanes to other places; `y`, `cost` and `rises` at as many steps, NaN from where a lane is lost."""
+        """Lead all lanes to other places; return `y`, `cost` and `rises` at all steps, NaN once a lane is lost."""
         places, lanes = straight(self._places, targets, steps), np.nonzero(self.good)[0]
         seen = [np.full((len(rows), steps + 1, *rows.shape[1:]), np.nan) for rows in (self.y, self.cost, self.rises)]
         for number in range(steps + 1):
@@ -143,7 +143,7 @@ class Walk:
         return replace(found, converged=found.converged | will_do)
 
     def _slopes(self, found: Extremals) -> NDArray[np.float64]:
-        """Derivatives of unknowns by places, (lanes, d + k, n)."""
+        """Return derivatives of unknowns by places, (lanes, d + k, n)."""
         if not self._at:
             return found.slopes
         columns, plan = found.roots.plan.columns, self._chart.shooting.plan
@@ -159,7 +159,7 @@ class Walk:
 
 
 def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix) -> Matrix:
-    """Unknowns of a sheet at other values of the parameters, (targets, n); NaN where it does not lead to."""
+    """Continue a sheet to other values of the parameters; return unknowns, (targets, n), NaN where it does not lead."""
     here, share = walked(chart, borders, [sheet], *from_one(start, y, targets))
     here[share < 1.0] = np.nan
     return here
@@ -206,13 +206,13 @@ def walked(
 
 
 def straight(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]:
-    """Places on straight ways, (lanes, steps + 1, k)."""
+    """Return places on straight lines, (lanes, steps + 1, k)."""
     share = np.linspace(0.0, 1.0, steps + 1)[None, :, None]
     return starts[:, None] + share * (ends - starts)[:, None]
 
 
 def from_one(start: Vector, y: Vector, targets: Matrix) -> tuple[NDArray[np.int64], Matrix, Matrix, Matrix]:
-    """`which`, `starts`, `y` and `targets` of walks that begin at one extremal of one sheet."""
+    """Return `which`, `starts`, `y` and `targets` of `walked` from one extremal of one sheet."""
     count = len(targets)
     return np.zeros(count, dtype=np.int64), np.tile(start, (count, 1)), np.tile(y, (count, 1)), targets
 
@@ -225,9 +225,10 @@ def reached_at(places: NDArray[np.int64], y: Matrix) -> Corners:
 def carried_on(
     chart: Chart, borders: Borders, sheet: Sheet, places: NDArray[np.int64], values: Matrix, known: Corners
 ) -> Corners:
-    """A sheet at corners to which it was not carried yet, from corner to neighbouring corner.
+    """Continue a sheet to further corners, from corner to neighbouring corner.
 
-    On from where it can be an answer alone: beyond its border it may turn back, and come to the same place with others.
+    It continues only from corners at which it can be an answer: beyond its border it may turn back, and come to the
+    same place with other extremals.
     """
     reached, canonical = dict(known), values / chart.scale
     numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}

@@ -26,7 +26,7 @@ _NOTHING = 1e-12  # of 1 + |J|: a slope that is none
 def other_wells(
     chart: Chart, borders: Borders, sheet: Sheet, values: Matrix, y: Matrix, among: Collection[str] | None = None
 ) -> Iterator[tuple[Vector, Vector, Sheet]]:
-    """Minima of J along families through extremals of a sheet.
+    """Yield minima of J along families through extremals of a sheet.
 
     Parameters
     ----------
@@ -63,9 +63,10 @@ def other_wells(
 def wells_around(
     chart: Chart, borders: Borders, names: Collection[str], points: Matrix, values: Matrix, y: Matrix
 ) -> Iterator[tuple[Vector, Vector, Sheet]]:
-    """Minima at points (lanes, d) along what `names` tells, of families on which extremals lie that are elsewhere.
+    """Yield minima at points (lanes, d) along the parameters `names`, of families through extremals at other points.
 
-    They are carried there with all of that held, so that no well need be there: `values` and `y` are theirs.
+    The extremals, at `values` with unknowns `y`, are continued there with these parameters held, so that none of them
+    need be a minimum there.
     """
     at = [borders.names.index(name) for name in names if name in borders.names]
     held = chart.shooting.plan.held
@@ -84,7 +85,7 @@ def wells_around(
 
 
 class _Family:
-    """Extremals in which one parameter is held, in lanes."""
+    """Extremals with one parameter held, in lanes."""
 
     def __init__(self, chart: Chart, k: int, values: Matrix, holds: Holds) -> None:
         self._chart, self._k, self._values, self._holds = chart, k, values, holds
