@@ -13,6 +13,7 @@ from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start
 from meditch import FINAL_TIME, PARAMETERS as MEDITCH, START, SWITCH, modes_and_switch
 
 from perilune.kernels import ArcStatus, BoundArcs, Engine, Request, compile_arcs, compile_map
+from perilune.kernels.code import native
 from perilune.words.outcome import PeriluneError
 
 
@@ -181,3 +182,17 @@ def test_wrong_arguments_of_an_evaluation_are_named(backend: str) -> None:
     for arguments in ((start(),), (start(), PARAMETERS[None, :1]), (start(), PARAMETERS)):
         with pytest.raises(PeriluneError, match="fixed lengths"):
             evaluate(*arguments)
+
+
+@pytest.mark.skipif(not native.available(), reason="machine code")
+def test_a_map_may_be_larger_than_a_stack() -> None:
+    """Four lanes of 700 unknowns and their Jacobian are 16 MB."""
+    x = ca.SX.sym("x", 700 * 700)
+    points = np.random.default_rng(1).normal(size=(3, x.shape[0]))
+    bound = compile_map(ca.Function("large", [x], [x[5] * x[-1], x[-2], 0.0]), backend="native").bind(points)
+    for _ in range(2):
+        bound()
+        np.testing.assert_array_equal(bound.outputs[0][:, 0], points[:, 5] * points[:, -1])
+        np.testing.assert_array_equal(bound.outputs[1][:, 0], points[:, -2])
+        assert not bound.outputs[2].any()
+        points[:] *= 2.0

@@ -159,14 +159,19 @@ def _evaluation(kernel: _Kernel, bound: BoundMap) -> Callable[[], Any]:
         place = native.address(a) if a.flags.c_contiguous else a.ctypes.data
         entries += [place, a.strides[0] // a.itemsize if len(a) == bound.lanes else 0, a.shape[1]]
     call, table, groups = _rows_of_groups(), native.table(entries), -(-bound.lanes // _WIDTH)
-    table.of = kernel  # which lives as long as what points to it: of two threads that compile the same one is let go
     most = bound.lanes // _LANES_PER_THREAD
-    if most <= 1 or (threads := min(os.cpu_count() or 1, most)) == 1:
-        return partial(call, 0, groups, table)
-    share = -(-groups // threads)
+    threads = min(os.cpu_count() or 1, most) if most > 1 else 1
+    share = max(-(-groups // threads), 1)
+    # What each share computes with, as no stack holds a large Jacobian; zeros stay where the function has them.
+    rooms = {first: np.zeros(_WIDTH * (sum(sizes) + 1)) for first in range(0, max(groups, 1), share)}
+    aligned = 8 * _WIDTH
+    begins = {first: -(-native.address(room) // aligned) * aligned for first, room in rooms.items()}
+    table.of = kernel, rooms  # which live as long as what points to them; of two kernels made at once one is let go
+    if threads == 1:
+        return partial(call, 0, groups, table, begins[0])
 
     def evaluate() -> None:
-        spread(lambda first: call(first, min(first + share, groups), table), list(range(0, groups, share)), threads)
+        spread(lambda first: call(first, min(first + share, groups), table, begins[first]), list(begins), threads)
 
     return evaluate
 
@@ -209,10 +214,10 @@ def _module(function: Any) -> str:
 
 @cache
 def _rows_of_groups() -> Callable[..., None]:
-    """Return ``map(first group, last group, table)``, one for all kernels: their own would be most of their code."""
+    """Return ``map(first group, last group, table, room)``, one for all: their own would be most of their code."""
     name = disk.key("map", f"{_WIDTH}", *native.processor(), *native.versions())
     code = native.MachineCode(disk.fetch(name, lambda: native.compile_ir(_mapping()), enabled=True))
-    return code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
+    return code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)
 
 
 def _mapping() -> str:
@@ -220,9 +225,8 @@ def _mapping() -> str:
     w, table = Writer(_WIDTH), Ptr("%table", INT)
     times, lanes, count_in, count_out, size_in, size_out = (w.load(table, k) for k in range(1, _TABLE))
     kernel = w.address(table, 0, w.vector)
-    inputs, results = w.several(w.vector, size_in), w.several(w.vector, size_out)
-    with w.loop(0, size_out) as entry:  # once: no group writes where the function has zeros
-        w.store(w.const(0.0), results, entry)
+    inputs = Ptr("%room", w.vector)
+    results = w.at(inputs, size_in)
     place = w.allocate(INT, 1)
 
     def carried(name: str, first: Index, count: Int, held: Ptr[Vec], base: Int) -> None:
@@ -243,7 +247,7 @@ def _mapping() -> str:
                 w.store(w.load(results, entry), inputs, entry)
             w.run(f"call void {kernel}(ptr {inputs}, ptr {results})")
         carried("scatter", w.integer("add", w.integer("mul", count_in, 3), _TABLE), count_out, results, base)
-    mapping = f"define void @map(i64 %first, i64 %last, ptr %table) nounwind {{\n{w.body()}\n  ret void\n}}\n"
+    mapping = f"define void @map(i64 %first, i64 %last, ptr %table, ptr %room) nounwind {{\n{w.body()}\n  ret void\n}}\n"
     return "\n".join([_rows("gather"), _rows("scatter"), mapping])
 
 
