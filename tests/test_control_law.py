@@ -162,3 +162,61 @@ def test_on_either_side_of_a_kink_a_control_passes_through_the_same_regimes() ->
     within = {(side + a, side + b) for side in (0, 3) for a, b in ((0, 1), (1, 0), (1, 2), (2, 1))}
     across = {way for k in range(3) for way in ((k, k + 3), (k + 3, k))}
     assert len(ways) == len(set(ways)) and set(ways) == within | across
+
+
+def across_a_current(lower: float, upper: float, unit: str) -> tuple[pl.Problem, float, float]:
+    """Zermelo's boat in a current -y to the origin, from where theta goes from 105 to 240 deg; theta(0) and T.
+
+    Bryson, Ho 1975, section 2.7: tan theta = tan theta(0) + t, y = sec theta - sec theta(T).
+    """
+    first, last = math.radians(105.0), math.radians(240.0)
+
+    def way(a: float) -> float:
+        """Antiderivative of dx/dtheta = sec - sec^3 + sec theta(T) sec^2."""
+        sec, tan = 1 / math.cos(a), math.tan(a)
+        return 0.5 * math.log(abs(sec + tan)) - 0.5 * sec * tan + tan / math.cos(last)
+
+    phase = pl.Phase(
+        name="cross",
+        states=variables(x="m", y="m"),
+        controls=(pl.Bounded(name="theta", unit=unit, lower=lower, upper=upper),),
+        dynamics=lambda x, u, p, m: (p.V * m.cos(u.theta) - p.k * x.y, p.V * m.sin(u.theta)),
+        duration="T",
+        end=lambda x, p, m: (x.x, x.y),
+        end_conditions=variables(there="m", across="m"),
+    )
+    x0, y0 = way(first) - way(last), 1 / math.cos(first) - 1 / math.cos(last)
+    problem = pl.Problem(
+        name="zermelo",
+        phases=(phase,),
+        start=lambda p, m: (p.x0, p.y0),
+        given=given(V=(1.0, "m/s"), k=(1.0, "1/s"), x0=(x0, "m"), y0=(y0, "m")),
+        free=(pl.Free(name="T", unit="s", lower=1.0, upper=20.0, typical=5.0),),
+        objective=lambda x, p, m: p.T,
+        objective_unit="s",
+        scales=pl.Scales(length=1.0, time=1.0, mass=1.0),
+    )
+    return problem, first, math.tan(last) - math.tan(first)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "unit", "method"),
+    [
+        (-math.inf, math.inf, "rad", pl.Indirect()),
+        (-math.inf, math.inf, "1", pl.Pseudospectral()),
+        (-9.0, 9.0, "rad", pl.Indirect()),
+        (-9.0, 1.0, "1", pl.Indirect()),
+        (7.0, math.inf, "rad", pl.Indirect()),
+    ],
+)
+def test_an_angle_goes_on_past_half_a_turn(lower: float, upper: float, unit: str, method: Any) -> None:
+    """Minima of H a turn apart are one: the angle does not hop between them, and stays within its bounds."""
+    problem, first, T = across_a_current(lower, upper, unit)
+    solution = pl.solve(problem, method)
+    assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 3)
+    assert solution.objective == pytest.approx(T, abs=1e-9)
+    theta, time = solution.trajectories[0].control.values[:, 0], solution.trajectories[0].control.time
+    turn = 2 * math.pi * round((theta[0] - first) / (2 * math.pi))
+    truth = np.unwrap(np.arctan2(np.tan(first) + time, 1.0) + math.pi) + turn
+    np.testing.assert_allclose(theta, truth, atol=1e-7)
+    assert lower <= theta.min() and theta.max() <= upper

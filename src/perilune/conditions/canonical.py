@@ -68,6 +68,8 @@ class PhaseExtremal:
         Number of x's own components; z has 2 (state_count + constants) components.
     constants
         Indices of the free parameters that were made constant states.
+    periodic
+        Places of controls that are angles: a mode tells them within one turn.
     settles
         Whether nothing steers the phase, and it forgets how it began, as a fall through air does: then its costates
         grow from start to end without bound, and are what its end makes of them, lambda(0) = (dx(T)/dx(0))^T lambda(T).
@@ -84,6 +86,7 @@ class PhaseExtremal:
     mode: ca.Function
     state_count: int
     constants: tuple[int, ...]
+    periodic: tuple[int, ...]
     settles: bool
 
     @property
@@ -248,6 +251,7 @@ def canonical_equations(
         mode=function("mode", _mode(dynamics, laws, flows, z)),
         state_count=n,
         constants=constants,
+        periodic=tuple(sorted({at for law in laws for at in law.periodic})),
     )
 
 

@@ -28,7 +28,18 @@ import numpy as np
 from perilune.conditions.directions import directions_eliminated
 from perilune.conditions.held import Held, demand_held, together, turns
 from perilune.conditions.riding import riding_control
-from perilune.conditions.scalars import FREE, INSIDE, Bend, Scalar, Terms, combinations, keeps, least_between, no_law
+from perilune.conditions.scalars import (
+    FREE,
+    INSIDE,
+    Bend,
+    Scalar,
+    Terms,
+    combinations,
+    is_periodic,
+    keeps,
+    least_between,
+    no_law,
+)
 from perilune.conditions.singular import Motion, singular_control
 from perilune.conditions.transitions import Mode, Transition, Ways
 from perilune.problem.controls import Regime, scalars
@@ -59,6 +70,8 @@ class ControlLaw:
         What leads from mode to mode.
     mode
         Number of the mode in which H is least.
+    periodic
+        Places of angles, of which each mode tells one turn alone.
     """
 
     regimes: tuple[tuple[Regime, ...], ...]
@@ -68,6 +81,7 @@ class ControlLaw:
     solved: tuple[tuple[ca.SX, ca.SX, ca.SX] | None, ...]
     transitions: tuple[Transition, ...]
     mode: ca.SX
+    periodic: tuple[int, ...]
 
 
 def minimising_control(
@@ -106,6 +120,8 @@ def minimising_control(
     """
     for name, condition in always.items():
         demand_held(phase, name, condition, u)
+    everything = ca.vertcat(hamiltonian, *kept.values(), *always.values())
+    periodic = tuple(at for at, control in scalars(phase.controls) if is_periodic(control, u[at], everything))
     none, modes, solved = ca.SX(0, 1), list[Mode](), list[tuple[ca.SX, ca.SX, ca.SX] | None]()
     rooms, values = list[ca.SX](), list[ca.SX]()
     for held in together(phase, u, kept):
@@ -115,7 +131,8 @@ def minimising_control(
         reduced, law, room = directions_eliminated(phase, hamiltonian, u, limits, turning)
         kinds = [
             Scalar(phase, at, control, reduced, u, limits[control.name],
-                   acts=any(ca.depends_on(c, u[at]) for c in own.values()), positive=terms.positive)
+                   acts=any(ca.depends_on(c, u[at]) for c in own.values()), positive=terms.positive,
+                       periodic=at in periodic)
             for at, control in scalars(phase.controls)
         ]  # fmt: skip
         for regimes in combinations(kinds, [*own.values()]):
@@ -138,6 +155,7 @@ def minimising_control(
         solved=tuple(solved),
         transitions=tuple(Ways(phase=phase, u=u, modes=modes, kept=kept, size=terms.size).transitions()),
         mode=_least(values),
+        periodic=periodic,
     )
 
 
@@ -198,6 +216,8 @@ def _value(hamiltonian: ca.SX, u: ca.SX, mode: Mode, others: Sequence[ca.SX], si
                 value = ca.if_else(bend.none, np.inf, value)
                 for there in bend.there.values():
                     value = ca.if_else(there, value, np.inf)
+        elif kind.periodic:
+            value = ca.if_else(kind.wide, np.inf, value)
     if mode.own:
         told = [kind.symbol for kind, regime in zip(mode.kinds, mode.regimes, strict=True) if regime == "held"]
         kept = keeps(ca.vertcat(*told), ca.vertcat(*mode.own.values()), u, mode.control)

@@ -33,6 +33,8 @@ _BETWEEN_BOUNDS = (0.21, 0.5, 0.83)  # of a range: where it is seen how H bends
 _ROUNDED_BEND = 1e-9  # of the terms of H: what bends it by less does not bend it
 _STATIONARY = 1e-6  # of the terms of H: its slope over the range, where Newton's method has found a minimum
 _APART = 1e-3  # of its range: a minimum so near to a bound comes to it without a jump
+_WIDE = 2 * np.pi * (1 + 1e-6)  # a range of more has room for each direction between its bounds
+_DRAWS = 5  # points at which an expression is compared with itself a turn later
 _MET = 1e-6  # canonical: a control so near to a held condition holds it, and Newton's method has found it
 
 # A minimum of H between the bounds; where H is quartic it may have two, the low one with d3H/du3 < 0.
@@ -74,13 +76,18 @@ class Scalar:
         one of several, and the control may jump between it and a bound.
     quartic
         Whether it may then have two minima between its bounds: it is a polynomial of the fourth degree.
+    periodic
+        Whether it is an angle: a whole turn changes nothing.
+    wide
+        Whether it is one with room for more than a turn, so that no bound is met.
     """
 
     def __init__(
         self, phase: Phase, at: int, control: Bounded, H: ca.SX, u: ca.SX, limits: tuple[ca.SX, ca.SX],
-        *, acts: bool, positive: ca.SX = _NO_COSTATES,
+        *, acts: bool, positive: ca.SX = _NO_COSTATES, periodic: bool = False,
     ) -> None:  # fmt: skip
-        self.at, self.control, self.limits, self.symbol = at, control, limits, u[at]
+        self.at, self.control, self.limits, self.symbol, self.periodic = at, control, limits, u[at], periodic
+        self.wide = limits[1] - limits[0] > _WIDE if periodic else ca.SX(0.0)
         self.slope = ca.gradient(H, u[at])
         self.linear = not ca.depends_on(self.slope, u[at])
         bend = ca.gradient(self.slope, u[at])
@@ -112,11 +119,33 @@ class Scalar:
     def grid(self, count: int) -> list[ca.SX]:
         """Return values over its range, canonical."""
         lower, upper = self.limits
+        if self.periodic:
+            middle, half = self._middle_turn()
+            return [middle + share * half for share in np.linspace(-1.0, 1.0, count)]
         if self.control.bounded:
             return [lower + share * (upper - lower) for share in np.linspace(0.0, 1.0, count)]
-        if self.control.unit == "rad":
-            return [ca.SX(value) for value in np.linspace(-np.pi, np.pi, count)]
         return [ca.SX(value) for value in np.sinh(np.linspace(-_WIDEST, _WIDEST, count))]
+
+    def _middle_turn(self) -> tuple[ca.SX, ca.SX]:
+        """Return the middle of the range of an angle, or 0, and half of what is there of a turn."""
+        lower, upper = self.limits
+        if self.control.bounded:
+            return 0.5 * (lower + upper), ca.fmin(0.5 * (upper - lower), np.pi)
+        return ca.fmin(ca.fmax(lower + np.pi, 0.0), upper - np.pi), ca.SX(np.pi)
+
+
+def is_periodic(control: Bounded, u: ca.SX, expressions: ca.SX) -> bool:
+    """Return True if none of the expressions of a scalar u tells a whole turn."""
+    if isinstance(control, Settled) or control.unit not in ("1", "rad") or not ca.depends_on(expressions, u):
+        return False
+    symbols = ca.symvar(expressions)
+    whole = ca.Function("whole", symbols, [expressions, ca.substitute(expressions, u, u + 2 * np.pi)])
+    draw = np.random.default_rng(1)
+    for _ in range(_DRAWS):
+        here, turned = (e.full() for e in whole(*draw.uniform(0.2, 2.0, len(symbols))))
+        if not np.allclose(here, turned, rtol=1e-9, atol=1e-9):  # which NaN is not either
+            return False
+    return True
 
 
 def _never_negative(bend: ca.SX, u: ca.SX) -> bool:
@@ -164,7 +193,7 @@ class Bend:
             self.none = ca.logic_and(self.none, ca.fabs(here - low - share * self.gain) <= rounding)
             self.hollow = ca.logic_or(self.hollow, here < least - rounding)
         self.values: dict[Regime, ca.SX] = {"lower": low, "upper": high}
-        self.there = dict[Regime, ca.SX]()
+        self.there, self.apart = dict[Regime, ca.SX](), ca.logic_not(kind.wide)
         self.hollow = ca.SX(0.0) if inner else self.hollow
         for regime, value in inner.items():
             flat = ca.fabs(at(value, kind.slope)) * self.span <= _STATIONARY * terms
@@ -178,7 +207,7 @@ class Bend:
 
     def drop(self, one: Regime, other: Regime) -> tuple[ca.SX, ca.SX]:
         """Return whether a jump from one minimum of H or bound to another is one, and by how much H is less there."""
-        both = ca.fabs(self.points[one] - self.points[other]) > _APART * self.span
+        both = ca.logic_and(ca.fabs(self.points[one] - self.points[other]) > _APART * self.span, self.apart)
         for regime in (one, other):
             both = ca.logic_and(both, self.there.get(regime, ca.SX(1.0)))
         return both, self.values[one] - self.values[other]

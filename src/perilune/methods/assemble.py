@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -33,7 +34,10 @@ _NOTHING = 1e-12  # of a duration: a shorter piece is none
 _GOES_ON = 1e-7  # of a control: a smaller step at a switch is none
 _CLEAR, _DECADES = 1e-6, 8  # a control that changes by less in that is told; how much longer a moment is looked at
 
+_TURNS, _TURN = 2001, 2 * math.pi  # points at which it is seen how an angle goes on
 _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
+
+Turns = Callable[[Vector, Matrix], Matrix]
 
 
 def objective_scale(problem: Problem) -> float:
@@ -198,6 +202,10 @@ def _trajectory(
     scale = np.concatenate([x_scale, objective_scale(problem) / x_scale, u_scale])
     plain = np.concatenate([_STATES * size[:n], _COSTATES * size[half : half + n], np.full(width, _CONTROLS)])
 
+    numbers, parameters = extremal_parameters(problem), problem.parameters(free)
+    ranges = [control.limits(parameters) for at, control in scalars(phase.controls) if at in extremal.periodic]
+    turns = _turns(extremal, arc, numbers, ranges)
+
     def changed(error: Matrix, rate: Matrix) -> Vector:
         """H is lam.f, and its size J over the whole flight: dH = x'.dlam - lam'.dx, as u minimises it."""
         of_state, of_costate = slice(n), slice(n, 2 * n)
@@ -205,12 +213,12 @@ def _trajectory(
         return np.abs(change) * whole / _CHANGED
 
     def told(tolerance: Vector) -> tuple[Vector, Matrix, Matrix]:
-        nodes, values, rates = _nodes(extremal, arc, tolerance, extremal_parameters(problem), changed)
+        nodes, values, rates = _nodes(extremal, arc, tolerance, numbers, changed, turns)
         return nodes, values * scale, rates * scale / problem.scales.time
 
     nodes, values, rates = told(plain)
     some = values[:: 1 + len(values) // _LOOKS]
-    leverage = _leverage(problem, phase, problem.parameters(free), (some[:, :n].T, some[:, 2 * n :].T), size[:n])
+    leverage = _leverage(problem, phase, parameters, (some[:, :n].T, some[:, 2 * n :].T), size[:n])
     finer = np.concatenate([np.ones(2 * n), leverage])
     if (finer > 1.0).any():
         nodes, values, rates = told(plain / finer)
@@ -219,9 +227,30 @@ def _trajectory(
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
 
 
+def _turns(extremal: PhaseExtremal, arc: Flown, p: Vector, ranges: Sequence[tuple[float, float]]) -> Turns:
+    """Return (t, u) -> the whole turns [rad] by which angles in u go on without a jump, where their range has room."""
+    t, ahead = np.linspace(0.0, arc.duration, _TURNS), dict[int, Vector]()
+    whole = np.unwrap(controls(extremal, arc, t, p), axis=0) if extremal.periodic else np.zeros((0, 0))
+    for place, (lower, upper) in zip(extremal.periodic, ranges, strict=True):
+        least, most = whole[:, place].min(), whole[:, place].max()  # NaN where nothing points it
+        up, down = (math.ceil(np.fmax(0.0, missing) / _TURN) for missing in (lower - least, most - upper))
+        moved = _TURN * (up - down)
+        if lower <= least + moved and most + moved <= upper:
+            ahead[place] = whole[:, place] + moved
+
+    def turns(at: Vector, u: Matrix) -> Matrix:
+        found = np.zeros(u.shape)
+        for place, values in ahead.items():
+            found[:, place] = _TURN * np.round((np.interp(at, t, values) - u[:, place]) / _TURN)
+        return found
+
+    return turns
+
+
 def _nodes(
-    extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector, changed: Callable[[Matrix, Matrix], Vector]
-) -> tuple[Vector, Matrix, Matrix]:
+    extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector, changed: Callable[[Matrix, Matrix], Vector],
+    turns: Turns,
+) -> tuple[Vector, Matrix, Matrix]:  # fmt: skip
     """Return times, and state, costate and control there with their rates, canonical; a switch stands there twice.
 
     Where a velocity is free the costate that points the thrust vanishes at the end, and rounding lets it pass through
@@ -245,7 +274,7 @@ def _nodes(
             at = np.minimum(left + t, before)  # at the switch itself the costate may have jumped
             z, decides = arc(at), arc(np.clip(at, first, last))
             rate, u, u_rate = _report(extremal, mode, z, decides, p)
-            values = np.hstack([z[:, :n], z[:, half : half + n], u])
+            values = np.hstack([z[:, :n], z[:, half : half + n], u + turns(at, u)])
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
 
         nodes, *there = hermite_nodes(evaluate, right - left, tolerance, shortest=nothing, together=changed)

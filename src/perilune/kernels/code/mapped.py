@@ -247,7 +247,9 @@ def _mapping() -> str:
                 w.store(w.load(results, entry), inputs, entry)
             w.run(f"call void {kernel}(ptr {inputs}, ptr {results})")
         carried("scatter", w.integer("add", w.integer("mul", count_in, 3), _TABLE), count_out, results, base)
-    mapping = f"define void @map(i64 %first, i64 %last, ptr %table, ptr %room) nounwind {{\n{w.body()}\n  ret void\n}}\n"
+    mapping = (
+        f"define void @map(i64 %first, i64 %last, ptr %table, ptr %room) nounwind {{\n{w.body()}\n  ret void\n}}\n"
+    )
     return "\n".join([_rows("gather"), _rows("scatter"), mapping])
 
 
