@@ -157,14 +157,21 @@ def at_most(seconds: float) -> Iterator[None]:
 
     Again each second, where that is lost.
     """
+    over = False
 
     def stop(*_: Any) -> None:
+        nonlocal over
+        over = True
         raise OutOfTime
 
     before = signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, seconds, 1.0)  # CasADi swallows what is raised while it computes
     try:
         yield
+    except KeyboardInterrupt:  # what is raised inside IPOPT comes out of it as this
+        if not over:
+            raise
+        raise OutOfTime from None
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)

@@ -11,12 +11,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from burn_coast_burn import landed_mass
+from perilune.methods.flown import ends_well
 from perilune.methods.indirect import Indirect
+from perilune.methods.search import Search
 from perilune.models.bodies import EUROPA, MERCURY, Body
 from perilune.models.burn_search import burning_once_more, burning_sooner, two_burns
 from perilune.models.descent import Ignition, Site, powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.landing_preflight import coasting_first, one_burn
+from perilune.models.one_burn import SPENDS
 from perilune.models.rough_landing import rough_landing
 from perilune.models.two_burns import Burning, TwoBurns
 from perilune.models.two_impulses import Around, around_body, fallen, two_impulses
@@ -28,6 +31,7 @@ from perilune.proof.touched import cut
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome
+from perilune.words.watch import silent
 
 MU, RADIUS, ALTITUDE, SPEED = 4902.8e9, 1737.4e3, 94e3, 1635.9
 STILL = Body(name="moon", gravitational_parameter=MU, radius=RADIUS, rotation_rate=0.0)
@@ -88,6 +92,17 @@ def test_two_impulses_bound_it(landed: Any) -> None:
     impulses, exhaust = two_impulses(around(strong()))[0], 320.0 * 9.80665
     spent = exhaust * math.log(1e4 / -landed.objective)
     assert impulses.velocity_change < spent < 1.01 * impulses.velocity_change
+
+
+def test_a_root_whose_exported_flight_misses_its_ends_is_moved_by_its_last_digits(landed: Any) -> None:
+    """Flights of Newton's method and of the export may differ by 1e-10 behind a long coast: pieces do not mend that."""
+    curves = landed.trajectories.restated.trajectories
+    of, exact = (curves.problem, curves.conditions), curves.root
+    off = replace(exact, y=exact.y * (1 + 1e-10), residual=0.0 * exact.residual)
+    assert ends_well(*of, exact) and not ends_well(*of, off)
+    moved = Search(Indirect(), curves.problem, silent)._to_last_digits(off)
+    assert ends_well(*of, moved)
+    assert np.abs(moved.y - exact.y).max() < 1e-10
 
 
 def test_a_second_variation_that_almost_vanishes_is_extrapolated(landed: Any) -> None:
@@ -300,6 +315,28 @@ def test_one_burn_that_wastes_is_warned_of(
     assert found.value == pytest.approx(impulses, abs=0.1)
     assert one_burn(p, NUMERIC) == pytest.approx(flown, rel=0.01)
     assert coasting_first(p, NUMERIC) == found.value
+
+
+@pytest.mark.parametrize(("speed", "up"), [(SPEED, 0.0), (1700.0, 0.0), (300.0, -200.0)])
+def test_a_descent_in_one_burn_is_warned_of_whatever_its_start(speed: float, up: float) -> None:
+    """From a circle and an ellipse with the impulses of another search, falling with that which stops the fall."""
+    problem = strong(speed, up, throttle=None)
+    found = next(f for f in preflight(problem) if f.name == "velocity change of impulses")
+    known = [one.velocity_change for one in two_impulses(around(problem))]
+    fallen = math.sqrt(speed**2 + up**2 + 2 * MU * (1 / RADIUS - 1 / (RADIUS + ALTITUDE)))
+    assert found.value == pytest.approx(min(known, default=fallen), rel=1e-3)
+    spent = 320.0 * 9.80665 * math.log(1e4 / -solve(problem, level=0).objective)
+    assert SPENDS * found.limit == pytest.approx(spent, rel=0.02)
+    assert not found.passed and not found.binding
+
+
+def test_an_ordinary_descent_is_not_warned_of() -> None:
+    """At two and a half times the weight, and where the engine may be off or any place will not do."""
+    problem = strong(1690.0, throttle=None)
+    weak = problem.with_given(vehicle_thrust=40e3, start_altitude=15e3)
+    assert next(f for f in preflight(weak) if f.name == "velocity change of impulses").passed
+    for other in (strong(), strong(throttle=None, target="site"), strong(throttle=None, coast=900.0)):
+        assert "velocity change of impulses" not in [f.name for f in preflight(other)]
 
 
 def test_an_ordinary_landing_is_not_warned_of() -> None:

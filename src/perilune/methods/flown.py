@@ -246,6 +246,17 @@ def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, ac
     return best, least
 
 
+def ends_well(problem: Problem, conditions: Conditions, root: Root) -> bool:
+    """Return True if a root flown in one piece leaves so little at its ends that it is exported as it is.
+
+    Parameters
+    ----------
+    problem, conditions, root
+        As for `exported`.
+    """
+    return _missed(problem, conditions, root, in_one_piece(problem, conditions, root.y)) <= _MISSED
+
+
 def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> float:
     """Return the largest residual at the ends of a flight, not counting ranges and free parameters."""
     return float(np.abs(_left(problem, conditions, root, flown)).max(initial=0.0))

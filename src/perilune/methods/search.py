@@ -20,7 +20,7 @@ from perilune.methods.answer import composed
 from perilune.methods.assemble import free_values, unknowns_from
 from perilune.methods.breaches import Breach
 from perilune.methods.coarse import Coarse, touched
-from perilune.methods.flown import may_be_cut, mended
+from perilune.methods.flown import ends_well, may_be_cut, mended
 from perilune.methods.judge import ALLOWED, Judge
 from perilune.methods.ladder import Ladder
 from perilune.methods.refusals import NOT_ISOLATED, best_misses, better_within, not_converged, refusal
@@ -392,8 +392,15 @@ class Search:
         return trials.by_pieces(guess, y, choice, segments, trials.limits)
 
     def _to_last_digits(self, root: Root) -> Root:
-        """Return the root; one of amplified rounding, whose pieces may be none, moved until its flight ends best."""
-        return root if np.abs(root.residual).max() <= TOLERANCE else self._mended(root)[0]
+        """Return the root; one of amplified rounding, whose pieces may be none, moved until its flight ends best.
+
+        So is one of several phases whose flight misses its ends: pieces leave as much again where phases meet.
+        """
+        exact = np.abs(root.residual).max() <= TOLERANCE
+        if exact and (len(self.problem.phases) == 1 or ends_well(self.problem, self.trials.conditions, root)):
+            return root
+        best, missed = self._mended(root)
+        return root if exact and missed > _ROUNDED else best
 
     def _mended(self, root: Root) -> tuple[Root, float]:
         plan = self.trials.shooting.plan

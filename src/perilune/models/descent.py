@@ -38,6 +38,7 @@ from perilune.models.limits import (
     thrust_against_weight,
     velocity_change,
 )
+from perilune.models.one_burn import one_burn_wastes
 from perilune.models.rotating import INERTIAL_AXES, dot, local_axes
 from perilune.models.rough_landing import rough_landing
 from perilune.models.vehicle import THROTTLE, Throttle, Vehicle
@@ -182,7 +183,9 @@ def _flight_time(x: Any, p: Any, m: Any) -> Any:
     return p.flight_time
 
 
-def _preflight(p: Any, m: Any, *, to_site: bool, waits: bool = False, body: Body = MOON) -> tuple[Finding, ...]:
+def _preflight(
+    p: Any, m: Any, *, to_site: bool, waits: bool = False, burns_once: bool = False, body: Body = MOON
+) -> tuple[Finding, ...]:
     """Bounds of `perilune.models.limits`, and how far the propellant reaches."""
     r_site = p.body_radius + p.site_altitude
     position, velocity = CARTESIAN.start(p, m)[:3], CARTESIAN.start(p, m)[3:6]
@@ -195,6 +198,8 @@ def _preflight(p: Any, m: Any, *, to_site: bool, waits: bool = False, body: Body
             found.append(_reach(position, velocity, r_site, p, m))
     if waits:
         found.append(late_ignition_costs(position, velocity, p, m))
+    if burns_once:
+        found.append(one_burn_wastes(position, velocity, AXIS, r_site, p, m))
     return (*found, *air_left_out(body))
 
 
@@ -359,6 +364,7 @@ def powered_descent(
     coasts = start.longest_coast is not None
     free_flight = coordinates == "cartesian" and target == "anywhere" and not coasts and steering is None
     waits = free_flight and throttle is not None and minimise == "propellant"
+    burns_once = target == "anywhere" and not coasts and throttle is None and minimise == "propellant"
     return Problem(
         name="powered_descent",
         title=f"{vehicle.mass:g} kg lander from {start.altitude / 1e3:g} km over {body.titled}",
@@ -377,6 +383,6 @@ def powered_descent(
         declared=(choices, *stated),
         switching_guesses=rough_landing if waits else None,
         ranges=_ranges,
-        preflight=partial(_preflight, to_site=target == "site", waits=waits, body=body),
+        preflight=partial(_preflight, to_site=target == "site", waits=waits, burns_once=burns_once, body=body),
         scales=_scales(start, vehicle, _at(given, _ranges)),
     )

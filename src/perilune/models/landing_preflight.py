@@ -22,11 +22,10 @@ from perilune.models.limits import (
     speed_with_fall,
     thrust_against_weight,
 )
+from perilune.models.one_burn import SPENDS, full_burn
 from perilune.problem.preflight import Finding
 
 LEAST_LANDED_SHARE = 0.1
-_SPENDS = 1.5  # times the velocity change of two impulses: more of one burn is worth a word
-_ROUNDS = 12  # of the mean acceleration
 
 
 def perilune_speed(p: Any, m: Any) -> Any:
@@ -173,10 +172,10 @@ def _warnings(p: Any, m: Any) -> tuple[Finding, ...]:
             "altitudes are above the surface, not distances from the centre",
         ),
         Finding(
-            name="velocity change of two impulses", value=coasting_first(p, m), limit=one_burn(p, m) / _SPENDS,
+            name="velocity change of two impulses", value=coasting_first(p, m), limit=one_burn(p, m) / SPENDS,
             at_least=True, unit="m/s", binding=False,
             meaning="coasting first, until the fall grazes the ground, would need so little: full throttle from the"
-            f" perilune to the ground is one burn and spends more than {_SPENDS:g} times as much",
+            f" perilune to the ground is one burn and spends more than {SPENDS:g} times as much",
             advice="a perilune next to the ground; or the kind powered_descent with throttle.lower = 0, which coasts",
         ),
     )  # fmt: skip
@@ -185,23 +184,13 @@ def _warnings(p: Any, m: Any) -> tuple[Finding, ...]:
 def one_burn(p: Any, m: Any) -> Any:
     """Return roughly the velocity change [m/s] of full thrust from the perilune to rest on the ground.
 
-    Thrust acceleration a takes away the speed v evenly, and falls the height h by pushing down for half of the time t
-    and up for the other: (a t)^2 = v^2 + (4 h/t)^2, gravity apart; a is the mean that the rocket equation gives.
-
     Parameters
     ----------
     p, m
         As in `hybrid_landing`, and the maths namespace.
     """
     speed = m.fmax(perilune_speed(p, m) - getattr(p, "retro_delta_v", 0.0), 1.0)
-    height, exhaust = p.orbit_perilune_altitude - p.landing_altitude, exhaust_speed(p)
-    spent = speed
-    for _ in range(_ROUNDS):
-        lasts = p.vehicle_mass * exhaust / p.vehicle_thrust * (1 - m.exp(-spent / exhaust))
-        a = spent / lasts
-        square = speed * speed
-        spent = m.sqrt(0.5 * (square + m.sqrt(square * square + 64 * a * a * height * height)))
-    return spent
+    return full_burn(speed, 0.0, p.orbit_perilune_altitude - p.landing_altitude, p, m)
 
 
 def coasting_first(p: Any, m: Any) -> Any:
