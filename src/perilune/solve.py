@@ -234,14 +234,30 @@ def prove(
 
 
 def as_far_as(nature: Nature, level: int) -> Nature:
-    """Return the nature that a proof up to a level confirms; an optimum is then only a local one."""
+    """Return the nature that a proof up to a level confirms; an optimum is then only a local one.
+
+    Parameters
+    ----------
+    nature
+        Nature of an extremal.
+    level
+        Highest level of proof that it passed.
+    """
     local = nature.outdone
     optimum = local in (Nature.LOCAL_OPTIMUM, Nature.LOCAL_OPTIMUM_AT_BOUND)
     return local if level >= (3 if optimum else 2) else Nature.UNPROVED
 
 
 def judged(solution: Solution, verification: Verification, level: int) -> Solution:
-    """Return the solution with a verification, and the outcome that follows for the level that was asked for."""
+    """Return the solution with a verification, and the outcome that follows for the level that was asked for.
+
+    Parameters
+    ----------
+    solution, verification
+        The solution, and the result of its proof.
+    level
+        Level that was asked for.
+    """
     proved = verification.passed and verification.level >= level
     return replace(solution, verification=verification, outcome=Outcome.PROVED if proved else Outcome.NOT_PROVED)
 

@@ -88,7 +88,21 @@ def ending_layers(corners: Whole, torn: Iterable[tuple[int, int]], ends: Iterabl
 def covered(
     cells: Cells, nodes: Nodes, step: Vector, branches: Sequence[int], places: Whole, y: Matrix
 ) -> NDArray[np.bool_]:
-    """Return a mask of the extremals that cells of some branches give at places; `step` of the lattice, canonical."""
+    """Return a mask of the extremals that cells of some branches give at places; `step` of the lattice, canonical.
+
+    Parameters
+    ----------
+    cells, nodes
+        Cells and nodes of the brick.
+    step
+        Lattice step, canonical, (d,).
+    branches
+        The branches.
+    places
+        Places in lattice steps, (points, d).
+    y
+        Unknowns of the extremals, canonical, (points, n).
+    """
     found = np.zeros(len(places), dtype=bool)
     own = np.isin(cells.branch, branches) & np.isin(cells.status, ANSWERING)
     numbers = np.nonzero(own & (cells.corners >= 0).all(axis=1))[0]
@@ -106,7 +120,19 @@ def covered(
 
 
 def given(cells: Cells, nodes: Nodes, step: Vector, places: Whole, y: Matrix) -> NDArray[np.bool_]:
-    """Return True for each cell, complete with corners, that gives the extremal at its place (one place a cell)."""
+    """Return True for each cell, complete with corners, that gives the extremal at its place (one place a cell).
+
+    Parameters
+    ----------
+    cells, nodes
+        Cells with all their corners, and the nodes of the brick.
+    step
+        Lattice step, canonical, (d,).
+    places
+        A place for each cell, in lattice steps, (cells, d).
+    y
+        Unknowns of the extremal there, canonical, (cells, n).
+    """
     share = (places - cells.low) / cells.size
     there = interpolated(nodes.rows("terms", cells.corners), share, cells.size * step)[:, :-1]
     with np.errstate(over="ignore", invalid="ignore"):  # beside a fold slopes may be anything

@@ -96,7 +96,13 @@ class Cut:
 
 
 def same(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool_]:
-    """Return True where unknowns, (n,) or (lanes, n), are those of one extremal to rounding."""
+    """Return True where unknowns, (n,) or (lanes, n), are those of one extremal to rounding.
+
+    Parameters
+    ----------
+    y, other
+        Unknowns, canonical, (n,) or (lanes, n).
+    """
     return np.linalg.norm(y - other, axis=-1) <= _SAME * (1.0 + np.linalg.norm(y, axis=-1))
 
 
@@ -163,13 +169,33 @@ class Nodes:
         return self._rows[name][numbers]
 
     def along_slopes(self, numbers: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
-        """Extrapolate unknowns to places along the slopes of nodes; returns also their change; `step` is canonical."""
+        """Extrapolate unknowns to places along the slopes of nodes; returns also their change; `step` is canonical.
+
+        Parameters
+        ----------
+        numbers
+            Nodes from which to extrapolate, (lanes,).
+        places
+            Places in lattice steps, (lanes, d).
+        step
+            Lattice step, canonical, (d,).
+        """
         terms, move = self.rows("terms", numbers), (places - self.rows("place", numbers)) * step
         guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(len(step)))
         return guess, np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
 
     def guesses(self, cells: Cells, cell: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
-        """Return y and its change at places of cells: interpolated from all corners, or along slopes of the nearest."""
+        """Return y and its change at places of cells: interpolated from all corners, or along slopes of the nearest.
+
+        Parameters
+        ----------
+        cells, cell
+            Cells, and the number of one for each lane, (lanes,).
+        places
+            Places in lattice steps, (lanes, d).
+        step
+            Lattice step, canonical, (d,).
+        """
         corners, size = cells.corners[cell], cells.size[cell] * step
         at = (places - cells.low[cell]) / cells.size[cell]
         away = np.abs(at[:, None] - bits(len(step))[None]).sum(axis=2)
@@ -214,7 +240,15 @@ class Nodes:
 
 
 def clearly_below(rows: Matrix, slack: float) -> NDArray[np.bool_]:
-    """Return True for cells whose values, (cells, places), are all below zero by more than they vary."""
+    """Return True for cells whose values, (cells, places), are all below zero by more than they vary.
+
+    Parameters
+    ----------
+    rows
+        Values at places of cells, (cells, places), that should not be below zero.
+    slack
+        Tolerated violation.
+    """
     most, least = rows.max(axis=1), rows.min(axis=1)
     with np.errstate(invalid="ignore"):  # where nothing limits them
         return most < -_CLEARLY * (most - least) - slack
@@ -236,7 +270,15 @@ def leaves(axis: Whole, child: Whole, split: Whole, root: int, places: Matrix) -
 
 
 def leaves_of(cells: Cells, branch: int, places: Whole) -> Whole:
-    """Return the leaf cells of a branch in which places lie, -1 where it has none."""
+    """Return the leaf cells of a branch in which places lie, -1 where it has none.
+
+    Parameters
+    ----------
+    cells, branch
+        The cells of a brick, and a branch.
+    places
+        Places in lattice steps, (points, d).
+    """
     root = np.nonzero((cells.size == WHOLE).all(axis=1) & (cells.branch == branch))[0]
     if not len(root):
         return np.full(len(places), -1)

@@ -187,7 +187,15 @@ class Chart:
         return choice
 
     def whole(self, values: Matrix, y: Matrix) -> Matrix:
-        """Return all unknowns of lanes."""
+        """Return all unknowns of lanes.
+
+        Parameters
+        ----------
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y
+            Unknowns of the chart, canonical, (lanes, n).
+        """
         Y = np.zeros((len(values), self.shooting.plan.size))
         Y[:, self.active], Y[:, self._held] = y, values
         return Y
@@ -204,7 +212,17 @@ class Chart:
         return np.array([named.get(name, 0.0) for name in names])
 
     def solve(self, values: Matrix, y: Matrix, holds: Holds, **settings: Any) -> Extremals:
-        """Solve by Newton's method in each lane; settings as for `Shooting`."""
+        """Solve by Newton's method in each lane; settings as for `Shooting`.
+
+        Parameters
+        ----------
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y
+            Unknowns to begin with, canonical, (lanes, n).
+        holds
+            Parameters held in addition.
+        """
         settings = {"limit": 12, "accuracy": FINEST, **settings}
         roots = self.shooting.solve(self.whole(values, y), self.p, self.choice(values, holds), **settings)
         return self.told_of(values, roots, holds.moves)
@@ -228,6 +246,15 @@ class Chart:
         """Return extremals with their derivatives from evaluated points, roots or not.
 
         The slopes of a parameter that moves held values (`Holds`) include the columns and dJ/d(value) of those.
+
+        Parameters
+        ----------
+        values
+            Values of the parameters, canonical, (lanes, d).
+        roots
+            The evaluated points.
+        moves
+            Derivatives of held values by the parameters, (lanes, d, k); None for constant ones.
         """
         plan, columns, rows = roots.plan, roots.plan.columns, roots.rows
         inverse = rows[:, columns.inverse].reshape(-1, columns.n, columns.n)

@@ -114,6 +114,15 @@ class Charted:
         """Return J of extremals of a sheet, solved by Newton's method from what cells give; `cost` where it fails.
 
         Cells in which extremals break the path are not cut, so what their corners give is rough.
+
+        Parameters
+        ----------
+        number
+            Number of the sheet.
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y, cost
+            Unknowns, (lanes, n), and J, (lanes,), as cells give them, canonical.
         """
         if not len(y):
             return cost

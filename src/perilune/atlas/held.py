@@ -84,7 +84,19 @@ class HeldFamilies:
     def along(
         self, points: Matrix, begins: Matrix, starts: Matrix, ends: Matrix, steps: int
     ) -> tuple[NDArray[np.float64], Matrix, Matrix]:
-        """Return unknowns, J and dJ along lines from starts to ends; J is NaN where no flight keeps the path."""
+        """Return unknowns, J and dJ along lines from starts to ends; J is NaN where no flight keeps the path.
+
+        Parameters
+        ----------
+        points
+            Values of the axes [SI], (lanes, d).
+        begins
+            Extremals to begin with, canonical: values of the axes and unknowns, (lanes, d + n).
+        starts, ends
+            Values of the held parameters at the ends of the lines, canonical, (lanes, k).
+        steps
+            Number of steps.
+        """
         there, first, last = (np.hstack([points / self._chart.scale, at]) for at in (ends, starts, ends))
         values, y = np.hsplit(begins, [points.shape[1]])
         begin = np.hstack([values, self._at_extremals(values, y)])

@@ -61,7 +61,17 @@ def _products(d: int) -> Map:
 
 
 def interpolated(terms: NDArray[np.float64], at: Matrix, size: Matrix) -> Matrix:
-    """Interpolate at points of boxes, (points, k), from the terms at their corners, (points, corners, terms, k)."""
+    """Interpolate at points of boxes, (points, k), from the terms at their corners, (points, corners, terms, k).
+
+    Parameters
+    ----------
+    terms
+        Terms at the corners of boxes, (points, corners, terms, k).
+    at
+        Places in the boxes, 0 to 1 along each axis, (points, d).
+    size
+        Lengths of the boxes, (points, d) or (1, d).
+    """
     points, k = len(at), terms.shape[-1]
     flat = weights(at, size).reshape(points, 1, -1)
     return np.matmul(flat, terms.reshape(points, -1, k))[:, 0]
@@ -76,6 +86,13 @@ def unlike_quadratics(terms: NDArray[np.float64], size: Matrix) -> NDArray[np.fl
     """Compute the largest h^3 f''' of the edges of boxes along each axis, (boxes, d, k): zero for quadratics.
 
     For two values and two slopes on an edge it is 12 (f0 - f1) + 6 h (f0' + f1').
+
+    Parameters
+    ----------
+    terms
+        Terms at the corners of boxes, (boxes, corners, terms, k).
+    size
+        Lengths of the boxes, (boxes, d).
     """
     d = size.shape[1]
     found = np.empty((len(terms), d, terms.shape[-1]))

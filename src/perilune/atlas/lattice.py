@@ -206,7 +206,19 @@ class Lattice:
         return found, found.converged & (found.orientation == self.orientations[branch]) & (moved <= within)
 
     def solved(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> None:
-        """Solve by Newton's method at places, and add the extremals of their branch to the nodes."""
+        """Solve by Newton's method at places, and add the extremals of their branch to the nodes.
+
+        Parameters
+        ----------
+        branch
+            Branch of each lane, (lanes,).
+        places
+            Places in lattice steps, (lanes, d).
+        guess
+            Unknowns to begin with, canonical, (lanes, n).
+        spread
+            As of `led`.
+        """
         if not len(branch):
             return
         found, good = self.led(branch, places, guess, spread)

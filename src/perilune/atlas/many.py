@@ -29,12 +29,24 @@ _TOGETHER = 4096  # points, so that what lies at the corners of their cells fits
 
 
 def clearly_worse(cost: Any, best: Any) -> Any:
-    """Return True where the J that a cell gives cannot be better than what was found; numbers or arrays."""
+    """Return True where the J that a cell gives cannot be better than what was found; numbers or arrays.
+
+    Parameters
+    ----------
+    cost, best
+        J of the cell and of the best answer, canonical; numbers or arrays.
+    """
     return cost > best + _CLEARLY * (1.0 + abs(best))
 
 
 def equal(cost: Any, best: Any) -> Any:
-    """Return True where two J are equal to rounding; numbers or arrays."""
+    """Return True where two J are equal to rounding; numbers or arrays.
+
+    Parameters
+    ----------
+    cost, best
+        J, canonical; numbers or arrays.
+    """
     return abs(cost - best) <= _SAME * (1.0 + abs(best))
 
 

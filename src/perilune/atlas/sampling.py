@@ -124,7 +124,13 @@ def demand_count(sample: Any) -> None:
 
 
 def assured(proved: int, drawn: int) -> float:
-    """Return a lower bound on the share of all that is provable, at 99 % confidence; 0 if one drawn was not."""
+    """Return a lower bound on the share of all that is provable, at 99 % confidence; 0 if one drawn was not.
+
+    Parameters
+    ----------
+    proved, drawn
+        Numbers of answers.
+    """
     return _DOUBT ** (1.0 / drawn) if drawn and proved == drawn else 0.0
 
 

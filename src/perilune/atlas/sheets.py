@@ -263,6 +263,15 @@ class Borders:
         """Return True where a cell's value of a free parameter that its sheet holds misses its moving bound, (lanes,).
 
         The cell does not see a bound that moves away and back between its corners and its middle.
+
+        Parameters
+        ----------
+        sheet
+            The sheet.
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y
+            Unknowns as cells give them, canonical, (lanes, n).
         """
         found, free = np.zeros(len(values), dtype=bool), self.chart.shooting.plan.free
         held = [(self.names.index(name), int(side == "upper")) for name, side in sheet.holds.items()]
@@ -290,7 +299,15 @@ class Borders:
         return bool((np.isfinite(self._lower) & ~self.users).any())
 
     def backwards(self, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
-        """Return True for extremals, canonical, with a negative arc duration, whatever else they violate."""
+        """Return True for extremals, canonical, with a negative arc duration, whatever else they violate.
+
+        Parameters
+        ----------
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y
+            Unknowns, canonical, (lanes, n).
+        """
         if not self.of_arcs:
             return np.zeros(len(y), dtype=bool)
         free = self.chart.shooting.plan.free
@@ -308,7 +325,17 @@ class Borders:
         return self._maps["short"](at, *limits, y[:, self.touched])[0][:, 0] > 0.0
 
     def beyond(self, at: Matrix, choice: Matrix, limits: Limits) -> NDArray[np.bool_]:
-        """Return True for `bounds`, stated by the user and not held, that lanes lie beyond, (lanes, bounds)."""
+        """Return True for `bounds`, stated by the user and not held, that lanes lie beyond, (lanes, bounds).
+
+        Parameters
+        ----------
+        at
+            Values of what can be held, canonical, (lanes, k).
+        choice
+            What is held, (lanes, 2 k).
+        limits
+            Lower and upper bounds, canonical, (lanes, k) each.
+        """
         return self._maps["beyond"](at, choice[:, : self.chart.shooting.plan.held], *limits)[0] > 0.0
 
     @cached_property
@@ -330,7 +357,17 @@ class Borders:
     def crossed(
         self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals, limits: Limits | None = None
     ) -> NDArray[np.bool_]:
-        """Return True for user's `bounds` that lanes cross, (lanes, bounds): they lie beyond, or gain by leaving."""
+        """Return True for user's `bounds` that lanes cross, (lanes, bounds): they lie beyond, or gain by leaving.
+
+        Parameters
+        ----------
+        sheets, which
+            The sheets, and the number of each lane's, (lanes,).
+        found
+            The extremals.
+        limits
+            Lower and upper bounds there, if known already.
+        """
         at, rises = self.chart.shooting.held_values(found.roots)
         out = self.beyond(at, found.roots.choice, limits or self.at(found.values))
         for number in set(which.tolist()):

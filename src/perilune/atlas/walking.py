@@ -159,7 +159,17 @@ class Walk:
 
 
 def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix) -> Matrix:
-    """Continue a sheet to other values of the parameters; return unknowns, (targets, n), NaN where it does not lead."""
+    """Continue a sheet to other values of the parameters; return unknowns, (targets, n), NaN where it does not lead.
+
+    Parameters
+    ----------
+    chart, borders, sheet
+        The sheet, with its chart and bounds.
+    start, y
+        Values of the parameters, (d,), and unknowns, (n,), to begin with, canonical.
+    targets
+        Values of the parameters to reach, canonical, (targets, d).
+    """
     here, share = walked(chart, borders, [sheet], *from_one(start, y, targets))
     here[share < 1.0] = np.nan
     return here

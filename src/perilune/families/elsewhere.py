@@ -38,7 +38,17 @@ class Waits(Protocol):
 
 
 def answers(executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = _AHEAD) -> Iterator[tuple[Name, Any]]:
-    """Yield the name and result of each call in the order of completion; `ahead` calls are begun at once."""
+    """Yield the name and result of each call in the order of completion; `ahead` calls are begun at once.
+
+    Parameters
+    ----------
+    executor
+        Makes the calls.
+    calls
+        Name of each call, and its function with arguments.
+    ahead
+        Number of calls in progress at once.
+    """
     begun: dict[Name, Any] = {}
     back: SimpleQueue[Name] = SimpleQueue()
     try:

@@ -179,7 +179,19 @@ class Members:
 def solved_member(
     problem: Problem, method: Method, level: int, tolerance: Tolerance, time_limit: float, values: tuple[float, ...]
 ) -> FamilyPoint:
-    """Solve one member, in any process; a refusal is returned as a member with its reason."""
+    """Solve one member, in any process; a refusal is returned as a member with its reason.
+
+    Parameters
+    ----------
+    problem, values
+        The problem at the values of the member, and these [SI].
+    method
+        Method of solution.
+    level, tolerance
+        Level and tolerance of the proof.
+    time_limit
+        Time for the member [s].
+    """
     try:
         solution = solve(problem, method, level=level, tolerance=tolerance, time_limit=time_limit)
         return FamilyPoint(values=values, solution=solution)

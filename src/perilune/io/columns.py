@@ -54,7 +54,17 @@ def hamiltonian(solution: Solution, k: int, t: Vector, control: Matrix | None = 
 
 
 def hamiltonian_terms(solution: Solution, k: int, t: Vector, control: Matrix | None = None) -> list[Vector]:
-    """Evaluate the terms ``lam_i x_i'`` of H at times t, one for each state; phase k must have costates."""
+    """Evaluate the terms ``lam_i x_i'`` of H at times t, one for each state; phase k must have costates.
+
+    Parameters
+    ----------
+    solution, k
+        The solution, and the number of the phase.
+    t
+        Times in the phase [s], shape (n,).
+    control
+        Control in place of the flown one, shape (components, n).
+    """
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
     assert trajectory.costate is not None
     x, u = solution.flown(k, t)
@@ -154,7 +164,15 @@ def nodes(trajectory: Trajectory) -> Vector:
 
 
 def seen_at(trajectory: Trajectory, count: int = 601) -> Vector:
-    """Return evenly spaced times and both sides of every switch, so that a jump shows as a step, not a ramp."""
+    """Return evenly spaced times and both sides of every switch, so that a jump shows as a step, not a ramp.
+
+    Parameters
+    ----------
+    trajectory
+        The trajectory of a phase.
+    count
+        Number of evenly spaced times.
+    """
     return np.union1d(np.linspace(0.0, trajectory.duration, count), sides(trajectory))
 
 
@@ -166,7 +184,15 @@ def sides(trajectory: Trajectory) -> Matrix:
 
 
 def per_unit(objective_unit: str, unit: str) -> str:
-    """Return the unit of J per another unit: for a costate per unit of its state, for H per second."""
+    """Return the unit of J per another unit: for a costate per unit of its state, for H per second.
+
+    Parameters
+    ----------
+    objective_unit
+        SI unit of J.
+    unit
+        The other SI unit.
+    """
     if unit == "1":
         return objective_unit
     if unit == objective_unit:
@@ -175,7 +201,15 @@ def per_unit(objective_unit: str, unit: str) -> str:
 
 
 def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]:
-    """Return (time from the begin of the flight [s], column) for each phase that has the column, as `seen_at`."""
+    """Return (time from the begin of the flight [s], column) for each phase that has the column, as `seen_at`.
+
+    Parameters
+    ----------
+    solution
+        The solution.
+    name
+        Name of the column.
+    """
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
         t = seen_at(trajectory)

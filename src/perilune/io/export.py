@@ -189,7 +189,15 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
 
 
 def write_solution_files(solution: Solution, directory: Path, scenario_text: str | None) -> list[PeriluneError]:
-    """Write the files of `save` into a directory that exists; return the errors of tables that failed."""
+    """Write the files of `save` into a directory that exists; return the errors of tables that failed.
+
+    Parameters
+    ----------
+    solution, directory
+        The solution, and where to write.
+    scenario_text
+        Text of its scenario, if it has one.
+    """
     (directory / SOLUTION_FILE).write_text(json_text(whole_document(solution, scenario_text)), encoding="utf-8")
 
     def table(path: Path, k: int) -> None:

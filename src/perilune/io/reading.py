@@ -93,7 +93,15 @@ def _whole(digits: str) -> int | float:
 
 
 def part(entry: Mapping[str, Any], name: str, kind: type) -> Any:
-    """Return the entry of a name, checked to be of a kind."""
+    """Return the entry of a name, checked to be of a kind.
+
+    Parameters
+    ----------
+    entry, name
+        The tree, and the name of the entry in it.
+    kind
+        Type that the entry must have.
+    """
     value = entry.get(name)
     if not isinstance(value, kind):
         refuse(name, str(value)[:40], {dict: "a record", list: "a list", str: "a text"}[kind])
@@ -132,7 +140,15 @@ def numbers(document: Mapping[str, Any], name: str) -> dict[str, float]:
 
 
 def array(value: Any, where: str, shape: tuple[int | None, ...]) -> Any:
-    """Return an array of finite numbers of a shape (None: any length); texts and booleans are refused."""
+    """Return an array of finite numbers of a shape (None: any length); texts and booleans are refused.
+
+    Parameters
+    ----------
+    value, where
+        The entry, and its name for the message.
+    shape
+        Shape that it must have.
+    """
     try:
         found = np.asarray(value)
     except ValueError:
@@ -170,7 +186,15 @@ def plain(value: Any) -> Any:
 
 
 def record(kind: type[Kind], document: Any, where: str) -> Kind:
-    """Build a record of a kind, which makes its own checks."""
+    """Build a record of a kind, which makes its own checks.
+
+    Parameters
+    ----------
+    kind, document
+        Class of the record, and its tree.
+    where
+        Name of the entry for the message.
+    """
     if not isinstance(document, dict):
         refuse(where, str(document)[:40], "a record")
     hints, known = _hints(kind), {f.name: f for f in fields(kind) if f.init}  # type: ignore[arg-type]

@@ -107,7 +107,15 @@ def _claimed_proof(document: Mapping[str, Any]) -> str:
 
 
 def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Sequence[Trajectory]) -> Solution:
-    """Read the solution of a problem, unverified, from `perilune.io.export.answer_document`."""
+    """Read the solution of a problem, unverified, from `perilune.io.export.answer_document`.
+
+    Parameters
+    ----------
+    document
+        Tree of the answer.
+    problem, trajectories
+        Its problem and curves.
+    """
     free = numbers(document, "free")
     if set(free) != set(problem.free_names):
         refuse("free", ", ".join(sorted(free)) or "none", ", ".join(problem.free_names) or "none")

@@ -83,7 +83,17 @@ def _spans(sampled: Mapping[str, Mapping[str, list[tuple[Any, Column]]]]) -> dic
 
 
 def mark_phases(axes: Any, solution: Solution, begin: float, last: float) -> None:
-    """Draw dotted lines in all panels between phases, within a range of times, and the names of long phases."""
+    """Draw dotted lines in all panels between phases, within a range of times, and the names of long phases.
+
+    Parameters
+    ----------
+    axes
+        Panels over time.
+    solution
+        The flight.
+    begin, last
+        Range of times [s] from the begin of the flight.
+    """
     ends = np.cumsum([0.0, *(trajectory.duration for trajectory in solution.trajectories)])
     if len(ends) < 3:
         return

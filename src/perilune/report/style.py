@@ -72,7 +72,15 @@ def save(figure: Figure, directory: Path, name: str) -> None:
 
 
 def new_figure(height: float = 2.3, rows: int = 1, cols: int = 1, width: float = COLUMN_WIDTH) -> tuple[Figure, Any]:
-    """Make a figure of one column's width in the common style; returns also its axes (an array if several)."""
+    """Make a figure of one column's width in the common style; returns also its axes (an array if several).
+
+    Parameters
+    ----------
+    height, width
+        Size [in].
+    rows, cols
+        Numbers of axes.
+    """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         return figure, figure.subplots(rows, cols, sharex=rows > 1 and cols == 1)

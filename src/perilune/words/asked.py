@@ -161,6 +161,11 @@ def demand_records(*pairs: tuple[Any, type]) -> None:
 def demand_callable(value: Any, what: str) -> None:
     """Refuse a value that can neither be called nor is None.
 
+    Parameters
+    ----------
+    value, what
+        The value, and its use for the message.
+
     Raises
     ------
     PeriluneError
@@ -172,6 +177,11 @@ def demand_callable(value: Any, what: str) -> None:
 
 def demand_path(value: Any, what: str) -> Path:
     """Return a value as a path, which need not exist.
+
+    Parameters
+    ----------
+    value, what
+        The value, and its use for the message.
 
     Raises
     ------
@@ -221,6 +231,11 @@ def demand_level(level: Any, known: Sequence[int]) -> None:
 def demand_number(value: Any, name: str) -> None:
     """Refuse a setting that is not a real number; NaN and infinity are accepted.
 
+    Parameters
+    ----------
+    value, name
+        The value of the setting, and its name.
+
     Raises
     ------
     PeriluneError
@@ -238,6 +253,13 @@ def _is_number(value: Any) -> bool:
 def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N', 'N') reads a text") -> None:
     """Refuse anything but a single real number: NaN, truth values and texts too, though Python makes floats of them.
 
+    Parameters
+    ----------
+    value, what
+        The value, and the quantity for the message.
+    advice
+        Advice on what to try.
+
     Raises
     ------
     PeriluneError
@@ -252,6 +274,13 @@ def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N'
 
 def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
     """Return a number, or an array of numbers with at most `most` axes, as NumPy has it.
+
+    Parameters
+    ----------
+    values, what
+        The value, and its meaning for the message.
+    most
+        Largest number of axes.
 
     Raises
     ------
@@ -277,6 +306,13 @@ def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
 
 def demand_index(value: Any, count: int, what: str) -> None:
     """Refuse anything but an index below `count`.
+
+    Parameters
+    ----------
+    value, count
+        The index, and the number of entries.
+    what
+        Kind of the entries for the message.
 
     Raises
     ------

@@ -79,7 +79,17 @@ def one_line(text: str, most: int = 120) -> str:
 
 
 def refuse_nested(text: str, what: str, deepest: int, *, expected: str, advice: str) -> None:
-    """Refuse a text of TOML or JSON with more than `deepest` nested brackets, before it is parsed."""
+    """Refuse a text of TOML or JSON with more than `deepest` nested brackets, before it is parsed.
+
+    Parameters
+    ----------
+    text, what
+        The text, and its kind for the message.
+    deepest
+        Largest depth of brackets.
+    expected, advice
+        For the message.
+    """
     bare = _TEXTS.sub("", text)
     depth = reached = 0
     for character in re.findall(r"[\[\]{}]", bare):

@@ -238,7 +238,16 @@ def quantity(
 def span(unit: str, lower: str, upper: str, *, default: tuple[float, float], name: str, about: str = "") -> Any:
     """Declare a field that is a pair of numbers, lower and upper, within the default; keys ``…_lower``, ``…_upper``.
 
-    `name` is its name in messages.
+    Parameters
+    ----------
+    unit
+        SI unit of both numbers.
+    lower, upper
+        Examples of the two as a scenario states them.
+    default
+        Default of the pair, which also bounds both [SI].
+    name, about
+        Name in messages; meaning of the pair.
     """
     low, high = (v * (1 + 1e-12) for v in default)  # a bound in degrees need not be the same to the last digit
     declared = {

@@ -71,7 +71,15 @@ class DelimitedTable:
     what: str
 
     def cells(self, line: TextLine, count: int) -> list[str] | None:
-        """Return the cells of a line above the numbers; None if no delimiter splits it into `count`."""
+        """Return the cells of a line above the numbers; None if no delimiter splits it into `count`.
+
+        Parameters
+        ----------
+        line
+            A line of the file.
+        count
+            Number of cells wanted.
+        """
         for delimiter in (self.delimiter, *_DELIMITERS):
             found = _split(line.text, delimiter)
             if found is not None and delimiter == " ":

@@ -36,7 +36,17 @@ COMPLEX.fmax = lambda a, b: np.where(np.real(a) >= np.real(b), a, b)
 
 
 def stacked(values: Sequence[Any], shape: tuple[int, ...], dtype: Any = complex) -> Any:
-    """Stack the values of a user's function into one array (len(values), *shape); constants are broadcast."""
+    """Stack the values of a user's function into one array (len(values), *shape); constants are broadcast.
+
+    Parameters
+    ----------
+    values
+        One value or array for each component.
+    shape
+        Shape of each.
+    dtype
+        Type of the result.
+    """
     out = np.empty((len(values), *shape), dtype=dtype)
     for i, value in enumerate(values):
         out[i] = value

@@ -172,7 +172,17 @@ def told(value: float, unit_text: str, digits: int = 6) -> str:
 
 
 def told_outwards(value: float, unit_text: str, side: str, digits: int = 5) -> str:
-    """Return a bound for people, rounded so that what lies on it is within: a `lower` one down, an `upper` one up."""
+    """Return a bound for people, rounded so that what lies on it is within: a `lower` one down, an `upper` one up.
+
+    Parameters
+    ----------
+    value, unit_text
+        In SI, with its SI unit.
+    side
+        ``lower`` or ``upper``.
+    digits
+        Significant digits.
+    """
     if unit_text == "rad":
         value, unit_text = math.degrees(value), "deg"
     if value and math.isfinite(value):
@@ -182,7 +192,15 @@ def told_outwards(value: float, unit_text: str, side: str, digits: int = 5) -> s
 
 
 def told_range(values: Iterable[float], unit_text: str) -> str:
-    """Format the range of finite values, as ``-3 kg to 4.5 kg``; one value if all are equal, empty for none."""
+    """Format the range of finite values, as ``-3 kg to 4.5 kg``; one value if all are equal, empty for none.
+
+    Parameters
+    ----------
+    values
+        Values in SI; those not finite are ignored.
+    unit_text
+        SI unit.
+    """
     finite = [value for value in values if math.isfinite(value)]
     ends = (told(end, unit_text) for end in (min(finite), max(finite))) if finite else ()
     return " to ".join(dict.fromkeys(ends))

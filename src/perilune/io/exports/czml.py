@@ -33,6 +33,17 @@ _PLAYED = 60.0  # s, that a flight takes when it is played
 def write_czml(solution: Solution, about: Mapping[str, str], epoch: datetime, path: Path) -> None:
     """Write a flight as CZML.
 
+    Parameters
+    ----------
+    solution
+        The solution.
+    about
+        Texts on its origin (`perilune.io.exports.provenance`).
+    epoch
+        UTC at the begin of the flight.
+    path
+        File to write.
+
     Raises
     ------
     PeriluneError

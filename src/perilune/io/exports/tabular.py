@@ -46,6 +46,17 @@ def write_csv(table: FlightTable, about: Mapping[str, str], epoch: datetime | No
     """Write names with units, then numbers that read back to the last bit; angles without the rounding of pi.
 
     The format has no texts outside the table: the proof stands in each row, so that any part of it has it.
+
+    Parameters
+    ----------
+    table
+        Table of the flight.
+    about
+        Texts on its origin (`perilune.io.exports.provenance`).
+    epoch
+        UTC at the begin of the flight, if stated.
+    path
+        File to write.
     """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

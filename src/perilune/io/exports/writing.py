@@ -98,7 +98,15 @@ def write(
 
 
 def placed(file: str | Path, format: str | None, force: bool) -> tuple[Path, str]:
-    """Return the file as a path, and its format; refuse an unknown format, or a file that must not be replaced."""
+    """Return the file as a path, and its format; refuse an unknown format, or a file that must not be replaced.
+
+    Parameters
+    ----------
+    file, format
+        The file; its format, None for the one of its suffix.
+    force
+        Replace an existing file.
+    """
     path = new_file(file, "an export", force)
     return path, format_of(path, format, FORMATS)
 
