@@ -232,6 +232,30 @@ def test_a_third_burn_pays_where_the_switching_function_says_so() -> None:
     assert behind.landed - ahead.landed == pytest.approx(2 * float(three.costates[0][3:6] @ step), rel=1e-2)
 
 
+@pytest.mark.parametrize("weights", [1.66, 5.3])
+def test_the_last_burn_is_parted_where_it_does_not_pay_beside_the_ground(weights: float) -> None:
+    """A burn that ends seconds before the ground is grazed: Pontryagin's condition holds on every arc of it alone."""
+    rate, speed = 1.5552e-4, math.sqrt(MINMUS.gravitational_parameter / 120e3)
+    start = replace(
+        still_minmus(), velocity=speed * np.array([0.0, math.cos(1.0), math.sin(1.0)]),
+        turning=np.array([0.0, 0.0, rate]),
+    )  # fmt: skip
+    force = 1e3 * weights * MINMUS.gravitational_parameter / 60e3**2
+    known = two_burns(start, two_impulses(start)[0], Burning(mass=1e3, force=force, exhaust=3200.0), at_once=False)
+    assert known is not None
+    grazing = burning_sooner(known, at_once=False)
+    assert grazing.early
+    assert min(float(leg.worth().min()) for leg in grazing.legs((50, 4, 50, 20, 20)) if leg.burns) < -1e-6
+    parted = burning_once_more(grazing, at_once=False)
+    assert (parted.brief, parted.early) == (2, False)
+    assert parted.landed > grazing.landed + 5e-5
+    assert 10.0 < parted.lengths[4] < 30.0  # a fall to the ground
+    left = 3e-4 / weights**2  # of the first burn, of one direction
+    for leg in parted.legs((50, 4, 50, 20, 20, 20, 20)):
+        assert leg.worth().max() < left or leg.burns
+        assert leg.worth().min() > -1e-6 or not leg.burns
+
+
 def still_minmus() -> Around:
     """Return a start on a circle at 60 km."""
     speed = math.sqrt(MINMUS.gravitational_parameter / 120e3)

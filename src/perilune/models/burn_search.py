@@ -2,7 +2,7 @@
 
 The second burn begins behind the lowest point of the fall or at it; where at it the ground may be grazed while it
 burns. Where the switching function of two burns is above 0 in a fall, another brief burn pays there (Lawden 1963,
-chapter 5).
+chapter 5); where it is below 0 as a burn grazes the ground, that burn is parted by a fall to the ground.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LATE = 0.45  # of the length of the second burn: how long behind the lowest poi
 _EARLY = 0.2  # the same, before it, where the burn grazes the ground
 _NEAR = 0.9  # canonical: how far from where they are expected states and anomalies may come to lie
 _LOOKS = (200, 4, 200, 4, 4)  # of the arcs: where the switching function is looked at
-_PAYS = 5e-5  # switching function above which another burn pays: brief burns of one direction leave 2e-5
+_PAYS, _LEAST = 2.0, 1e-7  # another burn pays above so much of what brief burns of one direction leave; no less than
 _SHORT = 0.005  # of the last burn: another one as it is tried
 _LOCK = Lock()  # a compiled program serves one thread at a time
 
@@ -68,22 +68,35 @@ def burning_sooner(known: TwoBurns, *, at_once: bool) -> TwoBurns:
 
 
 def burning_once_more(known: TwoBurns, *, at_once: bool) -> TwoBurns:
-    """Return a landing with another brief burn before the ground is grazed, or the known one where none pays.
+    """Return a landing with another burn before the ground is grazed, or the known one where none pays.
 
     Parameters
     ----------
     known, at_once
         As for `burning_sooner`.
     """
-    legs = list(known.legs(_LOOKS))
-    leg = max((leg for leg in legs[:3] if not leg.burns), key=lambda one: float(one.worth()[1:-1].max()))
-    if float(leg.worth()[1:-1].max()) < _PAYS:
+    place = _paying(known)
+    if place is None:
         return known
     given = _Given.of(known.around, known.burning, at_once)
-    found = given.solved(fall_grazes(2), given.burning_between(known, leg, 1 + int(leg.worth()[1:-1].argmax())))
-    if found is None or (found.lengths[[1, 3]] < NO_TIME * found.lengths.sum()).any():
+    found = given.solved(fall_grazes(known.brief + 1), given.burning_between(known, *place))
+    if found is None or (found.lengths[1 : 2 * found.brief + 1] < NO_TIME * found.lengths.sum()).any():
         return known
     return max(known, burning_sooner(found, at_once=at_once), key=lambda one: one.landed)
+
+
+def _paying(known: TwoBurns) -> tuple[int, Leg, int, float] | None:
+    """Return the fall (its arc and rows) that another burn parts, the row where that begins, and its length [s]."""
+    legs = list(known.legs(_LOOKS[:2] * known.brief + _LOOKS[2:]))
+    arcs = [k for k in range(0, 2 * known.brief + 1, 2) if known.lengths[k] > NO_TIME * known.lengths.sum()]
+    falls = list(zip(arcs, (leg for leg in legs if not leg.burns), strict=False))  # but for that from the ground
+    k, leg = max(falls, key=lambda one: float(one[1].worth()[1:].max()))
+    left = max(float(abs(leg.worth()[0])) for leg in legs[:-1] if leg.burns)
+    if float(leg.worth()[1:].max()) > _PAYS * max(left, _LEAST):
+        return k, leg, 1 + int(leg.worth()[1:-1].argmax()), _SHORT * known.lengths[-1]
+    if known.early and min(float(leg.worth().min()) for leg in legs[-2:]) < -_LEAST:
+        return *falls[-1], -1, known.lengths[-2]
+    return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,26 +187,26 @@ class _Given:
         early, second, axes = _EARLY * times[-1], (1 - _EARLY) * times[-1], np.array(orbital_axes(ca.DM(states[1][:6])))
         there, by = carried(states[-1], costates[-1], 1.0, -early)
         law = _seen(np.concatenate([by[3:6], by[:3]]), axes) / length_of(by[3:6])
-        return self._risen(axes, states, times) | {
+        return self._risen(axes, states, costates, times) | {
             "down": _anomaly(states[-3], times[-3] - early), "braked": _seen(there, axes)[:6], "law": law,
             "early": np.array([early]), "lowest": _seen(self._burnt(there, by, early)[0], axes), "height": np.ones(1),
             "jump": np.zeros(1), "bend": np.full(1, 0.5), "second": np.array([second]),
         }  # fmt: skip
 
-    def burning_between(self, known: TwoBurns, leg: Leg, row: int) -> dict[str, Vector]:
-        """Return the unknowns of three burns from a landing by two and a moment of a fall of it."""
+    def burning_between(self, known: TwoBurns, k: int, leg: Leg, row: int, length: float) -> dict[str, Vector]:
+        """Return the unknowns of another burn of so long [s] at a moment of a fall, arc k of a known landing."""
         states, costates, times = self._canonical(known)
         since = (leg.times[row] - leg.times[0]) / self.units.time
-        k = 0 if leg.times[0] == 0.0 and times[0] > 0.0 else 2
-        place = leg.states[:, row] / self.units.states
-        length = _SHORT * times[-1]
+        place, there = leg.states[:, row] / self.units.states, leg.costates[:, row] * self.units.states
+        length /= self.units.time
         kick = -leg.costates[3:6, row] / length_of(leg.costates[3:6, row]) * length * self.units.force
         left = place + np.concatenate([np.zeros(3), kick, np.zeros(1)])
-        states = np.concatenate([states[: k + 1], [place, left], states[k + 1 :]])
-        times = np.concatenate([times[:k], [since, length, times[k] - since], times[k + 1 :]])
         lowest, braked, by = states[-1 if known.early else -2], states[-1], costates[-1]
+        states = np.concatenate([states[: k + 1], [place, left], states[k + 1 :]])
+        costates = np.concatenate([costates[: k + 1], [there, there], costates[k + 1 :]])
+        times = np.concatenate([times[:k], [since, length, times[k] - since], times[k + 1 :]])
         axes = np.array(orbital_axes(ca.DM(lowest[:6])))
-        return self._risen(np.array(orbital_axes(ca.DM(states[1][:6]))), states, times) | {
+        return self._risen(np.array(orbital_axes(ca.DM(states[1][:6]))), states, costates, times) | {
             "lowest": np.array([length_of(lowest[:3]), length_of(lowest[3:6])]),
             "rest": _anomaly(lowest, 0.0 if known.early else times[-2]), "braked": _seen(braked, axes)[:6],
             "law": _seen(np.concatenate([by[3:6], by[:3]]), axes) / length_of(by[3:6]), "second": times[-1:],
@@ -203,16 +216,17 @@ class _Given:
         costates = known.costates * self.units.states / self.burning.mass
         return known.states / self.units.states, costates, known.lengths / self.units.time
 
-    def _risen(self, axes: Matrix, states: Matrix, times: Vector) -> dict[str, Vector]:
+    def _risen(self, axes: Matrix, states: Matrix, costates: Matrix, times: Vector) -> dict[str, Vector]:
         """Return the unknowns until the last brief burn."""
         found, before = dict[str, Vector](), self.start
+        slopes = [by[:3] @ axes / length_of(by[3:6]) for by in costates]
         for k in range(1, (len(times) - 1) // 2):
             begun, left = states[2 * k - 1], states[2 * k]
             kick = left[3:6] - begun[3:6]
             found |= {
                 f"fall{k}": _anomaly(before, times[2 * k - 2]), f"begun{k}": _seen(begun, axes)[:6],
                 f"direction{k}": -kick @ axes / length_of(kick), f"burn{k}": times[2 * k - 1 : 2 * k],
-                f"left{k}": _seen(left, axes),
+                f"left{k}": _seen(left, axes), f"slope{k}": slopes[2 * k - 1],
             }  # fmt: skip
             before = left
         return found
@@ -263,6 +277,8 @@ def _beside(expected: dict[str, Vector]) -> tuple[dict[str, Vector], dict[str, V
             lower[name], upper[name] = np.zeros(1), 3 * expected[name] + 0.2 * second
         if name.startswith("direction"):
             lower[name], upper[name] = np.full(3, -1.2), np.full(3, 1.2)
+        if name.startswith("slope"):
+            lower[name], upper[name] = np.full(3, -3 / second), np.full(3, 3 / second)
     if "early" in expected:
         upper["early"], lower["height"], lower["bend"] = np.array([second]), np.ones(1), np.zeros(1)
         lower["jump"], upper["jump"], upper["bend"] = np.array([[-math.inf], [math.inf], [math.inf]])

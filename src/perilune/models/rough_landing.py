@@ -59,7 +59,7 @@ def rough_landing(problem: Problem) -> list[tuple[Solution, Structure]]:
     best = _unlike(filter(None, found))
     for another in (burning_sooner, burning_once_more):
         more = [another(one, at_once=at_once and one.lengths[0] == 0.0) for one in best[:_MOST]]
-        best = _unlike([*more, *best])
+        best = _unlike([*more, *best[_MOST:]])
     return [_drawn(problem, one, p.body_rotation_rate, (p.throttle_lower, p.throttle_upper)) for one in best]
 
 
@@ -76,7 +76,7 @@ def _drawn(
     problem: Problem, flight: TwoBurns, rate: float, throttle: tuple[float, float]
 ) -> tuple[Solution, Structure]:
     """Return a flight as a guess in axes that turn at a rate [rad/s], with its arcs and costates."""
-    legs = list(flight.legs(_ROWS if flight.brief == 1 else (*_ROWS[:2], *_ROWS)))
+    legs = list(flight.legs(_ROWS[:2] * flight.brief + _ROWS[2:]))
     arcs = tuple(
         Arc(
             regimes=(("throttle", "upper" if leg.burns else "lower"),),
