@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive, keepable_conditions
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.methods.rungs import Rungs
@@ -22,6 +24,7 @@ from perilune.problem.variables import Free, Given, Variable
 from perilune.scenario import load_file
 from perilune.solve import solve
 
+EXAMPLE = Path(__file__).parent.parent / "examples" / "precision_landing.toml"
 STEEPEST, HEIGHT, DURATION = 0.5, 0.22, 1.0  # sine of the greatest elevation, height to reach [m], time [s]
 
 
@@ -111,6 +114,32 @@ def test_a_limit_that_does_not_bind_changes_nothing() -> None:
     path = {"path": lambda x, u, p, m: (p.steepest - u.up,), "names": ("below_steepest",)}
     free, bound = solve(_steered(**path, steepest=2.0), level=0), solve(_steered(**path, steepest=0.97), level=0)
     assert free.objective == pytest.approx(bound.objective, abs=1e-12)
+
+
+@pytest.mark.parametrize("met", ["pointing_margin", "throttle"])
+def test_a_flight_that_begins_with_a_switch_begins_in_a_mode_that_has_it_ahead(met: str) -> None:
+    """H is the same in both to within rounding, which chose: a quarter of these began behind a switch, for good.
+
+    Thrust on the rim of its greatest tilt, and a switching function of zero, both to the last digits.
+    """
+    problem = load_file(EXAMPLE, ("corridor.tilt=40 deg",)).problem
+    extremal, p = derive(problem, ("pointing_margin",)).phases[0], extremal_parameters(problem)
+    tilt, rng, begun = math.radians(40.0), np.random.default_rng(1), list[int]()
+    for _ in range(200):
+        z, around = rng.uniform(0.5, 1.5, 14), rng.uniform(0.0, 2 * math.pi)
+        z[10:13] = -np.array([math.sin(tilt) * math.cos(around), math.sin(tilt) * math.sin(around), math.cos(tilt)])
+        if met == "throttle":  # whose switching function is linear in the costate of the mass; the tilt is kept
+            z[12] *= 1.5
+            S = [float(extremal.events[0].function([*z[:13], lam], p)) for lam in (0.0, 1.0)]
+            for _ in range(4):
+                z[13] -= float(extremal.events[0].function(z, p)) / (S[1] - S[0])
+        z[12 if met == "pointing_margin" else 13] *= 1.0 + rng.integers(-3, 4) * np.finfo(float).eps
+        mode = int(extremal.mode(z, p))
+        begun.append(mode)
+        ahead = z + 1e-6 * np.array(extremal.modes[mode](z, p)).ravel()
+        for event in (event for event in extremal.events if mode in event.switches):
+            assert event.direction * (float(event.function(z, p)) or float(event.function(ahead, p))) <= 0.0
+    assert len({*begun}) > 1
 
 
 def test_two_limits_at_once() -> None:

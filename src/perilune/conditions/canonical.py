@@ -277,7 +277,8 @@ def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX
     """
     number, first = ca.SX(0.0), 0
     for sides, law in zip(dynamics.sides, laws, strict=True):
-        flow = of_mode(flows[first : first + len(law.control)], law.mode)
+        own = flows[first : first + len(law.control)]
+        flow = of_mode(own, law.mode)
 
         def beyond(margin: ca.SX, flow: ca.SX = flow) -> ca.SX:
             rate = ca.jtimes(margin, z, flow)
@@ -290,7 +291,7 @@ def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX
                 here = ca.logic_and(here, beyond(choice.argument - choice.knots[side - 1]))
             if side < len(choice.knots):
                 here = ca.logic_and(here, ca.logic_not(beyond(choice.argument - choice.knots[side])))
-        number = ca.if_else(here, first + law.mode, number)
+        number = ca.if_else(here, first + law.begun(z, own), number)
         first += len(law.control)
     return number
 

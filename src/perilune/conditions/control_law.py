@@ -46,6 +46,7 @@ from perilune.problem.controls import Regime, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
 
+_ROUNDED = 1e-12  # of the amounts of its terms: by less H in one mode is no less than in another
 _UNKNOWN_TERMS = Terms(size=ca.SX(0.0), positive=ca.SX(0, 1))
 
 
@@ -72,6 +73,8 @@ class ControlLaw:
         Number of the mode in which H is least.
     periodic
         Places of angles, of which each mode tells one turn alone.
+    values, sizes
+        H in each mode, infinite where it is none, and the amounts of its terms.
     """
 
     regimes: tuple[tuple[Regime, ...], ...]
@@ -82,6 +85,25 @@ class ControlLaw:
     transitions: tuple[Transition, ...]
     mode: ca.SX
     periodic: tuple[int, ...]
+    values: tuple[ca.SX, ...]
+    sizes: tuple[ca.SX, ...]
+
+    def begun(self, z: ca.SX, rates: Sequence[ca.SX]) -> ca.SX:
+        """Return the number of the mode in which a flight begins at z, with the rates of z in each mode.
+
+        It is the one in which H is least. Where that is rounding, as where a flight begins with a switch, a mode is
+        left that should be left already: what leads out of it has passed its zero, is not met again, and what H chose
+        would stay.
+        """
+        number = self.mode
+        for way in self.transitions:
+            for before, after in way.switches.items():
+                apart = ca.fabs(self.values[after] - self.values[before])
+                rate = ca.jtimes(way.function, z, rates[before])
+                passed = way.direction * ca.if_else(way.function == 0, rate, way.function) > 0
+                leaves = ca.logic_and(passed, apart <= _ROUNDED * self.sizes[before])
+                number = ca.if_else(ca.logic_and(number == before, leaves), after, number)
+        return number
 
 
 def minimising_control(
@@ -156,6 +178,8 @@ def minimising_control(
         transitions=tuple(Ways(phase=phase, u=u, modes=modes, kept=kept, size=terms.size).transitions()),
         mode=_least(values),
         periodic=periodic,
+        values=tuple(values),
+        sizes=tuple(ca.substitute(terms.size, u, mode.control) for mode in modes),
     )
 
 
