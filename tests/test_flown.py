@@ -17,6 +17,7 @@ from perilune.methods.flown import exported, in_one_piece, mended
 from perilune.methods.search import Search
 from perilune.problem.variables import Given, Variable
 from perilune.shooting.function import Root, Shooting
+from perilune.words.outcome import NotConvergedError
 from perilune.words.watch import silent
 from test_control_law import given, variables
 
@@ -129,6 +130,20 @@ def test_of_what_rounding_leaves_the_least_is_kept(
     best, least = mended(problem, conditions, start, plan.rows, plan.active)
     assert len(tried) == flights and best.y is tried[kept]
     assert least == (left[kept] if math.isfinite(left[kept]) else math.inf)
+
+
+def test_a_flight_that_is_stuck_is_flown_as_newton_flew_it_or_refused() -> None:
+    """Out of steps, as beside a grazed switch: its tables had ended anywhere, and level 0 looked at none of them."""
+    problem = saddle(2.0)
+    known = pl.solve(problem, level=0).trajectories
+    assert isinstance(known, Curves)
+    of = problem, known.conditions, known.root
+    assert not in_one_piece(*of[:2], known.root.y, max_steps=15)[0].complete
+    (flown,) = exported(*of, max_steps=15)
+    assert flown.complete and flown.arcs[0].t[-1] == flown.duration
+    assert flown.z[-1, 0] == pytest.approx(1.0, abs=1e-10)
+    with pytest.raises(NotConvergedError, match=r"to its end\n  got: it is stuck 0\.\d+ s into way, of 1 s"):
+        exported(*of, max_steps=8)
 
 
 def test_pieces_are_one_curve() -> None:

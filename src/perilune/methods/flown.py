@@ -24,6 +24,7 @@ from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST, Lanes
 from perilune.shooting.propagate import Equations, engine, equations, flight, mode_at
 from perilune.shooting.settling import fallen
+from perilune.words.outcome import NotConvergedError
 from perilune.words.types import Matrix, Vector
 
 _FINE = {"rtol": 1e-13, "atol": 1e-13}  # of the arcs that are exported
@@ -64,6 +65,11 @@ class Flown:
         """Times of the events, in order."""
         parts = zip(self.begins, self.arcs, strict=True)
         return [float(begin + t) for begin, arc in parts for t in arc.end.event_time[0] if np.isfinite(t)]
+
+    @property
+    def complete(self) -> bool:
+        """Return True if it was flown to its end: its tables are nothing beyond where it was stuck."""
+        return all(bool(arc.end.succeeded.all()) for arc in self.arcs)
 
     def modes(self, t: Vector) -> NDArray[np.int64]:
         """Return the mode of the step in which each time lies; at a switch, the one after it."""
@@ -206,8 +212,17 @@ def exported(
         Largest residual at the ends, canonical, with which one piece is kept.
     settings
         As for `flight`.
+
+    Raises
+    ------
+    NotConvergedError
+        If it is stuck on its way, as where a switching function vanishes twice at once, at this accuracy and at that
+        of Newton's method.
     """
     whole = in_one_piece(problem, conditions, root.y, **settings)
+    if not all(flown.complete for flown in whole):
+        whole = in_one_piece(problem, conditions, root.y, **{**settings, "rtol": FINEST, "atol": FINEST})
+        _refuse_stuck(problem, whole)
     missed = _missed(problem, conditions, root, whole)
     if missed <= allowed or not may_be_cut(conditions):
         return whole
@@ -215,6 +230,19 @@ def exported(
     # What large numbers round, as those of places far from their origin, no pieces mend.
     mended = pieces is not None and _missed(problem, conditions, root, pieces) <= _MENDED * missed
     return pieces if pieces is not None and mended else whole
+
+
+def _refuse_stuck(problem: Problem, flown: Sequence[Flown]) -> None:
+    for phase, own in zip(problem.phases, flown, strict=True):
+        if not own.complete:
+            stuck = next(i for i, arc in enumerate(own.arcs) if not arc.end.succeeded.all())
+            at = (float(own.begins[stuck]) + float(own.arcs[stuck].end.time[0])) * problem.scales.time
+            raise NotConvergedError(
+                "an extremal was found, and its flight cannot be computed to its end",
+                got=f"it is stuck {at:.9g} s into {phase.name}, of {own.duration * problem.scales.time:.9g} s",
+                expected="steps up to the end: a control that switches to and fro at one time has none",
+                advice="the direct method (--method direct, Pseudospectral()); another value of what was changed last",
+            )
 
 
 def may_be_cut(conditions: Conditions, segments: int = _SEGMENTS) -> bool:
@@ -265,13 +293,16 @@ def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequenc
 def _left(
     problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown], *, stationary: bool = False
 ) -> Vector:
-    """Return the residual at the ends; 0 for ranges, and for free parameters that are held, or all of them."""
+    """Return the residual at the ends; 0 for ranges, and for free parameters that are held, or all of them.
+
+    NaN of one that was not flown to its end.
+    """
     ends = np.concatenate([arc.z[-1] for arc in flown])
     residual = np.array(conditions.residual(root.y, ends, extremal_parameters(problem))[0]).ravel()
     free = conditions.free_at.stop - conditions.free_at.start
     residual[conditions.stationarity_at] *= stationary & (root.choice[:free] == 0)
     residual[[row for row, _ in (*conditions.ranges, *conditions.silent_rows)]] = 0.0
-    return residual
+    return residual if all(own.complete for own in flown) else np.full_like(residual, np.nan)
 
 
 def _in_pieces(problem: Problem, conditions: Conditions, root: Root, whole: Sequence[Flown]) -> list[Flown] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from perilune.problem.symbolic import state_scales
 from perilune.problem.variables import Variable
 from perilune.shooting.function import Root
 from perilune.structures.read import CLOSEST, closer
+from perilune.words.outcome import NotConvergedError
 from perilune.words.types import Vector
 
 _POINTS = 201  # of a phase, at which its conditions are looked at first, beside its switches
@@ -79,7 +81,8 @@ class Judge:
         settings = {"rtol": _ACCURACY, "atol": _ACCURACY}
         found = self._on_the_way(in_one_piece(self.problem, self.conditions, root.y, **settings), values)
         if _deep(found):  # where errors grow, one flight alone may break what its pieces keep
-            found = self._on_the_way(exported(self.problem, self.conditions, root, _SLACK, **settings), values)
+            with suppress(NotConvergedError):
+                found = self._on_the_way(exported(self.problem, self.conditions, root, _SLACK, **settings), values)
         yield from found
 
     def _on_the_way(self, flights: list[Flown], values: dict[str, float]) -> list[Breach]:
