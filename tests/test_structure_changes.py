@@ -291,6 +291,41 @@ def test_an_atlas_answers_where_a_tilt_begins_to_bind_beside_a_touch(tmp_path: P
         atlas.query(approach_east=-2711.68, corridor_slope=0.47708)
 
 
+def on_the_moon(slope: float) -> pl.Problem:
+    """Number 29 of these: from 0.1233769 rad on the engine is throttled for a moment before the slope is touched."""
+    return precision_landing(
+        Vehicle(mass=524.2230903236141, thrust=1506.6269475701417, specific_impulse=250.23911526570197),
+        Approach(
+            east=-730.2244768458867, north=-903.8394973622208, up=502.6656882915424,
+            east_speed=-4.298649762587121, north_speed=7.078558817300382, up_speed=-15.769613686613555,
+        ),
+        Site(altitude=0.0, longitude=0.0, latitude=-1.1672140501849122),
+        Corridor(slope=slope, pad_radius=3.1845544516259325),
+        (0.189878026163245, 0.7631975668033675),
+        MOON,
+    )  # fmt: skip
+
+
+def test_a_pair_of_switches_that_begins_is_found_from_its_first_instant() -> None:
+    """The time between them rises in proportion from nothing (0.5 ms at the point drawn), J is smooth: none was found.
+
+    What an instant on the other bound gains is linear in the slope, and what it loses a square of it: so is the best.
+    """
+    slopes, between, landed = (0.12337, 0.12338, 0.12339879781006839, 0.12345), list[float](), list[float]()
+    for slope in slopes:
+        solution = pl.solve(on_the_moon(slope), level=2)
+        assert solution.outcome is pl.Outcome.PROVED, str(solution.verification)
+        coasts = [arc for arc in solution.structure if "lower" in arc.words]
+        between.append(sum(arc.end - arc.begin for arc in coasts))
+        landed.append(-solution.objective)
+    assert between[0] == 0.0 and 5e-5 < between[1] < 1e-4
+    rate = [(w - between[1]) / (slope - slopes[1]) for w, slope in zip(between[2:], slopes[2:], strict=True)]
+    assert rate[0] == pytest.approx(rate[1], rel=2e-3)
+    assert slopes[1] - between[1] / rate[0] == pytest.approx(0.12337692, abs=3e-8)  # where no instant gains anything
+    falls = np.diff(landed) / np.diff(slopes)
+    assert falls == pytest.approx(falls.mean(), rel=1e-3)
+
+
 @pytest.mark.parametrize(("slope", "little"), [("0.5367892139328801 rad", True), ("0.8 rad", False)])
 def test_arcs_are_looked_for_from_extremals_that_break_a_limit_by_little(slope: str, little: bool) -> None:
     """Extremals that break the slope by a quarter of the way cost a refusal seconds, and lead to no arcs."""

@@ -94,7 +94,7 @@ class Search:
         self.answering, search.outdone = search, search._outdone(found)
         if not search._answers(found):
             raise search._refusal(found)
-        return search._compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
+        return search.compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
 
     def near(self, guess: Solution, *, family: bool = False) -> tuple[Solution, Callable[[], Breach | None]]:
         """Return what Newton's method reaches from a guess, and a callable for the first condition that it breaks.
@@ -103,15 +103,15 @@ class Search:
         """
         search, found = self._from_guess(guess)
         if not family or search.trials.scanned is None:
-            return search._compose(found, "guess"), lambda: search.judge.breach(found[0].root)
+            return search.compose(found, "guess"), lambda: search.judge.breach(found[0].root)
         found += [f for f in search._others(found[0]) if search.judge.breach(f.root) is None]
         found = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
-        return search._compose(found, "family"), lambda: search.judge.breach(found[0].root)
+        return search.compose(found, "family"), lambda: search.judge.breach(found[0].root)
 
     def along_families(self, known: Solution) -> tuple[list[Found], Callable[[Sequence[Found]], Solution]]:
         """Return the extremal of a solution, those on families through it, and what makes solutions of some of them."""
         search, found = self._from_guess(known)
-        return [*found, *search._others(found[0])], lambda some: search._compose(some, "family")
+        return [*found, *search._others(found[0])], lambda some: search.compose(some, "family")
 
     def smoothed(self, rough: Solution) -> tuple[Solution, Callable[[], Breach | None]]:
         """Solve as `near`, but by way of smooth controls, with what a rough answer of many switches holds."""
@@ -123,7 +123,7 @@ class Search:
         self.tried += [smoothing.told] if smoothing.told else []
         if root is None or trials.outside(root) is not None:
             raise self._failure()
-        return self._compose([Found(root=root, minimum=True)], SMOOTH), lambda: self.judge.breach(root)
+        return self.compose([Found(root=root, minimum=True)], SMOOTH), lambda: self.judge.breach(root)
 
     def all_extremals(self, base: Member | None = None, *, last: bool = False) -> tuple[Search, list[Found]]:
         """Return extremals from all starts, and their search: this one, or one whose control keeps more of the path.
@@ -200,7 +200,7 @@ class Search:
             return
         yield from filter(None, [self.coarse.solve()])
         for root in self.answering.outdone if self.trials.bounded else ():
-            guess = self.answering._compose([Found(root=root, minimum=True)], "")
+            guess = self.answering.compose([Found(root=root, minimum=True)], "")
             yield from filter(None, [Coarse(self.settings, self.problem, self.tried, self.watch).solve(guess)])
 
     def breaking_path(self) -> Iterator[Solution]:
@@ -208,7 +208,7 @@ class Search:
         search = self.answering
         for root in search.outdone:
             if all(breach.canonical <= _LITTLE for breach in search.judge.breaches(root)):
-                yield search._compose([Found(root=root, minimum=True)], "")
+                yield search.compose([Found(root=root, minimum=True)], "")
 
     def _keeping(self, more: Held) -> Search:
         """Return the same search with a control that keeps more conditions of the path."""
@@ -438,7 +438,8 @@ class Search:
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
-    def _compose(self, found: Sequence[Found], rung: str) -> Solution:
+    def compose(self, found: Sequence[Found], rung: str) -> Solution:
+        """Make a solution of extremals, which says by which rung they were found."""
         statistics = Statistics(
             rung=rung,
             tried=tuple(self.tried),

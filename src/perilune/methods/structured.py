@@ -29,6 +29,7 @@ import numpy as np
 
 from perilune.methods.breaches import broken_by_control
 from perilune.methods.ladder import STRUCTURE, Ladder
+from perilune.methods.pair import begun_pair, with_pair
 from perilune.methods.search import Search
 from perilune.methods.trials import bounded_parameters
 from perilune.methods.way import Way
@@ -277,6 +278,12 @@ class Polish:
 
         restated = restate(self.problem, structure, repeated=False)
         guess, failure, found = split(rough, structure, restated), None, False
+        if (pair := begun_pair(self.problem, structure)) is not None:
+            self.watch("structure: a pair of switches that begins")
+            search = Search(self.settings, guess.problem, self.watch)
+            if (solved := with_pair(search, guess, pair)) is not None:
+                yield solved
+                found = True
         # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
         # Where a control chatters no mesh is fine enough.
         refine = 0 if structure.singular else 3

@@ -33,6 +33,7 @@ from perilune.structures.regimes import (
     linear_scalars,
     read_stays,
     regimes_at,
+    seen_stays,
 )
 from perilune.structures.structure import Arc, Structure, conditions_of, margins, moved_by, plain_bounds
 from perilune.words.maths import NUMERIC
@@ -116,6 +117,10 @@ def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> li
         different.setdefault(structures[level].text, structures[level])
     if not without.plain:
         different.setdefault(without.text, without)
+    # Where a pair of switches begins no law finds it: last the arcs stay on the bounds on which they are seen.
+    if touched and (bound := [seen_stays(solution, k) for k in range(len(met))]) != nothing:
+        structure = _structure(problem, solution, met, bound)
+        different.setdefault(structure.text, structure)
     return list(different.values())
 
 

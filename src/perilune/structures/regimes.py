@@ -37,6 +37,8 @@ INSIDE = 0.02  # of its range: on the average a singular control is farther from
 BETWEEN = 0.1  # of its range and of a phase
 CLEAR = 0.05  # of its range: so near to its lower bound a control is there, whatever the gain
 POINTS = 2000
+BARELY, BEGUN = 1e-9, 1e-2  # of the largest gain: more is no rounding of exact tables; a pair of switches that begins
+PAIR, _LEAST_PAIR = 1e-5, 1e-10  # of a stay: how long such a pair is tried; of a phase: what is shorter is none
 WRONG = 1e-6  # of the largest gain, and of the range of a control: more is no rounding
 
 
@@ -140,6 +142,16 @@ def brief_stays(solution: Solution, k: int) -> list[Stay]:
         else:
             found.append(Stay(control=control.name, regime=regime, begin=begin, end=end))
     return found
+
+
+def seen_stays(solution: Solution, k: int) -> list[Stay]:
+    """Return the bounds that the one scalar of phase k is on, as the places in its range tell them, however rough."""
+    known = linear_scalars(solution.problem, k)
+    if len(known) != 1:
+        return []
+    (at, control), t = known[0], np.linspace(0.0, solution.trajectories[k].duration, POINTS)
+    upper = control.share(solution.flown(k, t)[1][at], solution.parameters) > 0.5
+    return _at_bounds(control.name, t, upper, 0.0, float(t[-1]))
 
 
 def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[Vector, Vector, Vector]:
@@ -331,14 +343,19 @@ def revised_stays(whole: Solution, k: int, known: Sequence[Stay], shortest: floa
         if not own:
             continue
         t, gain, share = gain_along(whole, k, at, control)
-        most, kept = float(np.abs(gain).max()), list[Stay]()
+        most, kept, bang_bang = (
+            float(np.abs(gain).max()),
+            list[Stay](),
+            all(s.regime in ("lower", "upper") for s in own),
+        )
         for stay in own:
-            if stay.end - stay.begin <= least:
+            if stay.end - stay.begin <= (_LEAST_PAIR * whole.trajectories[k].duration if bang_bang else least):
                 continue
             inside = np.nonzero((t > stay.begin) & (t < stay.end))[0]
             if stay.regime == "singular" and np.abs(gain[inside]).max(initial=0.0) > WRONG * most:
                 return None
-            kept += _kept(stay, t[inside], gain[inside] / most, share[inside])
+            born = _born(stay, t[inside], gain[inside] / most) if bang_bang else []
+            kept += born or _kept(stay, t[inside], gain[inside] / most, share[inside])
         found += _closed(kept, known[-1].end)
     return sorted(found, key=lambda s: (s.begin, s.control))
 
@@ -363,6 +380,27 @@ def _kept(stay: Stay, t: Vector, gain: Vector, share: Vector) -> Iterator[Stay]:
         begin = stay.begin if first == 0 else float(t[first])
         end = stay.end if last == len(t) - 1 else float(t[last + 1])
         yield Stay(control=stay.control, regime=names[int(asked[first])], begin=begin, end=end)
+
+
+def _born(stay: Stay, t: Vector, gain: Vector) -> list[Stay]:
+    """Return a stay on a bound cut where a pair of switches begins, if it does: H is less on the other bound by little.
+
+    There J falls with the time w on that by gain w and rises by K w^2, so that w is as small as the gain while H is
+    less there for as long as its root: the pair is tried as short as an instant, at the time of the gain.
+    """
+    if len(t) < 3:
+        return []
+    g = gain * (1 if stay.regime == "upper" else -1)
+    i = 1 + int(np.argmax(g[1:-1]))
+    slope, bend = 0.5 * (g[i + 1] - g[i - 1]), g[i + 1] - 2.0 * g[i] + g[i - 1]  # of a parabola through the points
+    if not (g[i] >= max(g[i - 1], g[i + 1]) and bend < 0.0 and BARELY < g[i] - 0.5 * slope**2 / bend < BEGUN):
+        return []
+    at, half = float(t[i] - (t[i + 1] - t[i]) * slope / bend), 0.5 * PAIR * float(t[-1] - t[0])
+    other = "lower" if stay.regime == "upper" else "upper"
+    return [
+        replace(stay, end=at - half), replace(stay, regime=other, begin=at - half, end=at + half),
+        replace(stay, begin=at + half),
+    ]  # fmt: skip
 
 
 def _closed(stays: Sequence[Stay], total: float) -> list[Stay]:

@@ -109,7 +109,9 @@ class Crossing:
         # Where g is as flat as beside a double zero it is rounding before it is as near: no step lowers it any more.
         short = w.compare("ole", step, w.mul(resolution, w.const(_SHORT)))
         lower = w.compare("olt", w.intrinsic("fabs", g1), w.intrinsic("fabs", g0))
-        left = w.compare("ole", w.intrinsic("fabs", g0), w.const(_AFTER))  # its own event a step ago: nothing was lowered
+        left = w.compare(
+            "ole", w.intrinsic("fabs", g0), w.const(_AFTER)
+        )  # its own event a step ago: nothing was lowered
         rounding = w.but_not(short, w.either(lower, left))
         same_side = w.compare("ogt", w.mul(g0, g1), zero)  # not just left by its own event
         arrives = w.either(
