@@ -220,3 +220,45 @@ def test_an_angle_goes_on_past_half_a_turn(lower: float, upper: float, unit: str
     truth = np.unwrap(np.arctan2(np.tan(first) + time, 1.0) + math.pi) + turn
     np.testing.assert_allclose(theta, truth, atol=1e-7)
     assert lower <= theta.min() and theta.max() <= upper
+
+
+def lander_in_a_plane(angle: pl.Bounded | None) -> pl.Problem:
+    """Least propellant from 1 km to rest anywhere on the ground, by throttle and angle, or by a direction."""
+    controls = (pl.Bounded(name="k", lower=0.0, upper=1.0), angle or pl.Direction(names=("a", "b")))
+
+    def rates(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
+        east, up = (u.a, u.b) if angle is None else (m.sin(u.theta), m.cos(u.theta))
+        thrust = p.thrust * u.k
+        return x.vx, x.vy, thrust * east / x.mass, thrust * up / x.mass - p.g, -thrust / p.exhaust
+
+    phase = pl.Phase(
+        name="land",
+        states=variables(x="m", y="m", vx="m/s", vy="m/s", mass="kg"),
+        controls=controls,
+        dynamics=rates,
+        duration="T",
+        end=lambda x, p, m: (x.y, x.vx, x.vy),
+        end_conditions=variables(ground="m", across="m/s", down="m/s"),
+    )
+    return pl.Problem(
+        name="lander",
+        phases=(phase,),
+        start=lambda p, m: (0 * p.height, p.height, p.across, -p.down, p.mass),
+        given=given(
+            thrust=(4000.0, "N"), g=(1.6, "m/s^2"), exhaust=(120.0, "m/s"), height=(1000.0, "m"), across=(24.0, "m/s"),
+            down=(8.0, "m/s"), mass=(1000.0, "kg")),
+        free=(pl.Free(name="T", unit="s", lower=7.5, upper=200.0, typical=38.0),),
+        objective=lambda x, p, m: -x.mass,
+        objective_unit="kg",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("lower", [-math.inf, -math.pi / 2])
+def test_an_angle_may_point_no_thrust(lower: float) -> None:
+    """While it coasts H does not depend on the angle, which goes on as it would with the least thrust."""
+    angle = pl.Bounded(name="theta", unit="rad", lower=lower, upper=-lower)
+    pointed = pl.solve(lander_in_a_plane(None), pl.Pseudospectral(), level=0)
+    solution = pl.solve(lander_in_a_plane(angle), pl.Pseudospectral(), level=2)
+    assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 2)
+    assert solution.objective == pytest.approx(pointed.objective, rel=1e-9)
+    assert solution.trajectories[0].control.values[0, 0] == 0.0

@@ -35,6 +35,7 @@ from perilune.conditions.scalars import (
     Scalar,
     Terms,
     combinations,
+    is_factor,
     is_periodic,
     keeps,
     least_between,
@@ -192,7 +193,11 @@ def _control(phase: Phase, law: list[ca.SX], u: ca.SX, mode: Mode) -> tuple[ca.S
     w, found = ca.SX(0, 1), ca.SX(0, 1)
     if free:
         symbols = ca.vertcat(*(kind.symbol for kind in free))
-        H, own = (_put(e, u, places, values) for e in (mode.H, ca.vertcat(ca.SX(0, 1), *mode.own.values())))
+        # What an angle points may be nothing: where it would point it is the same as for more, or less, of it.
+        pointed = [len(free) == 1 and is_factor(u[i], free[0].slope) for i in places]
+        some = [ca.if_else(v < 0, -1.0, 1.0) if of else v for of, v in zip(pointed, values, strict=True)]
+        H = _put(mode.H, u, places, some)
+        own = _put(ca.vertcat(ca.SX(0, 1), *mode.own.values()), u, places, values)
         best, w, found = least_between(phase, H, symbols, free, own, "low_interior" in mode.regimes)
         values += elements(best)
         places += [kind.at for kind in free]

@@ -138,12 +138,24 @@ def is_periodic(control: Bounded, u: ca.SX, expressions: ca.SX) -> bool:
     """Return True if none of the expressions of a scalar u tells a whole turn."""
     if isinstance(control, Settled) or control.unit not in ("1", "rad") or not ca.depends_on(expressions, u):
         return False
-    symbols = ca.symvar(expressions)
-    whole = ca.Function("whole", symbols, [expressions, ca.substitute(expressions, u, u + 2 * np.pi)])
-    draw = np.random.default_rng(1)
+    return _is_zero(ca.substitute(expressions, u, u + 2 * np.pi) - expressions, ca.fabs(expressions))
+
+
+def is_factor(factor: ca.SX, expression: ca.SX) -> bool:
+    """Return True if an expression is proportional to a symbol, as the pull of an angle is to the thrust it points."""
+    if not ca.depends_on(expression, factor) or ca.depends_on(ca.gradient(expression, factor), factor):
+        return False
+    left = ca.substitute(expression, factor, 0.0)
+    return _is_zero(left, ca.fabs(ca.substitute(expression, factor, 1.0)))
+
+
+def _is_zero(expression: ca.SX, size: ca.SX) -> bool:
+    """Return True if an expression vanishes to rounding wherever it is looked at; not where it is NaN."""
+    symbols, draw = ca.symvar(ca.vertcat(expression, size)), np.random.default_rng(1)
+    both = ca.Function("both", symbols, [expression, size])
     for _ in range(_DRAWS):
-        here, turned = (e.full() for e in whole(*draw.uniform(0.2, 2.0, len(symbols))))
-        if not np.allclose(here, turned, rtol=1e-9, atol=1e-9):  # which NaN is not either
+        here, terms = (e.full() for e in both(*draw.uniform(0.2, 2.0, len(symbols))))
+        if not (np.abs(here) <= 1e-9 * (1.0 + terms)).all():
             return False
     return True
 
