@@ -25,7 +25,6 @@ from perilune.io.export import save, solution_document, whole_document
 from perilune.io.format import SOLUTION_FILE
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import quantity_in, told
-from perilune.report.beside import proved_directory
 from perilune.report.family import family_csv, family_document
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import KINDS, load_file, load_text, template
@@ -407,7 +406,7 @@ def test_it_goes_with_a_solution(precise: Solution, tmp_path: Path) -> None:
     loaded = pl.load(tmp_path)
     assert not loaded.verification.checks and loaded.verification.within == ""
     assert pl.prove(loaded, 3).verification.title.endswith(WITHIN)
-    assert proved_directory(tmp_path, 1).verification.title == f"level 1: feasible, {WITHIN}"
+    assert pl.prove(pl.load(tmp_path), 1).verification.title == f"level 1: feasible, {WITHIN}"
     again = pl.prove(loaded, 1, pl.Tolerance())
     assert again.outcome is Outcome.NOT_PROVED and again.verification.tolerance == pl.Tolerance()
     assert pl.verify(loaded, level=1, tolerance=pl.Tolerance(position=1e-4)).level == 0
@@ -465,7 +464,7 @@ def test_a_stranger_cannot_hide_what_was_needed(saved: dict[str, Any], tmp_path:
         claims = {**saved["verification"], "within": "", "tolerance": stated, "checks": []}
         document = {**saved, "within": "", "verification": claims}
         (tmp_path / SOLUTION_FILE).write_text(json.dumps(document), encoding="utf-8")
-        found = proved_directory(tmp_path, 1)
+        found = pl.prove(pl.load(tmp_path), 1)
         assert (found.outcome is Outcome.PROVED) == proved
         assert found.verification.within == ("within the stated tolerance (position 1 m)" if proved else "")
 

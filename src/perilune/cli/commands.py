@@ -22,6 +22,8 @@ from perilune.words.units import told
 if TYPE_CHECKING:
     from perilune.problem.solution import Solution
 
+_MOST_NAMES = 8  # of files in a note
+
 
 def obey(arguments: Sequence[str]) -> int:
     """Parse a command line and run its command; returns the exit code."""
@@ -186,7 +188,8 @@ def _atlas(typed: Namespace) -> Answer:
 
 
 def _verify(typed: Namespace) -> Answer:
-    from perilune.report.beside import proved_directory
+    from perilune.io.reload import load
+    from perilune.solve import prove
 
     certificate = typed.certificate
     if certificate is not None:
@@ -194,13 +197,28 @@ def _verify(typed: Namespace) -> Answer:
 
         certificate = new_file(certificate, "the certificate", typed.force)  # refused before the work, not after it
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
-        solution = proved_directory(typed.directory, typed.level, watch)
+        solution = _with_unread_files(prove(load(typed.directory), typed.level, watch=watch), typed.directory)
     answer, files = _solution_answer(solution, typed.verbose), Files()
     if certificate is None:
         return answer
     with files.written():
         answer = replace(answer, text=f"{answer.text}\n\n{_certified(solution, certificate)}")
     return files.noted(answer)
+
+
+def _with_unread_files(solution: Solution, directory: Path) -> Solution:
+    """Add a note that names the files beside ``solution.json``: derived from it, and no evidence."""
+    from perilune.io.format import SOLUTION_FILE
+
+    if not directory.is_dir():
+        return solution
+    names = sorted(repr(path.name)[1:-1][:60] for path in directory.iterdir() if path.name != SOLUTION_FILE)
+    if not names:
+        return solution
+    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+    note = f"not read, as only {SOLUTION_FILE} is evidence: {', '.join(names[:_MOST_NAMES])}{more}"
+    verification = solution.verification
+    return replace(solution, verification=replace(verification, notes=(*verification.notes, note)))
 
 
 def _certified(solution: Solution, file: Path) -> str:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,6 @@ from perilune.io.format import (
 )
 from perilune.io.physics import read_physics
 from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
-from perilune.io.repeated import Repeated
 from perilune.problem.controls import directions
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.named_arcs import NamedArc
@@ -64,8 +62,8 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
         Unverified: a file's own claims are told and not taken over; the tolerance that was stated for its proof is, for
         the next. Its problem is that of the scenario or the model where the file has one (the model's own functions and
         checks), else that of the expressions in the file; `problem.text` says which. The extremals that the file lists
-        stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`; and a proof compares what
-        the file and the tables beside it `repeated`.
+        stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`. Results are computed again
+        from the curves; those in the file, and derived files in the directory, are not evidence and are not read.
 
     Raises
     ------
@@ -85,7 +83,7 @@ def opened(
     document = _document(path)
     problem = read_problem(document, problem_from_scenario)
     found = read_answer(document, problem, read_trajectories(document, problem))
-    return replace(found, repeated=Repeated.of(path, document)), document
+    return found, document
 
 
 def claims_of(document: Mapping[str, Any]) -> tuple[str, dict[str, str]]:

@@ -7,7 +7,7 @@ loses nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -24,7 +24,7 @@ from perilune.problem.peaks import peaks
 from perilune.problem.problem import Problem
 from perilune.problem.shown import ShownCurve, ShownSolution, ShownTrajectory
 from perilune.problem.variables import Variable
-from perilune.problem.verification import Check, Verification
+from perilune.problem.verification import Verification
 from perilune.words.asked import called_in_words, demand_index, demand_numbers
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, Outcome, PeriluneError
@@ -213,9 +213,6 @@ class Solution(ShownSolution):
         until `perilune.prove` has found each again.
     unknowns
         The method's own unknowns, so that it can start again from here (`method` says whose they are).
-    repeated
-        Of a solution that was loaded: ``repeated(solution)`` returns checks of level 1 of what its files say a second
-        time, each entry compared with the solution; None of any other.
     structure
         The arcs that it is made of, by name, where somebody has read them.
     """
@@ -232,7 +229,6 @@ class Solution(ShownSolution):
     unknowns: Vector | None = None
     statistics: Statistics = field(default_factory=Statistics)
     verification: Verification = field(default_factory=Verification)
-    repeated: Callable[[Solution], Sequence[Check]] | None = None
     structure: Sequence[NamedArc] = ()
 
     def __post_init__(self) -> None:

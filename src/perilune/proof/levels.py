@@ -90,10 +90,6 @@ def examine(
             for check in _checks(solution, level, resolve, other, tolerance, checks):
                 at_work(f"proof: level {check.level}, {check.name}")
                 checks.append(raised(check, tolerance))
-            if solution.repeated is not None and all(check.passed for check in checks):
-                checks.extend(solution.repeated(solution))
-            elif solution.repeated is not None:
-                notes += ("what lies beside the solution was not compared, as it is not proved itself",)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         meaning = f"the physics can be computed where the tables lead: {error}"
         checks.append(Check(name="computable", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning))
