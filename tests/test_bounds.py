@@ -31,7 +31,7 @@ from perilune.proof.extremal import _signs
 from perilune.scenario import load_text
 from perilune.shooting.function import Shooting
 from perilune.solve import solve, verify
-from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 
 Method = Indirect | Pseudospectral
 METHODS: list[Method] = [Indirect(), Pseudospectral()]
@@ -167,8 +167,9 @@ def between(slowest: float, fastest: float) -> Problem:
 def test_an_empty_range_between_parameters_is_refused_in_an_atlas_too() -> None:
     """Along it two extremals were found, each at one of the bounds: it was solved, not proved, and mapped."""
     problem = between(1.2, 1.0)
-    with pytest.raises(InfeasibleError, match="bounds of speed are empty") as refused:
+    with pytest.raises(PeriluneError, match="bounds of speed are empty") as refused:
         solve(problem)
+    assert refused.value.exit_code == 2
     assert refused.value.got == "the upper bound of speed 1 m/s" and refused.value.expected == "at least 1.2 m/s"
     points = np.array([[1.2, 1.0], [1.2, 1.3], [1.2, 1.2]])
     assert allowed(problem, ["slowest", "fastest"])(points).tolist() == [False, True, True]

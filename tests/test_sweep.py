@@ -97,7 +97,7 @@ def test_interruption_keeps_what_is_there(landing: Problem) -> None:
 
     def press(line: Any) -> None:
         lines.append(line)
-        if sum(str(entry).startswith("vehicle_thrust =") for entry in lines) == 3:
+        if sum(str(entry).startswith("vehicle.thrust =") for entry in lines) == 3:
             raise KeyboardInterrupt
 
     family = sweep(landing.with_given(retro_delta_v=0.0), {"vehicle.thrust": [440.0, 450.0, 460.0]}, watch=press)

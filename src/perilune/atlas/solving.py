@@ -24,6 +24,7 @@ from perilune.problem.extremal import Extremal
 from perilune.problem.neighbours import narrowed
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
+from perilune.problem.wording import free_name
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 from perilune.words.watch import Watch
@@ -115,7 +116,8 @@ class Solving:
                 ended.add(one.course.text)
         while len(found) < _MOST_HELD and failed < _MOST_FAILED and (gap := scan.gap()) is not None:
             place, values, name, share = gap
-            self.watch(f"survey: with {name} held where no flight that is known keeps the path")
+            called = free_name(self.problem, name)
+            self.watch(f"survey: with {called} held where no flight that is known keeps the path")
             answer = self._solved(values, name, share)
             if answer is not None and scan.add(answer.values, answer.course, answer.extremals, place):
                 found.append(answer)

@@ -15,12 +15,11 @@ import numpy as np
 
 from perilune.direct.nlp import Answer, Program
 from perilune.problem.controls import scalars
+from perilune.problem.preflight import at_start, between_bounds, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
-    SYMBOLIC,
     Unnumbered,
     canonical_given,
-    column,
     state_scales,
     trace_at_end,
     trace_parameters,
@@ -58,30 +57,10 @@ def check_consistent(problem: Problem) -> None:
                         expected="a number, or the name of a given parameter",
                         advice="Indirect() alone, or a condition of the path that says the same",
                     )
-        for control in bounded:
-            lower, upper = control.limits(p)
-            if not lower <= upper:
-                raise InfeasibleError(
-                    f"bounds of control {control.name} are empty",
-                    got=f"[{lower:g}, {upper:g}] {control.unit}",
-                    expected="lower <= upper",
-                )
-    longest = {f.name: f.upper for f in problem.free} | {name: g.value for name, g in problem.given.items()}
-    for name in problem.duration_names:
-        if not longest[name] > 0:
-            raise InfeasibleError(
-                f"{name} is the length of a phase and must be positive",
-                got=f"at most {longest[name]:g} s",
-                expected="> 0 s",
-            )
+    refuse_impossible([*between_bounds(problem, p), *at_start(problem, p)])
     function, ends = _known(Unnumbered(problem))
-    values = np.array(function(math.nan, canonical_given(problem))).ravel().tolist()
-    phase = problem.phases[0]
-    for state, value in zip(phase.states, values, strict=False):
-        # The free parameters were NaN: what is a number does not depend on them.
-        if not math.isnan(value):
-            _check_inside(f"the start puts {state.name}", problem, state, value, p)
-    for end, value in zip(ends, values[len(phase.states) :], strict=True):
+    values = np.array(function(math.nan, canonical_given(problem))).ravel().tolist() if ends else []
+    for end, value in zip(ends, values, strict=True):
         phase = problem.phases[end.phase]
         what = f"the end condition {phase.end_conditions[end.condition].name} of {phase.name} puts "
         _check_inside(what + phase.states[end.state].name, problem, phase.states[end.state], value, p)
@@ -97,10 +76,10 @@ class _Fixed(NamedTuple):
 
 @lru_cache(maxsize=32)
 def _known(unnumbered: Unnumbered) -> tuple[ca.Function, tuple[_Fixed, ...]]:
-    """Return states at the start and then those that end conditions (not ranges) fix, and these conditions."""
+    """Return the end conditions that fix a state, which ranges do not, and the function of what they fix."""
     problem = unnumbered.problem
     p = trace_parameters(problem)
-    values, found = [column(problem.start(p.record, SYMBOLIC))], []
+    values, found = list[ca.SX](), list[_Fixed]()
     for k, phase in enumerate(problem.phases):
         if not phase.end_conditions:
             continue

@@ -22,8 +22,10 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import Verification
+from perilune.problem.wording import free_name
 from perilune.solve import ended_in_time, judged, prove, solve, verify
 from perilune.words.outcome import Outcome, PeriluneError
+from perilune.words.units import told
 from perilune.words.watch import Watch
 
 Found = Iterator[tuple[int, FamilyPoint]]
@@ -119,8 +121,8 @@ class Members:
         return problem
 
     def _say(self, i: int, more: str = "") -> None:
-        pairs = zip(self.names, self.values[i], strict=True)
-        named = ", ".join(f"{name} = {value:g} {self.problem.unit_of(name)}" for name, value in pairs)
+        problem, pairs = self.problem, zip(self.names, self.values[i], strict=True)
+        named = ", ".join(f"{free_name(problem, name)} = {told(value, problem.unit_of(name))}" for name, value in pairs)
         self.watch(f"{named} ({i + 1} of {len(self.values)}){more}")
 
     def _one_by_one(self, todo: Sequence[int]) -> Found:

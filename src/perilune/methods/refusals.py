@@ -21,7 +21,7 @@ from perilune.methods.undetermined import undetermined
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.problem.wording import limit_name, objective_text, quantity_name, stating_keys
+from perilune.problem.wording import end_text, limit_name, objective_text, quantity_name, stating_keys
 from perilune.shooting.continuum import nearly_open
 from perilune.shooting.function import Root
 from perilune.words.maths import NUMERIC
@@ -243,7 +243,7 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
             for (name, unit), v in zip(conditions.residuals, values, strict=True)
         }
         partial["free"] = free_values(problem, conditions, nearest.y)
-        got = _nearest_approach(conditions, scaled, values)
+        got = _nearest_approach(problem, conditions, scaled, values)
     warned = [finding.meaning for finding in preflight(problem) if finding.verdict == "warning"]
     got += "".join(f"; before solving, physics warns: {meaning}" for meaning in warned)
     advice = "more starts (Indirect(starts=100)), a nearby guess"
@@ -275,7 +275,7 @@ def _missed(coarse: Coarse) -> dict[str, Any]:
     return {name: known[name] for name in ("missed", "all_missed") if name in known}
 
 
-def _nearest_approach(conditions: Conditions, scaled: Vector, values: Vector) -> str:
+def _nearest_approach(problem: Problem, conditions: Conditions, scaled: Vector, values: Vector) -> str:
     """Describe what the flight nearest to an optimum lacks: an end that it misses, else what would improve it."""
     ends = conditions.transversality_at
     worst = int(np.argmax(np.abs(scaled)))
@@ -287,7 +287,7 @@ def _nearest_approach(conditions: Conditions, scaled: Vector, values: Vector) ->
     if name.startswith(_STATIONARITY):
         return f"the nearest approach arrives, but another {name.removeprefix(_STATIONARITY)} would be better"
     if _TRANSVERSALITY in name:
-        phase, _, state = name.partition(_TRANSVERSALITY)
-        state = state.removesuffix(" at the end")
-        return f"the nearest approach arrives, but another {state} at the end of {phase} would be better"
+        phase = name.partition(_TRANSVERSALITY)[0]
+        ends = end_text(problem, phase)
+        return f"the nearest approach arrives, but another end of {phase}{f' ({ends})' * bool(ends)} would be better"
     return f"the nearest approach arrives, but is not optimal yet ({name})"

@@ -21,7 +21,7 @@ from perilune.methods.smoothing import SMOOTH, Smoothing
 from perilune.methods.starts import PATIENCE, STRIDE, held_in, hold_ranges, leave_out, on_the_sphere, vanishing
 from perilune.methods.trials import Trials
 from perilune.problem.solution import Solution
-from perilune.problem.wording import free_name
+from perilune.problem.wording import free_name, kept_text
 from perilune.shooting.continuation import Member
 from perilune.shooting.extremals import distinct
 from perilune.shooting.function import Roots
@@ -73,7 +73,7 @@ class Rungs:
         trials, settings = self.trials, self.settings
         holds = [0.0] if trials.scanned is None else np.linspace(*trials.bounds(trials.scanned), 5).tolist()
         starts = [settings.starts if i == 0 else settings.starts // 2 for i in range(len(holds))]
-        where = f" keeping {', '.join(self.keep)}" if self.keep else ""
+        where = f" keeping {kept_text(trials.problem, self.keep)}" if self.keep else ""
         if trials.scanned is not None:
             name = free_name(trials.problem, trials.problem.free[trials.scanned].name)
             where += f" with {name} held at {len(holds)} values"

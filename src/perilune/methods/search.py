@@ -38,7 +38,7 @@ from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.problem.symbolic import free_scales
-from perilune.problem.wording import free_name
+from perilune.problem.wording import free_name, kept_text
 from perilune.shooting.continuation import Member
 from perilune.shooting.continuum import open_directions
 from perilune.shooting.extremals import Found, HeldFamily, new_among, same, scan
@@ -212,7 +212,7 @@ class Search:
 
     def _keeping(self, more: Held) -> Search:
         """Return the same search with a control that keeps more conditions of the path."""
-        self.watch(f"the flight is held back by {', '.join(more)}: the control keeps to it")
+        self.watch(f"the flight is held back by {kept_text(self.problem, more)}: the control keeps to it")
         keep = tuple(name for name in keepable_conditions(self.problem) if name in {*self.keep, *more})
         search = Search(self.settings, self.problem, self.watch, keep, self.tried)
         search.coarse, search.trials.history = self.coarse, self.trials.history

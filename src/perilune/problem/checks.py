@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 from perilune.problem.controls import scalars
 from perilune.problem.dimensions import Clash, clash, mixed_comparison
@@ -104,6 +104,8 @@ def check_given(problem: Any) -> None:
     for name, g in problem.given.items():
         if not math.isfinite(g.value):
             raise PeriluneError(f"the value of {name} is not finite", got=str(g.value), expected="a finite number")
+        if name in problem.duration_names and not g.value > 0:
+            _refuse_no_length(name, g.value)
     for record in problem.declared:
         check_values(record, vars(problem.parameters({})))
 
@@ -156,6 +158,14 @@ def check_free(problem: Any) -> None:
             raise PeriluneError(
                 f"bounds of {f.name} are empty", got=f"[{f.lower}, {f.upper}]", expected="lower <= upper"
             )
+        if f.name in problem.duration_names and not f.upper > 0:
+            _refuse_no_length(f.name, f.upper)
+
+
+def _refuse_no_length(name: str, longest: float) -> NoReturn:
+    raise PeriluneError(
+        f"{name} is the length of a phase and must be positive", got=f"at most {longest:g} s", expected="> 0 s"
+    )
 
 
 _PLACES = 4  # points at which the physics is tried before it counts as undefined

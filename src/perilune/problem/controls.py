@@ -167,6 +167,11 @@ class Bounded:
     def __post_init__(self) -> None:
         demand_si_unit(self.unit, self.name)
         demand_limits(self)
+        if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower <= self.upper):
+            raise PeriluneError(
+                f"bounds of control {self.name} are empty", got=f"[{self.lower:g}, {self.upper:g}] {self.unit}",
+                expected="lower <= upper",
+            )  # fmt: skip
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -18,11 +18,14 @@ import numpy as np
 
 from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
+from perilune.problem.variables import Variable
+from perilune.problem.wording import limit_name, quantity_name, stating_keys
 from perilune.words.asked import called_in_words, demand, refused
 from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, unknown_name
+from perilune.words.outcome import InfeasibleError, PeriluneError, unknown_name
 from perilune.words.units import told
 
+_BEGUN = 1e-9  # canonical: by so little a start is on its limits
 _ROUNDOFF = 1e-13  # of the greater of two numbers that are compared
 
 
@@ -33,7 +36,8 @@ class Finding:
 
     `value` and `limit` are what the parameters were: numbers, arrays or symbols. Missing a binding one is fatal. All
     else is the same whatever the parameters are. Of one that is `lasting` a miss is said with the answer as well, as
-    air that a model leaves out; others are of what is hard to solve.
+    air that a model leaves out; others are of what is hard to solve. A miss of a `contradiction` is bad input: what is
+    stated excludes itself, whatever flies.
     """
 
     name: str
@@ -45,11 +49,12 @@ class Finding:
     meaning: str
     advice: str = ""
     lasting: bool = False
+    contradiction: bool = False
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "meaning", "advice"):
             demand(getattr(self, text), str, f"the {text} of a comparison")
-        for side in ("at_least", "binding", "lasting"):
+        for side in ("at_least", "binding", "lasting", "contradiction"):
             if not isinstance(stated := getattr(self, side), bool | np.bool_):
                 raise refused(
                     stated, "True or False, whatever the parameters are", f"what {side} of a comparison can be"
@@ -103,7 +108,10 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
     p = SimpleNamespace(**values)
     with np.errstate(all="ignore"):
         stated = () if problem.preflight is None else problem.preflight(p, NUMERIC)
-        return (*stated, *(f for f in between_bounds(problem, p) if not np.all(f.passed)))
+        # Of a start that its kind refuses, in better words, no more is said.
+        begun = at_start(problem, p) if np.any(possible(stated)) else ()
+        general = (*between_bounds(problem, p), *begun, *_of_constant(problem))
+        return (*stated, *(f for f in general if not np.all(f.passed)))
 
 
 def between_bounds(problem: Problem, p: Any) -> tuple[Finding, ...]:
@@ -123,9 +131,62 @@ def between_bounds(problem: Problem, p: Any) -> tuple[Finding, ...]:
     return tuple(
         Finding(
             name=f"the upper bound of {one.name}", value=upper, limit=lower, at_least=True, unit=one.unit, binding=True,
-            meaning=f"bounds of {one.name} are empty",
+            meaning=f"bounds of {one.name} are empty", contradiction=True,
         )
         for one, lower, upper in both
+    )  # fmt: skip
+
+
+def at_start(problem: Problem, p: Any) -> tuple[Finding, ...]:
+    """Compare what is known of the start with the bounds of the states, and with the conditions of the first path.
+
+    Known is what depends on given parameters alone: a flight begins with it, whatever follows.
+    """
+    phase, free = problem.phases[0], {name: math.nan for name in problem.free_names if not hasattr(p, name)}
+    record, unknown = SimpleNamespace(**free, **vars(p)), {("p", name) for name in free}
+    tape, start = problem.form.expressions["start"].tape, tuple(problem.start(record, NUMERIC))
+    unknown |= {("x", s.name) for row, s in enumerate(phase.states) if unknown & tape.needed(row)}
+    found = list[Finding]()
+    for state, value in zip(phase.states, start, strict=True):
+        if ("x", state.name) not in unknown:
+            for side, limit in zip(("lower", "upper"), state.limits(record), strict=True):
+                stated = limit_name(problem, state, side)
+                meaning, advice = f"the start puts {state.name} outside its bounds", f"another start, or {stated}"
+                found.append(_begun(problem, state, value, limit, side == "lower", meaning, advice))
+    if phase.path_conditions:
+        tape = problem.form.expressions[0, "path"].tape
+        along = phase.evaluate("path", start, [math.nan] * len(phase.control_names), record)
+        for row, (condition, value) in enumerate(zip(phase.path_conditions, along, strict=True)):
+            needed = tape.needed(row)
+            if not (unknown & needed or any(op[0] == "u" for op in needed)):
+                keys = ", ".join(stating_keys(problem, 0, "path", row))
+                meaning = f"the start breaks a condition of the path: {keys or quantity_name(condition)}"
+                advice = f"another start, or relax {keys or 'the condition'}"
+                found.append(_begun(problem, condition, value, 0.0, True, meaning, advice))
+    return tuple(found)
+
+
+def _begun(problem: Problem, one: Variable, value: Any, limit: Any, at_least: bool, meaning: str, way: str) -> Finding:
+    """Compare a value at the start with its limit; within rounding of it, and where it is no number, it keeps it."""
+    over = (limit - value if at_least else value - limit) > _BEGUN * problem.size_of(one)
+    return Finding(
+        name=f"{one.name} at the start", value=np.where(over, value, limit)[()], limit=limit, at_least=at_least,
+        unit=one.unit, binding=True, meaning=meaning, advice=way,
+    )  # fmt: skip
+
+
+def _of_constant(problem: Problem) -> tuple[Finding, ...]:
+    """Warn of an objective that is the same for every flight."""
+    inputs = {op for op in problem.form.expressions["objective"].tape.needed(0) if op[0] in ("x", "p")}
+    chosen = {op for op in inputs if op[0] == "x" or op[1] in problem.free_names}
+    return (
+        Finding(
+            name="quantities that are chosen on which the objective depends", value=len(chosen), limit=1, at_least=True,
+            unit="1", binding=False, lasting=True,
+            meaning="the objective is a constant: it depends on no state at the end and on no free parameter, so that"
+            " each flight that arrives is as good as any other",
+            advice="an objective that tells flights apart, as the mass at the end or a free duration",
+        ),
     )  # fmt: skip
 
 
@@ -152,12 +213,8 @@ def member(found: Sequence[Finding], index: int) -> tuple[Finding, ...]:
 
 
 def refuse_impossible(found: Sequence[Finding]) -> None:
-    """Raise an InfeasibleError for the first binding comparison that is missed."""
+    """Refuse the first binding comparison that is missed: as infeasible, and a contradiction as bad input."""
     for f in found:
         if f.binding and not f.passed:
-            raise InfeasibleError(
-                f.meaning,
-                got=f"{f.name} {f.told[0]}",
-                expected=f.told[1],
-                advice=f.advice,
-            )
+            kind = PeriluneError if f.contradiction else InfeasibleError
+            raise kind(f.meaning, got=f"{f.name} {f.told[0]}", expected=f.told[1], advice=f.advice)

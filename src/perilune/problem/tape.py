@@ -225,6 +225,13 @@ class Tape:
     outputs: tuple[int, ...]
     tables: tuple[Table, ...] = ()
 
+    def needed(self, row: int) -> set[Instruction]:
+        """Return the instructions, inputs among them, that one of the results needs."""
+        places = {self.outputs[row]}
+        for at in range(len(self.instructions) - 1, -1, -1):
+            places |= {*operands(self.instructions[at])} if at in places else set()
+        return {self.instructions[at] for at in places}
+
     def document(self) -> dict[str, Any]:
         """Return the tape for JSON."""
         tables = [{"x": list(t.x), "y": list(t.y), "kind": t.kind} for t in self.tables]

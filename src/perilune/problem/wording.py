@@ -7,10 +7,10 @@ by the key that states it (``vehicle.dry_mass``), where it is a parameter of a r
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from perilune.problem.problem import Problem
-from perilune.problem.tape import operands
 from perilune.words.declared import keys_of, section_of
 from perilune.words.units import told
 
@@ -60,11 +60,7 @@ def stating_keys(problem: Problem, k: int, kind: str, row: int) -> list[str]:
     condition = getattr(problem.phases[k], f"{kind}_conditions")[row]
     names = [limit for limit in (condition.lower, condition.upper) if isinstance(limit, str)]
     if kind == "path":
-        tape = problem.form.expressions[k, kind].tape
-        needed = {tape.outputs[row]}
-        for at in range(len(tape.instructions) - 1, -1, -1):
-            needed |= {*operands(tape.instructions[at])} if at in needed else set()
-        inside = {tape.instructions[at] for at in needed}
+        inside = problem.form.expressions[k, kind].tape.needed(row)
         names += [name for name in only_in_path(problem) if ("p", name) in inside]
     return [parameter_key(problem, name) for name in names]
 
@@ -73,6 +69,29 @@ def free_name(problem: Problem, name: str) -> str:
     """Return what a free parameter is called in a sentence: the key that states it, or its name in words."""
     key = parameter_key(problem, name)
     return key if key != name else name.replace("_", " ")
+
+
+def kept_text(problem: Problem, names: Sequence[str]) -> str:
+    """Return what conditions of the path are called: the keys that state them, or their names in words."""
+    keys, rest = list[str](), list[str]()
+    for k, phase in enumerate(problem.phases):
+        for row, condition in enumerate(phase.path_conditions):
+            if condition.name in names:
+                stated = stating_keys(problem, k, "path", row)
+                keys += stated
+                rest += [] if stated else [quantity_name(condition)]
+    return ", ".join(dict.fromkeys((*keys, *rest)))
+
+
+def end_text(problem: Problem, name: str) -> str:
+    """Return what is stated of the end of a phase, each key with its value: ``interface.angle -8 deg``."""
+    phase = next(phase for phase in problem.phases if phase.name == name)
+    ends = phase.end_conditions
+    limits = [limit for one in ends for limit in (one.name, one.lower, one.upper) if isinstance(limit, str)]
+    stated = {name: problem.given[name] for name in limits if name in problem.given}
+    return ", ".join(
+        f"{parameter_key(problem, name)} {g.stated or told(g.value, g.unit)}" for name, g in stated.items()
+    )
 
 
 def limit_name(problem: Problem, bounded: Any, side: str) -> str:
