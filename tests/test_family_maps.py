@@ -63,6 +63,21 @@ def test_a_map_has_contours_with_their_values(family: Family) -> None:
         assert float(text.get_text()) == pytest.approx(near, abs=3.0)
 
 
+def test_no_label_is_cut_at_the_edge(family: Family) -> None:
+    """At a line that crosses a corner of the map alone the middle of its value lies on the edge."""
+    figure = family_map(family, z="flight_time")
+    axes = figure.axes[0]
+    low, high = axes.get_window_extent().min, axes.get_window_extent().max
+    for text in (text for text in axes.texts if text.get_text()):
+        box = text.get_window_extent()
+        assert np.all(box.min > low - 0.5) and np.all(box.max < high + 0.5), text.get_text()
+    corner = axes.texts[0]
+    corner.set_position((THRUSTS[0], MASSES[-1]))
+    contours.move_labels_inside(figure, axes)
+    box = corner.get_window_extent()
+    assert np.all(box.min > low - 0.5) and np.all(box.max < high + 0.5)
+
+
 def test_what_cannot_be_flown_is_hatched_and_has_no_colour(family: Family) -> None:
     gone = without(family, 0, 1)  # 420 N with 290 and 300 kg
     figure = family_map(gone)

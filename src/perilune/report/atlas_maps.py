@@ -19,7 +19,7 @@ from perilune.atlas.region import Axis
 from perilune.atlas.slices import Slice
 from perilune.io.columns import spoken
 from perilune.io.files import fresh_directory, refuse_unwritten, write_each
-from perilune.report.contours import label_lines
+from perilune.report.contours import label_lines, move_labels_inside
 from perilune.report.histories import LONG
 from perilune.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, new_figure, save, styled
 from perilune.words.outcome import PeriluneError
@@ -177,6 +177,7 @@ def _quantity(shown: Slice, values: Vector, text: str) -> Figure:
         bar.outline.set_linewidth(0.4)  # pyright: ignore[reportCallIssue]
         if not same:
             _equal(shown, panel, along, values)
+            move_labels_inside(figure, panel)
     return figure
 
 

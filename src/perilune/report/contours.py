@@ -138,6 +138,7 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
     _members(axes, family, along, across, np.isfinite(height), folded)
     axes.set(xlabel=x_text, ylabel=y_text)
     axes.grid(False)
+    move_labels_inside(figure, axes)
     return figure
 
 
@@ -229,6 +230,17 @@ def label_lines(axes: Any, lines: Any) -> None:
     """Label lines of equal value, legibly on any colour."""
     for text in axes.clabel(lines, fmt="%g", fontsize=6, inline=True, inline_spacing=2):
         text.set_path_effects([withStroke(linewidth=1.0, foreground="#00000080")])
+
+
+def move_labels_inside(figure: Figure, axes: Any) -> None:
+    """Move what is written at lines into the axes, as laid out, where their edge would cut it."""
+    figure.draw_without_rendering()
+    room = axes.get_window_extent()
+    for text in axes.texts:
+        box, at = text.get_window_extent(), axes.transData.transform(text.get_position())
+        moved = np.maximum(room.min - box.min, 0) - np.maximum(box.max - room.max, 0)
+        if moved.any():
+            text.set_position(axes.transData.inverted().transform(at + moved))
 
 
 def _members(axes: Any, family: Family, along: Vector, across: Vector, good: np.ndarray, folded: bool) -> None:
