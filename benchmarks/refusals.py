@@ -1,8 +1,9 @@
-"""Landings, descents and precision landings whose limits are drawn so tight that about half of them have no answer.
+"""Landings, descents, precision landings and returns of which about half have no answer, so tight are their limits.
 
 How each ends, and the CPU time that saying so takes. Each problem is solved without a guess and not proved:
 
-    python benchmarks/refusals.py [--count 60] [--seed 8] [--jobs 2] [--doubt] [--edge] [--out refusals.json]
+    python benchmarks/refusals.py [--count 60] [--seed 8] [--jobs 2] [--kinds return,...] [--doubt] [--edge]
+        [--out FILE]
 
 ``--count`` is of each kind. With ``--doubt`` every refusal without a bound that holds for every flight is attacked: the
 direct method solves the problem with its limits far apart, and follows that flight while they close in. With ``--edge``
@@ -19,6 +20,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,10 +31,12 @@ from perilune.models.descent import Ignition, Site, powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.problem.problem import Problem
+from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 BODIES = (MOON, MERCURY, EUROPA, CERES)
+CAPSULE = Path(__file__).parent.parent / "examples" / "maps" / "capsule.toml"
 STANDARD_GRAVITY = 9.80665
 SEARCHED = "the best of n found misses it"
 
@@ -96,10 +100,30 @@ def precision(rng: np.random.Generator) -> Problem:
     )  # fmt: skip
 
 
+def homecoming(rng: np.random.Generator) -> Problem:
+    """The capsule of examples/maps, with thrust, site, interface, limits and lift drawn far beyond what it can do."""
+    changes = [f"vehicle.thrust={math.exp(rng.uniform(math.log(2.0), math.log(2e4))):.4g} N"]
+    if rng.random() < 0.3:
+        changes += [f"site.latitude={rng.uniform(-75.0, 75.0):.4g} deg"]
+    steep = rng.uniform(1.5, 8.0)
+    changes += [f"interface.angle_lower={-steep:.4g} deg", f"interface.angle_upper={-0.8 * steep:.4g} deg"]
+    if rng.random() < 0.5:
+        changes += [f"limits.load={rng.uniform(1.5, 12.0):.4g} g0"]
+    if rng.random() < 0.3:
+        changes += [f"limits.heat_rate={math.exp(rng.uniform(math.log(50.0), math.log(1500.0))):.4g} kW/m^2"]
+    if rng.random() < 0.4:
+        changes += [f"vehicle.lift_to_drag={rng.uniform(0.1, 0.4):.3g}", "vehicle.bank=reversed"]
+        changes += ["problem.minimise=flight_time"]
+    if rng.random() < 0.5:
+        changes += [f"vehicle.dry_mass={rng.uniform(6000.0, 6900.0):.4g} kg"]
+    return load_file(CAPSULE, changes).problem
+
+
 KINDS: dict[str, Callable[[np.random.Generator], Problem]] = {
     "landing": landing,
     "descent": descent,
     "precision": precision,
+    "return": homecoming,
 }
 
 
@@ -145,10 +169,10 @@ def flown_after_all(problem: Problem) -> bool:
 
 def judge(kind: str, seed: int, number: int, doubt: bool) -> dict[str, Any]:
     """Solve one problem; what became of it, and the CPU time [s]."""
-    problem = draw(kind, seed, number)
     row: dict[str, Any] = {"kind": kind, "number": number}
     began = time.process_time()
     try:
+        problem = draw(kind, seed, number)
         solution = solve(problem, level=0)
         row |= {"outcome": "answered", "why": f"{solution.objective:.9g} by {solution.statistics.rung}"}
     except InfeasibleError as error:
@@ -166,7 +190,12 @@ def judge(kind: str, seed: int, number: int, doubt: bool) -> dict[str, Any]:
 
 def at_the_edge(kind: str, seed: int, number: int) -> list[str]:
     """What is said where the dry mass is a given share of the mass that can land; nothing where no flight is known."""
-    loose = draw(kind, seed, number)
+    try:
+        loose = draw(kind, seed, number)
+    except PeriluneError:
+        return []
+    if "vehicle_dry_mass" not in loose.given:
+        return []
     loose = loose.with_given(vehicle_dry_mass=0.3 * loose.given["vehicle_dry_mass"].value)
     said = []
     try:
@@ -203,18 +232,20 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=8)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--doubt", action="store_true")
     parser.add_argument("--edge", action="store_true")
     parser.add_argument("--out", default="")
     arguments = parser.parse_args()
+    kinds = arguments.kinds.split(",")
     with ProcessPoolExecutor(max_workers=arguments.jobs) as pool:
-        each = [(kind, arguments.seed, n, arguments.doubt) for kind in KINDS for n in range(arguments.count)]
+        each = [(kind, arguments.seed, n, arguments.doubt) for kind in kinds for n in range(arguments.count)]
         jobs = [pool.submit(judge, *one) for one in each]
         rows = [job.result() for job in jobs]
         edges = [pool.submit(at_the_edge, *one[:3]) for one in each] if arguments.edge else []
         for share, said in zip(EDGES, zip(*filter(None, (edge.result() for edge in edges)), strict=True), strict=False):
             print(f"dry mass {share:g} of what can land: {dict(Counter(said))}")
-    for kind in KINDS:
+    for kind in kinds:
         here = [row for row in rows if row["kind"] == kind]
         print(f"{kind}: {dict(Counter(row['outcome'] for row in here))}")
         print("  " + told("all", here))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,16 @@ from perilune.methods.coarse import Coarse
 from perilune.models import aerodynamics, ellipsoid
 from perilune.models.deorbit import ballistic
 from perilune.problem.problem import Problem
-from perilune.scenario import load_text
+from perilune.scenario import load_file, load_text
 from perilune.structures.read import readings
 from perilune.structures.structure import conditions_of
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
-EXAMPLE = (Path(__file__).parent.parent / "examples" / "capsule_return.toml").read_text(encoding="utf-8")
+EXAMPLES = Path(__file__).parent.parent / "examples"
+EXAMPLE = (EXAMPLES / "capsule_return.toml").read_text(encoding="utf-8")
 
-NEIGHBOUR_B = (Path(__file__).parent.parent / "examples" / "minimum_duration_return.toml").read_text(encoding="utf-8")
+NEIGHBOUR_B = (EXAMPLES / "minimum_duration_return.toml").read_text(encoding="utf-8")
 
 
 def capsule(*changes: tuple[str, str]) -> Problem:
@@ -88,6 +90,23 @@ def test_what_is_refused_is_less_than_what_any_fall_bears(example: str) -> None:
         tilt = rng.uniform(-1.0, 1.0) * (0.01 if example == "capsule" else math.pi / 2)
         peaks.append(heaviest(problem, p, mass, rng.choice(speeds), angle, p.orbit_inclination + tilt, rng))
     assert float(said.value) < min(peaks) < 1.3 * float(said.value)
+
+
+def test_what_separates_bounds_the_entry_as_a_dry_mass_does() -> None:
+    """No more is burnt than what is left behind: a grid of entries says so, the coarse one for 2.2 g0 alone."""
+    problem = load_file(EXAMPLES / "maps" / "capsule.toml", ["limits.load=4 g0"]).problem
+    begun = time.process_time()
+    with pytest.raises(InfeasibleError, match=r"no ballistic entry that the interface allows keeps limits\.load"):
+        pl.solve(problem)
+    assert time.process_time() - begun < 5.0
+    least = next(float(f.value) for f in pl.preflight(problem) if f.name.startswith("peak load"))
+    p, rng = problem.parameters({}), np.random.default_rng(2)
+    speeds = ballistic.box_of_speeds(p, 9)
+    assert speeds is not None
+    for _ in range(2):
+        angle, tilt = rng.uniform(p.interface_angle_lower, p.interface_angle_upper), rng.uniform(-0.3, 0.3)
+        inclination = p.orbit_inclination + tilt
+        assert heaviest(problem, p, p.separation_mass, rng.choice(speeds[:5]), angle, inclination, rng) > least
 
 
 def heaviest(

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 BRIEF, PATIENT = 60, 150
 # Starts that all end at a least miss that is not zero, before nothing more is tried.
 CONVINCED = 2
+# Nodes times iterations of all attempts of one run, before no further start is tried: of one phase no attempts come to
+# so much, and of four, where each iteration takes long, what is found is found before.
+MOST_WORK = 40_000
 # Of its typical duration: what a phase has left that has shrunk to nothing.
 VANISHED = 1e-3
 # A condition violated by less, in canonical units, is met.
@@ -63,6 +66,7 @@ class FirstMesh:
     def __init__(self, run: Run, guess: Solution | None, *, near: bool = False, close: bool = False) -> None:
         self.run, self.problem, self.guess, self.near, self.close = run, run.problem, guess, near, close
         self.all_missed = self.settled = False
+        self.work = 0  # nodes times iterations
         self.first: tuple[Vector, list[Sampler]] | None = None  # what the first straight line is, once it was drawn
 
     def answer(self) -> tuple[Program, Answer]:
@@ -90,6 +94,9 @@ class FirstMesh:
         misses: list[tuple[Program, Answer]] = []
         vanished: list[tuple[Program, Answer]] = []
         for start in starts:
+            if self.work > MOST_WORK:
+                self.run.say(f"no more starts are tried after {self.run.iterations} iterations")
+                break
             nearest, found = self.from_least_miss(start)
             if found is not None:
                 tries.append((start.program, found))
@@ -106,7 +113,7 @@ class FirstMesh:
         if not misses:
             # A start that leads nowhere spends all it is given: what one of them may take, all of them share.
             share = max(1, self.run.settings.iterations // len(starts))
-            for start in starts:
+            for start in starts if self.work <= MOST_WORK else []:
                 tries.append((start.program, self.attempt(start, share)))
                 if tries[-1][1].converged:
                     return tries[-1]
@@ -114,20 +121,26 @@ class FirstMesh:
 
     def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> Answer:
         """Solve a program from its start."""
-        return self.run.attempt(start.program, start.free, start.values, start.name, most=most, close=close)
+        return self.counted(start.program, start.free, start.values, start.name, most=most, close=close)
+
+    def counted(self, program: Program, free: Vector, values: tuple[PhaseValues, ...], name: str, **how: Any) -> Answer:
+        """Return an attempt of the run, whose work is counted."""
+        answer = self.run.attempt(program, free, values, name, **how)
+        self.work += answer.iterations * sum(mesh.nodes for mesh in program.meshes)
+        return answer
 
     def from_least_miss(self, start: Start) -> tuple[Answer, Answer | None]:
         """Return the flight near a start that misses least, and what is reached from there if it misses nothing."""
         program, free, values, name, _ = start
-        nearest = self.run.attempt(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
+        nearest = self.counted(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
         if nearest.violation > MISSED:
             return nearest, None
-        found = self.run.attempt(program, nearest.free, nearest.phases, "from there")
+        found = self.counted(program, nearest.free, nearest.phases, "from there")
         if not found.converged:
             # First steps as long as the adaptive barrier allows may lose the flight, as air is far from linear: with
             # little barrier it is kept.
             name = "from there, by little barrier"
-            found = self.run.attempt(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
+            found = self.counted(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
         return nearest, found
 
     def starts(self) -> Iterator[Start]:

@@ -79,8 +79,8 @@ def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch 
     watch
         Receives a line.
     """
-    if error.flight is None or not error.partial.get("missed"):
-        return error
+    if error.flight is None or not error.partial.get("missed") or not error.partial.get("settled", True):
+        return error  # what is no least miss tells of no limit
     watch = watch or silent
     watch("looking for the limit that stands in the way")
     try:

@@ -272,7 +272,7 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
 def _missed(coarse: Coarse) -> dict[str, Any]:
     """Return what the direct method's flight misses, where it found none that misses nothing."""
     known = getattr(coarse.refusal, "partial", {}) if coarse.flight is None else {}
-    return {name: known[name] for name in ("missed", "all_missed") if name in known}
+    return {name: known[name] for name in ("missed", "all_missed", "settled") if name in known}
 
 
 def _nearest_approach(problem: Problem, conditions: Conditions, scaled: Vector, values: Vector) -> str:

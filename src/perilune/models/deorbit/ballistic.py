@@ -32,13 +32,13 @@ from perilune.models.atmosphere import Air
 from perilune.models.deorbit.bounds import interface_speeds
 from perilune.models.deorbit.fall import Fall, fall
 from perilune.models.deorbit.passes import furthest_turned, lightest
-from perilune.models.deorbit.records import velocity_change
+from perilune.models.deorbit.records import is_something_left, velocity_change
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 from perilune.words.units import STANDARD_GRAVITY
 
-_ANGLES, _SPEEDS, _MASSES = 7, 5, 3  # of the grid over the box
+_GRIDS = ((7, 5, 3), (13, 17, 3))  # angles, speeds and masses of the box; the finer where the first leaves it open
 _BENDS = 0.25  # times second differences
 LEFT_OUT = 0.01  # of the second order of what the plane leaves out
 _LEAST_PULL = 0.01  # of the body's pull
@@ -71,13 +71,26 @@ def borne_at_least(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
         A fall of them.
     """
     limited = [name for name in _SAID if hasattr(p, f"limits_{name}")]
-    angles, speeds, masses = box_of_angles(p), box_of_speeds(p), box_of_masses(p)
-    if angles is None or speeds is None:
+    if box_of_angles(p) is None or box_of_speeds(p) is None:
         yield from (_of_typical(name, typical, p, air) for name in limited if typical.lands)
         return
+    found = list[tuple[Finding, bool]]()
+    for grid in _GRIDS if limited else ():
+        found = list(_over_box(p, air, limited, *grid))
+        if not any(beside.passed and is_open for beside, is_open in found):
+            break
+    yield from (beside for beside, _ in found)
+
+
+def _over_box(
+    p: Any, air: Air, limited: list[str], angle_count: int, speed_count: int, mass_count: int
+) -> Iterator[tuple[Finding, bool]]:
+    """Compare each limit with the least over the box, and tell whether all falls of the grid break what it keeps."""
+    angles, speeds, masses = box_of_angles(p, angle_count), box_of_speeds(p, speed_count), box_of_masses(p, mass_count)
+    assert angles is not None and speeds is not None
     held = held_up(p)
     entries = [(of_mass(held, mass), steep, speed) for mass, steep, speed in product(masses, angles, speeds)]
-    falls = [fall(light, air, float(steep), float(speed), _POINTS) for light, steep, speed in entries if limited]
+    falls = [fall(light, air, float(steep), float(speed), _POINTS) for light, steep, speed in entries]
     shape = len(masses), len(angles), len(speeds)
     lands = np.array([fallen.lands for fallen in falls])
     if not lands.any():
@@ -87,11 +100,12 @@ def borne_at_least(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
         peaks = np.array([peak(name, fallen, light, air) for fallen, (light, *_) in zip(falls, entries, strict=True)])
         least = (1 - LEFT_OUT) * least_between(np.where(lands, peaks, np.nan).reshape(shape)) / one
         mildest, hardest = np.min(peaks[lands]) / one, np.max(peaks[lands]) / one
-        yield _beside_limit(
+        beside = _beside_limit(
             name, "every fall", least, p, binding=True,
             meaning=f"no ballistic entry that the interface allows keeps limits.{name}: over"
             f" all masses, angles and speeds there they peak at {mildest:.3g} to {hardest:.3g} {_SAID[name].unit}",
         )  # fmt: skip
+        yield beside, mildest > beside.limit
 
 
 def _of_typical(name: str, fallen: Fall, p: Any, air: Air) -> Finding:
@@ -153,31 +167,31 @@ def of_mass(p: Any, mass: float) -> Any:
     return SimpleNamespace(**{**vars(p), name: mass})
 
 
-def box_of_masses(p: Any) -> Vector:
+def box_of_masses(p: Any, count: int = _GRIDS[0][2]) -> Vector:
     """Masses [kg] at the interface."""
     if hasattr(p, "separation_mass"):
         return np.array([p.separation_mass])
-    return np.linspace(lightest(p), p.vehicle_mass, _MASSES)
+    return np.linspace(lightest(p), p.vehicle_mass, count)
 
 
-def box_of_angles(p: Any) -> Vector | None:
+def box_of_angles(p: Any, count: int = _GRIDS[0][0]) -> Vector | None:
     """Angles [rad] at the interface; None where a bound is not known or not below the horizon."""
     stated = getattr(p, "interface_angle", math.nan)
     lower, upper = (getattr(p, f"interface_angle_{side}", stated) for side in ("lower", "upper"))
     leans = getattr(p, "body_flattening", 0.0)
     lower, upper = lower - leans, upper + leans
-    return np.linspace(lower, upper, _ANGLES if lower < upper else 1) if lower <= upper < 0 else None
+    return np.linspace(lower, upper, count if lower < upper else 1) if lower <= upper < 0 else None
 
 
-def box_of_speeds(p: Any) -> Vector | None:
+def box_of_speeds(p: Any, count: int = _GRIDS[0][1]) -> Vector | None:
     """Speeds [m/s] relative to the body at the interface; None where neither bounds nor the propellant give them."""
     if hasattr(p, "interface_speed"):
         return np.array([p.interface_speed])
     low, high = (getattr(p, f"interface_speed_{side}", math.nan) for side in ("lower", "upper"))
-    if hasattr(p, "vehicle_dry_mass"):
+    if is_something_left(p):
         least, most = (float(speed) for speed in interface_speeds(p, NUMERIC))
         low, high = np.fmax(low, least), np.fmin(high, most)
-    return np.linspace(low, high, _SPEEDS) if 0 < low <= high else None
+    return np.linspace(low, high, count) if 0 < low <= high else None
 
 
 def peak(name: str, fallen: Fall, p: Any, air: Air) -> float:
