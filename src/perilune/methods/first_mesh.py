@@ -121,9 +121,11 @@ class FirstMesh:
 
     def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> Answer:
         """Solve a program from its start."""
-        return self.counted(start.program, start.free, start.values, start.name, most=most, close=close)
+        return self.attempt_counted(start.program, start.free, start.values, start.name, most=most, close=close)
 
-    def counted(self, program: Program, free: Vector, values: tuple[PhaseValues, ...], name: str, **how: Any) -> Answer:
+    def attempt_counted(
+        self, program: Program, free: Vector, values: tuple[PhaseValues, ...], name: str, **how: Any
+    ) -> Answer:
         """Return an attempt of the run, whose work is counted."""
         answer = self.run.attempt(program, free, values, name, **how)
         self.work += answer.iterations * sum(mesh.nodes for mesh in program.meshes)
@@ -132,15 +134,15 @@ class FirstMesh:
     def from_least_miss(self, start: Start) -> tuple[Answer, Answer | None]:
         """Return the flight near a start that misses least, and what is reached from there if it misses nothing."""
         program, free, values, name, _ = start
-        nearest = self.counted(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
+        nearest = self.attempt_counted(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
         if nearest.violation > MISSED:
             return nearest, None
-        found = self.counted(program, nearest.free, nearest.phases, "from there")
+        found = self.attempt_counted(program, nearest.free, nearest.phases, "from there")
         if not found.converged:
             # First steps as long as the adaptive barrier allows may lose the flight, as air is far from linear: with
             # little barrier it is kept.
             name = "from there, by little barrier"
-            found = self.counted(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
+            found = self.attempt_counted(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
         return nearest, found
 
     def starts(self) -> Iterator[Start]:

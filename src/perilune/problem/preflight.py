@@ -152,7 +152,7 @@ def at_start(problem: Problem, p: Any) -> tuple[Finding, ...]:
             for side, limit in zip(("lower", "upper"), state.limits(record), strict=True):
                 stated = limit_name(problem, state, side)
                 meaning, advice = f"the start puts {state.name} outside its bounds", f"another start, or {stated}"
-                found.append(_begun(problem, state, value, limit, side == "lower", meaning, advice))
+                found.append(_compared_at_start(problem, state, value, limit, side == "lower", meaning, advice))
     if phase.path_conditions:
         tape = problem.form.expressions[0, "path"].tape
         along = phase.evaluate("path", start, [math.nan] * len(phase.control_names), record)
@@ -162,11 +162,13 @@ def at_start(problem: Problem, p: Any) -> tuple[Finding, ...]:
                 keys = ", ".join(stating_keys(problem, 0, "path", row))
                 meaning = f"the start breaks a condition of the path: {keys or quantity_name(condition)}"
                 advice = f"another start, or relax {keys or 'the condition'}"
-                found.append(_begun(problem, condition, value, 0.0, True, meaning, advice))
+                found.append(_compared_at_start(problem, condition, value, 0.0, True, meaning, advice))
     return tuple(found)
 
 
-def _begun(problem: Problem, one: Variable, value: Any, limit: Any, at_least: bool, meaning: str, way: str) -> Finding:
+def _compared_at_start(
+    problem: Problem, one: Variable, value: Any, limit: Any, at_least: bool, meaning: str, way: str
+) -> Finding:
     """Compare a value at the start with its limit; within rounding of it, and where it is no number, it keeps it."""
     over = (limit - value if at_least else value - limit) > _BEGUN * problem.size_of(one)
     return Finding(
