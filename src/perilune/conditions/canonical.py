@@ -5,7 +5,7 @@ With H = lambda . f(x, u, p), which the control minimises, lambda' = -dH/dx (Cho
 integral of dH/dq.
 
 The equations are smooth in each *mode*: a regime for each scalar control (`perilune.conditions.control_law`) and a side
-for each kink of the dynamics (`perilune.problem.symbolic.trace_sides`). What leads from mode to mode are events.
+for each kink of the dynamics (`perilune.problem.symbolic.trace_sides`). Events lead from mode to mode.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class PhaseExtremal:
     reports
         (z, p) -> (u, u', H) for each mode: the minimising control, its rate along the extremal, the Hamiltonian.
     multipliers
-        (z, p) -> those of the conditions that are held all along the phase, for each mode; none where there is none.
+        (z, p) -> multipliers of the conditions held all along the phase, for each mode; none where there is none.
     regimes, held
         For each mode the regime of each scalar control, and the conditions of the path that hold a direction.
     events
@@ -71,7 +71,7 @@ class PhaseExtremal:
     periodic
         Places of controls that are angles: a mode tells them within one turn.
     settles
-        Whether nothing steers the phase, and it forgets how it began, as a fall through air does: then its costates
+        Whether the phase is uncontrolled and contracting, as a fall through air is: then its costates
         grow from start to end without bound, and are what its end makes of them, lambda(0) = (dx(T)/dx(0))^T lambda(T).
     """
 
@@ -153,7 +153,7 @@ def canonical_equations(
     free_names
         Names of the free parameters.
     keep
-        Conditions of the path that the control has to keep; of those that are not `keepable` nothing is known here.
+        Conditions of the path that the control has to keep; those that are not `keepable` are ignored here.
     unpriced, costs
         Names of states whose costates vanish identically, and of those whose costates are a positive number
         (`perilune.problem.unpriced`).
@@ -256,13 +256,13 @@ def canonical_equations(
 
 
 def _loses(flows: list[ca.SX], z: ca.SX) -> bool:
-    """Return True if the flow does not preserve volumes of states: drag, which no gravity undoes."""
+    """Return True if the flow does not preserve volumes of states, as with drag."""
     x = z[: z.numel() // 2]
     return any(not ca.simplify(ca.trace(ca.jacobian(flow[: x.numel()], x))).is_zero() for flow in flows)
 
 
 def _nowhere(rate: ca.SX, u: ca.SX, z: ca.SX, room: ca.SX) -> ca.SX:
-    """Return NaN for rates with a control where its room is negative, so that nothing is flown there; else 0."""
+    """Return NaN for rates with a control whose room is negative, so that no flight goes there; else 0."""
     lost, changing = ca.SX(rate.numel(), 1), [r for r in elements(room) if ca.depends_on(r, z)]
     for i in range(rate.numel() if changing else 0):
         if ca.depends_on(rate[i], u):
@@ -342,7 +342,7 @@ def _events(
                 for before in range(firsts[number], firsts[number + 1]):
                     reached, least = _refracted(z, margin, flows[before], behind, laws[other].mode)
                     for k in range(len(behind)):
-                        # Each mode behind has an event of its own, silent where H is not least in it.
+                        # Each mode behind has its own event, without effect where H is not least in it.
                         met = margin if len(behind) == 1 else ca.if_else(least == k, margin, -direction)
                         jumping.append(
                             Event(

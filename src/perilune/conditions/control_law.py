@@ -1,19 +1,19 @@
 """The control that minimises the Hamiltonian, regime by regime, from the Hamiltonian's own derivatives.
 
 A `Direction` d enters H linearly, H = a + g . d, so its minimum on the circle or sphere is d = -g/|g|; for planar
-thrust that is Cho et al. 2015 (15) with both signs right, beta = atan2(-lambda_v, -lambda_u). What is left is a
-function of the scalars alone, whose slopes S = dH/du are the same with d in place (envelope theorem). A scalar in
+thrust that is Cho et al. 2015 (15) with both signs right, beta = atan2(-lambda_v, -lambda_u). The rest is a
+function of the scalars only, whose slopes S = dH/du are the same with d in place (envelope theorem). A scalar in
 which H is linear sits at a bound, at the upper one where S < 0. One in which H bends sits at a bound, or between them
 where S = 0: in closed form where H is quadratic, else by Newton's method.
 
 A scalar may be known to stay in one regime all along its phase (`perilune.problem.controls.Settled`): on a bound, or
-singular, where what it does follows from the motion of state and costate (`perilune.conditions.singular`).
+singular, where its value follows from the motion of state and costate (`perilune.conditions.singular`).
 
-Conditions of the path that are linear in a direction, or of scalars alone, are held where H asks for more
+Conditions of the path that are linear in a direction, or of scalars only, are active where H asks for more
 (`perilune.conditions.held`, `perilune.conditions.scalars`).
 
-A *mode* names the regime of every scalar and the conditions that are held; its control is smooth in (x, lambda). What
-leads from mode to mode are events (`perilune.conditions.transitions`).
+A *mode* names the regime of every scalar and the conditions that are held; its control is smooth in (x, lambda).
+Events lead from mode to mode (`perilune.conditions.transitions`).
 """
 
 from __future__ import annotations
@@ -64,12 +64,12 @@ class ControlLaw:
     control
         For each mode the whole control, a column of expressions.
     room
-        For each mode a column of expressions: where one is negative, nothing holds what it should.
+        For each mode a column of expressions: where one is negative, the active conditions cannot be kept.
     solved
         For each mode None, or what is found by Newton's method: the control as an expression of w, the symbols w, and
         the values of w. The control is one more step from w, so that its derivative at fixed w is the whole one.
     transitions
-        What leads from mode to mode.
+        Events that lead from mode to mode.
     mode
         Number of the mode in which H is least.
     periodic
@@ -132,9 +132,9 @@ def minimising_control(
     always
         Expressions of u by name that vanish all along the phase: linear in a direction, or of scalars only.
     motion
-        How state and costate move, which a singular scalar has to know.
+        Motion of state and costate, which a singular scalar needs.
     terms
-        What is known of the terms of H: what bends H by no more than rounding of them does not bend it.
+        Known sizes and signs of the terms of H: curvature below their rounding does not count.
 
     Raises
     ------

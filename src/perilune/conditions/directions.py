@@ -1,6 +1,6 @@
-"""The best directions: where the Hamiltonian is linear in a unit vector, its minimum is opposite to the slope.
+"""Minimising directions: where the Hamiltonian is linear in a unit vector, its minimum is opposite to the gradient.
 
-Scalars may scale that slope, and other directions too; what turns it leaves no formula.
+Scalars may scale that gradient, and other directions too; there is no formula where a control turns it.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from perilune.problem.controls import directions, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
 
-_FROM_ABOVE = (0.3, 0.8)  # values of a scalar between its bounds, at which it is seen whether it only scales
+_FROM_ABOVE = (0.3, 0.8)  # values of a scalar between its bounds, to test whether it only scales
 _ALL_ROUND = (-0.9, 0.3, 0.8)  # the same of a component of a direction
 
 
 def directions_eliminated(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], held: Mapping[str, ca.SX]
 ) -> tuple[ca.SX, list[ca.SX], ca.SX]:
-    """Eliminate the directions: put in their place the best ones that hold these conditions.
+    """Eliminate the directions: replace them by the minimising ones that keep these conditions active.
 
     Parameters
     ----------
@@ -37,12 +37,12 @@ def directions_eliminated(
     Returns
     -------
     (hamiltonian, u, room)
-        H and the controls with the directions in place, and what is >= 0 where they can hold the conditions.
+        H and the controls with the directions in place, and values >= 0 where they can keep the conditions active.
     """
     law, left, rooms = elements(u), list(directions(phase.controls)), ca.SX(0, 1)
     while left:
         gradients = [_towards(phase, hamiltonian, u, limits, left, first, last) for first, last in left]
-        # A direction that another one only scales comes first.
+        # A direction that is only scaled by another comes first.
         (first, last), gradient = next(
             (found for found in zip(left, gradients, strict=True) if found[1] is not None), (left[0], None)
         )
@@ -65,7 +65,7 @@ def _towards(
     first: int,
     last: int,
 ) -> ca.SX | None:
-    """Return the slope of H in a direction, whose opposite is the best one; None if another of `left` turns it."""
+    """Return the gradient of H in a direction, minimised by its opposite; None if another of `left` turns it."""
     names, part = phase.control_names[first:last], u[first:last]
     gradient = ca.gradient(hamiltonian, part)
     if ca.depends_on(gradient, part):

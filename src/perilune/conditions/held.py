@@ -1,9 +1,9 @@
-"""What conditions of the control say of it: which can be held, the direction that holds them, their multipliers.
+"""Mixed constraints: which the control can keep, the direction that keeps them, and their multipliers.
 
 A condition of the path that is linear in a direction, c = a . d - b >= 0, leaves a cap of the sphere. Where -g/|g| lies
 outside, the least of g . d is on its rim, d = b/|a| a/|a| - sqrt(1 - (b/|a|)^2) h/|h| with h the part of g across a;
-where two of them hold, in a corner. A condition of scalars alone leaves a range of one, or a part of a plane of more:
-where it is held they are told by it and by what is left of H (`perilune.conditions.scalars`).
+where two of them are active, in a corner. A condition of scalars only leaves a range of one, or a part of a plane of
+more: where it is active they are given by it and by the rest of H (`perilune.conditions.scalars`).
 """
 
 from __future__ import annotations

@@ -1,19 +1,19 @@
-"""When an arc begins and ends along which something is held: where the control of the arc beside it holds it too.
+"""Junction conditions of constrained arcs: continuity of the control at entry and exit, and contact points.
 
-The time of such a joint is free, so H is the same on both sides. Beside the arc H- is the least that any control gives,
-and at most what the held one gives, which is H+: the difference is never positive, and its zero is a double root, of
+The time of such a joint is free, so H is the same on both sides. Outside the arc H- is the minimum over the control,
+and at most H+, the value of the control on the arc: the difference is never positive, and its zero is a double root, of
 which Newton's method finds half the digits. Where the minimum is unique H- = H+ says that the control goes on without a
 jump. So
 
-    c(x, u*(x, lambda)) = 0    at the joint, by the best control of the arc beside it,
+    c(x, u*(x, lambda)) = 0    at the joint, by the minimising control of the adjacent arc,
 
-stands in the place of the row of that duration: a simple root (Jacobson, Lele, Speyer 1971, on junction conditions). A
+replaces the row of that duration: a simple root (Jacobson, Lele, Speyer 1971, on junction conditions). A
 scalar that jumps there from its bound has a simple root in H and keeps its row.
 
-Where a condition S(x) >= 0 of the path on both sides is *touched*, by S = 0 and S' = 0 as conditions at the end of a
-phase, the costates jump by nu dS/dx alone. With a multiplier nu' of S' = 0 they jump by nu' dS'/dx as well, and H by
-nu' S'': the row of H tells nu' the worse the less S'' is, and has another root, at which u and -u of S'' change over.
-nu' = 0 stands in its place.
+At a *contact point* of a condition S(x) >= 0 of the path, with S = 0 and S' = 0 as conditions at the end of a phase,
+the costates jump by nu dS/dx only. With a multiplier nu' of S' = 0 they jump by nu' dS'/dx as well, and H by
+nu' S'': the row of H determines nu' the worse the less S'' is, and has another root, at which u and -u of S'' change
+over. nu' = 0 replaces it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def smooth_joints(
     sides
         For each joint z at the end of the phase before and at the start of the phase behind.
     slopes
-        dJ/dq of every free parameter but for H: where two durations have the same, their rows say that H is the same.
+        dJ/dq of every free parameter without H: where two durations share it, their rows state equal H.
     """
     for k, first in _free_joints(problem, slopes):
         before, behind = problem.phases[k : k + 2]
@@ -77,7 +77,7 @@ def smooth_joints(
 def touches(
     problem: Problem, p: Parameters, ends: list[tuple[ca.SX, ca.SX, ca.SX]], slopes: ca.SX
 ) -> Iterator[tuple[int, str, ca.SX]]:
-    """Yield rows of free durations that end with a touch, as `smooth_joints` has them.
+    """Yield rows of free durations that end at a contact point, in the form of `smooth_joints`.
 
     Parameters
     ----------

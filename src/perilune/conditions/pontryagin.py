@@ -1,4 +1,4 @@
-"""First-order optimality conditions of a `Problem`, derived by automatic differentiation alone.
+"""First-order optimality conditions of a `Problem`, derived by automatic differentiation only.
 
 Sign convention (the tests assert it: lambda(t0) = dJ*/dx0):
 
@@ -14,7 +14,7 @@ and for each free parameter q, which may move the initial state, the ends, the l
 For the retro burn this last line is Cho et al. (19), "lambda_u(0) + lambda_m(0) M/c exp(...) = 0", and H_f = 0. A free
 parameter in the dynamics becomes a constant state, whose costate collects the integral of dH/dq.
 
-What holds along a phase is in `perilune.conditions.canonical`, what joins the phases and ends them is here.
+Conditions along a phase are in `perilune.conditions.canonical`, those at links and ends are here.
 
 Unknowns of shooting: y = (lambda_k(0) for each phase, free parameters, nu), all in canonical units.
 """
@@ -102,7 +102,7 @@ def derive(problem: Problem, keep: Held = (), watch: Watch = silent) -> Conditio
     Parameters
     ----------
     problem
-        What is to be solved.
+        The problem to be solved.
     keep
         Names of conditions of the path that the control has to keep, where it can (`keepable`).
     watch
@@ -193,7 +193,7 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
     zf = ca.vertcat(*ends)
     silent = tuple(_silent(e, z, rows) for e, z, rows in zip(phases, ends, costates, strict=True))
     silent_rows = _silent_rows(phases, silent, sum(c.numel() for c in conditions))
-    # J is read off the ends too: a cost that is integrated stands in no condition.
+    # J is read off the ends too: an integrated cost is in no condition.
     read = ca.vertcat(residual, cost)
     needed = _needed(phases, ends, read, starts, silent, {row for row, _ in silent_rows})
     count = sum(e.half for e in phases)

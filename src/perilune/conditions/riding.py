@@ -1,14 +1,14 @@
-"""The best thrust along a condition that it has to hold: direction and size at once, in closed form.
+"""The minimising thrust on a boundary arc: direction and magnitude at once, in closed form.
 
 Along S >= 0 that is ridden S^(q) = a + s b.d = 0 is held, for a thrust of the direction d and the size s, and the
-Hamiltonian is h + s (g.d + k). Where s lies between its bounds it is -a/(b.d), and what is left to minimise is
+Hamiltonian is h + s (g.d + k). Where s lies between its bounds it is -a/(b.d), and it remains to minimise
 
     rho = (g.d + k) / (b.d)     over b.d of the sign of -a.
 
 At its least value (g - rho b).d + k has the minimum 0 over all d (Dinkelbach, Management Science 13 (7), 1967): so
-|g - rho b| = k, a quadratic in rho, and d points against g - rho b. Where d holds e.d = c besides, with |e| = 1, it is
-c e + sqrt(1 - c^2) w with w across e, and the same is said of w. Nothing of this has a root that vanishes where the
-flight is planar, as solving for d at a given s has.
+|g - rho b| = k, a quadratic in rho, and d points against g - rho b. Where d also keeps e.d = c, with |e| = 1, it is
+c e + sqrt(1 - c^2) w with w across e, and the same holds for w. No square root here vanishes in planar flight, as one
+does when d is solved for at a given s.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from perilune.problem.symbolic import elements
 
 
 def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX] | None:
-    """Return the control of a phase whose one scalar, off its bounds, holds a condition with its one direction.
+    """Return the control of a phase whose one scalar, off its bounds, keeps a condition active with its one direction.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str
 def riding(
     hamiltonian: ca.SX, d: ca.SX, size: ca.SX, condition: ca.SX, held: Sequence[ca.SX]
 ) -> tuple[ca.SX, ca.SX, ca.SX] | None:
-    """Return the best direction and size that hold a condition.
+    """Return the minimising direction and size that keep a condition active.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def riding(
     square, half, rest = ca.dot(b, b) - less**2, ca.dot(g, b) - more * less, ca.dot(g, g) - more**2
     inside = half**2 - square * rest
     root = real_root(inside)
-    # Of the two forms of a root the one in which nothing cancels.
+    # The form of the root without cancellation.
     rho = ca.if_else(half > 0, (half + root) / square, rest / (half - root))
     across = g - rho * b
     size_there = -a * sign / (less - ca.dot(b, across) / ca.norm_2(across))

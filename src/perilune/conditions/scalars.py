@@ -1,6 +1,6 @@
-"""Scalar controls: their regimes, and where H is least over those that are not on a bound.
+"""Scalar controls: their regimes, and the minimum of H over those that are not on a bound.
 
-Between their bounds dH/du = 0. Where conditions c(x, u) = 0 of scalars alone are held, as many of the scalars say so,
+Between their bounds dH/du = 0. Where conditions c(x, u) = 0 of scalars only are active, as many scalars keep them,
 
     dH/du = sum of mu dc/du,     c = 0,
 
@@ -28,14 +28,14 @@ _GRID = {1: 17, 2: 9}
 _STEPS = 7  # from a grid point the error squares each time; one more step is taken where it is differentiated
 _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
 _BEYOND = 0.1  # of a step of the grid: so far beyond the bounds conditions are looked for
-_CONVEX_AT = 401  # values at which a known curvature is looked at
-_BETWEEN_BOUNDS = (0.21, 0.5, 0.83)  # of a range: where it is seen how H bends
-_ROUNDED_BEND = 1e-9  # of the terms of H: what bends it by less does not bend it
+_CONVEX_AT = 401  # values at which a known curvature is evaluated
+_BETWEEN_BOUNDS = (0.21, 0.5, 0.83)  # of a range: where the curvature of H is evaluated
+_ROUNDED_BEND = 1e-9  # of the terms of H: a curvature below this is none
 _STATIONARY = 1e-6  # of the terms of H: its slope over the range, where Newton's method has found a minimum
 _APART = 1e-3  # of its range: a minimum so near to a bound comes to it without a jump
 _WIDE = 2 * np.pi * (1 + 1e-6)  # a range of more has room for each direction between its bounds
 _DRAWS = 5  # points at which an expression is compared with itself a turn later
-_MET = 1e-6  # canonical: a control so near to a held condition holds it, and Newton's method has found it
+_MET = 1e-6  # canonical: a control so near to an active condition keeps it, and Newton's method has found it
 
 # A minimum of H between the bounds; where H is quartic it may have two, the low one with d3H/du3 < 0.
 INSIDE: tuple[Regime, ...] = ("low_interior", "interior")
@@ -65,7 +65,7 @@ class Scalar:
     Attributes
     ----------
     regimes
-        That it may have; those of one that `acts` in what is held are not all of a mode's (`combinations`).
+        Regimes that it may have; for one that `acts` in an active condition not each is in a mode (`combinations`).
     linear
         Whether H is linear in it.
     weighed
@@ -161,7 +161,7 @@ def _is_zero(expression: ca.SX, size: ca.SX) -> bool:
 
 
 def _never_negative(bend: ca.SX, u: ca.SX) -> bool:
-    """Return True if a second derivative of H that depends on nothing but u is positive, but where it vanishes."""
+    """Return True if a second derivative of H that depends on u only is positive, except where it vanishes."""
     if bend.is_constant():
         return float(bend) > 0
     if any(not ca.is_equal(symbol, u) for symbol in ca.symvar(bend)):
@@ -178,13 +178,13 @@ class Bend:
     gain
         H at the upper less H at the lower bound.
     none
-        Whether it is a straight line, but for rounding: then nothing between the bounds is a minimum.
+        Whether it is a straight line except for rounding: then there is no minimum between the bounds.
     hollow
-        Whether it is less somewhere between than at either bound.
+        Whether H is less somewhere between than at either bound.
     points, values
         By regime where H may be least, and H there: the bounds, and the minima `inner` between them.
     there
-        By regime whether a minimum between the bounds is one.
+        By regime whether a point between the bounds is a minimum.
     """
 
     def __init__(
@@ -313,7 +313,7 @@ def least_between(
 
     Returns
     -------
-    The control as an expression of w, the symbols w, and the values of w; none where there is a closed form.
+    The control as an expression of w, the symbols w, and the values of w; no w where there is a closed form.
 
     Raises
     ------
@@ -397,7 +397,7 @@ def _candidates(u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: Sequence[ca.SX
     for corner in product(*lines):
         points = [([*corner], ca.SX(1.0))]
         for condition, i in zip(held, holding, strict=True):
-            # What lies on a bound when it is met may by rounding lie beyond.
+            # A point on a bound may by rounding lie beyond it.
             first, *_, last = (b - a for a, b in pairwise(grids[i]))
             line = [grids[i][0] - _BEYOND * first, *grids[i][1:-1], grids[i][-1] + _BEYOND * last]
             points = [new for old in points for new in _met(u, *old, condition, i, line)]

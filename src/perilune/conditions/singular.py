@@ -1,14 +1,14 @@
-"""The control of a singular arc: where H is linear in it and its slope Phi = dH/du vanishes for a while.
+"""The control of a singular arc: H is linear in it, and its slope Phi = dH/du vanishes along the arc.
 
-Then H says nothing of u, but Phi = 0 all along does: Phi is differentiated along the flight of state and costate until
-u appears,
+H then does not determine u, but Phi = 0 along the arc does: Phi is differentiated along the flight of state and
+costate until u appears,
 
     Phi^(2k) = A(x, lambda) + B(x, lambda) u = 0,       u = -A/B,       (-1)^k B >= 0,
 
 the last being the generalised Legendre-Clebsch condition (Kelley) of a minimum. The first derivative in which u appears
 is an even one; k is the order of the arc. With this control Phi is a polynomial of degree 2k - 1 in time, whatever the
-unknowns are: at k = 1 it vanishes all along where it does at both ends of the arc, which H says that is the same on
-both sides of each of them.
+unknowns are: at k = 1 it vanishes all along where it does at both ends of the arc, which follows from H being
+continuous there.
 
 Source: Kelley, Kopp, Moyer, *Singular extremals*, in Leitmann (ed.), Topics in Optimization, 1967; Bryson and Ho 1975,
 chapter 8.
@@ -44,7 +44,7 @@ def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -
     Parameters
     ----------
     name
-        What it is called in messages.
+        Its name in messages.
     slope
         Phi, an expression of z.
     s
@@ -60,7 +60,7 @@ def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -
     """
     by_control = ca.jacobian(rate, s)
     bent = [i for i in range(rate.numel()) if ca.depends_on(by_control[i], s)]
-    by_control[bent] = 0  # of what only counts: where it has an effect the arc is refused
+    by_control[bent] = 0  # of states that only count: where it has an effect the arc is refused
     without = ca.substitute(rate, s, 0)
     for order in range(1, MOST + 1):
         if any(ca.depends_on(slope, z[i]) for i in bent):

@@ -1,15 +1,15 @@
-"""What leads from one regime of the control to another: zeros of functions along the flight.
+"""Events that change the regime of the control: zeros of switching functions along the flight.
 
-- a scalar on a bound leaves it where the slope of H changes its sign: to the other bound where H is linear in it, or to
-  what a condition of the path leaves of that;
-- one in which H bends leaves a bound so for what lies between, or jumps to the other bound where H is as small there,
+- a scalar on a bound leaves it where the slope of H changes its sign: to the other bound where H is linear in it, or as
+  far as a condition of the path allows;
+- one in which H is nonlinear leaves a bound so for the interior, or jumps to the other bound where H is as small there,
   whichever comes first: the one where H is convex, the other where it is concave, as a costate may make it either;
 - one that is between its bounds comes to one of them; where H may have several minima in it, it jumps from one to
   another where H is as small there, between the bounds or on one (two of a quartic H may lie between them);
-- a condition of the path that the control leaves out is broken from here on: it is held;
-- what a held condition costs, its multiplier, falls to zero: it is let go.
+- a condition of the path that the control ignores becomes violated: it is made active;
+- the multiplier of an active condition falls to zero: the condition is released.
 
-A condition of a direction is let go where the best direction without it keeps it, which is the same.
+A condition of a direction is released where the minimising direction without it keeps it, which is the same.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Mode:
     Attributes
     ----------
     held, regimes
-        What names it.
+        The conditions and regimes that identify it.
     kinds
         Its scalars, directions in place.
     own
@@ -63,7 +63,7 @@ class Mode:
 
     @property
     def name(self) -> Named:
-        """Return the name of the mode: what it holds, and its regimes."""
+        """Return the name of the mode: its active conditions, and its regimes."""
         return self.held, self.regimes
 
     @cached_property
@@ -75,7 +75,7 @@ class Mode:
         return {name: mu[i] for i, name in enumerate(self.own)}
 
     def slope(self, kind: Scalar) -> ca.SX:
-        """Return dL/du of a scalar, L = H - mu.c with what is held."""
+        """Return dL/du of a scalar, L = H - mu.c with the active conditions c."""
         acting = {name: c for name, c in self.own.items() if ca.depends_on(c, kind.symbol)}
         pull = (self.multiplier[name] * ca.gradient(c, kind.symbol) for name, c in acting.items())
         return kind.slope - sum(pull, ca.SX(0.0))
@@ -87,7 +87,7 @@ class Mode:
 
 @dataclass(kw_only=True)
 class Ways:
-    """All ways between modes of a phase."""
+    """The transitions between all modes of a phase."""
 
     phase: Phase
     u: ca.SX
@@ -124,7 +124,7 @@ class Ways:
                 continue
             after = self._holding(mode, name)
             if after is not None:
-                # The best control without the condition breaks it from here on.
+                # The minimising control without the condition violates it from here on.
                 function = ca.substitute(condition, self.u, mode.control)
                 yield mode.name, after, function, -1, True
                 if turns(self.phase, condition, self.u):  # or no longer does
@@ -196,7 +196,7 @@ class Ways:
                 yield after, third, 1 if own == "low_interior" else -1, True
 
     def _holding(self, mode: Mode, name: str) -> Named | None:
-        """Return the mode that holds a condition as well, or instead of others that the same scalars hold."""
+        """Return the mode in which a condition is active as well, or instead of others kept by the same scalars."""
         condition = self.kept[name]
         acting = [i for i, kind in enumerate(mode.kinds) if ca.depends_on(condition, kind.symbol)]
         regimes: tuple[Regime, ...] = mode.regimes

@@ -1,4 +1,4 @@
-"""Costates as the minimum of H weighs the rates by them: what is known of some before any extremal is.
+"""Costates known before any extremal is, and the curvature of H in the controls that follows from them.
 
 Those of states that nothing asks for vanish identically, and those of states that count the cost are a positive number
 (`perilune.problem.unpriced`). So H may be linear in a control that bends such a rate, or convex in it for certain.
@@ -16,12 +16,12 @@ from perilune.problem.symbolic import Kinked
 def weighing(phase: Phase, dynamics: Kinked, u: ca.SX, lam: ca.SX, unpriced: frozenset[str]) -> ca.SX:
     """Return the costates, with zero for unpriced states if only these bend H in some control, or in a pair of them.
 
-    What they leave is linear there, as it is on every extremal; elsewhere a factor that vanishes does no harm.
+    H without them is linear there, as it is on every extremal; elsewhere a vanishing factor does no harm.
 
     Parameters
     ----------
     phase, dynamics, u
-        The phase, its rates on each side of what they choose by, and the symbols of its controls.
+        The phase, its rates on each side of their choices, and the symbols of its controls.
     lam
         Costates of its states.
     unpriced
@@ -42,7 +42,7 @@ def weighing(phase: Phase, dynamics: Kinked, u: ca.SX, lam: ca.SX, unpriced: fro
 
 
 def terms_of(phase: Phase, weights: ca.SX, f: ca.SX, costs: frozenset[str]) -> Terms:
-    """Return what is known of the terms of H = weights . f.
+    """Return the known sizes and signs of the terms of H = weights . f.
 
     Parameters
     ----------

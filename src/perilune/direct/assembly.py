@@ -1,4 +1,4 @@
-"""A program on given meshes, put together from its blocks by sparse matrices: nothing is differentiated here.
+"""Assembly of a program on given meshes from its blocks by sparse matrices, without any differentiation.
 
 With w the unknowns and z_i those of them that the i-th repetition of a block f takes, and J in a row below the rows,
 

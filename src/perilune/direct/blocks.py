@@ -1,4 +1,4 @@
-"""What a program is made of: a few small functions of each phase, differentiated once for each traced problem.
+"""Blocks of a program: a few small functions of each phase, differentiated once for each traced problem.
 
 A transcription repeats one function of a few unknowns at every collocation point, and is linear otherwise. At a point
 with the state x, the control u, the free parameters q, between the joints a and b of its segment, the function is

@@ -1,4 +1,4 @@
-"""A problem with one limit made elastic: by how little it has to give so that everything else can be kept.
+"""A problem with one limit made elastic, and the least relaxation with which everything else can be kept.
 
 Limits are the bounds of states, controls and free parameters, and conditions of the path; where none of them helps, the
 end conditions of one unit. Each in turn is replaced by the same limit less a free, not negative parameter s, which is

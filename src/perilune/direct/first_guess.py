@@ -1,4 +1,4 @@
-"""Where a direct method starts: straight lines from nothing, or the trajectories of any solution.
+"""First guess of a direct method: straight lines, or the trajectories of any solution.
 
 The straight line runs from the start to `Phase.typical_end`, or along the `Problem.rough_flight`; its control is the
 one whose rates come nearest to its slope in the least-squares sense, with the dynamics linearised in u (exact for a

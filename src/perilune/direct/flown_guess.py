@@ -1,4 +1,4 @@
-"""Where a direct method starts if no straight line is a picture of the flight, as of one that winds round a body.
+"""First guess by simulation, for flights that no straight line resembles, such as one that winds round a body.
 
 The controls of the straight lines (`perilune.direct.first_guess`) are flown from the start for the typical durations.
 Such a flight misses the ends, but it keeps the dynamics and swings about as often as the answer will: it tells how fine

@@ -1,4 +1,4 @@
-"""Where the unknowns and the rows of one phase lie in a program: all that a mesh changes in it, as numbers."""
+"""Positions of the unknowns and rows of one phase in a program: all that a mesh changes in it, as numbers."""
 
 from __future__ import annotations
 

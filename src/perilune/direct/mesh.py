@@ -1,4 +1,4 @@
-"""A better mesh, from the errors of the last one (`perilune.direct.errors`).
+"""Mesh refinement from the errors of the last mesh (`perilune.direct.errors`).
 
 A segment that is not accurate enough is split where a bounded control switches, and where a bound of a control
 or a state is met or left: there arcs of another kind begin (Goddard's singular arc, a constrained arc). The new

@@ -1,4 +1,4 @@
-"""What a collocated answer is made of: polynomials of state, control and costate on each segment, in SI.
+"""Segments of a collocated answer: polynomials of state, control and costate, in SI, and the covector mapping.
 
 Covector mapping, from the Lagrangian J + Lambda.(defects) + M.(quadrature) + rho.(start) + nu.(end):
 

@@ -1,4 +1,4 @@
-"""Arcs as machine code: traced equations in, compiled flights out. Knows no rockets.
+"""Arcs as machine code: traced equations in, compiled flights out. Contains no physics.
 
 `algebra` makes programs of expressions, `code` makes machine code of programs, `flight` flies arcs with it; each knows
 those before it. `compile_arcs` makes an engine from a right-hand side, `compile_map` evaluates a function, `prune`

@@ -1,4 +1,4 @@
-"""The answer of a search: the roots that it found, ranked, as a `Solution`."""
+"""Result assembly: the roots that a search found, ranked, as a `Solution`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the unknowns of shooting to a `Solution` in SI, and from any `Solution` back to unknowns."""
+"""Conversion of the unknowns of shooting to a `Solution` in SI, and of any `Solution` back to unknowns."""
 
 from __future__ import annotations
 

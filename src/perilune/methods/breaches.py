@@ -1,4 +1,4 @@
-"""What a flight breaks on its way: bounds of states, controls and free parameters, and conditions of the path."""
+"""Constraint violations along a flight: bounds of states, controls and free parameters, and path conditions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A control that jumps back and forth, and that no mesh follows: chattering, said with its usual cause.
+"""Detection of chattering controls, which no mesh follows, and a message with their usual cause.
 
 Where the set of admissible rates is not convex, as that of a thrust that cannot fall below a floor, the infimum of J
 may be reached by no control: the best are sequences that switch ever faster between far values, whose mean is what

@@ -1,4 +1,4 @@
-"""More extremals of a problem whose durations are given: found where the flight is shorter, and carried to the whole.
+"""Continuation in the given durations: extremals found for shorter flights and carried to the whole.
 
 Random costates fly a long arc anywhere; of a short one many lead to an extremal. So extremals are looked for at rising
 shares of the durations, and each is carried from share to share by Newton's method, its step halved where that fails.

@@ -1,4 +1,4 @@
-"""What a population search judges an individual by, and how an individual becomes a guess for another method.
+"""Fitness functions of a population search, and guesses for other methods from its individuals.
 
 Both judge a whole population at once, by flying all of it side by side: coarse (a guess needs no more) but
 cheap.

@@ -1,4 +1,4 @@
-"""Which limit stands in the way where no flight was found that keeps them all, and by how little it has to give.
+"""Infeasibility diagnosis: the limit that no flight found can keep, and the least relaxation it needs.
 
 A least-squares miss spreads over whatever is held loosely, and so blames the wrong condition: a glide slope for a dry
 mass. Here each limit is relaxed alone (`perilune.direct.elastic`), from the flight that missed least; those whose

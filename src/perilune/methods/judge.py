@@ -1,4 +1,4 @@
-"""What makes an extremal an answer: it keeps the bounds and the path conditions."""
+"""Admissibility of an extremal as an answer: it keeps the bounds and the path conditions."""
 
 from __future__ import annotations
 

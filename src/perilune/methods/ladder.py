@@ -1,4 +1,4 @@
-"""Settings of the ladder that the indirect method climbs."""
+"""Settings of the sequence of starts that the indirect method tries."""
 
 from __future__ import annotations
 

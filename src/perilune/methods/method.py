@@ -1,4 +1,4 @@
-"""What every method is."""
+"""The protocol of every method."""
 
 from __future__ import annotations
 

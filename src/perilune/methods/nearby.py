@@ -1,4 +1,4 @@
-"""The extremal of a solution at other values of given parameters: Newton's method from it, many at once.
+"""Neighbouring extremals of a solution at other values of given parameters, by Newton's method, many at once.
 
 Values of given parameters are numbers that the shooting function takes. So nothing is stated, traced, derived or
 tabulated again: a family is one call in lanes. Whether an extremal keeps the rest of its conditions, and whether it is

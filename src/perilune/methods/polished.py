@@ -1,4 +1,4 @@
-"""A direct answer made exact: its structure, and Newton's method on the conditions that hold along each arc.
+"""Indirect solution of a direct answer: its structure, and Newton's method on the conditions along each arc.
 
 A direct answer has costates, and so starts the indirect method. That needs no fine mesh: the first one is tried before
 any refinement, a refined one where it tells another structure, and at last the best one, whether or not refinement got

@@ -1,4 +1,4 @@
-"""Why a search has no answer: refused because nothing can fly it, or not converged, with what was found kept.
+"""Outcome of a failed search: infeasible because nothing can fly it, or not converged, with what was found kept.
 
 That every extremal found breaks something is an answer of the method, not of physics. A refusal needs a bound that
 holds for every flight, or a direct method that found no flight from any of its starts.

@@ -1,4 +1,4 @@
-"""The rungs of the ladder of starts: where extremals come from without a guess, each way by itself.
+"""The ways to start the indirect method without an initial guess, each by itself.
 
 What they are worth is for the search to judge (`perilune.methods.search`).
 """

@@ -1,4 +1,4 @@
-"""One run of the indirect method: the ladder of starts, the walk along a bounded free parameter, the choice.
+"""One run of the indirect method: the sequence of starts, the continuation along a free parameter, the choice.
 
 `Search` holds what is known so far, so that a failure can say what was tried and how near it came.
 """

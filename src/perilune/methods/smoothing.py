@@ -1,4 +1,4 @@
-"""An extremal of many switches by way of one without any: the smoothed problem solved, and its smoothing taken back.
+"""Homotopy to an extremal of many switches: the smoothed problem solved, and its smoothing reduced to none.
 
 What a coarse mesh makes of a flight of many burns begins Newton's method in the wrong place. The smoothed problem
 (`perilune.structures.smoothed`) has no switches to miss: the same mesh follows it, and its costates begin multiple

@@ -1,4 +1,4 @@
-"""Where Newton's method starts from: random costates, or what a solution knows."""
+"""Starting points of Newton's method: random costates, or the unknowns of a known solution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a rough answer to the extremal of its structure: arcs read off it, the problem restated, Newton, arcs revised.
+"""Refinement of a rough answer to an extremal: detect arcs, reformulate the problem, apply Newton, revise arcs.
 
 A condition on states alone is kept by riding along it or touching it, which no single smooth arc does; nor does one
 know when a control becomes singular, as H says nothing of it then. The structure is read off the direct method's answer

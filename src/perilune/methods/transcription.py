@@ -1,4 +1,4 @@
-"""Settings of the direct method, and what each of its runs does: programs solved, and looked at as flights."""
+"""Settings of the direct method, and the state of one run: programs solved, and their answers flown and judged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Newton on one problem, whoever asks for it: within its bounds, what came nearest kept, all flights counted."""
+"""Newton's method on one problem within its bounds: keeps the nearest iterates, and counts all flights."""
 
 from __future__ import annotations
 

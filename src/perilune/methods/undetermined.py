@@ -1,4 +1,4 @@
-"""Controls that a flight leaves undetermined: H is the same for all of their values, all along a phase.
+"""Non-unique controls: H is the same for all of their values, all along a phase.
 
 Nothing that is minimised or has to be met changes with such a control, and extremals are not isolated: a lift of which
 the cheapest flight needs only that it arrives.

@@ -1,4 +1,4 @@
-"""How far an extremal of several arcs is from conditions on states on its way."""
+"""Margins of an extremal of several arcs to the conditions on states along the path."""
 
 from __future__ import annotations
 

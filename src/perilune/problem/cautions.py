@@ -1,7 +1,7 @@
-"""What a colleague would say beside an answer, however well it is proved: `Solution.warnings`.
+"""Warnings that go with an answer, however well it is proved: `Solution.warnings`.
 
-A proof holds for the problem as it is stated. Said here is what the statement may have got wrong: a free parameter that
-its bound holds back, a flight through the ground of its body, limits that are reached, and quantities that leave the
+A proof holds for the problem as it is stated. These warnings name what the statement may have wrong: a free parameter
+held by its bound, a flight through the ground of its body, limits that are reached, and quantities that leave the
 range which the model is meant for (`Views.meant_for`). Nothing here changes an outcome.
 """
 
@@ -27,7 +27,7 @@ _LEFT = 1e-3  # and with more room in between it is reached again; less is the e
 _ENDS = 0.005  # of a phase at its ends, which conditions there decide
 _POINTS, _NEARER, _ROUNDS = 401, 9, 8  # looked at first; then, each time, four times closer about the least
 _DEEP = 1e-7  # of the radius, and at least a centimetre: a flight that is less deep touches the ground
-_RADII = ("R", "radius", "body_radius", "planet_radius")  # what a radius is called where no view says it
+_RADII = ("R", "radius", "body_radius", "planet_radius")  # names of a radius where no view gives one
 _DISTANCES = ("r", "radius")  # and a state that is the distance from the centre
 
 
@@ -53,14 +53,14 @@ def _left_out(solution: Any) -> Iterator[str]:
 
 
 def _undercut(solution: Any) -> Iterator[str]:
-    """Yield that chattering next to a limit is better: the proof has found that no flight is the best."""
+    """Yield a warning that chattering next to a limit is better: the proof has found that no flight is optimal."""
     for check in solution.verification.failed:
         if check.meaning.endswith("(chattering)"):
             yield f"flights that chatter are better than this one: {check.meaning.rpartition('; ')[2]}"
 
 
 def _outdone(solution: Any) -> Iterator[str]:
-    """Yield a sentence for each better flight that is known: a local optimum is proved, and is not the best."""
+    """Yield a sentence for each better flight that is known: the proved local optimum is dominated."""
     yield from (line for line in solution.statistics.tried if line.startswith(KNOWN_BETTER))
 
 
@@ -90,7 +90,7 @@ def _stated_by(problem: Any, bound: float, unit: str) -> str | None:
 
 
 def _below_ground(solution: Any) -> Iterator[str]:
-    """Yield that the flight goes below the ground: the body's radius, or where it starts and ends if lower."""
+    """Yield a warning if the flight goes below the ground: the body's radius, or its start and end if lower."""
     problem = solution.problem
     heights = _heights(solution)
     if heights is None:
@@ -132,7 +132,7 @@ def _heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], float
 
 
 def _guessed_heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], float] | None:
-    """Return the same from names where no view says it: a distance r from a centre, and a radius R."""
+    """Return the same from names where no view gives them: a distance r from a centre, and a radius R."""
     problem = solution.problem
     radii = [name for name in _RADII if name in problem.given and problem.given[name].unit == "m"]
     names = [s.name for s in problem.phases[0].states if s.name in _DISTANCES and s.unit == "m"]

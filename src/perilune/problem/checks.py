@@ -1,4 +1,4 @@
-"""What a problem must be to mean anything: names that exist, values that are finite, physics that keeps its units.
+"""Consistency checks of a problem: names that exist, values that are finite, physics that keeps its units.
 
 The physics is tried where it is stated: called at a sample of states and controls, once in SI and once in other units.
 The functions here take a `Problem`, whose file stands above this one.
@@ -23,11 +23,11 @@ from perilune.words.declared import check_values
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import Scales, unit
 
-HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight", "switching_guesses")  # functions that are no formulas
+HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight", "switching_guesses")  # functions that are not formulas
 
 
 def check_parts(problem: Any) -> None:
-    """Refuse parts of a kind that a problem does not have."""
+    """Refuse parts of types that a problem does not have."""
     demand_row(problem.phases, "phases", Phase)
     demand_row(problem.links, "links", Callable)
     demand_row(problem.free, "free parameters", Free)
@@ -209,7 +209,7 @@ def _values(problem: Any, scales: Scales, place: int) -> list[tuple[Stated, int,
 
 def check_homogeneous(problem: Any) -> None:
     """Evaluate the physics in SI and in other units; a result that does not scale hides a dimensional constant."""
-    # Incommensurate with each other, so that no power product of them is 1 by accident.
+    # Incommensurate with each other, so that no product of their powers is 1 by accident.
     scales, undefined = Scales(length=7.3, time=0.19, mass=23.0, temperature=1.7), []
     for place in range(_PLACES):
         values = _values(problem, Scales(), place)

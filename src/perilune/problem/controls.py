@@ -1,10 +1,10 @@
-"""Controls: what each kind is, in one place for everyone who computes with it.
+"""Kinds of controls: components, limits, admissible sets, and the regimes of the minimum of H on each.
 
 A control has components, a unit, limits and a set of admissible values. A `Direction` lives on the circle or sphere, a
 `Bounded` scalar on an interval. Arrays of controls have their components first, (components, ...), and may be complex,
 as the proof differentiates by complex steps.
 
-What the minimum of H is on each set stands here too, as *regimes*: a direction is free on its sphere; a scalar sits at
+The minimum of H on each set is defined here too, by *regimes*: a direction is free on its sphere; a scalar is at
 its lower or at its upper bound, or between them. `perilune.conditions.control_law` makes formulas of it.
 """
 
@@ -32,7 +32,7 @@ _computing = computing_in_words(
     "rough", "middle",
 )  # fmt: skip
 
-# Distances of the samples beside a value, in canonical units or radians.
+# Distances of the samples next to a value, in canonical units or radians.
 _CLOSE = (-1e-1, -1e-2, -1e-3, -1e-4, 1e-4, 1e-3, 1e-2, 1e-1)
 
 
@@ -79,7 +79,7 @@ class Direction:
 
     @property
     def freedom(self) -> int:
-        """In how many independent ways it can move."""
+        """The number of independent directions in which it can move."""
         return len(self.names) - 1
 
     def limits(self, p: Any) -> tuple[float, float]:
@@ -263,7 +263,7 @@ class Bounded:
 
 @dataclass(frozen=True, kw_only=True)
 class Settled(Bounded):
-    """A scalar of which it is known what it does all along its phase (`perilune.structures`).
+    """A scalar control whose regime is known along its whole phase (`perilune.structures`).
 
     On its lower or its upper bound; or ``"singular"``, where H is linear in it and its slope dH/du vanishes all along.
     """

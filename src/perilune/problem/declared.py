@@ -1,4 +1,4 @@
-"""From declared records to the given parameters of a problem."""
+"""Given parameters of a problem from the declared records of a model."""
 
 from __future__ import annotations
 

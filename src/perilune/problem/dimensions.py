@@ -1,7 +1,7 @@
-"""Where a formula mixes units: dimensions carried through the operations that it was recorded as.
+"""Dimensional analysis of formulas: carries dimensions through their operations, to find where units are mixed.
 
-Asked once the physics is known to be inhomogeneous, to say in the user's words where; and of every comparison, which
-values of both sides in other units need not show. Zero has any dimension, and so has what is not finite.
+Called once the physics is known to be inhomogeneous, to name the place in the user's words; and for every comparison,
+as values of both sides in other units need not show a mismatch. Zero has any dimension, and so has what is not finite.
 """
 
 from __future__ import annotations

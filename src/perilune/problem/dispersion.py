@@ -1,6 +1,6 @@
-"""How far the landing point moves when something comes out other than it was meant: what `Views.dispersion` names.
+"""Linear dispersion of the landing point under disturbed parameters: the table that `Views.dispersion` names.
 
-The control is held: as a function of time from the begin of each phase, with nobody to correct it. Along the flight
+The control is held: a function of time from the start of each phase, without feedback. Along the flight
 small changes d of the state follow the linear equations of motion, in which a disturbed parameter q pushes:
 
     d' = f_x d + f_q dq,    d(0) of the next phase = l_x d + l_q dq,  l the link
@@ -10,8 +10,8 @@ condition, the end of the first comes later by dt, and so does what follows it:
 
     dt = -(c_x d + c_q dq)/(c_x f),    d at the end = d + f dt
 
-What begins later by one second has gone on for that second without what acts from there on. All transition matrices
-from node to node are found at once, by the classical formula of Runge and Kutta, and multiplied.
+A phase that begins one second later has continued for that second without what acts from its begin on. All
+transition matrices from node to node are found at once, by the classical formula of Runge and Kutta, and multiplied.
 Source of the event's part: Bryson, Ho, *Applied Optimal Control*, 1975, section 3.7.
 """
 
@@ -34,7 +34,7 @@ _PERCENT = 0.01
 
 
 def _told(views: Any) -> tuple[Variable, ...]:
-    """Return two results for each disturbance, as variables."""
+    """Return the two results of each disturbance, as variables."""
     asked: Dispersion | None = views.dispersion
     if asked is None:
         return ()
@@ -49,11 +49,11 @@ def _told(views: Any) -> tuple[Variable, ...]:
 
 
 def dispersion(solution: Any) -> tuple[tuple[Variable, ...], list[float]]:
-    """Return the results asked for of a flight, and their values: metres along the track and to the left of it."""
+    """Return the requested results of a flight, and their values: metres along the track and to the left of it."""
     variables, problem = _told(solution.problem.views), solution.problem
     if not variables:
         return (), []
-    with np.errstate(all="ignore"):  # a file may hold what nothing can be computed with
+    with np.errstate(all="ignore"):  # a file may hold values with which nothing can be computed
         moved = _moved_at_the_end(solution, problem.views.dispersion)
         values = _on_the_ground(solution, problem.views.dispersion) @ moved
     return variables, [float(v) for v in values.T.ravel()]

@@ -1,4 +1,4 @@
-"""One root of the necessary conditions, as a solution lists it, and what it is."""
+"""One root of the necessary conditions as a solution lists it, and its classification."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from perilune.words.asked import called_in_words
 class Nature(Enum):
     """The kind of an extremal with respect to J and its free parameters (the control being optimal along each).
 
-    Nothing shows that the best of those found is the best there is. An answer whose proof fails is called no optimum.
+    Nothing shows that the best extremal found is the global one. An answer whose proof fails is not called an optimum.
     """
 
     BEST = "best of the extremals found"
@@ -26,12 +26,12 @@ class Nature(Enum):
 
     @property
     def outdone(self) -> Nature:
-        """Return what the best of those found becomes where there is a better one."""
+        """Return the kind that the best extremal found takes where a better one is known."""
         return {Nature.BEST: Nature.LOCAL_OPTIMUM, Nature.BEST_AT_BOUND: Nature.LOCAL_OPTIMUM_AT_BOUND}.get(self, self)
 
     @property
     def unguided(self) -> Nature:
-        """Return what an extremal near a guess becomes where the guess was a method's own and no other was found."""
+        """Return the kind of an extremal near a guess where the guess was a method's own and no other was found."""
         ranked = {Nature.NEAR_GUESS: Nature.BEST, Nature.NEAR_GUESS_AT_BOUND: Nature.BEST_AT_BOUND}
         return ranked.get(self, self)
 
@@ -44,7 +44,7 @@ class Nature(Enum):
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Extremal:
-    """One root of the necessary conditions: free parameters [SI], objective, and what it is.
+    """One root of the necessary conditions: free parameters [SI], objective, and classification.
 
     `unknowns` are those of the indirect method there, canonical, so that it can be found again; empty where not known.
     """

@@ -1,8 +1,8 @@
-"""The form of a problem: what it states without its numbers, traced once, with a content address.
+"""The form of a problem: its statement without its numbers, traced once, with a content address.
 
 Every function of a problem becomes an `Expression` of named states, controls and parameters; given and free parameters
 stand in one record, so which of them are free is no part of the form. With names, units, kinds of controls and
-conditions these expressions have a `digest`: equal physics has the same one, whoever's functions state it and in
+conditions these expressions have a `digest`: equal physics has the same one, whatever functions state it and in
 whichever process. Values, numbers of bounds, titles and descriptions are left out.
 
 The functions here take a `Problem` or a `Phase`, whose file stands above this one.
@@ -63,15 +63,15 @@ class Stated:
     what
         For example "dynamics of descent".
     function
-        The user's.
+        The user's function.
     records
-        What it takes before `m`, in order, each with the type of its record; None where it is taken as it is.
+        Its arguments before `m`, in order, each with the type of its record; None where it is passed as it is.
     phase
         Number of the phase whose states and controls it takes.
     results
         (name, unit) of its values.
     rough
-        Whether only the order of its values matters, so that no units are held.
+        Whether only the order of magnitude of its values matters, so that no units are checked.
     """
 
     key: Any
@@ -139,7 +139,7 @@ class Stated:
         return not _DIFFERENTIATED.isdisjoint([self.key] if isinstance(self.key, str) else self.key)
 
     def told(self, k: int) -> str:
-        """Return what one of its values is called."""
+        """Return the name of one of its values."""
         return f"{self.what}, {self.results[k][0]}"
 
     @property

@@ -1,4 +1,4 @@
-"""What may be passed as a guess: a solution of any method, or a flight written down by hand."""
+"""Initial guesses: a solution of any method, or a flight written down by hand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BY_HAND = "by hand"
 
 @called_in_words
 def guess(problem: Problem, times: Any, states: Any, controls: Any = None, **free: float) -> Solution:
-    """Make a flight by hand, for `solve` to start from. It need not fly.
+    """Make a guess of a flight by hand, for `solve` to start from. It need not meet the dynamics.
 
     Parameters
     ----------

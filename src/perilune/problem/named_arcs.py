@@ -1,4 +1,4 @@
-"""What an answer is made of, in words: arcs and touches of its phases, each with its time."""
+"""The structure of an answer in words: arcs and contact points of its phases, each with its time."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from perilune.words.asked import called_in_words
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class NamedArc:
-    """Something that holds for a while on a phase, or for a moment.
+    """A condition or regime that holds on an interval of a phase, or at an instant.
 
     Parameters
     ----------
     phase
         Name of the phase.
     begin, end
-        From when to when it holds [s], from the beginning of the phase; both are the same where it is touched.
+        Interval in which it holds [s], from the beginning of the phase; both are the same at a contact point.
     words
-        What it is: ``throttle at its upper bound``, ``along glide slope``, ``glide slope touched``.
+        Its description: ``throttle at its upper bound``, ``along glide slope``, ``glide slope touched``.
     """
 
     phase: str
@@ -36,7 +36,7 @@ class NamedArc:
 
 
 def told(arcs: Sequence[NamedArc]) -> str:
-    """Format all arcs as one line; of several phases each with its name before."""
+    """Format all arcs as one line; for several phases, each after its name."""
     phases = dict.fromkeys(arc.phase for arc in arcs)
     lines = ["; ".join(arc.text for arc in arcs if arc.phase == phase) for phase in phases]
     if len(lines) < 2:

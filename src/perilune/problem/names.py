@@ -1,7 +1,7 @@
-"""How the phases of a problem and their quantities may be called.
+"""Admissible names of phases and of their quantities.
 
-Tables, figures and files have one column for each name, beside their own: a quantity of such a name would stand in its
-place, or be lost.
+Tables, figures and files have one column for each name, in addition to their own: a quantity named like one of these
+would replace it, or be lost.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _KINDS = {"state": "a state", "control": "a control", "output": "an output"}
 
 
 def check_names(problem: Any) -> None:
-    """Refuse names that are none, and quantities of one phase that are called alike or as columns of the program's own.
+    """Refuse invalid names, and quantities of one phase that are called alike or as columns of the program's own.
 
     Raises
     ------

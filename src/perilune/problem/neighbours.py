@@ -1,7 +1,7 @@
-"""Neighbours of a problem: with its start moved, or free parameters held. They need no derivation of their own.
+"""Neighbours of a problem, with its start moved or free parameters held, without any new derivation.
 
 A moved start is one more given parameter ``offset_<state>`` for each state, so a neighbour is a problem like any other.
-What is derived from a problem counts with such offsets from the beginning (`unmoved`, `offsets`), and with any set of
+Whatever is derived from a problem includes such offsets from the beginning (`unmoved`, `offsets`), and with any set of
 free parameters held: all neighbours share what was derived and compiled for the problem itself.
 """
 
@@ -49,7 +49,7 @@ def movable(problem: Problem) -> Problem:
 
 
 def moved(problem: Problem, **values: float) -> Problem:
-    """Return a `movable` problem with other offsets [SI]. Nothing that is stated of it knows them: all else stays."""
+    """Return a `movable` problem with other offsets [SI]. Nothing else in it depends on them."""
     return _with_values(problem, values)
 
 
@@ -72,11 +72,11 @@ def offsets(problem: Problem) -> Vector:
 
 @dataclass(frozen=True, kw_only=True)
 class Held(Free):
-    """A free parameter that a neighbour holds where an answer has it; a user's own range may be one value as well."""
+    """A free parameter that a neighbour fixes at its value in an answer; a user's range may be one value as well."""
 
 
 def held(problem: Problem, **values: float) -> Problem:
-    """Return a neighbour whose free parameters may take no other than these values [SI]."""
+    """Return a neighbour whose free parameters may take only these values [SI]."""
     return _at(problem, values, Held)
 
 

@@ -1,4 +1,4 @@
-"""Nodes of a curve, so many that cubic Hermite interpolation of values and rates loses nothing that matters."""
+"""Nodes of a curve, enough of them for cubic Hermite interpolation of values and rates within a tolerance."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def hermite_nodes(
     shortest
         Width of pieces that are not halved any more [s]: about a jump there would be no end to it.
     together
-        What the errors of all components do together, of errors and rates (n, k) at mid-points, (n,): at most 1.
+        Joint measure of the errors of all components, from errors and rates (n, k) at mid-points, (n,): at most 1.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def hermite_nodes(
         bad = (missed > 1.0) & (width > shortest)
         if not bad.any():
             break
-        # What is good enough stays so: only the halves of the others are looked at again.
+        # Intervals within the tolerance stay so: only the halves of the others are checked again.
         new = middle[bad], exact[bad], slopes[bad]
         left = tuple(np.concatenate([a[bad], b]) for a, b in zip(left, new, strict=True))
         right = tuple(np.concatenate([b, a[bad]]) for a, b in zip(right, new, strict=True))

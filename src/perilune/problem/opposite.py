@@ -1,8 +1,8 @@
-"""A problem with J of the other sign, whose answer is a maximum.
+"""The problem with the objective negated, whose solution maximises J.
 
-What meets the ends in the least time has a counterpart that takes the longest: between the two lie all flight times in
-which the ends can be met. Both are extremals, with the multiplier of J of either sign, and conditions that leave that
-sign open, as with costates of length one, are met by both.
+The flight that meets the end conditions in the least time has a counterpart that takes the longest: between the two
+lie all flight times in which these can be met. Both are extremals, with the multiplier of J of either sign, and
+conditions that leave that sign open, as with costates of length one, are met by both.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from perilune.words.types import Physics
 
 @called_in_words
 def opposite(problem: Problem) -> Problem:
-    """Return the same problem with the other end of the range of its objective: J is minus what it was.
+    """Return the same problem with its objective negated.
 
     Parameters
     ----------

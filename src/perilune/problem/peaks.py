@@ -1,4 +1,4 @@
-"""Where quantities along a flight are largest: what `Views.peaks` names."""
+"""Largest values of quantities along a flight and their times, for the names in `Views.peaks`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _POINTS, _NEARER, _ROUNDS = 401, 9, 12  # looked at first; then, each time, four
 
 
 def peaks(solution: Any) -> tuple[list[Variable], list[float]]:
-    """Return the largest value of each and when it is reached, and what they are."""
+    """Return the variables, and their values: the largest of each quantity and the time at which it is reached [s]."""
     variables, values = list[Variable](), list[float]()
     for name in solution.problem.views.peaks:
         best, since, of = (-np.inf, 0.0), 0.0, Variable(name=name)

@@ -115,7 +115,7 @@ class Phase(ShownPhase):
         return namedtuple("Control", self.control_names)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}  # record types are made anew where it arrives
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # record types are created again on arrival
 
     def rates(self, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
         """Return the rates of the states for plain sequences x and u (each component may itself be an array)."""

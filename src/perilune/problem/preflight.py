@@ -1,6 +1,6 @@
-"""Before solving: what physics says of a problem, in the user's words.
+"""Feasibility checks before solving: bounds from physics that a problem can miss, in the user's words.
 
-A model states *comparisons*, each a value against a limit (`Problem.preflight`). A **binding** one that is missed is a
+A model states *comparisons*, each of a value with a limit (`Problem.preflight`). A **binding** one that fails is a
 proof that there is no flight; the others warn. They are formulas of the given parameters without branches on values,
 so that one call judges one problem or, with arrays of values, a whole sweep. Bounds that are parameters are compared as
 well: where they lie the wrong way round there is no flight.
@@ -81,7 +81,7 @@ class Finding:
 
 @called_in_words
 def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[Finding, ...]:
-    """Compare a problem with what physics allows; nothing is solved, and nothing raised for a miss.
+    """Compare a problem with what physics allows; nothing is solved, and no error is raised for a failed comparison.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ from perilune.words.outcome import Named, unknown_name
 from perilune.words.types import Matrix, Physics
 from perilune.words.units import Scales
 
-_TRACED = ("form", "structure")  # what is found of a problem once, and may be known
+_TRACED = ("form", "structure")  # properties found once for a problem, and possibly known
 _SIZED, _BOUNDED = (Variable, Free, *get_args(Control)), (Variable, *get_args(Control))
 
 
@@ -144,7 +144,7 @@ class Problem(ShownProblem, SimulatedProblem):
         self.take_ranges()
         check_structure(self)
         check_homogeneous(self)
-        _ = self.form  # so that what is no formula is refused where it is stated
+        _ = self.form  # so that what is not a formula is refused where it is stated
 
     def take_ranges(self) -> None:
         """Let the free parameters have the ranges that follow from the given ones; of one that is being made."""
@@ -166,7 +166,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
     @cached_property
     def structure(self) -> tuple[Any, ...]:
-        """Return what a derivation depends on: form, names of given and free parameters, and which bounds there are.
+        """Return all that a derivation depends on: form, names of given and free parameters, and which bounds exist.
 
         Whether a limit is a number, and of which sign, decides on the regimes of a control; whether an end condition is
         a range decides on its row. What has a scale of its own has other canonical values.

@@ -1,11 +1,11 @@
-"""How a function of the state changes along the flight: total derivatives of tapes, exact.
+"""Total derivatives of functions of the state along the flight, exact, and the order of a state constraint.
 
 Of S(x, p) and the dynamics x' = f(x, u, p) forward differentiation through the operations of S makes
 
     S'(x, u, p) = sum of dS/dx_i f_i
 
 as a tape like any other, and of that S'' and so on until a control appears: the *order* of S is how often that takes.
-What does not change is left out and not multiplied by zero, so that a control is in S^(q) only where one may act.
+Terms that do not change are left out, not multiplied by zero, so that a control is in S^(q) only where it may act.
 Where its effects cancel (a lift across the velocity leaves the speed as it is) the operations do not tell: that is seen
 by numbers, and the control left out.
 
@@ -26,13 +26,13 @@ from perilune.problem.tape import ROLES, Expression, Recorder, Symbol, operands
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
-MOST_ORDER = 4  # derivatives that are looked at; states are coupled more directly than that
-_TOUCHED = 2  # derivatives that tell a touch: S' vanishes there, and S'' does not
+MOST_ORDER = 4  # derivatives that are considered; states are coupled more directly than that
+_TOUCHED = 2  # derivatives that show a contact point: S' vanishes there, and S'' does not
 _LOOKS, _FEWEST = 200, 5  # points at which effects of a control are compared, and those that have to tell anything
 _CANCELS = 1e-9  # of the effects: less of their sum is rounding
 Inputs = Mapping[tuple[str, str], Any]  # by (role, component)
 
-# What a rate is made of: the value of the operation, its operands and their rates (None where they do not change).
+# Data of a rate: the value of the operation, its operands and their rates (None where they do not change).
 _UNARY: dict[str, Callable[[Any, Any, Any, Any], Any]] = {
     "neg": lambda m, v, a, da: -da,
     "sqrt": lambda m, v, a, da: da / (2.0 * v),
@@ -145,7 +145,7 @@ def acts(expression: Expression) -> bool:
 def acts_linearly(expression: Expression, control: str) -> bool:
     """Return True if a control is in each value of an expression, with a slope that does not depend on it.
 
-    By the operations, so that what only cancels is no linear one.
+    Judged by the operations, so that a slope which only cancels does not count as linear.
     """
     degree: list[int] = []
     for operation in expression.tape.instructions:

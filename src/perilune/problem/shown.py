@@ -1,6 +1,6 @@
-"""What problems, solutions and their parts show of themselves, in a line, in a notebook, to other libraries.
+"""Displays of problems, solutions and their parts: one-line, in a notebook, and as data for other libraries.
 
-What needs rooms above is done there (`perilune.words.face`).
+Displays that need higher rooms are implemented there (`perilune.words.face`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The rates of a problem's states in numbers, so that a flight may be flown by a program of one's own."""
+"""The state equations of a problem in numbers, for simulation by the user's own program."""
 
 from __future__ import annotations
 

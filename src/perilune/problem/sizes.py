@@ -1,7 +1,7 @@
-"""By what errors are judged: the sizes of quantities, as far as a flight bears them out.
+"""Magnitudes of quantities along a flight, by which errors are judged.
 
-Whoever states a problem chooses its canonical units and may give a quantity a scale of its own. Neither may loosen a
-limit of the proof: what a flight reaches, or spans, bounds both.
+The user chooses the canonical units of a problem and may give a quantity a scale of its own. Neither may loosen a
+limit of the proof: the magnitudes that a flight reaches, or spans, bound both.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.units import Scales
 
 _NOTHING = 1e-18  # of a canonical unit
-STILL = 1e-9  # of the span of states of its unit on other phases: what moves less on one stands still there
-BEYOND = 1e3  # as many times what it reaches, or the size of its unit, a scale may be
-ROUNDS = 1e-4  # of what a state reaches: some hundred times the last digit, beside limits of 3e-10 of a size
+STILL = 1e-9  # of the span of states of its unit on other phases: a state that moves less on a phase is at rest there
+BEYOND = 1e3  # largest scale, in units of what the state reaches or of the size of its unit
+ROUNDS = 1e-4  # of what a state reaches: some hundred times the last digit, with limits of 3e-10 of a size
 
 
 def borne_out(scale: float, unit: float, reached: float) -> float:
@@ -73,7 +73,7 @@ def reached_sizes(
     sizes = []
     for v, most, span in zip(states, reached, spans, strict=True):
         alike = [i for i, other in enumerate(states) if other.unit == v.unit]
-        # What stands still, with all states of its unit, has covered no span that would say anything.
+        # A state at rest, with all states of its unit, has covered no span that says anything.
         together = max(spans[i] for i in alike)
         if together <= STILL * (other := elsewhere.get(v.unit, 0.0)):
             together = other

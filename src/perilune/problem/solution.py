@@ -79,7 +79,7 @@ class Curve(ShownCurve):
         t = demand_numbers(t, _TIMES, most=1)
         first, last = self.time[0], self.time[-1]
         slack = _ROUNDING * (last - first)
-        # A curve whose own nodes are no numbers has no ends to compare with: its values are NaN, for a proof to see.
+        # A curve whose nodes are not numbers has no ends to compare with: its values are NaN, which a proof will see.
         if np.any(outside := (np.less(t, first - slack) | np.greater(t, last + slack) | np.isnan(t))):
             raise PeriluneError(
                 "the curve is asked outside its time",
@@ -91,7 +91,7 @@ class Curve(ShownCurve):
 
     @called_in_words
     def extended(self, t: float | Vector) -> Any:
-        """Return the same without a limit: before the first and after the last node their cubics go on.
+        """Return the extrapolated value: before the first and after the last node their cubics continue.
 
         For a proof, which has to look at tables that end where they should not.
 
@@ -146,7 +146,7 @@ class Trajectory(ShownTrajectory):
 
 
 def _read_only(values: Any) -> Any:
-    """Return the array where nobody can write to it, else a copy that is so."""
+    """Return the array if it is read-only, else a read-only copy."""
     array = np.asarray(values, dtype=float)
     owner = array if array.base is None else array.base
     if array.flags.writeable or not isinstance(owner, np.ndarray) or owner.flags.writeable:
@@ -158,7 +158,7 @@ def _read_only(values: Any) -> Any:
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """A number that was asked of a solution, in SI; `label` is its name where that is not the result's with blanks."""
+    """A number requested of a solution, in SI; `label` is its name where that is not the result's with blanks."""
 
     value: float
     unit: str
@@ -169,9 +169,9 @@ class Result:
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
-    """A record of how the answer was found; `claimed` where a file says so and nobody here saw it.
+    """A record of how the answer was found; `claimed` where only a file says so.
 
-    `rung` is the way of starting that led to it, `tried` what was done in all of them. `iterations` and `arcs` count
+    `rung` is the kind of start that led to it, `tried` what was done for all starts. `iterations` and `arcs` count
     all that was done for it, in all starts together; `history` has the iterations of starts that were solved singly.
     """
 
@@ -209,12 +209,12 @@ class Solution(ShownSolution):
     extremals
         Every extremal found, best first; this solution is the first.
     listed
-        The same of a solution that was loaded, as its file says it. Nobody here has found them: they are no `extremals`
+        The same of a loaded solution, as its file states them. They were not found here, and are no `extremals`
         until `perilune.prove` has found each again.
     unknowns
         The method's own unknowns, so that it can start again from here (`method` says whose they are).
     structure
-        The arcs that it is made of, by name, where somebody has read them.
+        The arcs that it consists of, by name, where they were detected.
     """
 
     problem: Problem
@@ -264,11 +264,11 @@ class Solution(ShownSolution):
 
     @property
     def results(self) -> dict[str, Result]:
-        """Return the results that the problem asks for, by name: `results`, `marks`, `integrals` of phases, `views`.
+        """Return the results that the problem defines, by name: `results`, `marks`, `integrals` of phases, `views`.
 
-        Of a problem that asks nothing, the flight time and the objective. NaN where they cannot be computed.
+        For a problem that defines none, the flight time and the objective. NaN where they cannot be computed.
         """
-        return Named("result", self._results)  # the caller's own, to do with as with any dictionary
+        return Named("result", self._results)  # the caller's own copy
 
     @cached_property
     def _results(self) -> Mapping[str, Result]:
@@ -378,7 +378,7 @@ def full(values: Any, t: Vector) -> Vector:
 
 
 def results_between(problem: Problem, first: Sequence[float], last: Sequence[float], p: Any) -> dict[str, Result]:
-    """Return what `Problem.results` makes of the states at both ends of a flight, NaN where it cannot be computed.
+    """Return the values of `Problem.results` for the states at both ends of a flight, NaN where it cannot be computed.
 
     The states come to the problem's function as the records that all its functions receive; components that are not
     known may be NaN.

@@ -1,4 +1,4 @@
-"""Trace a user's physics on CasADi SX: the one text that is also flown by the verifier becomes expressions.
+"""Trace the user's physics on CasADi SX: the same text that the verifier flies becomes expressions.
 
 Everything is traced in canonical units: because the physics is dimensionally homogeneous (tested by `Problem`), the
 same text holds when states and parameters are divided by their `Scales`; what has a scale of its own is brought to them
@@ -106,7 +106,7 @@ def trace_rates(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> ca.SX:
 
 
 MOST_CONDITIONS = 4  # in the m.where of one phase
-MOST_SIDES = 64  # that are held for tables and the like; each multiplies the modes
+MOST_SIDES = 64  # sides of tables and the like; each multiplies the modes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +138,7 @@ class Kinked:
     Parameters
     ----------
     choices
-        What changes in flight.
+        The choices that change in flight.
     sides
         Each combination of places: for each choice how many of its knots lie below.
     rates
@@ -166,7 +166,7 @@ def trace_sides(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> Kinked:
         If the condition of an ``m.where`` depends on a control, compares for equality, or there are too many.
     """
     choices = list[Choice]()
-    most = 1  # the jumps first, that they find room
+    most = 1  # the jumps first, so that they find room
     while True:
         known = len(choices)
         sides = tuple(product(*(range(len(choice.knots) + 1) for choice in choices)))

@@ -33,7 +33,7 @@ ARITY = {
     **{name: 2 if name in _BINARY else 1 for name in NUMPY_NAMES},
 }  # fmt: skip
 _REAL_ELSEWHERE = {"fabs", "atan2"}  # only those of `m` carry a complex step
-# What physics takes: states, controls, parameters, the time from the begin of the flight, first and last state.
+# Arguments of the physics: states, controls, parameters, the time from the begin of the flight, first and last state.
 ROLES = ("x", "u", "p", "t", "first", "last")
 
 # (role, component), the time itself having none: ""; ("const", repr of a float); or (operation, operand, ...), operands
@@ -44,7 +44,7 @@ _Step = tuple[int, Any, int, int, int, int]  # the same of one namespace: number
 
 
 class NotAFormula(Exception):
-    """A function did with a symbol what a formula cannot do; `advice` says what to write instead."""
+    """A function used a symbol in a way that a formula cannot; `advice` says what to write instead."""
 
     def __init__(self, got: str, advice: str) -> None:
         super().__init__(got)
@@ -53,7 +53,7 @@ class NotAFormula(Exception):
 
 
 class Symbol:
-    """A value that is not known yet: what a user's function computes with while it is written down."""
+    """A value that is not known yet, with which a user's function computes while it is recorded."""
 
     __slots__ = ("_index", "_recorder")
     __hash__: Any = None  # type: ignore[assignment]
@@ -122,7 +122,7 @@ def _is_number(value: Any) -> bool:
 
 
 class Recorder:
-    """Writes down operations, each distinct one once; of what is `differentiated` only such as take complex steps."""
+    """Recorder of operations, each distinct one once; if `differentiated`, only those that take complex steps."""
 
     def __init__(self, differentiated: bool = False) -> None:
         self.differentiated = differentiated
@@ -186,7 +186,7 @@ class Recorder:
         return number
 
     def tape(self, results: Sequence[Any]) -> Tape:
-        """Return the tape of what the results need of all that was noted."""
+        """Return the tape of the noted operations that the results need."""
         outputs = [self.index_of(r) for r in results]
         needed = set(outputs)
         for number in range(len(self.instructions) - 1, -1, -1):

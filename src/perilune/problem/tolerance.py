@@ -1,7 +1,7 @@
-"""The engineering tolerance that may be stated for a proof: what a flight may really be off by, by quantity.
+"""The engineering tolerance that may be stated for a proof: the admissible error of a flight, by quantity.
 
-The limits of a proof follow from the problem, and lie where rounding does. Who asks for less says how much less; the
-proof then says so wherever it says what it proved.
+The limits of a proof follow from the problem, and are of the order of rounding. A user who needs less states how much
+less; the proof then says so wherever it says what it proved.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from perilune.words.declared import keys_of, quantity, record, values_of
 from perilune.words.units import dimension_text, unit
 
 _NO_PROOF = "is no tolerance but no proof"
-LARGEST = 1e-3  # of what the flight changes in a quantity
+LARGEST = 1e-3  # of the range of a quantity along the flight
 SIZED = ("angle", "optimality")  # which have a size where no state is measured in them, 1
 _SPOKEN = {"m": ("km", "m", "mm"), "m/s": ("m/s", "mm/s"), "kg": ("kg", "g"), "rad": ("deg",), "s": ("s", "ms")}
 
 
 @record("proof")
 class Tolerance:
-    """Differences that do not matter, each in SI (angles in radians) and each left out unless it is stated.
+    """Admissible differences, each in SI (angles in radians) and each left out unless it is stated.
 
     A limit of level 1 that compares quantities in m, m/s, kg, rad or s is raised to what is stated of them, a relative
     limit of level 2 to `optimality`. None is lowered, and what has another unit, or none, keeps its limit.

@@ -1,15 +1,15 @@
-"""States whose costates are known beforehand: zero where nothing asks for them, positive where they are the cost.
+"""States whose costates are known beforehand: zero where nothing depends on them, positive where they are the cost.
 
 A state that only counts (the energy that was used, a distance flown) stands in no condition, in no objective and in no
 rate of a state that does. With H = lambda . f, lambda' = -dH/dx and lambda(T) = dPhi/dx the costates of all such states
-solve a linear homogeneous equation from zero at the end, so that they are zero. A control that enters nothing else than
-their rates in a bent way enters H linearly: u^2 in the rate of an energy does not bend H.
+solve a linear homogeneous equation from zero at the end, so that they are zero. A control that is nonlinear in
+their rates only enters H linearly: u^2 in the rate of an energy adds no curvature to H.
 
 A state that counts what it costs stands in no condition and no rate either, but in the objective, with a positive
 factor: its costate is that factor all along, and a convex rate makes H convex.
 
-Bounds of states do not count: where a flight rides along one, or ends on it, that is stated as a condition of a problem
-with more phases (`perilune.structures.restate`).
+Bounds of states do not count: a boundary arc along one, or an end on it, is stated as a condition of a problem with
+more phases (`perilune.structures.restate`).
 
 Source: transversality of free final states, Bryson and Ho (1975), section 2.4.
 """
@@ -22,7 +22,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.rates import rate, run
 from perilune.problem.tape import ROLES, Expression, Recorder, operands
 
-_ASKING = ("end", "path", "held")  # functions of a phase that say what a flight has to do
+_ASKING = ("end", "path", "held")  # functions of a phase that state requirements on a flight
 
 
 def unpriced_states(problem: Problem) -> tuple[frozenset[str], ...]:

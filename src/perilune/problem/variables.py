@@ -1,4 +1,4 @@
-"""What a problem names beside its controls: states and conditions, given and free parameters. All in SI."""
+"""Variables of a problem other than controls: states, conditions, given and free parameters. All in SI."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Variable:
     name on the axis of a figure, where that is not `name` with blanks.
 
     `scale` is the size of a state or condition in SI, where it is not of the size of its unit in `Problem.scales`: an
-    altitude next to a downrange, a heat load of 1e8 J/m^2. It is what the methods compute in, and no other answer.
+    altitude next to a downrange, a heat load of 1e8 J/m^2. The methods compute in it; it does not change the answer.
     """
 
     name: str

@@ -1,8 +1,8 @@
-"""A problem whose given parameters vary: with these free, and held. Extremals of it come with their derivatives.
+"""A problem with some given parameters freed and held, so that its extremals come with derivatives by them.
 
 A parameter that is in the dynamics is a constant state then, and its costate an unknown. Where the canonical unit of
-one is far from its range (an area beside the square of a planet's radius), that costate would be so large or so small
-that nothing else counted: in its place stands its share of a size, which is given.
+one is far from its range (an area next to the square of a planet's radius), that costate would be so large or so small
+that nothing else counted: it is replaced by its share of a size, which is given.
 """
 
 from __future__ import annotations

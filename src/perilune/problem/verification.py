@@ -15,7 +15,7 @@ from perilune.words.asked import called_in_words
 from perilune.words.face import method
 
 LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked", "theorem")
-LEVELS = tuple(range(1, len(LEVEL_NAMES)))  # that may be asked for
+LEVELS = tuple(range(1, len(LEVEL_NAMES)))  # levels that may be requested
 THEOREM = 5  # with those up to 3
 
 
@@ -35,7 +35,7 @@ class Check:
     unit
         Unit of both.
     exact
-        Whether one number is compared with its copy, so that no stated tolerance applies.
+        Whether a number is compared with its own copy, so that no stated tolerance applies.
     own_limit, raised_by
         Where a stated tolerance raised the limit: what it would be without, and the quantity that was stated.
     """
@@ -57,7 +57,7 @@ class Check:
 
     @property
     def lenient(self) -> bool:
-        """Return True if it passed only by the stated tolerance."""
+        """Return True if it passed only with the stated tolerance."""
         return self.own_limit is not None and self.passed and not self.value <= self.own_limit
 
     def limit_told(self, digits: int = 3) -> str:
@@ -81,14 +81,14 @@ class Verification:
     checks
         In the order of their levels.
     text
-        Which text of the physics was flown: the problem's own Python functions, or expressions and where they came
+        The text of the integrated physics: the problem's own Python functions, or expressions and where they came
         from (`Problem.text`).
     notes
-        What was not checked, and what was left out as it could not be, in sentences.
+        What was not checked, or could not be, in sentences.
     tolerance
         What was stated of differences that do not matter. Of a solution without checks, with what it is to be proved.
     certificate
-        Of a theorem: what it says and rests on, a tree for JSON; None without one.
+        The statement and premises of a theorem, a tree for JSON; None without one.
     claimed
         Of a solution that was loaded: what its file says of its proof, which proves nothing.
     """

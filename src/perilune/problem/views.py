@@ -1,7 +1,7 @@
-"""What a problem says of its own pictures, so that figures and exports need not guess from names.
+"""Views of a problem: the figures, tables and titles it asks for, so that nothing is guessed from names.
 
-Where a flight is in space is physics of a phase (`Phase.inertial`, `Phase.track`); here stand the words beside it, and
-which quantities are worth a figure. A problem that states no views gets each state, control and costate against time.
+The position of a flight in space is physics of a phase (`Phase.inertial`, `Phase.track`); a view adds its description
+and the quantities that are worth a figure. A problem without views gets each state, control and costate against time.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Ground:
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Corridor:
-    """Height against speed where there is air, with lines along which other outputs are equal.
+    """Height against speed in the atmosphere, with contour lines of other outputs.
 
     Parameters
     ----------
@@ -89,12 +89,12 @@ class Corridor:
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Disturbance:
-    """Something that comes out other than it was meant.
+    """A deviation of the flight from what was planned.
 
     Parameters
     ----------
     name
-        What there is one of: ``percent_thrust``.
+        Its unit amount: ``percent_thrust``.
     shares
         (parameter, percent): by how much one such disturbance changes given parameters.
     begins, without
@@ -110,7 +110,7 @@ class Disturbance:
 @called_in_words
 @dataclass(frozen=True, kw_only=True)
 class Dispersion:
-    """The disturbances by which the landing point is moved (`perilune.problem.dispersion`).
+    """The disturbances that move the landing point (`perilune.problem.dispersion`).
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Dispersion:
     position, velocity
         Names of the states in axes that turn with the body, from its centre.
     track
-        Name of the phase at whose begin the track is that is meant: what is along it lies on its great circle.
+        Name of the phase whose initial track is meant: along-track changes lie on its great circle.
     """
 
     disturbances: tuple[Disturbance, ...]
@@ -213,24 +213,24 @@ class Views:
     frame
         Axes and epoch of `Phase.inertial`, in words.
     label
-        How a solution is called in a legend; ``{name:format}`` stands for the value of a result.
+        Name of a solution in a legend; ``{name:format}`` stands for the value of a result.
     beside
-        What to draw with it, or None.
+        A flight to draw with it, or None.
     peaks
         Names of outputs whose largest value along the flight is a result, ``peak_load``, with its time from the begin
         of the flight, ``peak_load_time``.
     ground
-        What a map shows, or None.
+        Content of a map, or None.
     corridor
-        What height is shown against speed, or None.
+        Figure of height against speed, or None.
     dispersion
-        By what the landing point moves, or None.
+        Disturbances of the landing point, or None.
     floor
-        What the fourth value of `Phase.track` is, the least height there [m]; "" where there is none.
+        Name of the fourth value of `Phase.track`, the least height there [m]; "" where there is none.
     space
         Where in space the flight is, or None.
     inputs
-        What was read of each file that the problem is made of, in a sentence: its rows, units and ranges.
+        Content of each file from which the problem was made, in a sentence: its rows, units and ranges.
     meant_for
         Ranges of quantities that the model is meant for.
     """

@@ -1,7 +1,7 @@
-"""Names of quantities and limits as messages say them: in the words of the kind that states a problem, not of its code.
+"""Names of quantities and limits in messages: those of the problem statement, not of the code.
 
-A state, condition or control is called by what it is (``mass``), with its name where that says something else; a limit
-by the key that states it (``vehicle.dry_mass``), where it is a parameter of a record.
+A state, condition or control is called by its description (``mass``), with its name where that differs; a limit by
+the key that states it (``vehicle.dry_mass``), where it is a parameter of a record.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from perilune.problem.problem import Problem
 from perilune.words.declared import keys_of, section_of
 from perilune.words.units import told
 
-_SHOWN = ("outputs", "integrals", "marks", "inertial", "track", "typical_end")  # functions that decide nothing
+_SHOWN = ("outputs", "integrals", "marks", "inertial", "track", "typical_end")  # functions that decide no optimum
 
 
 def quantity_name(named: Any) -> str:
-    """Return what a variable, a control or a parameter is called in a sentence: ``mass (m)``."""
+    """Return the name of a variable, a control or a parameter in a sentence: ``mass (m)``."""
     name, about = named.name.replace("_", " "), getattr(named, "description", "")
     return f"{about} ({named.name})" if about and about != name else name
 
@@ -66,7 +66,7 @@ def stating_keys(problem: Problem, k: int, kind: str, row: int) -> list[str]:
 
 
 def free_name(problem: Problem, name: str) -> str:
-    """Return what a free parameter is called in a sentence: the key that states it, or its name in words."""
+    """Return the name of a free parameter in a sentence: the key that states it, or its name in words."""
     key = parameter_key(problem, name)
     return key if key != name else name.replace("_", " ")
 
@@ -95,7 +95,7 @@ def end_text(problem: Problem, name: str) -> str:
 
 
 def limit_name(problem: Problem, bounded: Any, side: str) -> str:
-    """Return what a limit of a state, an end or a control is called: its key, or the lower (upper) bound of what.
+    """Return the name of a limit of a state, an end or a control: its key, or the lower (upper) bound of what.
 
     Parameters
     ----------

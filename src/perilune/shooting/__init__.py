@@ -1,1 +1,1 @@
-"""Arcs, roots and families of the boundary value problem."""
+"""Propagation of arcs, Newton's method and continuation for the boundary value problem."""

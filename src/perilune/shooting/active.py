@@ -1,10 +1,10 @@
-"""Which bounds an extremal sits on: Newton with an active set, for many extremals at once.
+"""Newton's method with an active set of bounds, for many extremals at once.
 
 A free parameter q between bounds and an end condition psi with a range are treated alike. Each has a value that must
 lie between its limits, and a multiplier, dJ/d(value) along the family in which the value is held: dJ/dq, and -nu where
 J + nu psi is stationary. An extremal holds none, or holds the value at a limit with J rising into the interior (Karush,
-Kuhn, Tucker). Start with what the caller holds; hold what is broken, release what would gain, a bounded number of
-times.
+Kuhn, Tucker). Start with the caller's active set; add violated limits, release those that would gain, a bounded number
+of times.
 
 Source: Nocedal & Wright, *Numerical Optimization*, 2nd ed., Springer 2006, sections 12.3 and 16.5.
 """
@@ -47,7 +47,7 @@ class Limits:
         return Limits(lower=lower, upper=upper)
 
     def taken_over(self, choice: Vector, before: Limits) -> Vector:
-        """Return the choice of another problem with what it holds at a limit of that one at the limit here."""
+        """Return the choice of another problem with the values that it holds at its limits moved to the limits here."""
         count = len(self.lower)
         masks, held = choice[:count], choice[count:]
         at_lower, at_upper = held == before.lower, held == before.upper
@@ -79,7 +79,7 @@ def limits_of(problem: Problem, conditions: Conditions) -> Limits:
     canonical = [(low / size, high / size) for size, low, high in both]
     lower, upper = np.array(canonical, dtype=float).reshape(-1, 2).T
     if len(problem.phases) == 1 and problem.duration_names[0] in problem.free_names:
-        # The only phase cannot vanish: a flight of no length is no flight.
+        # The only phase cannot vanish: a flight of zero length is none.
         at = problem.free_names.index(problem.duration_names[0])
         lower[at] = -np.inf if lower[at] == 0 else lower[at]
     return Limits(lower=lower, upper=upper)
@@ -101,7 +101,7 @@ def settle(
     Y, p, choice, watch, **settings
         As for `Shooting.solve`; `choice` is where the search for the active set begins.
     limits
-        What the roots have to keep. A lane in which no active set is found counts as not converged.
+        Limits that the roots have to keep. A lane in which no active set is found counts as not converged.
     """
     roots = shooting.solve(Y, p, choice, watch, **settings)
     wanted = limits.revised(shooting, roots)

@@ -1,4 +1,4 @@
-"""Walk along a family of roots: predict by the sensitivity, correct by Newton, halve the step where that fails."""
+"""Continuation along a family of roots: predict by the sensitivity, correct by Newton, halve failing steps."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Extremals that are not isolated: a curve of roots, along all of which J is the same.
+"""Extremals that are not isolated: curves of roots along which J is constant.
 
 Where a problem leaves something open that costs nothing (with spare time and a free angle at the end, how long to wait
 before the first burn), the Jacobian is singular at every root. Newton's step is then as long as round-off makes it
 along the curve, and no run ends. The shortest of the steps that the residual asks for goes straight to the curve: J^-1
-is put together without its few largest singular values, which stand far beyond the others. What it reaches is such a
-curve, and no double root, if a move along it leads to another root with the same J.
+is assembled without its few largest singular values, which stand far beyond the others. The root reached lies on such a
+curve, and is no double root, if a move along it leads to another root with the same J.
 
 Source: Deuflhard, *Newton Methods for Nonlinear Problems*, Springer 2011, section 4.4 (underdetermined systems).
 """
@@ -42,7 +42,7 @@ def nearly_open(root: Root) -> bool:
 
 
 def completed(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
-    """Return the roots with those that Newton's method could not end brought onto the curve that they lie near.
+    """Return the roots, with those where Newton's method did not converge moved onto the nearby curve.
 
     Parameters
     ----------
@@ -65,13 +65,13 @@ def reached(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lan
     Parameters
     ----------
     shooting, Y, p, choice
-        From where, as for `Shooting.solve`.
+        Starting points, as for `Shooting.solve`.
     leave
         How many directions are open in each lane.
     """
     roots = _shortest(shooting, Y, p, choice, leave)
     finite: NDArray[np.bool_] = np.all(np.isfinite(roots.rows), axis=1)
-    roots = roots.failed(~finite)  # of others no direction is known
+    roots = roots.failed(~finite)  # for others no direction is known
     curve = np.zeros(len(Y), dtype=bool)
     for way in (_ALONG, -_ALONG):  # it may end here on one side
         lanes = np.nonzero(roots.converged & ~curve)[0]

@@ -1,8 +1,8 @@
-"""All extremals along one free parameter q: hold q, follow the family of extremals, find where dJ/dq = 0.
+"""All extremals along one free parameter q: hold q, continue the family of extremals, find where dJ/dq = 0.
 
 Cho et al. 2015 solve for the root of the transversality condition (19) directly; but a root may be a maximum, a
-minimum, or not be the best one. Along the family of extremals with q held, the residual of (19) *is* dJ/dq. Its sign
-changes are the interior extremals, its slope there tells minimum from maximum of J, and its sign at the bounds tells
+minimum, or dominated by another. Along the family of extremals with q held, the residual of (19) *is* dJ/dq. Its sign
+changes are the interior extremals, its slope there tells minimum from maximum of J, and its sign at the bounds shows
 whether the bound itself is an extremal (Karush, Kuhn, Tucker).
 """
 
@@ -27,7 +27,7 @@ _ATTEMPTS = 24  # at an extremal between two members: from 1 mm over the site dJ
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """An extremal: its root, which knows what it holds at a bound, and whether J is least there."""
+    """An extremal: its root, with its active bounds, and whether J has a minimum there."""
 
     root: Root
     minimum: bool
@@ -59,7 +59,7 @@ class HeldFamily:
     watch: Watch = silent
 
     def held(self, Y: Matrix, values: Vector, like: Root) -> Roots:
-        """Solve in lanes with q held at `values`, and what else is held to begin with as in `like`."""
+        """Solve in lanes with q held at `values`; the initial active set is otherwise that of `like`."""
         choices = np.tile(like.choice, (len(values), 1))
         self.shooting.plan.hold(choices, self.index, values)
         return settle(self.shooting, Y, self.p, choices, self.limits, self.watch)
@@ -93,7 +93,7 @@ class HeldFamily:
 def scan(
     family: HeldFamily, first: Member, bounds: tuple[float, float], points: int
 ) -> tuple[list[Found], list[Member]]:
-    """Walk from `first` towards both bounds; the extremals met, and the members visited.
+    """Continue from `first` towards both bounds; return the extremals met, and the members visited.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class _Bracket:
         return family.reach(self.a, value) or family.reach(self.b, value)
 
     def narrow(self, middle: Member, slope: float) -> None:
-        """Put a member between into the place of the one whose sign it has."""
+        """Replace the end whose sign a member between has by that member."""
         if slope * self.slope_a > 0:
             self.a, self.slope_a = middle, slope
         else:

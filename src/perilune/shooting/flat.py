@@ -1,15 +1,14 @@
-"""Roots beside an extremal that one direction hardly changes, with its unknowns held along that.
+"""Roots near an extremal of a nearly singular Jacobian, with the unknowns held along the flat direction.
 
-How long a lander waits before the first of two burns may change J by its curvature, 1e-9 canonical, and no more. A step
-of Newton's method that mends a residual of 1e-9 is then of length 1 along the wait, where the residual is none of its
-first derivatives any more: the step is damped to nothing. With u.h = 0 given up, and v.dy = 0 in its place, where u and
-v are the singular vectors of the Jacobian's smallest singular value, what is left is as well-conditioned as any other
-problem:
+The wait of a lander before the first of two burns may change J by its curvature only, 1e-9 canonical. A step
+of Newton's method that corrects a residual of 1e-9 is then of length 1 along the wait, where first derivatives no
+longer describe the residual: the step is damped to nothing. With u.h = 0 replaced by v.dy = 0, where u and v are the
+singular vectors of the Jacobian's smallest singular value, the rest is as well-conditioned as any other problem:
 
     J dy + h = t u,   v.dy = 0:     dy = -J^-1 h + t J^-1 u,   t = (v.J^-1 h) / (v.J^-1 u).
 
-J is stationary along v at the extremal, so that what is held there changes the derivatives of J by the start by nothing
-(envelope theorem), and J itself by the square of the shift, alike to both sides.
+J is stationary along v at the extremal, so that holding the unknowns there does not change the derivatives of J by the
+start (envelope theorem), and changes J itself by the square of the shift, alike to both sides.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def root_across(shooting: Shooting, Y: Vector, p: Vector, choice: Vector, flat: 
     Parameters
     ----------
     shooting, Y, p, choice
-        From where, as for `Shooting.root`.
+        Starting point, as for `Shooting.root`.
     flat
         Of `flat_direction`.
     """
@@ -57,7 +56,7 @@ def root_across(shooting: Shooting, Y: Vector, p: Vector, choice: Vector, flat: 
         towards, along = here.inverse @ h, here.inverse @ u
         step = (v @ towards) / (v @ along) * along - towards
         length = float(np.linalg.norm(step)) / (1 + float(np.linalg.norm(here.y)))
-        if not length < least:  # of no number, too
+        if not length < least:  # also true of NaN
             break
         left = float(np.abs(h - (u @ h) * u).max())
         ended = (length <= SETTLED and left <= TOLERANCE) or (length <= LAST_DIGITS and left <= AMPLIFIED * TOLERANCE)

@@ -1,8 +1,8 @@
-"""What flies a plan: its machine code, bound to the arrays of some lanes.
+"""Integrator of a flight plan: its machine code, bound to the arrays of a batch.
 
 A flight goes leg by leg, opening, arc, next leg, and then the closing, each from the arrays of those before into its
-own. Many lanes are bound for one evaluation. One lane at a time is what a solve from a neighbour does, thousands of
-times in a table, and few are left of many behind some steps of Newton's method: their arrays are kept, and filled anew.
+own. Many lanes are bound for one evaluation. A solve from a neighbour has one lane at a time, thousands of times in a
+table, and few of many are left after some steps of Newton's method: their arrays are kept, and filled again.
 The code is the same, and so is every bit of the result.
 """
 
@@ -24,7 +24,7 @@ from perilune.words.types import Batch, Matrix, Vector
 # Lanes, and numbers of their rows, whose arrays are kept: to bind new ones takes as long as to fly so many of a large
 # system, and longer than to fly hundreds of a small one.
 _FEW, _SMALL = 32, 8192
-_FINER, _OF_COLUMNS = 1e-2, 1e-7  # of what is asked; the least tolerance of columns
+_FINER, _OF_COLUMNS = 1e-2, 1e-7  # of the requested tolerance; the least tolerance of columns
 _STEPS_OF_COLUMNS = 400  # at most: at that tolerance a flight to the ground takes 50 to 150
 
 
@@ -170,7 +170,7 @@ class FewLanes:
 
 
 class Fleet:
-    """A plan and what flies it, made when first needed and shared by all threads."""
+    """A plan and its integrators, made when first needed and shared by all threads."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -207,7 +207,7 @@ def fleet(conditions: Conditions, segments: int) -> Fleet:
 
 
 def jacobians(conditions: Conditions, segments: int, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
-    """Return the Jacobians (lanes, n, n) themselves, of whose inverse a singular one leaves nothing.
+    """Return the Jacobians (lanes, n, n) themselves, as a singular one has no inverse.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def jacobians(conditions: Conditions, segments: int, Y: Matrix, p: Matrix, choic
     p
         Given parameters, canonical, (lanes, np) or (1, np).
     choice
-        What is held: masks, then values, (lanes, ...) or (1, ...).
+        Active set: masks, then values, (lanes, ...) or (1, ...).
     """
     code, count = _bare(conditions, segments), len(Y)
     n = code.plan.columns.n

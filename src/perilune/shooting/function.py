@@ -23,7 +23,7 @@ from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
 
 _FLOWN = 1e-11  # relative error of what a flight ends with
-_LAST_DIGITS = 1e-12  # of |y|: what moves it less is rounding
+_LAST_DIGITS = 1e-12  # of |y|: a smaller change is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class Root:
     cost
         J, canonical.
     choice
-        What was held (`Shooting.holding`).
+        The active set (`Shooting.holding`).
     """
 
     y: Vector
@@ -174,7 +174,7 @@ class Shooting:
         p
             Parameters of the canonical equations (`extremal_parameters`), (np,) or (lanes, np).
         choice
-            What is held (`holding`), (k,) or (lanes, k): at the end it is exactly there.
+            Active set (`holding`), (k,) or (lanes, k): at the end its values are exact.
         watch
             Receives the iterations of a single lane.
         **settings
@@ -276,7 +276,7 @@ class Shooting:
         return bool(np.isfinite(block).all() and (np.linalg.eigvalsh(block + block.T) > 0.0).all())
 
     def curving_down(self, root: Root, p: Vector) -> list[int]:
-        """Return the ranges at ends, by number, that a root does not hold and along which J has a maximum there.
+        """Return the inactive ranges at ends of a root, by number, along which J has a maximum there.
 
         With the value v of one held, dJ/dv = -nu, and dnu/dv is an entry of the inverse Jacobian. Where nothing that
         the unknowns may do moves v by more than errors of a flight, as the speed of a fall through thick air, its sign
@@ -296,13 +296,13 @@ class Shooting:
         return found
 
     def rounding(self, root: Root) -> bool:
-        """Return True if the residual is no more than errors in the last digits of y, or of states, become."""
+        """Return True if the residual is no more than amplified errors in the last digits of y, or of states."""
         if not np.isfinite(root.inverse).all():
             return False
         step = root.inverse @ root.residual[self.plan.rows]
         if np.linalg.norm(step) <= _LAST_DIGITS * (1.0 + np.linalg.norm(root.y)):
             return True
-        least = np.linalg.norm(root.inverse, -2)  # one over the most that an error grows
+        least = np.linalg.norm(root.inverse, -2)  # inverse of the largest growth of an error
         return bool(np.abs(root.residual).max() * least <= FINEST)
 
     def met(self, root: Root) -> Root:
@@ -322,7 +322,7 @@ class Shooting:
         return replace(root, y=y, residual=residual, cost=pieces.cost, converged=True)
 
     def _exactly(self, y: Matrix, choice: Matrix) -> Matrix:
-        """Return the root with held free parameters exact: Newton's method leaves their last bit."""
+        """Return the root with held free parameters exact: Newton's method leaves an error in their last bit."""
         plan = self.plan
         held = choice[:, : plan.free] > 0
         if held.any():

@@ -1,4 +1,4 @@
-"""Newton's method for many systems at once, one in each lane: Cho et al. 2015 (23), (24), with alpha chosen.
+"""Newton's method for a batch of systems, one in each lane: Cho et al. 2015 (23), (24), with alpha chosen.
 
 The step is dy = -J^-1 h. Damping alpha is accepted when the *simplified* correction |J^-1 h(y + alpha dy)| shrinks
 (natural monotonicity). That test does not change when rows of h are scaled, so metres and radians may stand side by
@@ -109,9 +109,9 @@ def rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matri
     lanes, n = h.shape
     try:
         inverse = np.linalg.inv(J)
-    except np.linalg.LinAlgError:  # one singular matrix stops them all
+    except np.linalg.LinAlgError:  # a single singular matrix stops all
         inverse = np.array([_inverse(matrix) for matrix in J])
-    with np.errstate(all="ignore"):  # a lane that ran away is told by its NaN
+    with np.errstate(all="ignore"):  # a diverged lane is known by its NaN
         step = -(inverse @ h[:, :, None])[:, :, 0]
         simplified = (old.reshape(lanes, n, n) @ h[:, :, None])[:, :, 0]
         lengths = [np.sqrt((v * v).sum(axis=1)) for v in (simplified, step, y)]
@@ -152,7 +152,7 @@ class Ends:
     def keep(
         self, lanes: Lanes, y: Matrix, rows: Matrix, root: NDArray[np.bool_], which: NDArray[np.bool_], number: int
     ) -> None:
-        """Note how those of the lanes at work end that do so at evaluation `number`."""
+        """Note the ends of the lanes at work that end at evaluation `number`."""
         if len(lanes) == len(self.y) and which.all():
             self.y, self.rows, self.converged = y, rows, root
             self.evaluations[:] = number
@@ -194,7 +194,7 @@ def newton(
     max_step
         Largest component of one step; keeps a far start from leaving where the function is defined.
     doubt
-        Damping at whose refusal a rough evaluation is blamed, and made again; 0 for starts that are cheaper given up.
+        Damping below which a rough evaluation is blamed, and repeated; 0 for starts that are cheaper given up.
     reach
         How far from its start each lane may be led, (lanes,): one whose next step goes beyond, and farther than the
         last, is given up. The first step of a poor guess goes far, and those that are damped less and less far.
@@ -250,7 +250,7 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
             alpha, flown, again, coarsest = alpha[active], flown[active], again[active], coarsest[active]
             if not len(lanes):
                 break
-        coarsest = np.where(again, FINEST, coarsest)  # who was misled once is told the truth from then on
+        coarsest = np.where(again, FINEST, coarsest)  # a lane misled once is evaluated accurately from then on
         finer = np.clip(_FORCING * (row[:, 0] * row[:, 0]), FINEST, coarsest)
         new = evaluate(lanes, trial, finer, row[:, columns.inverse])
         good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
@@ -337,7 +337,7 @@ def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, 
     residual, _, length, size = row
     left, simplified, ahead, _ = new
     size = 1.0 + size
-    # A residual that a change of y in its last digits explains is amplified round-off: the least of a few is taken.
+    # A residual that a change of y in its last digits explains is amplified round-off: take the least of a few.
     last_digits = length < LAST_DIGITS * size
     explained = last_digits & (residual <= AMPLIFIED * tolerance)
     good = again | (simplified <= (1.0 - 0.5 * alpha) * length) | last_digits & (left < residual)

@@ -1,9 +1,9 @@
-"""The flight plan of a boundary value problem: what is flown, leg by leg, and the algebra between the legs.
+"""The flight plan of a boundary value problem: the legs that are flown, and the algebra between them.
 
 A *leg* is one arc: a phase, or in multiple shooting a segment of one, whose start is then an unknown and whose gap to
 the leg before is a residual. The *opening* of a leg gives its start from the unknowns and the end of the leg before,
 with the derivative by the unknowns that can move it, by sparsity; the *closing* turns the ends of all legs into the
-residual and what Newton makes of it. A change of the unknowns moves the end of a leg by
+residual and Newton's step. A change of the unknowns moves the end of a leg by
 
     dz(T) = S(T) dz(0) + z'(T) dT,
 
@@ -14,8 +14,8 @@ their product.
 Free parameters and end conditions that are ranges may be *held*, each lane of a batch having its own choice: the
 row is  mask (value - held value) + (1 - mask) row,  with mask and held value among the parameters of the closing.
 
-Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out of all this. Of a
-phase that settles (`perilune.shooting.settling`) legs have states alone, and its transversality condition is met at its
+Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out. The legs of a
+phase that settles (`perilune.shooting.settling`) have states only, and its transversality condition is met at its
 start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T), and Phi the product of those of its legs.
 """
 
@@ -46,7 +46,7 @@ class Leg:
     Parameters
     ----------
     flown, arcs
-        What is integrated, and what integrates it with its columns.
+        The equations, and the engine that integrates them with their columns.
     opening
         (Y, p) or (Y, p, end of the leg before) -> z0, duration, mode, slopes of z0, and the numbers among p that the
         arc knows. An end is z, rate and columns; behind them come the slopes of a leg with `seeds`.
@@ -80,7 +80,7 @@ class Plan:
     rows
         Which rows of the whole residual are left, in the order of the closing's.
     closing
-        (Y, choice, p, inverse, then z, rate and columns of each leg) -> what `columns` names, where `compiled`;
+        (Y, choice, p, inverse, then z, rate and columns of each leg) -> the results of `columns`, where `compiled`;
         otherwise without `inverse` -> residual, Jacobian, and what follows the inverse in `columns`.
     columns
         Where the closing's results lie; after Newton's own dJ/dq of each free parameter, the value of each range,
@@ -120,7 +120,7 @@ class Plan:
         return any(phase.settles for phase in self.conditions.phases)
 
     def hold(self, choice: Vector | Matrix, index: int, value: float | Vector) -> None:
-        """Hold one thing more in a choice, or in each of many, at a value: its mask, and it behind all masks."""
+        """Add a held value to a choice, or to each of many: its mask, and the value after all masks."""
         choice[..., index], choice[..., self.held + index] = 1.0, value
 
 
@@ -141,7 +141,7 @@ def plan(conditions: Conditions, segments: int, most: int | None = None) -> Plan
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _End:
-    """Symbols of a leg's end, and what it moves; of what is flown, which of a phase that settles is another z.
+    """Symbols of a leg's end, and its derivatives; those of the integrated vector, another z for a phase that settles.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class _End:
         return self.symbols[0]
 
     def change(self, of: ca.SX) -> ca.SX:
-        """Return d(of)/dY through z; from the left, as what is asked of an end are fewer rows than it has."""
+        """Return d(of)/dY through z; from the left, as the conditions on an end are fewer than its rows."""
         by = ca.SX(of.numel(), self.z.numel())
         rows = sorted({*ca.jacobian_sparsity(of, self.z).get_triplet()[0]})
         by[rows, :] = ca.jacobian(of[rows], self.z)  # the same as of all rows, which would trace all of them each time
@@ -250,7 +250,7 @@ class _Tracing:
             slope += before.change(start)
         slope = ca.sparsify(slope)
         moved, moving = (sorted(set(places)) for places in slope.sparsity().get_triplet())
-        # Elsewhere not: where conditions say each other again, a product of rounded factors has another rank.
+        # Elsewhere not: where conditions are redundant, a product of rounded factors has another rank.
         by_start = settles is not None and len(moved) < len(moving)
         slopes = ca.densify(slope[moved, moving]) if by_start else slope[:, moving]
         symbols = [self.Y, self.p, *(before.symbols if follows and before is not None else [])]
@@ -303,7 +303,7 @@ class _Tracing:
             return plain, cost
         met = ca.SX(plain)
         for k, (settles, at) in enumerate(zip(self.settling, c.costate_at, strict=True)):
-            if settles:  # where lambda(T) is left out, its row is what the end makes of it, but for the sign
+            if settles:  # where lambda(T) is left out, its row is the value that the end gives it, up to the sign
                 rows = slice(c.transversality_at + at.start, c.transversality_at + at.stop)
                 whole[k][c.phases[k].half :] = -plain[rows]
                 back = plain[rows]

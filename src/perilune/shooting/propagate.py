@@ -1,4 +1,4 @@
-"""Flights of a phase's canonical equations: machine code for its modes, events where its controls switch.
+"""Flights of a phase's canonical equations: machine code for each mode, events at the switches of its controls.
 
 Algebra first: entries of z that vanish on every extremal are set to zero, and what neither the wanted entries nor
 their rates depend on is left out before anything is compiled.
@@ -22,7 +22,7 @@ from perilune.words.types import Vector
 class Equations:
     """Equations of integration: the entries `kept` of z, a right-hand side for each mode, the switches between them.
 
-    They take only those of the parameters that they know, `numbers`: problems that differ in others share the code.
+    They take only the parameters that they depend on, `numbers`: problems that differ in others share the code.
     """
 
     kept: NDArray[np.int64]
@@ -53,7 +53,7 @@ def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[in
         fixed = dict.fromkeys(silent, 0.0)
         switching = [f for event in extremal.events for f in (event.function, event.jump) if f is not None]
         parts = [prune(mode, [*wanted, *switching], fixed=fixed) for mode in extremal.modes]
-        # What a mode holds constant may still be an unknown: it stays in z, for its columns.
+        # An entry that a mode holds constant may still be an unknown: it stays in z, for its columns.
         kept = sorted({i for part in parts for i in (*part.kept, *part.constant)} - set(silent))
     z, p = ca.SX.sym("z", len(kept)), ca.SX.sym("p", numbers)
     whole = ca.SX.zeros(size, 1)

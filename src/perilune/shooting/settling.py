@@ -1,12 +1,12 @@
-"""Phases that settle (`PhaseExtremal.settles`): nothing steers them, and they forget how they began.
+"""Contracting phases (`PhaseExtremal.settles`): uncontrolled, with states that forget their initial values.
 
-A fall through air ends at the speed at which drag holds the weight, however it began: errors of its states shrink, by
+A fall through air ends at terminal speed, however it began: errors of its states shrink, by
 exp(-90) on a parachute, and those of its costates, flown from start to end, grow by as much. So the states are flown
-with the matrix Phi = dx/dx(0), which shrinks as they do, and the costates are what the end makes of them:
+with the matrix Phi = dx/dx(0), which shrinks as they do, and the costates follow from the end:
 
     x' = f,   Phi' = f_x Phi,   Phi(0) = 1,   lambda(0) = Phi(T)^T lambda(T)
 
-As curves costates are flown in pieces, from starts that are carried back from the end by the Phi of each.
+As curves costates are integrated in pieces, from starts that the Phi of each carries back from the end.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from perilune.kernels import DenseArc
 from perilune.shooting.propagate import Equations, engine, flight, mode_at
 from perilune.words.types import Matrix, Vector
 
-MOST_STEPS = 1000  # of what ends at a site: it takes 50 to 500; what takes more falls through the ground
+MOST_STEPS = 1000  # a flight that ends at a site takes 50 to 500; one that takes more falls through the ground
 _PIECES = 4  # of a phase at first
 _MOST_GROWTH = 100.0  # of errors of costates in one piece
 _SHORTEST = 1e-3  # of the phase
@@ -47,7 +47,7 @@ class Settling:
 
     @property
     def seeds(self) -> Vector:
-        """Return what stands behind x where Phi is 1."""
+        """Return the entries after x where Phi is the unit matrix."""
         return np.eye(len(self.flown.kept))[list(self.rows)].ravel()
 
     def start(self, x: ca.SX) -> ca.SX:
@@ -96,7 +96,7 @@ def settling(extremal: PhaseExtremal) -> Settling:
 def growth(phi: Matrix) -> float:
     """Return how much errors of costates grow along a piece: norm of Phi^-1, inf where a state is lost in thick air.
 
-    It is 0 where Phi is no number, as shorter pieces mend nothing.
+    It is 0 where Phi is NaN, as shorter pieces do not help.
     """
     if not np.isfinite(phi).all():
         return 0.0

@@ -1,1 +1,1 @@
-"""A solution read as a sequence of arcs, and the problem restated with them."""
+"""Arc structure of a solution, and the multi-phase reformulation of its problem."""

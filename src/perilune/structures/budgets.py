@@ -1,4 +1,4 @@
-"""Limits that a flight can only use up, as of energy or propellant: they hold on the way if they hold at the end.
+"""Limits on states that only fall, such as energy or propellant, restated as conditions at the end of the phase.
 
 Where S(x) >= 0 falls along every flight, S' = dS/dx . f <= 0 whatever the control does, a flight keeps S >= 0 where it
 keeps S(x(T)) >= 0 at the end of its phase. The problem with this range among its end conditions has the same flights,

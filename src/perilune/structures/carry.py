@@ -1,4 +1,4 @@
-"""Between a problem and its restatement: a solution cut into arcs, and arcs joined into the user's phases.
+"""Conversion between a problem and its reformulation: split a solution into arcs, join arcs into phases.
 
 A cubic is the same between any two of its points, so nothing is lost in cutting; at a joint a table has the time twice,
 with the values of either side, as costates may jump there.

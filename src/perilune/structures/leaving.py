@@ -1,4 +1,4 @@
-"""Where a flight gains by leaving what it rides along: where the multiplier of S >= 0 itself is negative.
+"""Exit from boundary arcs: where the multiplier of S >= 0 itself is negative, the flight gains by leaving.
 
 Along an arc of order q the control minimises L = H - eta S^(q) with S^(q) = 0, and S >= 0 has the multiplier
 

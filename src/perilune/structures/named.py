@@ -1,4 +1,4 @@
-"""An answer's arcs in words: where its scalar controls lie, which conditions it rides along or touches, and when."""
+"""Description of an answer's arcs: positions of its scalar controls, boundary arcs and contact points, with times."""
 
 from __future__ import annotations
 

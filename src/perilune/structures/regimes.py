@@ -1,4 +1,4 @@
-"""Where a scalar control is on a bound and where it is singular: read off an answer with costates, and looked at again.
+"""Detection of bang and singular arcs of scalar controls from an answer with costates, and their revision.
 
 Of a scalar that enters the dynamics linearly H tells by how much one bound is worse than the other,
 

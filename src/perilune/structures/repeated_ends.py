@@ -1,4 +1,4 @@
-"""End conditions that say again what an arc along a condition says already.
+"""Redundant end conditions, which the boundary arc that ends there implies already.
 
 Who rides along the ground to the site ends at its height, and has no vertical speed there: S = 0 and S' = 0 hold all
 along the arc. Stated twice, a condition has no multiplier of its own, and no Newton's method finds one; a proof may

@@ -1,4 +1,4 @@
-"""The same problem with more phases, each smooth, and the conditions that hold along them and at their ends.
+"""Multi-phase reformulation: one smooth phase for each arc, with its active conditions and its end conditions.
 
 A phase of several arcs becomes as many phases with the states, controls and formulas of its own, linked by identity.
 Each has a free duration; their sum is the user's: where that is a free parameter, the sum stands in its place in every

@@ -1,4 +1,4 @@
-"""The structure of an answer: the arcs of each phase, by the conditions that they ride along or touch.
+"""The structure of an answer: the arcs of each phase, with their active conditions and contact points.
 
 On an *arc* nothing of the state is held, or it rides *along* conditions: path conditions, or bounds of states, S >= 0
 that are 0 all along it. Of order q (`perilune.problem.rates`) such an arc is entered with S = S' = ... = S^(q-1) = 0,

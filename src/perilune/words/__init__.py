@@ -1,1 +1,1 @@
-"""Common ground of all rooms: outcomes, units, maths, declarations, array types."""
+"""Foundation of all rooms: outcomes, units, maths, declarations, array types."""

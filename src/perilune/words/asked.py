@@ -1,4 +1,4 @@
-"""Check the arguments of the library's functions; refuse wrong ones in the user's words."""
+"""Validation of the arguments of the library's functions, with refusals in the user's words."""
 
 from __future__ import annotations
 

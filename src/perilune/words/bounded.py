@@ -1,4 +1,4 @@
-"""Untrusted text: its size and nesting are limited before it is parsed, and it is printed in one line."""
+"""Untrusted text: limits on its size and nesting before it is parsed, and printing in one line."""
 
 from __future__ import annotations
 

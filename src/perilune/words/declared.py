@@ -1,4 +1,4 @@
-"""Declarations of a model's numbers, once, in its records: unit, example, range, hint, meaning.
+"""Declarations of a model's numbers, made once in its records: unit, example, range, hint, meaning.
 
     @record("vehicle")
     class Vehicle:

@@ -1,4 +1,4 @@
-"""Tables of numbers in text files as other programs write them, each row with its line of the file.
+"""Tables of numbers in delimited text files of other programs, each row with its line of the file.
 
 Cells lie apart by tabs, semicolons, commas or blanks, in quotes or not (Python's `csv` reads them); decimals have a
 point, or a comma throughout. Lines that begin with ``#`` or ``%`` are comments. Above the numbers stand headings and

@@ -1,4 +1,4 @@
-"""Times of day and year as people state them: ISO 8601 or a datetime, in years for which the models hold."""
+"""Dates and times as people state them: ISO 8601 or a datetime, in years for which the models hold."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The maths namespace `m` that is handed to a user's physics: one text for floats, arrays and symbols.
+"""The maths namespace `m` that is passed to the user's physics: one text for floats, arrays and symbols.
 
 ``dynamics(x, u, p, m)`` uses ``m.sin``, ``m.sqrt``, ... and never imports a maths library itself, so that the same
 text flies in the verifier (numpy, real or complex) and is traced into symbols by `perilune.problem.symbolic`.

@@ -1,4 +1,4 @@
-"""Outcomes of computations, and errors that say why one failed.
+"""Outcomes of computations, and errors that state why one failed.
 
 Every answer leaves with an `Outcome`, whose value is the advice. Every refusal is a `PeriluneError` that says *what* is
 wrong, what was *got*, what was *expected* and what to *try*.

@@ -1,4 +1,4 @@
-"""Array aliases. The comment beside each gives the shape that the name promises."""
+"""Array aliases. The comment next to each gives the shape that the name promises."""
 
 from __future__ import annotations
 

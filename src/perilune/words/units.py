@@ -1,4 +1,4 @@
-"""Units: text to SI once at the boundary, SI to canonical (scaled) units once before the mathematics.
+"""Units: text to SI at the boundary, and SI to canonical (scaled) units before the mathematics.
 
 A quantity is a number and a product of powers of whitelisted units, such as ``"4902.7779 km^3/s^2"`` or
 ``"1.74e-4 kg^0.5/m"``. Nothing is evaluated: the grammar is a number, then ``unit[^power]`` joined by ``*`` or ``/``,

@@ -1,1 +1,1 @@
-"""Expressions before there is code: arcs as programs, without what decouples."""
+"""Expressions before code generation: arcs as programs, without what decouples."""

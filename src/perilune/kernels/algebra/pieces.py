@@ -1,4 +1,4 @@
-"""A long program as several, each of which hands on what those behind it need.
+"""Partition of a long program into several, each of which passes on the values that later ones need.
 
 What LLVM spends on a function grows faster than its length: forty thousand values in one take more than twice as long
 as in pieces. Few values are needed across a border, and those wait in memory for most of a long function anyway.

@@ -1,4 +1,4 @@
-"""Algebra first: leave out what decouples before anything is compiled.
+"""Removal of decoupled equations before anything is compiled.
 
 The sparsity of dz'/dz is a graph of who needs whom. What neither the wanted outputs nor the rates of what
 they need depend on (downrange angle, a costate that only accumulates) is dropped; what never changes (the

@@ -1,1 +1,1 @@
-"""From a program to machine code, kept on disk."""
+"""Machine code from programs, kept on disk."""

@@ -1,4 +1,4 @@
-"""From LLVM IR to machine code in this process, by llvmlite."""
+"""Compilation of LLVM IR to machine code in this process, by llvmlite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One call of machine code in shares on several threads, which are kept: it may take less than starting one does."""
+"""Parallel calls of machine code on a pool of kept threads, as a call may take less time than starting a thread."""
 
 from __future__ import annotations
 

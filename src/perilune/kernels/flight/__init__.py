@@ -1,1 +1,1 @@
-"""Arcs flown: steps, events, lanes, and the engine that callers hold."""
+"""Integration of arcs: steps, events, lanes, and the engine that callers hold."""

@@ -1,4 +1,4 @@
-"""The records of arc propagation: what is asked, what comes back, how it ended.
+"""Records of arc propagation: requests, results, and the ways an arc can end.
 
 An arc is the flight of z' = f(z, p) over a duration, over the events on its way.
 """

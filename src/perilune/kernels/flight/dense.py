@@ -1,4 +1,4 @@
-"""One arc as a function of time: DOP853's dense output, of order 7, piece by piece.
+"""One arc as a function of time: DOP853's dense output, of order 7, step by step.
 
 The stages of all steps are computed at once from their starts, so that the stepping loop has nothing to
 store but the starts; the same text serves both backends.

@@ -1,4 +1,4 @@
-"""What the parts of a flight share while its machine code is written: sizes, table, buffers, calls of the equations.
+"""Data shared by the writers of a flight's machine code: sizes, table, buffers, calls of the equations.
 
 `driver` writes the steps, `crossing` the events and `lanes` the way in and out; each works on a `Frame`. Nothing of it
 is known before it runs but how events are met, and where the numbers of the equations are.

@@ -1,4 +1,4 @@
-"""Lanes into vectors and back, as LLVM IR: a group gathers arcs, ended lanes are written."""
+"""Gathering of arcs into vectors of lanes and writing of ended lanes, as LLVM IR."""
 
 from __future__ import annotations
 
