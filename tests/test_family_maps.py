@@ -67,7 +67,7 @@ def test_no_label_is_cut_at_the_edge(family: Family) -> None:
     """At a line that crosses a corner of the map alone the middle of its value lies on the edge."""
     figure = family_map(family, z="flight_time")
     axes = figure.axes[0]
-    low, high = axes.get_window_extent().min, axes.get_window_extent().max
+    low, high = np.asarray(axes.get_window_extent().min), np.asarray(axes.get_window_extent().max)
     for text in (text for text in axes.texts if text.get_text()):
         box = text.get_window_extent()
         assert np.all(box.min > low - 0.5) and np.all(box.max < high + 0.5), text.get_text()

@@ -48,6 +48,7 @@ def by_hand() -> Conditions:
         state_count=4,
         constants=(),
         settles=False,
+        periodic=(),
     )
     return Conditions(
         phases=(phase,),
