@@ -82,7 +82,7 @@ def heyoka_batch(lanes: int, starts: np.ndarray, seeds: np.ndarray) -> Callable[
     """Return (batch size) -> arcs per core second of heyoka with the same columns, and its final states."""
     import heyoka as hy
 
-    from perilune.kernels.algebra.program import trace
+    from perilune.kernels.algebra.program import trace_function
 
     names = hy.make_vars(*[f"z{i}" for i in range(10)])
     values: list[Any] = []
@@ -94,7 +94,7 @@ def heyoka_batch(lanes: int, starts: np.ndarray, seeds: np.ndarray) -> Callable[
         "neg": lambda a: -a,
         "sqrt": hy.sqrt,
     }
-    program = trace(landing_rhs())
+    program = trace_function(landing_rhs())
     for op, *operands in program.instructions:
         if op == "input":
             values.append(names[operands[1]] if operands[0] == 0 else float(PARAMETERS[operands[1]]))
@@ -142,7 +142,7 @@ def main() -> None:
     few[[pruned.kept.index(i) for i in (5, 7, 8)], range(3)] = 1.0
     small = compile_arcs(pruned.rhs, columns=few != 0)
     peak = fma_peak()
-    print(f"{native.processor()[1]}, {cores} cores, measured FMA peak of one core {peak / 1e9:.1f} Gflop/s")
+    print(f"{native.host_processor()[1]}, {cores} cores, measured FMA peak of one core {peak / 1e9:.1f} Gflop/s")
     for name, e, args in (
         ("six columns", engine, (starts, PARAMETERS, DURATION, seeds)),
         ("pruned, three columns", small, (starts[:, pruned.kept], PARAMETERS, DURATION, few)),

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from perilune.atlas.building import build
 from perilune.atlas.query import open_atlas
-from perilune.atlas.store import MANIFEST, Store
+from perilune.atlas.store import MANIFEST, AtlasStore
 from perilune.scenario import load_file
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "hybrid_lander.toml"
@@ -30,7 +30,7 @@ def grown(place: Path, count: int) -> float:
     lines = [json.loads(line) for line in (place / MANIFEST).read_text().splitlines()]
     brick = next(line for line in lines if line["kind"] == "brick")
     side = int(count**0.5) + 1
-    store = Store(place)
+    store = AtlasStore(place)
     whole = [{**brick, "name": f"0-{i // side}-{i % side}", "brick": [i // side, i % side]} for i in range(count)]
     store.write_lines([lines[0], *whole[:-SYNCED]])
     begun = time.perf_counter()
@@ -53,7 +53,7 @@ def main() -> None:
         place = Path(shutil.copytree(directory / "atlas", directory / str(count)))
         each = grown(place, count)
         begun, cpu = time.perf_counter(), time.process_time()
-        Store(place).lines()
+        AtlasStore(place).lines()
         read, read_cpu = time.perf_counter() - begun, time.process_time() - cpu
         begun = time.perf_counter()
         atlas = open_atlas(place)

@@ -5,10 +5,10 @@
 Scenarios are made from the declarations of all kinds, so that a new key is drawn as soon as it is declared. *Near* ones
 are a template or an example with one to four keys changed; *far* ones have every key drawn, over thirty decades, zero,
 negative, in other units, with choices exchanged and sections missing, doubled, swapped or of another kind. The command
-line runs in this process, as ``perilune.cli.run``. What counts as a failure: an exit code that is not of `CODES`,
-anything on stderr that is a warning or a traceback, and (in `solve`) `SILENCE` seconds without a line on stderr. Each
-`solve` runs in a process of its own with ``--time-limit``; one that takes twice that is ended, and counts as well.
-The scenarios depend on the seed alone; number N of a seed is drawn again with ``--only N``.
+line runs in this process, as ``perilune.cli.run_command_line``. What counts as a failure: an exit code that is not of
+`CODES`, anything on stderr that is a warning or a traceback, and (in `solve`) `SILENCE` seconds without a line on
+stderr. Each `solve` runs in a process of its own with ``--time-limit``; one that takes twice that is ended, and counts
+as well. The scenarios depend on the seed alone; number N of a seed is drawn again with ``--only N``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.models.kinds import KINDS, Kind, Section
 from perilune.scenario import template
 from perilune.scenario.reader import names_of
@@ -268,7 +268,7 @@ def run_here(arguments: Sequence[str]) -> Result:
         try:
             with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
                 warnings.simplefilter("always")
-                code = run(arguments)
+                code = run_command_line(arguments)
         except Exception:
             code, trace = 1, traceback.format_exc()
         finally:

@@ -20,7 +20,7 @@ import numpy as np
 from doubles import Doubles, joined
 from lanes import Bundle, Equations, Moved, step
 from perilune import solve
-from perilune.rigorous.theorem import attempt
+from perilune.rigorous.theorem import attempt_proof
 from perilune.scenario import load_file
 from viable import Viable
 
@@ -309,7 +309,7 @@ def main() -> None:
     costates = dict(zip(problem.phases[0].state_names, known.costate.values[0], strict=True))
     across = [float(_SLOW * costates[name] / abs(costates["r"])) for name in ("u", "v")]
     root = one_root(equations, int(costates["r"] < 0), (across[0], across[1]), _ROOT, latest, _ROOT_STEPS)
-    proved = attempt(solution, lambda _: None).proved
+    proved = attempt_proof(solution, lambda _: None).proved
     known_there = proved and not proved.missing and proved.distance < _NEAR
     if not (root.contraction < 1 and viable.lowest > 0 and known_there):
         raise SystemExit("the known flight is not proved to be an extremal, and alone in its box")

@@ -22,9 +22,9 @@ import numpy as np
 from doubles import Doubles, ball, between, joined
 from perilune.problem.controls import Direction
 from perilune.problem.problem import Problem
-from perilune.rigorous.equations import Reader
+from perilune.rigorous.equations import ProblemReader
 from perilune.rigorous.reading import Unsupported
-from perilune.rigorous.taylor import Program
+from perilune.rigorous.taylor import TaylorProgram
 from perilune.words.types import Batch
 
 Vector = list[Doubles]
@@ -50,7 +50,7 @@ class Equations:
         (phase,) = problem.phases
         if not all(isinstance(control, Direction) for control in phase.controls):
             raise Unsupported(f"{phase.name} has controls other than a direction")
-        reader = Reader(problem)
+        reader = ProblemReader(problem)
         arc, graph = reader.arc(0, {}), reader.graph
         names = list(phase.state_names)
         states = [i for i, name in enumerate(names) if name not in cyclic]
@@ -66,23 +66,23 @@ class Equations:
             raise Unsupported(f"{', '.join(cyclic)} is not cyclic, or a costate that is left out acts")
         if any(own - {("z", names.index(name)) for name in alone} for own in pushed):
             raise Unsupported(f"something moves {', '.join(alone)}")
-        self.closed = Program(graph, keys, rates)
+        self.closed = TaylorProgram(graph, keys, rates)
         rows = graph.jacobian(rates, keys)
         slopes = [((i, j), e) for i, row in enumerate(rows) for j, e in enumerate(row) if not e.vanishes()]
         self.pattern = [place for place, _ in slopes]
-        self.slopes = Program(graph, keys, [e for _, e in slopes])
+        self.slopes = TaylorProgram(graph, keys, [e for _, e in slopes])
         control = [graph.substitute([e], zero)[0] for e in arc.control.values()]
-        self.control = Program(graph, keys, control)
+        self.control = TaylorProgram(graph, keys, control)
         self.open = self._opened(reader, keys, costates, zero, arc.half)
         x = [graph.input(("z", i)) for i in range(len(names))]
         psi = reader.function((0, "end"), x, phase=phase)
-        self.end = Program(graph, keys[: self.count], psi)
+        self.end = TaylorProgram(graph, keys[: self.count], psi)
         slopes = [e.constant for row in graph.jacobian(psi, keys[: self.count]) for e in row]
         self.end_slopes = np.array([float(e) for e in slopes]).reshape(len(psi), -1)
-        start = Program(graph, [], reader.function("start")).values([])
+        start = TaylorProgram(graph, [], reader.function("start")).values([])
         self.start = [ball(start[i]) for i in states]
 
-    def _opened(self, reader: Reader, keys: Any, costates: Any, zero: Any, half: int) -> Program:
+    def _opened(self, reader: ProblemReader, keys: Any, costates: Any, zero: Any, half: int) -> TaylorProgram:
         """The same rates of z and any control."""
         graph, phase = reader.graph, reader.problem.phases[0]
         x = [graph.input(("z", i)) for i in range(half)]
@@ -91,7 +91,9 @@ class Equations:
         H = sum((graph.input(("z", half + i)) * rate for i, rate in enumerate(f)), graph.constant(0))
         slopes = graph.gradient(H, [("z", i - half) for i in costates])
         rates = [f[i] for i in self.places[: self.count]] + [-slope for slope in slopes]
-        return Program(graph, [*keys, *(("u", name) for name in phase.control_names)], graph.substitute(rates, zero))
+        return TaylorProgram(
+            graph, [*keys, *(("u", name) for name in phase.control_names)], graph.substitute(rates, zero)
+        )
 
 
 @dataclass(kw_only=True)
@@ -195,7 +197,7 @@ def _closed(equations: Equations, bundle: Bundle, h: float, order: int) -> Moved
     )
 
 
-def _values(program: Program, z: Vector) -> Vector:
+def _values(program: TaylorProgram, z: Vector) -> Vector:
     """Outputs in every lane, those that are constants too."""
     none = Doubles(np.zeros_like(z[0].c), np.zeros_like(z[0].r))
     return [value if isinstance(value, Doubles) else none + value for value in program.values(z)]

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from perilune.models import ellipsoid
-from perilune.models.deorbit.flight import how_fast, path_angle, where
+from perilune.models.deorbit.flight import path_angle, position_vector, velocity_vector
 from perilune.models.rotating import Triple
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -78,8 +78,8 @@ def landing(
         return None
     entry = phases["entry"]
     ended, low = _flown(entry, there, LONGEST_ENTRY, p, lowest=p.site_altitude, highest=p.interface_altitude)
-    slow = math.hypot(*how_fast(entry.state_record(*ended))) <= p.site_speed_upper
-    return where(entry.state_record(*ended)) if low and slow else None
+    slow = math.hypot(*velocity_vector(entry.state_record(*ended))) <= p.site_speed_upper
+    return position_vector(entry.state_record(*ended)) if low and slow else None
 
 
 def _beside(ignited: Any, first: float, yaw: float, turning: float, p: SimpleNamespace) -> Callable[[float, Any], Any]:

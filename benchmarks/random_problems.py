@@ -27,14 +27,14 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from perilune.methods.coarse import touched
+from perilune.methods.coarse import nearly_active_conditions
 from perilune.models.bodies import CERES, EUROPA, MARS, MERCURY, MOON, Body, UniformGravity
 from perilune.models.descent import Ignition, Site, Steering, powered_descent
 from perilune.models.final_descent import FinalDescent
 from perilune.models.landing import Orbit, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Retro, Vehicle
-from perilune.problem.preflight import possible, preflight
+from perilune.problem.preflight import is_possible, preflight
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.solve import solve
@@ -142,7 +142,7 @@ def draw(seed: int, number: int) -> tuple[str, Problem]:
     kind, rng = list(KINDS)[number % len(KINDS)], np.random.default_rng([seed, number])
     for _ in range(DRAWS):
         problem = KINDS[kind](rng)
-        if possible(preflight(problem)):
+        if is_possible(preflight(problem)):
             return kind, problem
     raise RuntimeError(f"{DRAWS} draws of {kind}, and all are impossible")
 
@@ -228,7 +228,11 @@ def timed_ending(problem: Problem, limit: float) -> dict[str, Any]:
 def told_of(solution: Solution) -> dict[str, Any]:
     """Class and reason of an answer, with what it touches."""
     proof = solution.verification
-    row = {"objective": solution.objective, "rung": solution.statistics.rung, "active": sorted(touched(solution))}
+    row = {
+        "objective": solution.objective,
+        "rung": solution.statistics.rung,
+        "active": sorted(nearly_active_conditions(solution)),
+    }
     row |= {"feasible": True, "class": PROVED, "why": ""}
     if solution.outcome is not Outcome.PROVED:
         failed = [f"{c.name} {c.value:.3g} > {c.limit:.3g}" for c in proof.failed]

@@ -28,15 +28,7 @@ import numpy as np
 from perilune.models import ellipsoid
 from perilune.models.bodies import EARTH
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import (
-    Atmosphere,
-    Interface,
-    Landing,
-    Manoeuvre,
-    Orbit,
-    Returner,
-    Transition,
-)
+from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
 from perilune.problem.problem import Problem
 from perilune.words.maths import NUMERIC
 from plain_returns import landing
@@ -76,7 +68,7 @@ def draw(seed: int, number: int) -> Return:
         longitude=rng.uniform(-math.pi, math.pi), latitude=highest * rng.uniform(-0.95, 0.95),
         going=("ascending", "descending")[rng.integers(2)],
     )  # fmt: skip
-    orbit = Orbit(radius=radius, inclination=inclination)
+    orbit = ReturnOrbit(radius=radius, inclination=inclination)
     period = 2 * math.pi * math.sqrt(radius**3 / EARTH.gravitational_parameter)
     coast, pitch, yaw = rng.uniform(0.0, period) if free else 0.0, *_direction(rng)
     vehicle = Returner(

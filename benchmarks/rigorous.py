@@ -23,14 +23,14 @@ import perilune as pl
 from perilune.reproductions.liu2019.case import site_free
 from perilune.rigorous.certified.expressions import Failed
 from perilune.rigorous.check_certificate import confirm
-from perilune.rigorous.theorem import Proved, attempt
-from perilune.rigorous.verified import with_attempt
+from perilune.rigorous.theorem import ProvedExtremal, attempt_proof
+from perilune.rigorous.verified import add_attempt
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 DIGITS = 30
 
 
-def told(proved: Proved) -> dict[str, str]:
+def told(proved: ProvedExtremal) -> dict[str, str]:
     """J and the free parameters with their digits, in SI, and whether they are those of a local optimum."""
     problem, y = proved.boundary.problem, dict(zip(proved.boundary.names, proved.root.y, strict=True))
     values = [("J", proved.objective, problem.objective_unit), *((f.name, y[f.name], f.unit) for f in problem.free)]
@@ -65,8 +65,8 @@ def rows(asked: list[str]) -> Iterator[dict[str, str]]:
             yield {"problem": name, "theorem": f"none: it is not solved, {error.what}"}
             continue
         began = time.process_time()
-        found = attempt(solution, lambda _: None)
-        verification, seconds = with_attempt(solution.verification, found), f"{time.process_time() - began:.1f}"
+        found = attempt_proof(solution, lambda _: None)
+        verification, seconds = add_attempt(solution.verification, found), f"{time.process_time() - began:.1f}"
         if found.proved is None or verification.certificate is None:
             yield {"problem": name, "theorem": f"none: {verification.notes[0].partition(': ')[2]}", "CPU s": seconds}
         else:

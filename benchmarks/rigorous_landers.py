@@ -22,11 +22,11 @@ from flint import arb, ctx
 from perilune.problem.problem import Problem
 from perilune.rigorous.flow import NotEnclosed
 from perilune.rigorous.root import NotProved, prove_root
-from perilune.rigorous.theorem import Proved, attempt
-from perilune.rigorous.verified import with_attempt
+from perilune.rigorous.theorem import ProvedExtremal, attempt_proof
+from perilune.rigorous.verified import add_attempt
 from perilune.solve import solve
 from perilune.words.outcome import Outcome, PeriluneError
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from random_landers import draw
 from random_problems import DRAWS, OutOfTime, at_most, measured
 
@@ -62,11 +62,11 @@ def judge(seed: int, number: int, limit: float) -> dict[str, Any]:
     began = time.process_time()
     try:
         with at_most(limit):
-            found = attempt(solution, silent)
+            found = attempt_proof(solution, ignore_events)
     except OutOfTime:
         return row | {"class": "slow", "why": f"not proved after {limit:g} s", "cpu": limit}
     row["cpu"] = time.process_time() - began
-    verification = with_attempt(solution.verification, found)
+    verification = add_attempt(solution.verification, found)
     if verification.certificate is None or found.proved is None:
         return row | {"class": "no theorem", "why": verification.notes[0]}
     proved = found.proved
@@ -74,7 +74,7 @@ def judge(seed: int, number: int, limit: float) -> dict[str, Any]:
     return row | {"distance": proved.distance, "radius": float(proved.objective.rad()), "false": false(proved, number)}
 
 
-def false(proved: Proved, number: int) -> bool:
+def false(proved: ProvedExtremal, number: int) -> bool:
     """Whether a root is proved at a place where there is none."""
     rng = np.random.default_rng(number)
     centre = proved.refined.y
@@ -84,7 +84,7 @@ def false(proved: Proved, number: int) -> bool:
         place = [c + arb(s * _AWAY * rng.choice((-1.0, 1.0))) for c, s in zip(centre, sizes, strict=True)]
         try:
             moved = replace(proved.refined, y=place)
-            prove_root(proved.boundary, moved, proved.settings, silent, [_CLAIMED * s for s in sizes])
+            prove_root(proved.boundary, moved, proved.settings, ignore_events, [_CLAIMED * s for s in sizes])
         except (NotProved, NotEnclosed):
             return False
     return True

@@ -24,7 +24,7 @@ import numpy as np
 from perilune.models.bodies import CERES, EUROPA, MERCURY, MOON, Body
 from perilune.models.descent import Ignition, Site, powered_descent
 from perilune.models.vehicle import Vehicle
-from perilune.problem.preflight import possible, preflight
+from perilune.problem.preflight import is_possible, preflight
 from perilune.problem.problem import Problem
 from random_problems import DRAWS, PROVED, logarithmic, measured, surface_gravity, timed_ending
 
@@ -82,7 +82,7 @@ def draw(seed: int, number: int) -> tuple[str, Problem]:
     rng = np.random.default_rng([seed, number])
     for _ in range(DRAWS):
         start, problem = drawn(rng)
-        if possible(preflight(problem)):
+        if is_possible(preflight(problem)):
             return start, problem
     raise RuntimeError(f"{DRAWS} draws, and all are impossible")
 

@@ -16,22 +16,22 @@ IMAGES = Path(__file__).parent / "images"
 
 def draw(hybrid: Solution, ordinary: Solution, directory: Path) -> list[Path]:
     """Write every picture as PNG and return their paths."""
-    from perilune.report.figures import save, solution_figures
+    from perilune.report.figures import save_figure, solution_figures
 
     made = solution_figures(hybrid, ordinary)
     names = {"path": "hybrid_landing", "thrust_angle": "thrust_angle"}
     for figure, name in names.items():
-        save(made[figure], directory, name)
+        save_figure(made[figure], directory, name)
         (directory / f"{name}.svg").unlink()
     return [directory / f"{name}.png" for name in names.values()]
 
 
 if __name__ == "__main__":
     from perilune.models.landing import Retro
-    from perilune.reproductions.cho2015.case import CONSTANTS, problem
+    from perilune.reproductions.cho2015.case import CONSTANTS, cho_landing
     from perilune.solve import solve
 
     IMAGES.mkdir(exist_ok=True)
-    with_burn = problem(Retro(specific_impulse=CONSTANTS.specific_impulse))
-    for path in draw(solve(with_burn), solve(problem()), IMAGES):
+    with_burn = cho_landing(Retro(specific_impulse=CONSTANTS.specific_impulse))
+    for path in draw(solve(with_burn), solve(cho_landing()), IMAGES):
         print(path.name)

@@ -74,10 +74,10 @@ def not_printed(hybrid: Solution, ordinary: Solution) -> list[str]:
 
 if __name__ == "__main__":
     from perilune.models.landing import Retro
-    from perilune.reproductions.cho2015.case import CONSTANTS, problem
+    from perilune.reproductions.cho2015.case import CONSTANTS, cho_landing
     from perilune.solve import solve
 
-    whole = problem(Retro(specific_impulse=CONSTANTS.specific_impulse))
-    best, plain = solve(whole, level=0), solve(problem(), level=0)
+    whole = cho_landing(Retro(specific_impulse=CONSTANTS.specific_impulse))
+    best, plain = solve(whole, level=0), solve(cho_landing(), level=0)
     low_isp, high_isp = (solve(whole.with_given(retro_specific_impulse=s), level=0) for s in BRACKET)
     print("\n".join([*against_the_paper(best, plain, (low_isp, high_isp)), "", *not_printed(best, plain)]))

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.app.frames import flight as frame, hello
+from perilune.app.frames import flight_message as frame, opening_message
 from perilune.app.subject import subject_of
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.direct.first_guess import first_guesses
 from perilune.families.family import Family, FamilyPoint
 from perilune.io.export import save, solution_document
@@ -25,7 +25,7 @@ from perilune.io.exports.writing import FORMATS, export, to_dataframe, to_xarray
 from perilune.io.files import json_text
 from perilune.problem.solution import Curve
 from perilune.report.family import family_csv, family_document, family_figure
-from perilune.report.figures import drawings
+from perilune.report.figures import solution_drawings
 from perilune.report.pages import solution_page
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
@@ -39,7 +39,7 @@ def said(*arguments: str) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of a command."""
     out, error = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(error):
-        code = run(list(arguments))
+        code = run_command_line(list(arguments))
     return code, out.getvalue(), error.getvalue()
 
 
@@ -123,7 +123,7 @@ class Carried:
         code, text, error = said("solve", str(self.file), "--level", "0", "--out", out)
         assert code == 5 and self.problem.heading in text and "not" not in text.rpartition("written to")[2], error
         drawn = {path.stem for path in (self.folder / "out" / "figures").iterdir()}
-        assert drawn and drawn == set(drawings(pl.load(out))), "a figure is missing"
+        assert drawn and drawn == set(solution_drawings(pl.load(out))), "a figure is missing"
         code, text, error = said("verify", out, "--level", "1")
         assert code == 0 and "level 1: feasible" in text, error
         code, _, error = said("export", out, "--out", str(self.folder / "out.nc"))
@@ -183,14 +183,14 @@ class Carried:
 
     def drawn(self, solution: pl.Solution) -> None:
         """Every figure, as far as it is drawn without laying it out."""
-        for name, draw in drawings(solution).items():
+        for name, draw in solution_drawings(solution).items():
             assert draw().axes, name
             self.step(f"figure {name}")
 
     def explored(self, solution: pl.Solution) -> None:
         """The page of the explorer with one frame, from the scenario and from its directory."""
         for subject in (subject_of(self.file), subject_of(self.folder / "saved")):
-            assert json.dumps(hello(subject), allow_nan=False)
+            assert json.dumps(opening_message(subject), allow_nan=False)
             if subject.text:
                 parse(subject.scenario({knob.name: knob.value * 1.001 for knob in subject.knobs[:1]}))
         page = frame(solution)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 from perilune.models.kinds import KINDS, Kind, Section
-from perilune.words.declared import Key, Words, keys_of
+from perilune.words.declared import Key, TextField, record_keys
 
 Layer = Mapping[str, str | None]  # by "section.key" the text of its value; None takes the key, or the section, away
 Picked = Mapping[str, str]  # by way the name of what was picked
@@ -85,7 +85,7 @@ def reached(kind: Kind, tree: Mapping[str, Mapping[str, str]]) -> set[str]:
             if key in tree[name]:
                 found |= {f"{name}.{key}"}
                 found |= {f"{name}.{key} = {tree[name][key]}"} if _values(section, key, about) else set()
-            elif key in keys_of(record) and not about.required:
+            elif key in record_keys(record) and not about.required:
                 found.add(f"no {name}.{key}")
     return found
 
@@ -93,7 +93,7 @@ def reached(kind: Kind, tree: Mapping[str, Mapping[str, str]]) -> set[str]:
 def _values(section: Section, key: str, about: Key) -> tuple[str, ...]:
     if key == "name" and section.known:
         return tuple(section.known)
-    return about.declared.choices if isinstance(about.declared, Words) else ()
+    return about.declared.choices if isinstance(about.declared, TextField) else ()
 
 
 # -- combinations ----------------------------------------------------------------------------------------------------

@@ -41,14 +41,14 @@ def solved(make: Callable[..., pl.Problem], *options: Any) -> pl.Solution:
 
 
 def settings(order: int = 30, tolerance: float = 1e-44) -> Any:
-    return room("root").Settings(
+    return room("root").ProofEffort(
         bits=BITS, order=order, tolerance=tolerance, enough=1e6 * tolerance, box=1e8 * tolerance
     )
 
 
 def stated(solution: pl.Solution, off: float = 0.0) -> tuple[Any, list[Any]]:
     """The boundary value problem, and a guess that is off by a part of itself."""
-    pieces, lengths = room("guess").pieces_of(solution)
+    pieces, lengths = room("guess").suggested_pieces(solution)
     boundary = room("boundary").boundary_problem(solution.problem, pieces, room("guess").sides_of(solution))
     return boundary, [value * (1 + off) for value in room("guess").unknowns_of(solution, boundary, lengths)]
 
@@ -60,7 +60,7 @@ def proved(solution: pl.Solution, effort: Any = None, off: float = 1e-4) -> tupl
     key = (id(solution), effort.order)
     if key not in known:
         boundary, guess = stated(solution, off)
-        refined = root.refine(boundary, guess, effort, lambda _: None)
+        refined = root.refine_root(boundary, guess, effort, lambda _: None)
         known[key] = boundary, refined, root.prove_root(boundary, refined, effort, lambda _: None)
     return known[key]
 
@@ -90,7 +90,9 @@ def stages_burn_out() -> bool:
     (J,) = boundary.objective.values(root.y, root.flight.ends[-1])
     times = near(y["t_1"], arb(60)) and near(y["t_2"], arb(150))
     multipliers = near(y["first.mu_m"], arb(-50)) and near(y["second.mu_m"], arb(-200))
-    kept = all(statement.proved and not statement.slack for statement in room("limits").Limits(boundary, root).all())
+    kept = all(
+        statement.proved and not statement.slack for statement in room("limits").FlightLimits(boundary, root).all()
+    )
     return times and multipliers and kept and near(J, -3000 * (arb(100) / 60 * 40 / 15).log())
 
 
@@ -146,7 +148,7 @@ def a_wrong_centre_is_refused() -> bool:
     boundary, refined, _ = proved(solved(tangent_steering))
     radii = [1e-11 * abs(float(value)) for value in refined.y]
     moved = [refined.y[0] * (1 + arb(1e-9)), *refined.y[1:]]
-    held = root.Refined(y=moved, inverse=refined.inverse, grid=refined.grid)
+    held = root.RefinedRoot(y=moved, inverse=refined.inverse, grid=refined.grid)
     return refused(lambda: root.prove_root(boundary, held, settings(), lambda _: None, radii))
 
 
@@ -164,7 +166,7 @@ def pole(rate: Callable[[Any, Any], Any]) -> Any:
     x = graph.input(("z", 0))
     rates = (rate(graph, x), graph.constant(0))
     phase = solved(tangent_steering).problem.phases[0]
-    return room("equations").Arc(graph=graph, phase=phase, phase_index=0, constants=(), rates=rates, half=1,
+    return room("equations").CanonicalArc(graph=graph, phase=phase, phase_index=0, constants=(), rates=rates, half=1,
                                      joint=False, implicit=(), stationary=(), reduced=x,
                                  hamiltonian=x, control={}, scalars=(), strengths=())  # fmt: skip
 
@@ -173,8 +175,8 @@ def a_step_over_a_pole_is_refused() -> bool:
     """x' = 1 + x^2 from 0 is tan t; a step beyond its pole has no enclosure, one before it has."""
     flow, arc = room("flow"), pole(lambda graph, x: 1 + x * x)
     start = [arb(0), arb(1)]
-    end = flow.step(arc, start, None, arb(0), arb(0.25), 20)[0][0]
-    late = refused(lambda: flow.step(arc, start, None, arb(0), arb(1.75), 20))
+    end = flow.enclose_step(arc, start, None, arb(0), arb(0.25), 20)[0][0]
+    late = refused(lambda: flow.enclose_step(arc, start, None, arb(0), arb(1.75), 20))
     return late and end.overlaps(arb(0.25).tan()) and 0 < float(end.rad()) < 1e-9
 
 
@@ -182,14 +184,14 @@ def a_step_over_a_jump_is_refused() -> bool:
     """The angle of (cos t, sin t) jumps at pi, though its slope does not."""
     flow, meaning = room("flow"), room("reading")._MEANING
     arc = pole(lambda graph, x: 1 + meaning["atan2"](graph, graph.do("sin", x), graph.do("cos", x)) * 2.0**-60)
-    before = not refused(lambda: flow.step(arc, [arb(3), arb(1)], None, arb(0), arb(0.125), 12))
-    return before and refused(lambda: flow.step(arc, [arb(3), arb(1)], None, arb(0), arb(0.25), 12))
+    before = not refused(lambda: flow.enclose_step(arc, [arb(3), arb(1)], None, arb(0), arb(0.125), 12))
+    return before and refused(lambda: flow.enclose_step(arc, [arb(3), arb(1)], None, arb(0), arb(0.25), 12))
 
 
 def tangents_are_enclosed() -> bool:
     """Of tan t the tangent is 1/cos^2 t, at every t of the step."""
     flow, arc = room("flow"), pole(lambda graph, x: 1 + x * x)
-    _, V, step = flow.step(arc, [arb(0), arb(1)], arb_mat([[1], [0]]), arb(0), arb(0.25), 12)
+    _, V, step = flow.enclose_step(arc, [arb(0), arb(1)], arb_mat([[1], [0]]), arb(0), arb(0.25), 12)
     along = all(step.at(arb(t))[0].overlaps(arb(t).tan()) for t in np.linspace(0.01, 0.25, 7).tolist())
     return along and V[0, 0].overlaps(1 / arb(0.25).cos() ** 2) and 0 < float(V[0, 0].rad()) < 1e-3
 
@@ -200,7 +202,7 @@ def a_step_that_tangents_outgrow_is_refused() -> bool:
 
     def enclosed(share: float, V: Any) -> bool:
         length = arb((share * math.factorial(12)) ** (1 / 12) / 50)
-        return not refused(lambda: flow.step(arc, [arb(0), arb(1)], V, arb(0), length, 12))
+        return not refused(lambda: flow.enclose_step(arc, [arb(0), arb(1)], V, arb(0), length, 12))
 
     beside = arb_mat([[1], [0]])
     return enclosed(0.995, None) and enclosed(0.1, beside) and not enclosed(0.995, beside)
@@ -213,10 +215,10 @@ def flights_stay_in_their_enclosures() -> bool:
     for k in (0, boundary.names.index("t_f"), len(boundary.names) - 1):
         away = arb(1e-9 * max(1.0, abs(float(refined.y[k]))))
         box = [c + arb(0, away) if j == k else c for j, c in enumerate(refined.y)]
-        whole = flight.enclosed(boundary, box, refined.grid, effort.order)
+        whole = flight.enclose_flight(boundary, box, refined.grid, effort.order)
         for sign in (1, -1):
             y = [c + sign * away if j == k else c for j, c in enumerate(refined.y)]
-            flown, _ = flight.plainly(boundary, y, effort.order, effort.tolerance, refined.grid)
+            flown, _ = flight.fly_unproved(boundary, y, effort.order, effort.tolerance, refined.grid)
             for balls, points in zip(chain(*whole.nodes), chain(*flown.nodes), strict=True):
                 if not all((a + arb(0, 1e-38)).contains(b) for a, b in zip(balls, points, strict=True)):
                     return False
@@ -234,7 +236,7 @@ def frames_keep_remainders() -> bool:
     flight = room("flight")
     boundary, refined, root = proved(solved(tangent_steering))
     try:
-        rough = flight.enclosed(boundary, refined.y, refined.grid, 6)
+        rough = flight.enclose_flight(boundary, refined.y, refined.grid, 6)
     except room("flow").NotEnclosed:
         return False
     for near, D, end, exact in zip(rough.centre, rough.tangents, root.flight.ends, root.flight.tangents, strict=True):
@@ -246,7 +248,7 @@ def frames_keep_remainders() -> bool:
 
 def a_frame_turns_with_the_flow() -> bool:
     """Quarter turns, each known to 0.1 along x: along y as much is left of the one before, and nothing more."""
-    frame, turn = room("flight")._Frame([arb(1), arb(0)], arb_mat([[1], [0]])), arb_mat([[0, -1], [1, 0]])
+    frame, turn = room("flight")._ParallelepipedFrame([arb(1), arb(0)], arb_mat([[1], [0]])), arb_mat([[0, -1], [1, 0]])
     for number in (1, 2):
         x, y = frame.middle
         frame.go([[-y], [x]], [arb(0, 0.1), arb(0)], arb(1), turn)
@@ -276,7 +278,7 @@ def steps_follow_each_other() -> bool:
 def growth_is_enclosed() -> bool:
     """x' = x: the remainder is no larger than it has to be, so that a part of it would not do."""
     flow, arc = room("flow"), pole(lambda graph, x: 1 * x)
-    end, V, _ = flow.step(arc, [arb(1), arb(1)], arb_mat([[1], [0]]), arb(0), arb(0.25), 12)
+    end, V, _ = flow.enclose_step(arc, [arb(1), arb(1)], arb_mat([[1], [0]]), arb(0), arb(0.25), 12)
     truth = arb(0.25).exp()
     return all(value.overlaps(truth) and 0 < float(value.rad()) < 1e-12 for value in (end[0], V[0, 0]))
 
@@ -285,11 +287,11 @@ def signs_are_seen() -> bool:
     """Along x = tan t, t in [0, 1/4]: what dips below zero, touches it or begins with it."""
     flow, signs = room("flow"), room("signs")
     arc = pole(lambda graph, x: 1 + x * x)
-    _, _, step = flow.step(arc, [arb(0), arb(1)], None, arb(0), arb(0.25), 20)
+    _, _, step = flow.enclose_step(arc, [arb(0), arb(1)], None, arb(0), arb(0.25), 20)
     x = arc.graph.input(("z", 0))
 
     def positive(of: Any, zeros: tuple[int, int] = (0, 0)) -> bool:
-        return signs.positive(signs.Quantity(arc, of, []), [step], zeros).proved
+        return signs.prove_positive(signs.SignedQuantity(arc, of, []), [step], zeros).proved
 
     dips, above = (x - 0.125) * (x - 0.125) - 1e-6, (x - 0.125) * (x - 0.125) + 1e-6
     inside, falls = x * (0.125 - x), 1 - x * 4
@@ -327,14 +329,14 @@ def swinging(duration: float, free: bool) -> pl.Problem:
 def a_minimum(duration: float, free: bool = False) -> bool:
     """Whether the extremal sin(t)/sin(T), or 0 with a free end, is proved to be one."""
     boundary = room("boundary").boundary_problem(
-        swinging(duration, free), [room("boundary").Piece(phase=0, regimes={"u": "interior"})]
+        swinging(duration, free), [room("boundary").ArcPiece(phase=0, regimes={"u": "interior"})]
     )
     rough = settings(24, 1e-36)
     slope = -1 / np.sin(duration)
     guess = [arb(0), arb(1)] if free else [arb(slope), arb(1), arb(float(slope * np.cos(duration)))]
-    refined = room("root").refine(boundary, guess, rough, lambda _: None)
+    refined = room("root").refine_root(boundary, guess, rough, lambda _: None)
     root = room("root").prove_root(boundary, refined, rough, lambda _: None)
-    return room("second_order").local_optimum(boundary, root, rough.order, lambda _: None).proved
+    return room("second_order").prove_local_optimum(boundary, root, rough.order, lambda _: None).proved
 
 
 def conjugate_points_are_seen() -> bool:
@@ -370,7 +372,7 @@ def series_agree(orders: int = 14) -> bool:
             graph = room("graph").Graph()
             x = graph.input("x")
             e = expression(graph, x)
-            program = room("taylor").Program(graph, ["x"], [e])
+            program = room("taylor").TaylorProgram(graph, ["x"], [e])
             moved, (found,) = program.flow([arb("0.3")], orders)
             (again,) = program.along(moved, orders)
             truth = series(arb_series(moved[0][:orders], orders)).coeffs()
@@ -380,7 +382,7 @@ def series_agree(orders: int = 14) -> bool:
                 for a, b in zip([*found, *again], [*truth, *truth], strict=True)
             ):
                 return False
-            slope = room("taylor").Program(graph, ["x"], graph.gradient(e, ["x"])).values([arb("0.3")])[0]
+            slope = room("taylor").TaylorProgram(graph, ["x"], graph.gradient(e, ["x"])).values([arb("0.3")])[0]
             if not slope.overlaps(series(arb_series([arb("0.3"), 1], 2)).coeffs()[1]):
                 return False
         return True
@@ -396,7 +398,7 @@ def forms_are_positive() -> bool:
 def J_is_that_of_the_root() -> bool:
     """Least time of the double integrator is 2 s; no step of it has a remainder, and its centre is a little off."""
     boundary, guess = stated(solved(least_time), 1e-4)
-    found = room("theorem")._proved(boundary, guess, replace(settings(24, 1e-24), box=1e-34), lambda _: None)
+    found = room("theorem")._prove_extremal(boundary, guess, replace(settings(24, 1e-24), box=1e-34), lambda _: None)
     y = found.root.y
     far = room("theorem")._distance(boundary, found.root, [2 * y[0], *y[1:]])
     return found.objective.contains(arb(2)) and not found.refined.y[2] == 2 and far == pytest.approx(0.5)
@@ -404,19 +406,19 @@ def J_is_that_of_the_root() -> bool:
 
 def what_is_missing_is_no_theorem() -> bool:
     theorem, verified, before = room("theorem"), room("verified"), Verification(checks=())
-    found = theorem.attempt(solved(least_time), lambda _: None)
+    found = theorem.attempt_proof(solved(least_time), lambda _: None)
     held = room("limits").Statement(words="it holds", proved=False)
     broken = replace(found, proved=replace(found.proved, statements=(*found.proved.statements, held)))
-    whole, less = (verified.with_attempt(before, one) for one in (found, broken))
+    whole, less = (verified.add_attempt(before, one) for one in (found, broken))
     unseen = room("second_order").Statement(words="it is", proved=False, where="as nobody looked")
-    modest = verified.with_attempt(before, replace(found, proved=replace(found.proved, optimum=unseen)))
+    modest = verified.add_attempt(before, replace(found, proved=replace(found.proved, optimum=unseen)))
     honest = "a strict local optimum" in whole.notes[0] and "a strict local optimum" not in modest.notes[0]
     return honest and whole.certificate is not None and less.certificate is None and not less.checks
 
 
 def numbers_are_exact() -> bool:
     """What a value is taken for: its decimal, if that is what was flown, or else the double."""
-    exactly, graph, program = room("given").exactly, room("graph"), room("taylor").Program
+    exactly, graph, program = room("given").exact_value, room("graph"), room("taylor").TaylorProgram
     for stated, unit, number, power in (
         ("4902.7779 km^3/s^2", "m^3/s^2", "4902777900000", 0), ("0.1", "1", "1/10", 0),
         ("12 deg", "rad", "1/15", 1), ("90 s/deg", "s/rad", "16200", -1), ("3 cm^0.5", "m^0.5", "3/10", 0),
@@ -426,7 +428,7 @@ def numbers_are_exact() -> bool:
         truth = arb(fmpq(*Fraction(number).as_integer_ratio())) * arb.pi() ** power
         (read,) = program(own, [], [found.expression(own)]).values([])
         told = found.document()
-        written = room("certified.equations").given(told)
+        written = room("certified.equations").parse_given(told)
         if not all(ball.overlaps(truth) and ball.rad() < 1e-30 * truth for ball in (found.ball(), read, written)):
             return False
         if (Fraction(number), power) != (found.rational, found.power) or told["taken"] != "text":

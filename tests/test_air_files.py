@@ -12,12 +12,12 @@ import pytest
 
 import perilune as pl
 from command_line import ROOT, read_json
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.models import atmosphere, standard_atmosphere
 from perilune.models.air_table import LARGEST_FILE, read_air_table
 from perilune.models.bodies import EARTH
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Interface, Orbit, Returner
+from perilune.models.deorbit.records import Interface, Returner, ReturnOrbit
 from perilune.problem.preflight import preflight
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
@@ -345,10 +345,10 @@ def test_check_says_what_was_read_and_what_is_unlike_the_standard(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     right, wrong = folders(tmp_path, "right", "wrong")
-    assert run(["check", str(capsule(right, SHAPES["brackets"]))]) == 0
+    assert run_command_line(["check", str(capsule(right, SHAPES["brackets"]))]) == 0
     out = capsys.readouterr().out
     assert "read       air of own.csv: 71 rows; altitude in ft" in out and "warning" not in out
-    assert run(["check", str(capsule(wrong, text(FEET))), "--json"]) == 0
+    assert run_command_line(["check", str(capsule(wrong, text(FEET))), "--json"]) == 0
     document = read_json(capsys.readouterr().out)
     assert document["warnings"] and "no unit is stated" in document["inputs"][0]
     found = next(f for f in document["findings"] if "US Standard Atmosphere 1976" in f["name"])
@@ -358,7 +358,7 @@ def test_check_says_what_was_read_and_what_is_unlike_the_standard(
 def test_air_of_another_body_is_not_compared(tmp_path: Path) -> None:
     """Only of the Earth there is a standard."""
     air = atmosphere.from_file(in_file(tmp_path, text(FEET)))
-    orbit = Orbit(radius=EARTH.radius + 300e3, inclination=0.9, node_longitude=0.0, argument_of_latitude=0.0)
+    orbit = ReturnOrbit(radius=EARTH.radius + 300e3, inclination=0.9, node_longitude=0.0, argument_of_latitude=0.0)
     vehicle = Returner(mass=500.0, thrust=400.0, exhaust_velocity=3000.0, drag_area=0.6)
     other = replace(EARTH, name="other", rotation_rate=0.5 * EARTH.rotation_rate)
     for body, compared in ((EARTH, True), (other, False)):

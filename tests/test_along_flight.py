@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.io.made import made_document
-from perilune.models.atmosphere import Way, thermosphere
-from perilune.models.deorbit.along import NEAR, changed
+from perilune.io.made import model_document
+from perilune.models.atmosphere import TrajectoryProfile, thermosphere
+from perilune.models.deorbit.along import NEAR, largest_density_change
 from perilune.models.deorbit.opportunities import opportunities
 from perilune.models.deorbit.records import Aim
-from perilune.models.deorbit.settled import along_flight, settled
+from perilune.models.deorbit.settled import solve_with_epoch_air, with_air_along_flight
 from perilune.scenario import load_text
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from test_opportunities import SCENARIO
@@ -38,12 +38,14 @@ def test_the_air_is_that_along_the_rough_flight() -> None:
     epoch = next(record for record in problem.declared if isinstance(record, Aim)).instant()
     assert epoch is not None
     p = problem.parameters({})
-    over = thermosphere(epoch, Way.over(p.site_longitude, p.site_latitude), f107=150.0, f107a=150.0, ap=4.0)
-    assert over.table is not None and 0.01 < changed(over, air_of(problem)) < 0.1
+    over = thermosphere(
+        epoch, TrajectoryProfile.over(p.site_longitude, p.site_latitude), f107=150.0, f107a=150.0, ap=4.0
+    )
+    assert over.table is not None and 0.01 < largest_density_change(over, air_of(problem)) < 0.1
     assert abs(np.expm1(air_of(problem).table(10.0) - over.table(10.0))) < 2e-3  # at its end it is over the site
-    assert changed(air_of(load_text(DAY)), air_of(problem)) > 0.01
+    assert largest_density_change(air_of(load_text(DAY)), air_of(problem)) > 0.01
     # The same text makes the same table, so that a saved solution is read back as what it was.
-    assert air_of(load_text(PASS)).table == air_of(problem).table and made_document(problem) is not None
+    assert air_of(load_text(PASS)).table == air_of(problem).table and model_document(problem) is not None
 
 
 def test_no_place_is_needed_where_the_orbit_says_it() -> None:
@@ -66,12 +68,12 @@ def test_a_flight_settles_in_the_air_along_it() -> None:
         asked.append(again)
         return first
 
-    assert settled(problem, solve) is first and len(asked) == 2
-    moved = changed(air_of(problem), air_of(asked[1]))
+    assert solve_with_epoch_air(problem, solve) is first and len(asked) == 2
+    moved = largest_density_change(air_of(problem), air_of(asked[1]))
     assert NEAR < moved < 0.02
-    assert changed(air_of(asked[1]), air_of(along_flight(problem, first))) == 0.0
+    assert largest_density_change(air_of(asked[1]), air_of(with_air_along_flight(problem, first))) == 0.0
     with pytest.raises(NotConvergedError, match="does not settle"):
-        settled(problem, lambda *_, **__: first, near=-1.0)
+        solve_with_epoch_air(problem, lambda *_, **__: first, near=-1.0)
 
 
 @pytest.mark.parametrize(
@@ -92,4 +94,4 @@ def test_a_day_that_is_not_said_is_refused(text: str, said: str) -> None:
 
 def test_air_of_no_day_is_along_no_flight() -> None:
     with pytest.raises(PeriluneError, match="has no air of a day"):
-        settled(load_text(SCENARIO), lambda *_, **__: None)  # type: ignore[arg-type,return-value]
+        solve_with_epoch_air(load_text(SCENARIO), lambda *_, **__: None)  # type: ignore[arg-type,return-value]

@@ -35,20 +35,20 @@ from perilune.atlas import building, polish
 from perilune.atlas.cells import WHOLE, Status
 from perilune.atlas.chart import Chart, Holds
 from perilune.atlas.columns import cell_type, node_type
-from perilune.atlas.flooding import Key, spilled
-from perilune.atlas.hermite import bits, interpolated
+from perilune.atlas.flooding import Key, seeds_for_neighbours
+from perilune.atlas.hermite import binary_digits, interpolated
 from perilune.atlas.lines import written_line
 from perilune.atlas.many import Answered
-from perilune.atlas.march import extrapolated
+from perilune.atlas.march import extrapolated_step
 from perilune.atlas.query import Atlas, open_atlas
-from perilune.atlas.read import Brick
-from perilune.atlas.reflight import Reflights
+from perilune.atlas.read import LoadedBrick
+from perilune.atlas.reflight import ChartReintegration
 from perilune.atlas.region import region_of
 from perilune.atlas.sheets import Sheet
-from perilune.atlas.store import HEADER, MANIFEST, Store, sealed
+from perilune.atlas.store import HEADER, MANIFEST, AtlasStore, with_checksum
 from perilune.atlas.verify import verify_atlas
-from perilune.cli import run
-from perilune.io.comparisons import compared_alike, comparisons_document, read_comparisons
+from perilune.cli import run_command_line
+from perilune.io.comparisons import comparisons_document, read_comparisons, same_comparisons
 from perilune.kernels import compile_map
 from perilune.problem.extremal import Nature
 from perilune.problem.preflight import Finding
@@ -96,7 +96,7 @@ def test_products_of_cubics_are_met_exactly(d: int, seed: int) -> None:
         parts = [np.polynomial.Polynomial(c) for c in coefficients]
         return float(np.prod([p.deriv()(v) if term >> i & 1 else p(v) for i, (p, v) in enumerate(zip(parts, x))]))  # noqa: B905
 
-    terms = np.array([[value(low + corner * size, b) for b in range(2**d)] for corner in bits(d)])
+    terms = np.array([[value(low + corner * size, b) for b in range(2**d)] for corner in binary_digits(d)])
     at = rng.uniform(size=d)
     found = interpolated(terms[None, :, :, None], at[None], size[None])[0, 0]
     assert found == pytest.approx(value(low + at * size), rel=1e-9, abs=1e-9 * np.abs(terms).max())
@@ -168,7 +168,7 @@ def test_a_second_flight_ends_where_the_first_does_and_sees_what_is_wrong(chart:
     values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
     nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
     here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
-    again = Reflights(chart)
+    again = ChartReintegration(chart)
     good = again(here.roots.y, chart.p[None], here.roots.choice)
     assert good.seen.good[0] and good.seen.residual[0] < 1e-11 and good.seen.drift[0] < 1e-12
     assert good.seen.cost[0] == pytest.approx(here.cost[0], rel=1e-11)
@@ -190,7 +190,7 @@ def test_a_second_flight_goes_over_switches_and_sees_a_broken_path() -> None:
     chart = Chart(problem, names, np.array([100.0, 0.1]))
     values = np.array([[problem.given[name].value for name in names]]) / chart.scale
     nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
-    again = Reflights(chart)
+    again = ChartReintegration(chart)
     for slope, kept in ((problem.given["corridor_slope"].value, True), (np.radians(30.0), False)):
         values[0, 1] = slope
         here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
@@ -407,8 +407,10 @@ def test_comparisons_of_another_hand_are_refused(change: dict[str, Any]) -> None
 def test_a_model_of_which_physics_is_asked_nothing_stays_so_in_an_atlas() -> None:
     """Opened again it is made of its records, and would ask what the model does."""
     silent, places = replace(cho_landing(), preflight=None), [{}]
-    assert compared_alike(cho_landing(), cho_landing(), places) and not compared_alike(silent, cho_landing(), places)
-    assert not compared_alike(replace(cho_landing(), preflight=away), cho_landing(), places)
+    assert same_comparisons(cho_landing(), cho_landing(), places) and not same_comparisons(
+        silent, cho_landing(), places
+    )
+    assert not same_comparisons(replace(cho_landing(), preflight=away), cho_landing(), places)
     assert read_comparisons(comparisons_document(silent, places), silent)(None, None) == ()
 
 
@@ -535,7 +537,7 @@ def test_what_is_not_built_is_said(copy: Path) -> None:
     (copy / MANIFEST).write_text("".join(lines[:-1]))
     with pytest.raises(PeriluneError, match="not built") as said:
         open_atlas(copy).query(vehicle_thrust=450.0, retro_specific_impulse=310.0)
-    assert run([*ordered(said.value.advice, copy), "--sample", "0"]) == 0
+    assert run_command_line([*ordered(said.value.advice, copy), "--sample", "0"]) == 0
     assert open_atlas(copy).query(vehicle_thrust=450.0, retro_specific_impulse=310.0).objective < 0
 
 
@@ -585,30 +587,36 @@ VARY = ["--vary", "vehicle.thrust=430:450 N", "--vary", "retro.specific_impulse=
 
 def test_the_command_line_builds_asks_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "atlas")
-    assert run(["atlas", "build", HYBRID, *VARY, "--out", out, "--json"]) == 0
+    assert run_command_line(["atlas", "build", HYBRID, *VARY, "--out", out, "--json"]) == 0
     told = read_json(capsys.readouterr().out)
     assert told["nodes"] > 16 and len(told["sheets"]) == 3
-    assert run(["atlas", "build", HYBRID, *VARY, "--out", out]) == 2
+    assert run_command_line(["atlas", "build", HYBRID, *VARY, "--out", out]) == 2
     assert "--resume" in capsys.readouterr().err
-    assert run(["atlas", "build", HYBRID, *VARY, "--out", out, "--resume"]) == 0
+    assert run_command_line(["atlas", "build", HYBRID, *VARY, "--out", out, "--resume"]) == 0
     capsys.readouterr()
     at = ["--at", "vehicle.thrust=440 N", "--at", "retro.specific_impulse=300 s"]
-    assert run(["atlas", "query", out, *at, "--json"]) == 0
+    assert run_command_line(["atlas", "query", out, *at, "--json"]) == 0
     answer = read_json(capsys.readouterr().out)
     assert answer["results"]["landed_mass"]["value"] == pytest.approx(-atlas_objective(out), rel=1e-12)
     assert {"cell", "steps", "error_bound", "latency", "sheet"} <= set(answer["query"])
-    assert run(["atlas", "query", out, *at, "--prove", "3"]) == 0
+    assert run_command_line(["atlas", "query", out, *at, "--prove", "3"]) == 0
     assert "level 3" in capsys.readouterr().out
     answered = open_atlas(out).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
     pl.save(answered, tmp_path / "answer")
-    assert run(ordered(answered.outcome.value, tmp_path / "answer")) == 0 and "PROVED" in capsys.readouterr().out
-    assert run(["atlas", "query", out, "--at", "vehicle.thrust=440 N", "--at", "retro.specific_impulse=1 km"]) == 2
+    assert (
+        run_command_line(ordered(answered.outcome.value, tmp_path / "answer")) == 0
+        and "PROVED" in capsys.readouterr().out
+    )
+    assert (
+        run_command_line(["atlas", "query", out, "--at", "vehicle.thrust=440 N", "--at", "retro.specific_impulse=1 km"])
+        == 2
+    )
     assert "retro.specific_impulse - the unit has the wrong dimension" in capsys.readouterr().err
-    assert run(["atlas", "query", out, "--at", "vehicle.thrust"]) == 2
-    assert run(["atlas", "query", str(tmp_path), *at]) == 2
-    assert run(["atlas", "info", out]) == 0
-    assert run(["atlas", "verify", out, "--sample", "1", "--json"]) == 0
-    assert run(["atlas", "bild", HYBRID]) == 2
+    assert run_command_line(["atlas", "query", out, "--at", "vehicle.thrust"]) == 2
+    assert run_command_line(["atlas", "query", str(tmp_path), *at]) == 2
+    assert run_command_line(["atlas", "info", out]) == 0
+    assert run_command_line(["atlas", "verify", out, "--sample", "1", "--json"]) == 0
+    assert run_command_line(["atlas", "bild", HYBRID]) == 2
 
 
 def atlas_objective(directory: str) -> float:
@@ -627,7 +635,7 @@ def atlas_objective(directory: str) -> float:
 )
 def test_ranges_that_are_none_are_refused(text: str, words: str, tmp_path: Path, capsys: Any) -> None:
     order = ["atlas", "build", HYBRID, "--vary", f"vehicle.thrust={text}", "--out", str(tmp_path / "a")]
-    assert run(order) == 2 and words in capsys.readouterr().err
+    assert run_command_line(order) == 2 and words in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
 
 
@@ -685,7 +693,7 @@ def test_a_sheet_without_a_corner_of_a_cell_is_not_passed_over(atlas: Atlas) -> 
     ours["size"][1:, 0] //= 2
     ours["low"][2, 0] = ours["size"][2, 0]
     ours["corners"][1:] = -1
-    atlas._bricks[0, *place] = Brick(whole.nodes, np.concatenate([ours, others]), sheets, whole.step)
+    atlas._bricks[0, *place] = LoadedBrick(whole.nodes, np.concatenate([ours, others]), sheets, whole.step)
     with pytest.raises(PeriluneError, match="ends in this cell"):
         atlas.query(**at)
     assert atlas.query_many(point[None]).answered[0] == Answered.ENDS
@@ -704,7 +712,7 @@ def test_an_axis_may_be_a_parameter_that_the_problem_chooses(tmp_path: Path) -> 
 )
 def test_a_header_of_another_hand_is_refused_in_words(copy: Path, key: str, value: object) -> None:
     header = json.loads((copy / HEADER).read_text())
-    (copy / HEADER).write_text(json.dumps(sealed({**header, key: value})))
+    (copy / HEADER).write_text(json.dumps(with_checksum({**header, key: value})))
     with pytest.raises(PeriluneError):
         open_atlas(copy)
     lines = (copy / MANIFEST).read_text().splitlines()
@@ -781,15 +789,15 @@ def test_nodes_on_a_common_side_go_on_where_the_neighbour_has_nothing() -> None:
     keys: list[Key] = [(0, 0, 0), (0, 1, 0), (0, 2, 0)]
     known = {keys[0]: first, keys[1]: second}
     sheets = [Sheet(holds={}, orientation=way, nature=Nature.LOCAL_OPTIMUM) for way in (1.0, -1.0)]
-    found = dict(spilled(keys, known.get, lambda _: sheets))
+    found = dict(seeds_for_neighbours(keys, known.get, lambda _: sheets))
     told = {key: [(int(n["sheet"]), *n["place"].tolist()) for n in rows] for key, rows in found.items()}
     # Not the upper node, which the neighbour has; not the one beyond its border; nothing goes on from itself.
     assert told == {keys[1]: [(0, 0, 0), (1, 0, half)]}
     worst = [replace(sheets[0], nature=Nature.WORST), sheets[1]]
-    alone = dict(spilled(keys, known.get, lambda _: worst))
+    alone = dict(seeds_for_neighbours(keys, known.get, lambda _: worst))
     assert {key: rows["sheet"].tolist() for key, rows in alone.items()} == {keys[1]: [1]}
     first[0]["terms"][1] = 0.5  # the neighbour has another extremal at the upper node
-    others = dict(spilled(keys, known.get, lambda _: sheets))
+    others = dict(seeds_for_neighbours(keys, known.get, lambda _: sheets))
     assert [n["place"].tolist() for n in others[keys[1]] if n["sheet"] == 0] == [[0, 0], [0, side]]
 
 
@@ -822,7 +830,7 @@ def test_an_answer_that_breaks_the_path_is_none_where_nothing_that_keeps_it_is_k
     with pytest.raises(NotConvergedError, match="no answer here"):
         atlas.query(ceiling=0.22)
     assert atlas.query_many(np.array([[0.22], [0.29]])).answered.tolist() == [Answered.ENDS, Answered.YES]
-    monkeypatch.setattr(Brick, "least", lambda brick, numbers, places: np.ones(len(numbers)))
+    monkeypatch.setattr(LoadedBrick, "least", lambda brick, numbers, places: np.ones(len(numbers)))
     again = open_atlas(tmp_path / "ceilings")
     touching = again.brick(1, again.region.brick_of(np.array([0.29])))
     assert touching is not None
@@ -844,7 +852,7 @@ def test_the_maps_of_the_examples_are_stated_rightly() -> None:
 def test_second_flights_lose_little_to_rounding() -> None:
     """Once round a circle in 2048 steps: each rounds the state once, and 2.8e-14 were lost where it did ten times."""
     z, h = ca.SX.sym("z", 2), ca.SX.sym("h")
-    step = ca.Function("step", [z, h], [extrapolated(lambda point: ca.vertcat(-point[1], point[0]), z, h)])
+    step = ca.Function("step", [z, h], [extrapolated_step(lambda point: ca.vertcat(-point[1], point[0]), z, h)])
     around = step.mapaccum(2048)
     for angle in np.linspace(0.1, 1.4, 8).tolist():
         begin = np.array([math.cos(angle), math.sin(angle)])
@@ -860,9 +868,11 @@ def test_bricks_go_on_from_their_neighbours_while_that_gives_something_new(
     done = list[int]()
     monkeypatch.setattr(building, "first_tasks", lambda *_: [((0, 0), "task")])
     monkeypatch.setattr(building, "tasks_going_on", lambda *given: [((0, given[-1] + 1), "task")])
-    monkeypatch.setattr(building, "_complete", lambda *given: done.append(given[4]))
-    monkeypatch.setattr(building, "_shards", lambda *given: min(given[-1], news - 1))
+    monkeypatch.setattr(building, "_complete_round", lambda *given: done.append(given[4]))
+    monkeypatch.setattr(building, "_shard_checksums", lambda *given: min(given[-1], news - 1))
     problem = cho_landing()
     region = region_of(problem, {"vehicle.thrust": (430.0, 450.0)})
-    building.completed(Store(tmp_path), problem, region, {"digest": "d", "charts": []}, 1e-9, None, lambda _: None)
+    building.complete_atlas(
+        AtlasStore(tmp_path), problem, region, {"digest": "d", "charts": []}, 1e-9, None, lambda _: None
+    )
     assert done == list(range(rounds))

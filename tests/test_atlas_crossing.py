@@ -18,7 +18,7 @@ import perilune as pl
 from perilune import PeriluneError
 from perilune.atlas import building, extend, read, survey, trying
 from perilune.atlas.cells import WHOLE
-from perilune.atlas.descending import Descents, Known
+from perilune.atlas.descending import KnownExtremals, MinimumSearch
 from perilune.atlas.many import Answered, Answers
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.problem.variables import Given, Variable
@@ -97,7 +97,9 @@ def test_where_what_a_bound_cuts_off_would_gain_by_leaving_it_nothing_worse_is_t
     atlas = open_atlas(build(problem, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem)
     found, least = atlas.query_many(points), [truth(IN, *point) for point in points.tolist()]
     assert found.objective == pytest.approx(np.array(least), abs=1e-7)
-    monkeypatch.setattr(Descents, "become", lambda self, at, *_: Known.none(atlas.charted, len(at)))  # or it is found
+    monkeypatch.setattr(
+        MinimumSearch, "become", lambda self, at, *_: KnownExtremals.none(atlas.charted, len(at))
+    )  # or it is found
     found = atlas.query_many(points)
     assert found.objective[found.good] == pytest.approx(np.array(least)[found.good], abs=1e-7)
     assert (found.good | (found.answered == Answered.ENDS)).all() and 0.8 < found.good.mean() < 1.0

@@ -16,13 +16,13 @@ import perilune as pl
 from perilune import Indirect, Problem
 from perilune.atlas import building, many
 from perilune.atlas.cells import Status
-from perilune.atlas.offers import outdoing, unanswered
+from perilune.atlas.offers import dominates_known, without_admissible_answer
 from perilune.atlas.query import open_atlas
 from perilune.atlas.region import region_of
 from perilune.atlas.scanning import Scan
-from perilune.atlas.solving import Solving
+from perilune.atlas.solving import RegionSolver
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from problems.constrained import bryson_denham, bryson_denham_truth
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
@@ -46,7 +46,7 @@ def test_each_well_vouches_for_one_extremal_that_breaks_the_path() -> None:
         (other, np.array([True, True, True, False])),
         (other, np.array([False, False, True, False])),
     ]
-    told = unanswered(better, vouching, np.array([True, True, True, False]))
+    told = without_admissible_answer(better, vouching, np.array([True, True, True, False]))
     assert [left.tolist() for left in told] == [[False, True, False, True], [True, False], [True]]
 
 
@@ -55,7 +55,7 @@ def test_what_has_an_arc_shorter_than_nothing_may_become_an_answer_of_no_arcs() 
     plain: Any = _Chart(False)
     rides: Any = _Chart(True)
     vouching = [(plain, np.array([True, False, True])), (rides, np.array([False, True, True]))]
-    told = unanswered([(rides, np.arange(3), np.ones(3, dtype=bool))], vouching, np.zeros(3, dtype=bool))
+    told = without_admissible_answer([(rides, np.arange(3), np.ones(3, dtype=bool))], vouching, np.zeros(3, dtype=bool))
     assert told[0].tolist() == [False, True, False]
 
 
@@ -64,8 +64,8 @@ def test_what_is_no_better_or_breaks_bounds_of_singular_controls_outdoes_no_answ
     chart: Any = _Chart(False)
     singular: Any = type("Singular", (), {"breaks_controls_alone": True})()
     best = np.array([2.0, 1.0, np.inf])
-    assert outdoing(chart, np.array([1.0, 1.0, 9.0]), best).tolist() == [True, False, True]
-    assert outdoing(singular, np.array([1.0, 1.0, 9.0]), best).tolist() == [False, False, True]
+    assert dominates_known(chart, np.array([1.0, 1.0, 9.0]), best).tolist() == [True, False, True]
+    assert dominates_known(singular, np.array([1.0, 1.0, 9.0]), best).tolist() == [False, False, True]
 
 
 def test_cells_that_give_no_answer_promise_the_least_j_that_there_may_be() -> None:
@@ -76,8 +76,8 @@ def test_cells_that_give_no_answer_promise_the_least_j_that_there_may_be() -> No
         given=lambda cell, inside: np.array([7.0, 3.0]), least=lambda cells, places: 10.0 + cells,
     )  # fmt: skip
     charted: Any = SimpleNamespace(unknowns=1, borders=SimpleNamespace(of_arcs=False))
-    offer, at = many._no_offer(charted, 0, 0, 4), np.zeros((4, 1))
-    many._fill(offer, brick, 0, np.arange(4), at, at)
+    offer, at = many._no_candidate(charted, 0, 0, 4), np.zeros((4, 1))
+    many._fill_candidates(offer, brick, 0, np.arange(4), at, at)
     assert offer.cost.tolist() == [10.0, 11.0, np.inf, np.inf]
     assert offer.breaks.tolist() == [True, False, False, False] and not offer.short.any()
     assert offer.broken[0] == 7.0 and np.isnan(offer.broken[1:]).all() and np.isnan(offer.y).all()
@@ -216,6 +216,6 @@ def test_durations_between_bounds_are_followed_over_their_ranges_too() -> None:
     )
     region = region_of(problem, {"ceiling": (0.1, 0.14)}, bricks=1)
     scan = Scan(problem, region, widths := np.array([0.04]))
-    solved = Solving(problem, region, Indirect(), silent, widths).run()
+    solved = RegionSolver(problem, region, Indirect(), ignore_events, widths).run()
     assert scan.names == ["T"] and "along" in solved[0].course.text
     assert scan.add(solved[0].values, solved[0].course, solved[0].extremals) and scan.gap() is None

@@ -24,15 +24,15 @@ from command_line import ENVIRONMENT, HYBRID, read_json, snapshot
 from perilune.atlas import building, extending, merging, read
 from perilune.atlas.cells import Status
 from perilune.atlas.columns import cell_type
-from perilune.atlas.covering import covered
+from perilune.atlas.covering import covered_share
 from perilune.atlas.extending import extend
-from perilune.atlas.lines import cut_off, read_line, written_line
+from perilune.atlas.lines import is_cut_off, read_line, written_line
 from perilune.atlas.many import Answered
 from perilune.atlas.merging import merge
 from perilune.atlas.query import open_atlas
-from perilune.atlas.store import HEADER, MANIFEST, Store
+from perilune.atlas.store import HEADER, MANIFEST, AtlasStore
 from perilune.atlas.verify import verify_atlas
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.models.kinds import key_of
 from perilune.words.outcome import NotConvergedError, PeriluneError
 
@@ -142,7 +142,7 @@ def test_lines_of_another_hand_are_refused_in_words(
     for use in (opened, lambda: merge(copy, built, tmp_path / "out"), lambda: extend(copy, {})):
         with pytest.raises(PeriluneError, match="damaged"):
             use()
-    assert run(["atlas", "info", str(copy)]) == 2
+    assert run_command_line(["atlas", "info", str(copy)]) == 2
 
 
 # -- what is said ------------------------------------------------------------------------------------------------------
@@ -211,7 +211,7 @@ def test_ctrl_c_says_how_to_go_on_where_something_is_there(
         (["atlas", "extend", there], f"perilune atlas extend {there} builds what is missing"),
         (["atlas", "extend", there, *wider], ""),
     ):
-        assert run([*typed, "--json"]) == 130
+        assert run_command_line([*typed, "--json"]) == 130
         told = capsys.readouterr()
         assert read_json(told.out)["error"]["try"] == advice and ("try:" in told.err) == bool(advice)
 
@@ -236,7 +236,7 @@ def test_ctrl_c_of_a_merge_and_an_export_says_what_is_there(
         (["merge", there, there, "--out", there, "--force"], ""),
         (["export", there, "--out", file], f"nothing was written to {file}"),
     ):
-        assert run(["atlas", *order, "--json"]) == 130
+        assert run_command_line(["atlas", *order, "--json"]) == 130
         assert read_json(capsys.readouterr().out)["error"]["try"] == advice
     assert list(tmp_path.iterdir()) == [half]
 
@@ -286,7 +286,7 @@ def test_what_cannot_be_written_is_said_with_what_helps(
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", full)
-    store = Store(tmp_path / "full")
+    store = AtlasStore(tmp_path / "full")
     store.prepare({})
     for write in (lambda: store.begin({}), lambda: store.add({}), lambda: store.put("survey-0.npy", np.zeros(3))):
         with pytest.raises(PeriluneError, match="cannot be written") as said:
@@ -371,15 +371,15 @@ def test_a_line_of_which_one_bit_has_changed_says_nothing(copy: Path) -> None:
             broken = whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :]
             if b"\n" not in broken[:-1] and b"\r" not in broken:
                 assert read_line(broken.strip()) is None, broken
-                assert not cut_off(broken.strip()), broken
-    assert all(cut_off(whole[:size]) for size in range(1, len(whole) - 1) if whole[size - 1 : size] != b"}")
+                assert not is_cut_off(broken.strip()), broken
+    assert all(is_cut_off(whole[:size]) for size in range(1, len(whole) - 1) if whole[size - 1 : size] != b"}")
     assert read_line(whole.strip()) == {name: value for name, value in edges.items() if name != "crc32"}
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="POSIX forks")
 def test_a_worker_that_is_forked_holds_nothing_of_its_builders(tmp_path: Path) -> None:
     """It may outlive a builder that was killed, and others would wait for it for ever."""
-    kept, (hears, says) = Store(tmp_path), os.pipe()
+    kept, (hears, says) = AtlasStore(tmp_path), os.pipe()
     with kept.claimed("sample") as ours:
         assert ours
         child = os.fork()
@@ -462,13 +462,17 @@ def test_a_file_that_may_not_be_read_is_not_called_damaged(
 
 
 def test_a_line_that_was_not_written_whole_is_no_line(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+    store = AtlasStore(tmp_path)
     store.add({"kind": "brick", "name": "a"})
     with (tmp_path / MANIFEST).open("a") as opened:
         opened.write('{"kind": "brick", "na')
     assert [line["name"] for line in store.lines()] == ["a"]
     store.add({"kind": "brick", "name": "b"})
-    assert [line["name"] for line in store.lines()] == ["a", "b"] == [line["name"] for line in Store(tmp_path).lines()]
+    assert (
+        [line["name"] for line in store.lines()]
+        == ["a", "b"]
+        == [line["name"] for line in AtlasStore(tmp_path).lines()]
+    )
     assert store.there("b") and not store.there("na")
 
 
@@ -510,7 +514,7 @@ def test_numbers_of_bricks_that_are_none_are_refused(bricks: Any, tmp_path: Path
 
 def silenced(directory: Path, keep: int = 0) -> None:
     """Let the sheets of all bricks but the first few end in each of their cells."""
-    store = Store(directory)
+    store = AtlasStore(directory)
     survey = store.survey()
     assert survey is not None
     for line in list(store.latest(survey, 2).values())[keep:]:
@@ -522,17 +526,17 @@ def silenced(directory: Path, keep: int = 0) -> None:
 def test_how_much_of_the_region_has_cells_that_answer_is_told(copy: Path) -> None:
     atlas = open_atlas(copy)
     drawn = np.random.default_rng(7).uniform(atlas.region.low, atlas.region.high, (200, 2))
-    assert covered(atlas) == (1.0, 0.0) and atlas.query_many(drawn).good.all()
+    assert covered_share(atlas) == (1.0, 0.0) and atlas.query_many(drawn).good.all()
     silenced(copy, keep=4)
     atlas = open_atlas(copy)
     good = atlas.query_many(drawn).good.mean()
-    assert 0.1 < covered(atlas).answered < 0.4 and good == pytest.approx(covered(atlas).answered, abs=0.08)
+    assert 0.1 < covered_share(atlas).answered < 0.4 and good == pytest.approx(covered_share(atlas).answered, abs=0.08)
 
 
 def test_what_physics_refuses_is_not_counted_as_answered(tmp_path: Path) -> None:
     """From 100 km on perilune lies above the parking orbit."""
     atlas = open_atlas(build(cho_landing(), {"orbit.perilune_altitude": (80e3, 120e3)}, tmp_path / "high", bricks=2))
-    found = covered(atlas)
+    found = covered_share(atlas)
     assert found.impossible == pytest.approx(0.5, abs=0.05) and found.answered == pytest.approx(1 - found.impossible)
 
 
@@ -544,7 +548,9 @@ def test_a_build_that_answers_nowhere_is_refused_and_kept(copy: Path, capsys: py
     with pytest.raises(NotConvergedError, match=r"answers nowhere.*\n  got: \d+ extremals in \d+ bricks\n"):
         build(cho_landing(), AXES, copy)
     assert {k: v for k, v in snapshot(copy).items() if "claim" not in k} == whole
-    assert run(["atlas", "build", str(HYBRID), *VARY, "--out", str(copy), "--resume", "--sample", "0"]) == 4
+    assert (
+        run_command_line(["atlas", "build", str(HYBRID), *VARY, "--out", str(copy), "--resume", "--sample", "0"]) == 4
+    )
     assert "answers nowhere" in capsys.readouterr().err
-    assert run(["atlas", "info", str(copy)]) == 0
+    assert run_command_line(["atlas", "info", str(copy)]) == 0
     assert "cells that answer: 0.0 % of the region, by 1000 points" in capsys.readouterr().out

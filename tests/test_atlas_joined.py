@@ -25,10 +25,10 @@ from perilune.atlas.lines import written_line
 from perilune.atlas.merging import merge
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.region import region_of, wider
-from perilune.atlas.store import CHECKSUM, HEADER, MANIFEST, Store, sealed
-from perilune.atlas.survey import Found
+from perilune.atlas.store import CHECKSUM, HEADER, MANIFEST, AtlasStore, with_checksum
+from perilune.atlas.survey import SurveyedChart
 from perilune.atlas.verify import verify_atlas
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.solve import solve
 from perilune.words.outcome import PeriluneError
 
@@ -151,7 +151,7 @@ def test_sheets_that_are_new_reach_into_what_was_there(low: Path, monkeypatch: p
     seeds = np.load(low / survey["charts"][0]["seeds"]["file"])
     seeds = seeds[seeds["sheet"] == kept]
     seeds["sheet"] = 0
-    store = Store(low)
+    store = AtlasStore(low)
     chart = {**survey["charts"][0], "sheets": [survey["charts"][0]["sheets"][kept]]}
     chart["seeds"] = store.put("survey-0.npy", seeds)
     (low / MANIFEST).write_text(written_line({**survey, "charts": [chart]}) + "\n")
@@ -170,7 +170,7 @@ def test_sheets_that_are_not_found_again_are_carried_on(
     kept: int | None, low: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Forgetful(extending.Survey):
-        def run(self) -> list[Found]:
+        def run(self) -> list[SurveyedChart]:
             if kept is None:
                 raise PeriluneError("there is nothing to map")
             return [replace(one, sheets=one.sheets[:1], y=one.y[:1]) for one in super().run()[:kept]]
@@ -226,7 +226,7 @@ def test_two_side_by_side_make_one(parts: tuple[Path, Path], tmp_path: Path) -> 
 
 def put_header(directory: Path, header: dict[str, Any]) -> None:
     """Another header, which the lines of its manifest name as well."""
-    said, manifest = sealed(header), directory / MANIFEST
+    said, manifest = with_checksum(header), directory / MANIFEST
     lines = [json.loads(line) for line in manifest.read_text().splitlines()]
     own = ({**line, "header": said[CHECKSUM]} if line["kind"] == "survey" else line for line in lines)
     manifest.write_text("".join(written_line(line) + "\n" for line in own))
@@ -318,15 +318,15 @@ def test_a_merge_that_fails_leaves_the_atlas_that_it_was_to_replace(
 ) -> None:
     """It had removed that one first, and a full disk left nothing."""
     out = Path(shutil.copytree(parts[0], tmp_path / "out"))
-    before, put = snapshot(out), Store.put
+    before, put = snapshot(out), AtlasStore.put
 
-    def full(store: Store, name: str, array: Any) -> dict[str, Any]:
+    def full(store: AtlasStore, name: str, array: Any) -> dict[str, Any]:
         if name.startswith("brick"):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return put(store, name, array)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Store, "put", full)
+        patch.setattr(AtlasStore, "put", full)
         with pytest.raises(OSError, match="space"):
             merge(*parts, out, force=True)
     assert snapshot(out) == before and list(tmp_path.iterdir()) == [out]
@@ -340,18 +340,18 @@ def test_a_merge_that_fails_leaves_the_atlas_that_it_was_to_replace(
 def test_the_command_line_extends_and_merges(
     low: Path, parts: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["atlas", "extend", str(low), "--vary", "vehicle.thrust=425:440 N", "--json"]) == 0
+    assert run_command_line(["atlas", "extend", str(low), "--vary", "vehicle.thrust=425:440 N", "--json"]) == 0
     told = read_json(capsys.readouterr().out)
     assert told["axes"][0]["low"] == 425.0 and told["bricks"] == 24
     for vary in ("vehicle.thrust=426:440 N", "vehicle.thrust=420 N", "vehicle.thrust=420:440 s", "mass=1:2 kg"):
-        assert run(["atlas", "extend", str(low), "--vary", vary]) == 2
+        assert run_command_line(["atlas", "extend", str(low), "--vary", vary]) == 2
         assert capsys.readouterr().err.startswith("perilune: ")
     twice = ["--vary", "vehicle.thrust=425:440 N"]
-    assert run(["atlas", "extend", str(low), *twice, *twice]) == 2
+    assert run_command_line(["atlas", "extend", str(low), *twice, *twice]) == 2
     out = str(tmp_path / "out")
-    assert run(["atlas", "merge", *map(str, parts), "--out", out, "--json"]) == 0
+    assert run_command_line(["atlas", "merge", *map(str, parts), "--out", out, "--json"]) == 0
     assert read_json(capsys.readouterr().out)["bricks"] == 32
-    assert run(["atlas", "merge", *map(str, parts), "--out", out]) == 2
+    assert run_command_line(["atlas", "merge", *map(str, parts), "--out", out]) == 2
     assert "--force" in capsys.readouterr().err
-    assert run(["atlas", "merge", *map(str, parts), "--out", out, "--force"]) == 0
-    assert run(["atlas", "merge", str(parts[0]), "--out", out]) == 2
+    assert run_command_line(["atlas", "merge", *map(str, parts), "--out", out, "--force"]) == 0
+    assert run_command_line(["atlas", "merge", str(parts[0]), "--out", out]) == 2

@@ -14,7 +14,7 @@ import perilune as pl
 from perilune import PeriluneError
 from perilune.atlas import building
 from perilune.atlas.chart import Chart, Holds
-from perilune.atlas.course import Course
+from perilune.atlas.course import ArcSequence
 from perilune.atlas.extending import extend
 from perilune.atlas.query import open_atlas
 from perilune.atlas.sheets import Borders, Sheet
@@ -250,7 +250,7 @@ def test_a_sum_of_arcs_lies_between_bounds_that_follow_from_what_varies() -> Non
         ranges=lambda p, m: {"T": (0.5 * p.longest, p.longest, 0.9)},
     )  # fmt: skip
     rides = Structure(((Arc(until=0.3), Arc(until=0.7, along=("room",)), Arc()),))
-    borders = Borders(Chart(problem, ("longest",), np.array([0.4]), Course(structure=rides)))
+    borders = Borders(Chart(problem, ("longest",), np.array([0.4]), ArcSequence(structure=rides)))
     at, second = borders.names.index("T"), borders.chart.problem.scales.time
     for longest in ([0.8], [0.8, 1.1]):
         lower, upper = borders.at(np.array(longest)[:, None] / borders.chart.scale)

@@ -17,7 +17,7 @@ from perilune.atlas import building
 from perilune.atlas.many import Answered
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.slices import sliced
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.report import atlas_maps as drawing
 from perilune.report.atlas_maps import atlas_maps
 from perilune.solve import solve
@@ -168,18 +168,21 @@ def test_what_has_no_answer_is_left_out_and_said(weak: Atlas) -> None:
 
 def test_the_command_line_plots(jump: Atlas, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place, out = str(jump.store.directory), str(tmp_path / "maps")
-    assert run(["atlas", "plot", place, "--points", "9", "--axes", "vehicle.thrust", "--out", out, "--json"]) == 0
+    assert (
+        run_command_line(["atlas", "plot", place, "--points", "9", "--axes", "vehicle.thrust", "--out", out, "--json"])
+        == 0
+    )
     told = read_json(capsys.readouterr().out)
     assert told["answered"] == told["points"] == 9 and "sheets" in told["figures"]
     for name in told["figures"]:
         assert imread(Path(out) / f"{name}.png").std() > 0.01 and (Path(out) / f"{name}.svg").stat().st_size > 5000
-    assert run(["atlas", "plot", place, "--points", "9", "--out", out]) == 2
+    assert run_command_line(["atlas", "plot", place, "--points", "9", "--out", out]) == 2
     assert "not empty" in capsys.readouterr().err
-    assert run(["atlas", "plot", place, "--points", "5", "--axes", "vehicle.thrust"]) == 0
+    assert run_command_line(["atlas", "plot", place, "--points", "5", "--axes", "vehicle.thrust"]) == 0
     assert "slice over vehicle.thrust, retro.specific_impulse 290 s" in capsys.readouterr().out
-    assert run(["atlas", "plot", place, "--at", "vehicle.thrust=1 km"]) == 2
-    assert run(["atlas", "plot", place, "--points", "1"]) == 2
-    assert run(["atlas", "plot", str(tmp_path / "nowhere")]) == 2
+    assert run_command_line(["atlas", "plot", place, "--at", "vehicle.thrust=1 km"]) == 2
+    assert run_command_line(["atlas", "plot", place, "--points", "1"]) == 2
+    assert run_command_line(["atlas", "plot", str(tmp_path / "nowhere")]) == 2
 
 
 def test_a_figure_that_cannot_be_drawn_takes_no_other_with_it(
@@ -190,7 +193,7 @@ def test_a_figure_that_cannot_be_drawn_takes_no_other_with_it(
 
     monkeypatch.setitem(drawing._OF_CELLS, "nodes", broken)
     arguments = ["atlas", "plot", str(jump.store.directory), "--points", "5", "--axes", "vehicle.thrust"]
-    assert run([*arguments, "--out", str(tmp_path / "maps"), "--json"]) == 0
+    assert run_command_line([*arguments, "--out", str(tmp_path / "maps"), "--json"]) == 0
     said = capsys.readouterr()
     assert "nodes is not drawn" in said.err and "no such colour" in said.err
     document = read_json(said.out)

@@ -11,9 +11,9 @@ import pytest
 
 import perilune as pl
 from perilune.atlas.chart import Chart
-from perilune.atlas.physics import allowed
+from perilune.atlas.physics import point_feasibility
 from perilune.atlas.sheets import Borders
-from perilune.problem.preflight import Finding, possible, preflight
+from perilune.problem.preflight import Finding, is_possible, preflight
 from perilune.scenario import load_file
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -25,7 +25,7 @@ OVER = {
 
 
 def judged(problem: pl.Problem, names: list[str], points: Any) -> Any:
-    return possible(preflight(problem, dict(zip(names, points.T, strict=True))))
+    return is_possible(preflight(problem, dict(zip(names, points.T, strict=True))))
 
 
 @pytest.mark.parametrize("name", OVER)
@@ -33,7 +33,7 @@ def test_traced_physics_judges_as_it_is_stated(name: str) -> None:
     problem, axes = load_file(EXAMPLES / f"{name}.toml").problem, OVER[name]
     low, high = np.array(list(axes.values())).T
     points = np.random.default_rng(3).uniform(low, high, (400, len(axes)))
-    found = allowed(problem, list(axes))(points)
+    found = point_feasibility(problem, list(axes))(points)
     assert 20 < found.sum() < 380
     np.testing.assert_array_equal(found, judged(problem, list(axes), points))
 
@@ -41,7 +41,7 @@ def test_traced_physics_judges_as_it_is_stated(name: str) -> None:
 def test_what_is_no_number_passes_nothing() -> None:
     """A descent from rest: with a speed of 0 times a time without an end physics says nothing, and allows nothing."""
     problem, points = load_file(EXAMPLES / "polar_descent.toml").problem, np.array([[0.0], [np.nan], [1e4]])
-    found = allowed(problem, ["vehicle_thrust"])(points)
+    found = point_feasibility(problem, ["vehicle_thrust"])(points)
     np.testing.assert_array_equal(found, judged(problem, ["vehicle_thrust"], points))
     assert not found[:2].any()
 
@@ -59,12 +59,12 @@ def test_comparisons_that_only_numpy_reads_are_made_point_by_point() -> None:
 
     problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, preflight=compare)
     points = np.array([[399.0], [401.0], [400.0]])
-    assert allowed(problem, ["vehicle_thrust"])(points).tolist() == [False, True, True]
+    assert point_feasibility(problem, ["vehicle_thrust"])(points).tolist() == [False, True, True]
 
 
 def test_what_states_no_physics_is_allowed_everywhere() -> None:
     problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, preflight=None)
-    assert allowed(problem, ["vehicle_thrust"])(np.array([[-1.0], [1.0]])).all()
+    assert point_feasibility(problem, ["vehicle_thrust"])(np.array([[-1.0], [1.0]])).all()
 
 
 @pytest.mark.parametrize("name", ["hybrid_lander", "polar_descent", "precision_landing"])
@@ -114,6 +114,6 @@ def test_what_symbols_make_simpler_allows_no_more_than_what_is_stated(value: Any
 
     problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, preflight=compare)
     points = np.array([[399.0], [400.0], [401.0]])
-    found = allowed(problem, ["vehicle_thrust"])(points)
+    found = point_feasibility(problem, ["vehicle_thrust"])(points)
     np.testing.assert_array_equal(found, judged(problem, ["vehicle_thrust"], points))
     assert found[2] and not found.all()

@@ -17,20 +17,20 @@ import perilune as pl
 from perilune import Indirect, Problem, Scales
 from perilune.atlas import building
 from perilune.atlas.chart import Chart, Holds
-from perilune.atlas.course import PLAIN, course_of
-from perilune.atlas.march import _samples
+from perilune.atlas.course import PLAIN, arc_sequence_of
+from perilune.atlas.march import _admissible_controls
 from perilune.atlas.query import open_atlas
-from perilune.atlas.reflight import SLACK, Reflights
+from perilune.atlas.reflight import SLACK, ChartReintegration
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.solving import Solving
-from perilune.atlas.survey import _backwards
-from perilune.atlas.tasks import Task, computed
+from perilune.atlas.solving import RegionSolver
+from perilune.atlas.survey import _has_negative_arc
+from perilune.atlas.tasks import Task, compute_brick
 from perilune.methods.search import Search
-from perilune.methods.structured import Polish
+from perilune.methods.structured import StructureRefinement
 from perilune.problem.extremal import Nature
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from problems.constrained import (
     brachistochrone,
     brachistochrone_truth,
@@ -118,11 +118,11 @@ def test_who_meets_or_leaves_what_is_ridden_at_another_time_is_no_answer(
     problem: Problem, name: str, arc: int, later: float
 ) -> None:
     """A ms or a us off, all else solved for, something speaks against it: the path, the control, a jump or mu."""
-    search = Search(Indirect(), problem, silent)
-    course, extremals = course_of(Indirect().answer(search), search.answering.keep)
+    search = Search(Indirect(), problem, ignore_events)
+    course, extremals = arc_sequence_of(Indirect().answer(search), search.answering.keep)
     value = problem.given[name].value
     chart = Chart(problem, [name], np.array([0.1 * value]), course)
-    again, held = Reflights(chart), chart.shooting.plan.held
+    again, held = ChartReintegration(chart), chart.shooting.plan.held
     y, values = chart.told(np.array(extremals[0].unknowns))[None], np.array([[value]]) / chart.scale
     here = chart.solve(values, y, Holds(_nothing(chart)))
     flown = again(here.roots.y, chart.p[None], here.roots.choice)
@@ -142,8 +142,8 @@ def test_behind_a_fold_nothing_is_mapped_that_flies_an_arc_backwards_everywhere(
     Such sheets refused 113 of 156 precision landings over slopes of 18 to 32 deg and sink rates of 20 to 45 m/s.
     """
     problem = bryson_denham(0.12)
-    search = Search(Indirect(), problem, silent)
-    course, extremals = course_of(Indirect().answer(search), search.answering.keep)
+    search = Search(Indirect(), problem, ignore_events)
+    course, extremals = arc_sequence_of(Indirect().answer(search), search.answering.keep)
     chart = Chart(problem, ["ceiling"], np.array([0.1]), course)
     y, values = (
         chart.told(np.array(extremals[0].unknowns))[None],
@@ -155,10 +155,10 @@ def test_behind_a_fold_nothing_is_mapped_that_flies_an_arc_backwards_everywhere(
     borders, y = Borders(chart), np.vstack(found)
     assert borders.backwards(values, y).tolist() == [False, False, True, True]
     assert not Borders(Chart(problem, ["ceiling"], np.array([0.1]), PLAIN)).backwards(values, y).any()
-    assert _backwards(borders, values[2:], y[2:], values[3], y[3])
-    assert not _backwards(borders, values, y, values[3], y[3])
+    assert _has_negative_arc(borders, values[2:], y[2:], values[3], y[3])
+    assert not _has_negative_arc(borders, values, y, values[3], y[3])
     y[:2] = np.nan
-    assert _backwards(borders, values, y, values[3], y[3])
+    assert _has_negative_arc(borders, values, y, values[3], y[3])
 
 
 @pytest.mark.parametrize("length", [3.0, 0.3])
@@ -195,9 +195,9 @@ def test_a_brick_in_which_no_extremal_is_of_its_sheet_is_empty() -> None:
         problem=bryson_denham(0.4), names=("ceiling",), widths=np.array([0.1]), course=PLAIN, times=(1,),
         sheets=(sheet,), low=np.array([0.4]), high=np.array([0.5]), sheet=one, place=one[:, None], y=y, tolerance=1e-9,
     )  # fmt: skip
-    nodes, cells = computed(task)
+    nodes, cells = compute_brick(task)
     assert len(nodes) == len(cells) == 0
-    assert not any(map(len, computed(replace(task, before=(nodes, cells)))))
+    assert not any(map(len, compute_brick(replace(task, before=(nodes, cells)))))
 
 
 def test_between_an_answer_and_none_is_looked_as_well(tmp_path: Path) -> None:
@@ -269,7 +269,7 @@ def test_bounds_that_singular_controls_break_cast_no_doubt_on_flights_at_bounds(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """From 1.84 s on the singular arc of the swing asks for more than there is, and from 2 s on there is none."""
-    monkeypatch.setattr(Solving, "_between", lambda *_: [])
+    monkeypatch.setattr(RegionSolver, "_between", lambda *_: [])
     problem = swinging(2.0)
     atlas = open_atlas(build(problem, {"T": (1.75, 2.25)}, tmp_path / "map", bricks=2), lambda _: problem)
     points = np.linspace(2.01, 2.24, 50)[:, None]
@@ -287,7 +287,9 @@ def test_of_a_ride_and_touches_of_the_same_cost_the_ride_answers(
 ) -> None:
     """Below 1/6 parabolas from touch to touch have the J of Bryson and Denham's ride; no proof of level 3 is theirs."""
     problem = bryson_denham(0.2)
-    monkeypatch.setattr(Polish, "_ridden", lambda *known: known[-1])  # which takes them for the ride that they are
+    monkeypatch.setattr(
+        StructureRefinement, "_ridden", lambda *known: known[-1]
+    )  # which takes them for the ride that they are
     atlas = open_atlas(build(problem, {"ceiling": (0.09, 0.15)}, tmp_path / "map", bricks=2), lambda _: problem)
     points = np.random.default_rng(0).uniform(0.09, 0.15, (100, 1))
     found, labels = atlas.query_many(points), [label for charted in atlas.charted for label in charted.labels]
@@ -300,11 +302,13 @@ def test_a_singular_control_that_is_the_worst_is_told() -> None:
     """Farthest from zero in its place: the same arcs are an extremal, and Kelley's condition has the other sign."""
     for way in (1.0, -1.0):
         problem = nearest_to_zero(way=way)
-        search = Search(Indirect(), nearest_to_zero(), silent)
-        course, extremals = course_of(Indirect().answer(search), search.answering.keep)
+        search = Search(Indirect(), nearest_to_zero(), ignore_events)
+        course, extremals = arc_sequence_of(Indirect().answer(search), search.answering.keep)
         chart = Chart(problem, ["start"], np.array([0.1]), course)
         y = chart.told(np.array(extremals[0].unknowns))[None]
-        flown = Reflights(chart)(chart.whole(np.array([[1.0]]) / chart.scale, y), chart.p[None], _nothing(chart))
+        flown = ChartReintegration(chart)(
+            chart.whole(np.array([[1.0]]) / chart.scale, y), chart.p[None], _nothing(chart)
+        )
         assert bool(flown.seen.pays[0] > 0) is (way > 0)
 
 
@@ -343,5 +347,5 @@ def test_a_control_without_an_end_is_tried_close_by_and_within_its_bound(flown: 
     """By a tenth, canonical, to either side."""
     (phase,) = bryson_denham(1 / 9).phases
     phase = replace(phase, controls=(pl.Bounded(name="u", lower=0.0),))
-    found = _samples(phase, ca.SX(flown), ca.SX([0.0, float("inf")]))
+    found = _admissible_controls(phase, ca.SX(flown), ca.SX([0.0, float("inf")]))
     assert [float(one) for one in found] == pytest.approx(tried, abs=1e-15)

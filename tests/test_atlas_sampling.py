@@ -20,11 +20,11 @@ from perilune.atlas.extending import extend
 from perilune.atlas.lines import written_line
 from perilune.atlas.merging import merge
 from perilune.atlas.query import Atlas, open_atlas
-from perilune.atlas.read import may_be_answers
-from perilune.atlas.sampling import Certificate, Sample, assured, drawn_at_random, drawn_thin, sample_of
-from perilune.atlas.store import MANIFEST, Store
-from perilune.atlas.verify import Verified
-from perilune.cli import run
+from perilune.atlas.read import are_possible_answers
+from perilune.atlas.sampling import Certificate, Sample, assured_share, drawn_at_random, drawn_thin, sample_of
+from perilune.atlas.store import MANIFEST, AtlasStore
+from perilune.atlas.verify import AtlasVerification
+from perilune.cli import run_command_line
 from perilune.solve import prove
 from perilune.words.outcome import PeriluneError
 
@@ -87,11 +87,14 @@ def test_a_merge_keeps_the_proofs_of_nodes_whose_bricks_it_takes(built: Path, tm
 
 
 def test_what_a_draw_says_of_all_is_the_binomial_bound() -> None:
-    assert assured(459, 459) == pytest.approx(0.99, abs=1e-4) and assured(458, 459) == assured(0, 0) == 0.0
+    assert (
+        assured_share(459, 459) == pytest.approx(0.99, abs=1e-4)
+        and assured_share(458, 459) == assured_share(0, 0) == 0.0
+    )
     for n in (1, 10, 459):  # with that share of good ones n good ones in a row come once in a hundred draws
-        assert assured(n, n) ** n == pytest.approx(0.01)
+        assert assured_share(n, n) ** n == pytest.approx(0.01)
     good = Certificate(values=(1.0,), level=3, failed=())
-    assert Sample(drawn=(good,) * 10).share == assured(10, 10)
+    assert Sample(drawn=(good,) * 10).share == assured_share(10, 10)
     assert Sample(drawn=(good, replace(good, level=2, failed=("x",)))).share == 0.0
 
 
@@ -125,7 +128,7 @@ def test_draws_go_all_over_and_are_answers(tmp_path: Path) -> None:
     count = 0
     for key, line in atlas.said.items():
         nodes, sheets = np.load(atlas.store.directory / line["nodes"]["file"]), atlas.charted[key[0]].sheets
-        found = may_be_answers(nodes, sheets) & (nodes["margin"] < 1e-3)
+        found = are_possible_answers(nodes, sheets) & (nodes["margin"] < 1e-3)
         assert line["thin"] == found.sum()
         count += int(found.sum())
     assert sample_of(atlas).thin_nodes == count and len(thin) == min(3, count)
@@ -145,11 +148,11 @@ def test_places_that_a_query_refuses_are_counted_and_said(
         return query(atlas, **at)
 
     monkeypatch.setattr(Atlas, "query", refusing_first)
-    assert run(["atlas", "verify", str(copy), "--sample", "2", "--json"]) == 0
+    assert run_command_line(["atlas", "verify", str(copy), "--sample", "2", "--json"]) == 0
     found = read_json(capsys.readouterr().out)
-    assert found["drawn"] == found["proved"] == 2 and found["share"] == assured(2, 2)
+    assert found["drawn"] == found["proved"] == 2 and found["share"] == assured_share(2, 2)
     assert found["refused"] == len(found["refusals"]) == 1 and found["refusals"][0].endswith(" N: no answer here")
-    told = str(Verified(**{name: found[name] for name in Verified.__dataclass_fields__}))
+    told = str(AtlasVerification(**{name: found[name] for name in AtlasVerification.__dataclass_fields__}))
     assert "of 3 places that were drawn 1 are refused by a query" in told and found["refusals"][0] in told
     asked.clear()
     build(cho_landing(), THRUST, copy, sample=4)
@@ -173,16 +176,16 @@ def test_what_is_not_proved_is_said(
 
     monkeypatch.setattr(sampling, "prove", strict)
     out = str(tmp_path / "out")
-    assert run(["atlas", "build", HYBRID, *VARY, "--out", out, "--sample", "12", "--json"]) == 5
+    assert run_command_line(["atlas", "build", HYBRID, *VARY, "--out", out, "--sample", "12", "--json"]) == 5
     told = read_json(capsys.readouterr().out)["proofs"]
     assert told["drawn"] > told["proved"] > 0 and told["share"] == 0.0
     assert all(one["values"][0] > 440.0 and one["failed"] for one in told["unproved"])
-    assert run(["atlas", "info", out]) == 0
+    assert run_command_line(["atlas", "info", out]) == 0
     assert "not " in (said := capsys.readouterr().out) and "confidence" not in said
 
 
 def test_the_command_line_says_what_the_sample_says(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["atlas", "info", str(built)]) == 0
+    assert run_command_line(["atlas", "info", str(built)]) == 0
     assert "3 of 3 answers drawn at random proved to level 3: at least 21.5 % of all" in capsys.readouterr().out
 
 
@@ -213,17 +216,17 @@ def test_proofs_of_another_hand_are_refused_in_words(change: Callable[[dict[str,
     (copy / MANIFEST).write_text("".join(written_line(line) + "\n" for line in lines))
     with pytest.raises(PeriluneError, match="damaged"):
         sample_of(open_atlas(copy))
-    assert run(["atlas", "info", str(copy)]) == 2
+    assert run_command_line(["atlas", "info", str(copy)]) == 2
 
 
 def test_an_answer_says_what_those_reached_that_were_drawn(built: Path, copy: Path) -> None:
     """Of an atlas of which none was drawn nothing; where one of them failed, no more than it reached."""
     assert open_atlas(built).query(vehicle_thrust=440.0).query.inherited == 3
-    lines = Store(copy).lines()
+    lines = AtlasStore(copy).lines()
     others = [line for line in lines if line["kind"] != "sample"]
-    Store(copy).write_lines(others)
+    AtlasStore(copy).write_lines(others)
     assert open_atlas(copy).query(vehicle_thrust=440.0).query.inherited == 0
     (sample,) = [line for line in lines if line["kind"] == "sample"]
     sample["drawn"][0]["level"] = 1
-    Store(copy).write_lines([*others, sample])
+    AtlasStore(copy).write_lines([*others, sample])
     assert open_atlas(copy).query(vehicle_thrust=440.0).query.inherited == 1

@@ -13,22 +13,22 @@ import pytest
 
 from cho import cho_landing
 from perilune.atlas import building
-from perilune.atlas.branches import given
+from perilune.atlas.branches import cells_reproduce
 from perilune.atlas.cells import WHOLE, Cells, Nodes, Status
 from perilune.atlas.chart import Chart
-from perilune.atlas.course import Course
+from perilune.atlas.course import ArcSequence
 from perilune.atlas.folding import around_folds
 from perilune.atlas.many import Answered
 from perilune.atlas.query import open_atlas
 from perilune.atlas.region import region_of
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.solving import Solving
-from perilune.atlas.survey import Found, Survey
-from perilune.atlas.tasks import Task, computed
+from perilune.atlas.solving import RegionSolver
+from perilune.atlas.survey import Survey, SurveyedChart
+from perilune.atlas.tasks import Task, compute_brick
 from perilune.methods.indirect import Indirect
 from perilune.problem.extremal import Nature
 from perilune.solve import solve
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from problems.folded import cusp, cusp_cost, cusp_ends, two_cusps, two_cusps_cost
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
@@ -117,17 +117,17 @@ def test_a_sheet_is_followed_around_its_fold() -> None:
 
 def test_what_no_solve_has_found_is_met_behind_folds(monkeypatch: pytest.MonkeyPatch) -> None:
     """One extremal at the middle of the region leads to the maximum behind its fold, and that to the other minimum."""
-    solved = Solving._solved
+    solved = RegionSolver._solved
     middle = np.array([-1.25, 0.1])
 
-    def one_of(solving: Solving, values: np.ndarray) -> object:
+    def one_of(solving: RegionSolver, values: np.ndarray) -> object:
         found = solved(solving, middle) if np.allclose(values, middle) else None
         return None if found is None else type(found)(found.values, found.course, found.extremals[:1])
 
-    monkeypatch.setattr(Solving, "_solved", one_of)
+    monkeypatch.setattr(RegionSolver, "_solved", one_of)
     problem = cusp(-1.0, 0.1)
     region = region_of(problem, {"a": (-2.0, -0.5), "b": (-1.5, 1.7)})
-    (found,) = Survey(problem=problem, region=region, method=Indirect(), watch=silent).run()
+    (found,) = Survey(problem=problem, region=region, method=Indirect(), watch=ignore_events).run()
     assert [(sheet.nature, sheet.orientation) for sheet in found.sheets] == [
         (Nature.BEST, 1.0),
         (Nature.WORST, -1.0),
@@ -150,7 +150,7 @@ def test_a_sheet_that_enters_through_a_side_alone_begins_at_its_nodes_there(monk
         problem=problem,
         names=("a", "b"),
         widths=high - low,
-        course=Course(()),
+        course=ArcSequence(()),
         times=(2,),
         sheets=(Sheet(holds={}, orientation=1.0, nature=Nature.BEST),),
         low=low,
@@ -160,7 +160,7 @@ def test_a_sheet_that_enters_through_a_side_alone_begins_at_its_nodes_there(monk
         y=np.array([[-cusp_ends(-1.5, -0.25)[-1], 1.0]]),
         tolerance=1e-9,
     )
-    nodes, cells = computed(task)
+    nodes, cells = compute_brick(task)
     ends = np.array([cusp_ends(*values)[-1] for values in nodes["values"].tolist()])
     np.testing.assert_allclose(nodes["terms"][:, 0, 0], -ends, rtol=0, atol=1e-8)
     assert (cells["status"] == Status.ONE_STEP).any()
@@ -178,14 +178,14 @@ def test_a_cell_gives_an_extremal_by_its_size(size: float) -> None:
                   axis=one - 1, child=one, status=one)  # fmt: skip
     place, near = np.array([[1]]), 1e-3 * (1.0 + there)
     for off, has in ((0.9 * near, True), (-0.9 * near, True), (1.2 * near, False)):
-        assert given(cells, nodes, np.array([0.25]), place, np.array([[there + off]])).tolist() == [has]
+        assert cells_reproduce(cells, nodes, np.array([0.25]), place, np.array([[there + off]])).tolist() == [has]
 
 
 @pytest.fixture
-def beside() -> tuple[Survey, Found]:
+def beside() -> tuple[Survey, SurveyedChart]:
     """A survey in units of 2 and 3 that knows no sheets, where Newton's method stays where it is."""
     problem = cusp(-1.0, 0.1)
-    known = Found(
+    known = SurveyedChart(
         chart=cast("Chart", SimpleNamespace(
             scale=np.array([2.0, 3.0]), course=SimpleNamespace(text=""),
             solve=lambda values, y, holds, limit: SimpleNamespace(converged=[True]),
@@ -194,7 +194,7 @@ def beside() -> tuple[Survey, Found]:
         sheets=(), y=np.empty((0, 4, 1)), widths=np.ones(2),
     )  # fmt: skip
     region = region_of(problem, {"a": (-2.0, -0.5), "b": (1.5, 2.5)})
-    return Survey(problem=problem, region=region, method=Indirect(), watch=silent), known
+    return Survey(problem=problem, region=region, method=Indirect(), watch=ignore_events), known
 
 
 SMALL = Sheet(holds={}, orientation=1.0, nature=Nature.BEST)
@@ -202,11 +202,11 @@ INSIDE = np.array([-1.234, 1.789])
 
 
 def test_a_sheet_that_reaches_no_corner_begins_beside_where_it_was_met(
-    beside: tuple[Survey, Found], monkeypatch: pytest.MonkeyPatch
+    beside: tuple[Survey, SurveyedChart], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In the lattice of its brick, wherever that lies: within half a step."""
     survey, known = beside
-    monkeypatch.setattr("perilune.atlas.survey.carried", lambda *of: np.array([[7.0]]))
+    monkeypatch.setattr("perilune.atlas.survey.continue_sheet_to", lambda *of: np.array([[7.0]]))
     (one,) = survey._with_small(known, SMALL, INSIDE / known.chart.scale, np.array([7.0])).small
     low, high = survey.region.box(one.brick)
     assert (np.abs(one.values * known.chart.scale - INSIDE) <= 0.5001 * (high - low) / WHOLE).all()
@@ -214,7 +214,7 @@ def test_a_sheet_that_reaches_no_corner_begins_beside_where_it_was_met(
 
 
 def test_what_switches_by_rounding_is_said_with_its_place(
-    beside: tuple[Survey, Found], monkeypatch: pytest.MonkeyPatch
+    beside: tuple[Survey, SurveyedChart], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     survey, known = beside
     monkeypatch.setattr("perilune.atlas.survey._sided_by_rounding", lambda chart, start: True)

@@ -138,7 +138,7 @@ def test_a_file_that_is_not_there_or_too_large_is_refused(tmp_path: Path) -> Non
 
 def test_the_thermosphere_is_that_of_its_program() -> None:
     pymsis = pytest.importorskip("pymsis")
-    place = atmosphere.Way.over(0.3, -0.6)
+    place = atmosphere.TrajectoryProfile.over(0.3, -0.6)
     sun: dict[str, float] = {"f107": 150.0, "f107a": 140.0, "ap": 7.0}
     when = datetime(2024, 2, 21, 20, 40)
     air = atmosphere.thermosphere(when, place, **sun)
@@ -161,7 +161,7 @@ def test_the_thermosphere_along_a_flight_is_that_of_each_place() -> None:
     time = np.linspace(0.0, 2000.0, 400)
     altitude = 66e3 + 54e3 * np.cos(time / 2000.0 * math.pi) + 8e3 * np.sin(time / 200.0)
     longitude = np.mod(3.0 + 2e-4 * time + math.pi, 2 * math.pi) - math.pi  # over the date line
-    way = atmosphere.Way.down(altitude, longitude, 0.9 - 3e-4 * time, time)
+    way = atmosphere.TrajectoryProfile.down(altitude, longitude, 0.9 - 3e-4 * time, time)
     assert (np.diff(way.altitude) > 0).all() and np.abs(np.diff(way.longitude)).max() < 0.1
     air = atmosphere.thermosphere(when, way, **sun)
     for k in range(0, len(way.altitude), 40):
@@ -176,5 +176,7 @@ def test_the_thermosphere_along_a_flight_is_that_of_each_place() -> None:
 def test_what_is_missing_is_said_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pymsis", None)
     with pytest.raises(PeriluneError, match="nrlmsis needs pymsis") as error:
-        atmosphere.thermosphere(datetime(2024, 1, 1), atmosphere.Way.over(0.0, 0.0), f107=150, f107a=150, ap=4)
+        atmosphere.thermosphere(
+            datetime(2024, 1, 1), atmosphere.TrajectoryProfile.over(0.0, 0.0), f107=150, f107a=150, ap=4
+        )
     assert error.value.advice == "pip install 'perilune[msis]'"

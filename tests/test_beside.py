@@ -16,13 +16,13 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import perilune as pl
 from command_line import HYBRID, ORDINARY, read_json
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.io.export import save
 from perilune.io.reading import LONGEST_TEXT
 from perilune.problem.extremal import Nature
 from perilune.problem.solution import Solution
-from perilune.proof.crossed import agreement
-from perilune.proof.listed import found_again
+from perilune.proof.crossed import check_agreement
+from perilune.proof.listed import confirm_listed_extremals
 from perilune.report import REPORT_FILE
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
@@ -70,7 +70,7 @@ def edited(directory: Path, change: Change) -> Path:
 
 def told(directory: Path, capsys: pytest.CaptureFixture[str], *more: str) -> tuple[int, str]:
     """Exit code and all that is said."""
-    code = run(["verify", str(directory), "--level", "1", *more])
+    code = run_command_line(["verify", str(directory), "--level", "1", *more])
     said = capsys.readouterr()
     return code, said.out + said.err
 
@@ -228,12 +228,12 @@ def test_listed_extremals_stand_in_order_whatever_the_order_of_the_file(hybrid: 
     itself = (hybrid.objective, Nature.LOCAL_OPTIMUM)
     others = [(-120.0, Nature.LOCAL_OPTIMUM), (-155.0, Nature.WORST), (-140.0, Nature.LOCAL_OPTIMUM_AT_BOUND),
               (-130.0, Nature.LOCAL_OPTIMUM), (-150.0, Nature.WORST)]  # fmt: skip
-    extremals, notes = found_again(*reached(hybrid, itself, *others))
+    extremals, notes = confirm_listed_extremals(*reached(hybrid, itself, *others))
     assert [round(e.objective) for e in extremals] == [-161, -140, -130, -120, -155, -150]
     assert extremals[0].nature is Nature.BEST and notes == ()
-    extremals, notes = found_again(*reached(hybrid, itself, *others, (-200.0, Nature.WORST)))
+    extremals, notes = confirm_listed_extremals(*reached(hybrid, itself, *others, (-200.0, Nature.WORST)))
     assert extremals[0].nature is Nature.LOCAL_OPTIMUM and len(notes) == 1  # beside it something better still is near
-    extremals, notes = found_again(*reached(hybrid, itself, (-200.0, Nature.LOCAL_OPTIMUM)))
+    extremals, notes = confirm_listed_extremals(*reached(hybrid, itself, (-200.0, Nature.LOCAL_OPTIMUM)))
     assert extremals[0].nature is Nature.LOCAL_OPTIMUM and len(notes) == 1
 
 
@@ -242,7 +242,7 @@ def test_what_newton_reaches_is_proved_before_it_is_listed(hybrid: Solution, whi
     """An entry that is reached to the last digit, by a flight or costates that are wrong by a millionth."""
     itself, other = (hybrid.objective, Nature.LOCAL_OPTIMUM), (-150.0, Nature.LOCAL_OPTIMUM)
     listing, resolve = reached(hybrid, itself, other)
-    assert len(found_again(listing, resolve)[0]) == 2
+    assert len(confirm_listed_extremals(listing, resolve)[0]) == 2
     (flown,) = hybrid.trajectories
     curve = getattr(flown, which)
     wrong = replace(flown, **{which: replace(curve, values=curve.values * (1 + 1e-6))})
@@ -250,7 +250,7 @@ def test_what_newton_reaches_is_proved_before_it_is_listed(hybrid: Solution, whi
     def misled(problem: Any, guess: Solution) -> Solution:
         return replace(resolve(problem, guess), trajectories=(wrong,))
 
-    extremals, notes = found_again(listing, misled)
+    extremals, notes = confirm_listed_extremals(listing, misled)
     assert len(extremals) == 1 and "1 of the 2 extremals" in notes[0]
 
 
@@ -281,7 +281,7 @@ def test_a_claimed_mesh_error_opens_no_limit(hybrid: Solution) -> None:
 
     told_error = replace(hybrid.statistics, residual=1e6, claimed=True)
     claimed = replace(hybrid, method="pseudospectral", statistics=told_error, extremals=())
-    checks = list(agreement(claimed, None))
+    checks = list(check_agreement(claimed, None))
     assert all(c.limit < 1e-3 * claimed.problem.scales.of(c.unit) for c in checks if np.isfinite(c.limit))
     assert all(c.passed for c in checks), [c for c in checks if not c.passed]
     assert "by the file" in checks[1].meaning and "by pseudospectral" in checks[1].meaning
@@ -435,7 +435,7 @@ def test_every_part_is_refused_recomputed_or_not_repeated(
     hybrid_dir: Path, capsys: pytest.CaptureFixture[str], change: Change, code: int
 ) -> None:
     """At level 2, of which the multipliers are part."""
-    assert run(["verify", str(edited(hybrid_dir, change)), "--level", "2"]) == code
+    assert run_command_line(["verify", str(edited(hybrid_dir, change)), "--level", "2"]) == code
     said = capsys.readouterr()
     assert "999" not in said.out and "Traceback" not in said.err
     assert said.err == "" or code == 2

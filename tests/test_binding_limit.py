@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 import perilune as pl
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.direct.elastic import elastic_limits, relaxed_problem
 from perilune.io.export import extremals_document
-from perilune.methods.chattering import chattering
+from perilune.methods.chattering import detect_chattering
 from perilune.methods.coarse import Coarse
 from perilune.methods.indirect import Indirect
 from perilune.methods.infeasibility import with_binding_limit
@@ -179,14 +179,14 @@ def test_an_ordinary_flight_does_not_chatter() -> None:
     """Two switches of a throttle, and a direction that turns."""
     problem = load_file(EXAMPLES / "precision_landing.toml").problem
     flight = Coarse(Indirect(), problem, []).solve()
-    assert flight is not None and chattering(flight) is None
+    assert flight is not None and detect_chattering(flight) is None
 
 
 def test_the_log_of_the_search_is_shown_with_verbose_alone(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["solve", str(EXAMPLES / "precision_landing.toml"), "--set", "vehicle.thrust=4 kN", "--level", "0"]
-    assert run(words) == 4
+    assert run_command_line(words) == 4
     assert "random costates" not in (short := capsys.readouterr().err) and "IPOPT" not in short
-    assert run([*words, "--verbose"]) == 4
+    assert run_command_line([*words, "--verbose"]) == 4
     assert "    - random costates" in capsys.readouterr().err
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.atlas.physics import allowed
+from perilune.atlas.physics import point_feasibility
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.families.sweep import sweep
@@ -26,8 +26,8 @@ from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc
-from perilune.proof.extremal import _signs
+from perilune.proof.arc import PhaseData
+from perilune.proof.extremal import _check_range_signs
 from perilune.scenario import load_text
 from perilune.shooting.function import Shooting
 from perilune.solve import solve, verify
@@ -172,7 +172,7 @@ def test_an_empty_range_between_parameters_is_refused_in_an_atlas_too() -> None:
     assert refused.value.exit_code == 2
     assert refused.value.got == "the upper bound of speed 1 m/s" and refused.value.expected == "at least 1.2 m/s"
     points = np.array([[1.2, 1.0], [1.2, 1.3], [1.2, 1.2]])
-    assert allowed(problem, ["slowest", "fastest"])(points).tolist() == [False, True, True]
+    assert point_feasibility(problem, ["slowest", "fastest"])(points).tolist() == [False, True, True]
     assert preflight(problem.with_given(fastest=1.3)) == ()  # and of what is in order nothing is said
 
 
@@ -443,5 +443,5 @@ def test_a_multiplier_that_is_no_number_has_no_sign() -> None:
     """Of a range that is met at its bound."""
     rests = solve(placed_by_choice(0.2, ranged=True), level=0)
     for nu, passes in ((0.0, True), (-1.0, True), (1.0, False), (math.nan, False)):
-        (sign,) = _signs(Arc(solution=rests, index=0), np.array([nu]))
+        (sign,) = _check_range_signs(PhaseData(solution=rests, index=0), np.array([nu]))
         assert sign.passed is passes

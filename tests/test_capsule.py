@@ -18,7 +18,7 @@ from perilune.models import aerodynamics, ellipsoid
 from perilune.models.deorbit import ballistic
 from perilune.problem.problem import Problem
 from perilune.scenario import load_file, load_text
-from perilune.structures.read import readings
+from perilune.structures.read import detect_structures
 from perilune.structures.structure import conditions_of
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
@@ -80,7 +80,7 @@ def test_what_is_refused_is_less_than_what_any_fall_bears(example: str) -> None:
     said = next(f for f in pl.preflight(problem) if f.name.startswith("peak load"))
     assert said.passed is (example != "capsule")
     p, rng = problem.parameters({}), np.random.default_rng(1)
-    speeds = ballistic.box_of_speeds(p)
+    speeds = ballistic.speed_interval(p)
     assert speeds is not None
     flattest = getattr(p, "interface_angle_upper", math.nan)
     peaks = list[float]()
@@ -101,7 +101,7 @@ def test_what_separates_bounds_the_entry_as_a_dry_mass_does() -> None:
     assert time.process_time() - begun < 5.0
     least = next(float(f.value) for f in pl.preflight(problem) if f.name.startswith("peak load"))
     p, rng = problem.parameters({}), np.random.default_rng(2)
-    speeds = ballistic.box_of_speeds(p, 9)
+    speeds = ballistic.speed_interval(p, 9)
     assert speeds is not None
     for _ in range(2):
         angle, tilt = rng.uniform(p.interface_angle_lower, p.interface_angle_upper), rng.uniform(-0.3, 0.3)
@@ -132,18 +132,20 @@ def heaviest(
         events=landed, max_step=10.0,
     )  # fmt: skip
     density = [air.density(ellipsoid.altitude(x[:3], p, NUMERIC), p, NUMERIC) for x in flown.y.T]
-    loads = [aerodynamics.load(d, x[3:6], mass, p, NUMERIC) for d, x in zip(density, flown.y.T, strict=True)]
+    loads = [
+        aerodynamics.aerodynamic_load(d, x[3:6], mass, p, NUMERIC) for d, x in zip(density, flown.y.T, strict=True)
+    ]
     return float(max(loads)) / 9.80665 if flown.status else math.inf
 
 
 def test_the_least_of_a_grid_is_below_what_lies_between() -> None:
     """A parabola, a kink and a hole, on grids that miss where they are least."""
     x, y = np.meshgrid(np.linspace(-1.0, 1.0, 6), np.linspace(-1.0, 1.0, 4), indexing="ij")
-    assert -0.2 < ballistic.least_between(x**2 + y**2) < 0
-    assert -0.5 < ballistic.least_between(np.abs(x - 0.07)[..., None] + 0 * y[..., None]) < 0
+    assert -0.2 < ballistic.cell_minima(x**2 + y**2) < 0
+    assert -0.5 < ballistic.cell_minima(np.abs(x - 0.07)[..., None] + 0 * y[..., None]) < 0
     holed = np.where(x + y > 0.9, np.nan, 2 - x)
-    assert 0.5 < ballistic.least_between(holed) < 1.2
-    assert ballistic.least_between(np.array([[3.0]])) == 3.0
+    assert 0.5 < ballistic.cell_minima(holed) < 1.2
+    assert ballistic.cell_minima(np.array([[3.0]])) == 3.0
 
 
 def test_limits_that_some_ballistic_entry_keeps_are_not_refused() -> None:
@@ -163,7 +165,7 @@ def test_the_arcs_along_a_limit_are_read_off_the_direct_answer() -> None:
     """Down, up, as the limit has it, up and down again. It takes its seconds: two meshes of a whole return."""
     problem = capsule(('model = "us1976"', 'model = "exponential"\ndensity = "1.225 kg/m^3"\nscale_height = "7.2 km"'))
     rough = pl.Pseudospectral(nodes=5, segments=8, refine=0).run(problem)
-    arcs = readings(problem, pl.Pseudospectral(nodes=4, segments=32, refine=0).near(rough))[0]
+    arcs = detect_structures(problem, pl.Pseudospectral(nodes=4, segments=32, refine=0).near(rough))[0]
     assert [arc.text.partition(" and touches")[0] for arc in arcs.phases[-1][:5]] == [
         "lift_up at its lower bound",
         "lift_up at its upper bound",

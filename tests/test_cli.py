@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from command_line import HYBRID, ORDINARY, ROOT, read_json, snapshot
-from perilune.cli import options, run
-from perilune.cli.arguments import parsed
+from perilune.cli import options, run_command_line
+from perilune.cli.arguments import parse_command_line
 from perilune.families.continued import Continuation
 from perilune.families.family import Family, FamilyPoint
 from perilune.problem.problem import Problem
@@ -90,13 +90,13 @@ def test_a_refusal_has_its_code_and_its_parts(
     outcome: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run([*arguments, "--json"]) == code
+    assert run_command_line([*arguments, "--json"]) == code
     told = capsys.readouterr()
     document = read_json(told.out)
     assert document["outcome"] == outcome
     assert set(document["error"]) == {"what", "got", "expected", "try"} | ({"reason"} if code == 3 else set())
     assert document["error"]["what"] in told.err
-    assert run(arguments) == code
+    assert run_command_line(arguments) == code
     told = capsys.readouterr()
     assert told.out == "" or arguments[0] == "check"
     assert "Traceback" not in told.err
@@ -106,13 +106,13 @@ def test_a_refusal_has_its_code_and_its_parts(
 def test_every_level_of_the_library_may_be_asked_for() -> None:
     assert options.THEOREM == LEVELS[-1]
     for words in (["solve", HYBRID], ["sweep", HYBRID, "--vary", "a=1:2:1 N"], ["verify", "there"]):
-        assert parsed([*words, "--level", str(LEVELS[-1])]).level == LEVELS[-1]
+        assert parse_command_line([*words, "--level", str(LEVELS[-1])]).level == LEVELS[-1]
     for words in (["export", "there", "--out", "x.nc"], ["atlas", "query", "there"]):
-        assert parsed([*words, "--prove", str(LEVELS[-1])]).prove == LEVELS[-1]
+        assert parse_command_line([*words, "--prove", str(LEVELS[-1])]).prove == LEVELS[-1]
 
 
 def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([]) == 2
+    assert run_command_line([]) == 2
     assert "Commands:" in capsys.readouterr().err
 
 
@@ -130,7 +130,7 @@ def test_a_solve_that_fails_says_and_saves_what_was_tried(
 
     answer_with(monkeypatch, fails)
     out = tmp_path / "out"
-    assert run(["solve", HYBRID, "--out", str(out), "--json"]) == 4
+    assert run_command_line(["solve", HYBRID, "--out", str(out), "--json"]) == 4
     told = capsys.readouterr()
     document = read_json(told.out)
     assert document["outcome"] == "NOT_CONVERGED"
@@ -163,7 +163,7 @@ def test_whatever_happens_there_is_one_document(
         raise error
 
     answer_with(monkeypatch, fails)
-    assert run(["solve", HYBRID, "--json"]) == code
+    assert run_command_line(["solve", HYBRID, "--json"]) == code
     told = capsys.readouterr()
     assert read_json(told.out)["outcome"] == outcome
     assert "Traceback" not in told.err
@@ -173,7 +173,7 @@ def test_a_used_directory_is_refused_before_the_work(
     capsys: pytest.CaptureFixture[str], solved: list[Problem], tmp_path: Path
 ) -> None:
     (tmp_path / "mine.txt").write_text("mine")
-    assert run(["solve", HYBRID, "--out", str(tmp_path)]) == 2
+    assert run_command_line(["solve", HYBRID, "--out", str(tmp_path)]) == 2
     told = capsys.readouterr().err
     assert "--force" in told
     assert "warning" not in told
@@ -187,7 +187,7 @@ def test_a_used_directory_is_refused_before_the_work(
 def test_solve_says_its_answer_and_shows_every_iteration(
     capsys: pytest.CaptureFixture[str], solved: list[Problem]
 ) -> None:
-    assert run(["solve", HYBRID, "--verbose"]) == Outcome.SOLVED.exit_code == 5
+    assert run_command_line(["solve", HYBRID, "--verbose"]) == Outcome.SOLVED.exit_code == 5
     told = capsys.readouterr()
     assert "160.618584 kg" in told.out
     assert "iteration   7  residual 1.000e-12  step 2.000e-03  damping 1" in told.err
@@ -200,12 +200,12 @@ def test_checks_are_counted_unless_all_are_asked_for(
 ) -> None:
     proved = prove(hybrid, 1)
     answer_with(monkeypatch, lambda problem, method, **_: proved)
-    assert run(["solve", HYBRID]) == 0
+    assert run_command_line(["solve", HYBRID]) == 0
     count = len(proved.verification.checks)
     short = capsys.readouterr().out
     assert f"level 1, feasible:         {count} of {count} checks passed" in short
     assert not any(f"{check.name}: " in short for check in proved.verification.checks)
-    assert run(["solve", HYBRID, "--verbose"]) == 0
+    assert run_command_line(["solve", HYBRID, "--verbose"]) == 0
     long = capsys.readouterr().out
     assert all(f"ok   1 {check.name}: " in long for check in proved.verification.checks)
 
@@ -214,12 +214,12 @@ def test_what_solve_writes_can_be_verified_again(
     capsys: pytest.CaptureFixture[str], solved: list[Problem], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    run(["solve", ORDINARY, "--out", str(out), "--json", "--set", "vehicle.dry_mass=100 kg"])
+    run_command_line(["solve", ORDINARY, "--out", str(out), "--json", "--set", "vehicle.dry_mass=100 kg"])
     document = read_json(capsys.readouterr().out)
     files = snapshot(out)
     assert {"solution.json", "trajectory.csv", "report.md"} <= files.keys()
     assert {Path(name).suffix for name in files if name.startswith("figures")} == {".png", ".svg"}
-    assert run(["verify", str(out), "--level", "1", "--json"]) == 0
+    assert run_command_line(["verify", str(out), "--level", "1", "--json"]) == 0
     again = read_json(capsys.readouterr().out)
     assert again["outcome"] == "PROVED"
     assert again["results"] == document["results"]
@@ -228,7 +228,7 @@ def test_what_solve_writes_can_be_verified_again(
     saved = json.loads(files["solution.json"])
     saved["phases"][0]["control"]["values"] = [[-b, a] for a, b in saved["phases"][0]["control"]["values"]]
     (out / "solution.json").write_text(json.dumps(saved))
-    assert run(["verify", str(out), "--level", "1", "--json"]) == 5
+    assert run_command_line(["verify", str(out), "--level", "1", "--json"]) == 5
     assert read_json(capsys.readouterr().out)["outcome"] == "NOT_PROVED"
 
 
@@ -236,7 +236,7 @@ def test_a_landing_below_the_dry_mass_is_infeasible(capsys: pytest.CaptureFixtur
     # 160.62 kg land at best, more than the rocket equation alone forbids; what is left says nothing but the refusal.
     out = tmp_path / "out"
     arguments = ["solve", HYBRID, "--set", "vehicle.dry_mass=161 kg", "--out", str(out), "--json"]
-    assert run(arguments) == 3
+    assert run_command_line(arguments) == 3
     document = read_json(capsys.readouterr().out)
     assert "mass (m) falls to 160.6" in document["error"]["got"]
     assert snapshot(out).keys() == {"failure.json"}
@@ -246,7 +246,7 @@ def test_a_landing_below_the_dry_mass_is_infeasible(capsys: pytest.CaptureFixtur
 def test_what_cannot_be_flown_leaves_its_refusal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     out = tmp_path / "out"
     weak = ["--set", "vehicle.thrust=4 N", "--set", "vehicle.dry_mass=30 kg"]
-    assert run(["solve", HYBRID, *weak, "--out", str(out), "--json"]) == 3
+    assert run_command_line(["solve", HYBRID, *weak, "--out", str(out), "--json"]) == 3
     error = read_json(capsys.readouterr().out)["error"]
     assert error["reason"] == "cannot be flown"
     assert snapshot(out).keys() == {"failure.json"}
@@ -254,13 +254,13 @@ def test_what_cannot_be_flown_leaves_its_refusal(capsys: pytest.CaptureFixture[s
 
 
 def test_check_lists_its_comparisons(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["check", HYBRID, "--json"]) == 0
+    assert run_command_line(["check", HYBRID, "--json"]) == 0
     document = read_json(capsys.readouterr().out)
     assert document["outcome"] == "POSSIBLE"
     verdicts = {f["name"]: f["verdict"] for f in document["findings"]}
     assert verdicts["thrust against weight at ignition"] == "warning"
     assert set(verdicts.values()) == {"ok", "warning"}
-    assert run(["check", HYBRID]) == 0
+    assert run_command_line(["check", HYBRID]) == 0
     told = capsys.readouterr().out
     assert "cannot hover" in told
     assert "at ignition: 0.903772 (at least 1)" in told
@@ -279,7 +279,7 @@ def test_sweep_reports_what_is_impossible_and_goes_on(
     out = tmp_path / "family"
     arguments = ["sweep", ORDINARY, "--vary", "vehicle.thrust=440:0.4:-219.8 N", "--out", str(out)]
     arguments += ["--set", "vehicle.dry_mass=30 kg"]
-    assert run([*arguments, "--json"]) == 4
+    assert run_command_line([*arguments, "--json"]) == 4
     document = read_json(capsys.readouterr().out)
     assert [p["value"] for p in document["points"]] == pytest.approx([440.0, 220.2, 0.4])
     assert "did not" in document["points"][1]["message"]
@@ -287,7 +287,7 @@ def test_sweep_reports_what_is_impossible_and_goes_on(
     assert [p["outcome"] for p in document["points"]] == ["PROVED", "NOT_CONVERGED", "INFEASIBLE"]
     family = {name for name in snapshot(out) if not name.startswith("members")}
     assert family == {"family.csv", "family.json", "family.png", "family.svg"}
-    assert run([*arguments, "--force"]) == 4
+    assert run_command_line([*arguments, "--force"]) == 4
     assert capsys.readouterr().out == (out / "family.csv").read_text(encoding="utf-8")
 
 
@@ -312,7 +312,10 @@ def test_a_stopped_sweep_says_how_far_it_came(
         importlib.import_module("perilune.families.sweep"), "sweep", family_of(ordinary, interrupted=True)
     )
     out = tmp_path / "family"
-    assert run(["sweep", ORDINARY, "--vary", "vehicle.thrust=440:460:10 N", "--out", str(out), "--json"]) == 130
+    assert (
+        run_command_line(["sweep", ORDINARY, "--vary", "vehicle.thrust=440:460:10 N", "--out", str(out), "--json"])
+        == 130
+    )
     told = capsys.readouterr()
     document = read_json(told.out)
     assert document["interrupted"] is True
@@ -343,7 +346,7 @@ def test_a_sweep_may_bring_its_key_into_the_scenario(
     monkeypatch.setattr(
         importlib.import_module("perilune.report.family"), "family_csv", lambda family: families.append(family) or ""
     )
-    assert run(["sweep", file, "--vary", vary, "--level", "0"]) == 0
+    assert run_command_line(["sweep", file, "--vary", vary, "--level", "0"]) == 0
     problem = families[0].problem
     assert problem.free_names == ("retro_delta_v", "flight_time")
     assert {name: problem.given[name].value for name in given} == given
@@ -353,20 +356,26 @@ def test_a_list_is_swept_in_its_order(tmp_path: Path, capsys: pytest.CaptureFixt
     """Each value of it is tried as the file's own is, wherever it stands."""
     out = tmp_path / "family"
     assert (
-        run(["sweep", ORDINARY, "--vary", "vehicle.thrust=480, 0.44 kN, 460 N", "--level", "0", "--out", str(out)]) == 0
+        run_command_line(
+            ["sweep", ORDINARY, "--vary", "vehicle.thrust=480, 0.44 kN, 460 N", "--level", "0", "--out", str(out)]
+        )
+        == 0
     )
     rows = list(csv.reader(capsys.readouterr().out.splitlines()))
     assert [float(row[0]) for row in rows[1:]] == [480.0, 440.0, 460.0]
     masses = [float(row[1]) for row in rows[1:]]
     assert masses[1] < masses[2] < masses[0] and (out / "family.png").is_file()
-    assert run(["sweep", ORDINARY, "--vary", "vehicle.thrust=480,200000,440 N"]) == 2
+    assert run_command_line(["sweep", ORDINARY, "--vary", "vehicle.thrust=480,200000,440 N"]) == 2
     assert "more than a lander withstands" in capsys.readouterr().err
 
 
 def test_a_real_sweep_through_the_jump(capsys: pytest.CaptureFixture[str]) -> None:
     # The retro burn stops paying at an impulsive Isp of 277.9 s: Cho et al. 2015 read about 280 s off their
     # Fig 10.
-    assert run(["sweep", HYBRID, "--vary", "retro.specific_impulse=278:277:-1 s", "--json", "--level", "1"]) == 0
+    assert (
+        run_command_line(["sweep", HYBRID, "--vary", "retro.specific_impulse=278:277:-1 s", "--json", "--level", "1"])
+        == 0
+    )
     points = read_json(capsys.readouterr().out)["points"]
     assert [round(p["results"]["delta_v"]["value"]) for p in points] == [1087, 0]
     assert all(p["outcome"] == "PROVED" for p in points)
@@ -376,22 +385,24 @@ def test_new_writes_a_scenario_that_may_be_solved(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "mine.toml"
-    assert run(["new", str(path)]) == 0
-    assert run(["check", str(path)]) == 0
+    assert run_command_line(["new", str(path)]) == 0
+    assert run_command_line(["check", str(path)]) == 0
     path.write_text("mine")
-    assert run(["new", str(path)]) == 2
+    assert run_command_line(["new", str(path)]) == 2
     assert path.read_text() == "mine"
-    assert run(["new", str(path), "--force"]) == 0
+    assert run_command_line(["new", str(path), "--force"]) == 0
     written = path.read_text(encoding="utf-8")
     capsys.readouterr()
-    assert run(["new"]) == 0
+    assert run_command_line(["new"]) == 0
     assert capsys.readouterr().out == written
-    assert run(["new", "hybrid_landing"]) == 0
+    assert run_command_line(["new", "hybrid_landing"]) == 0
     assert capsys.readouterr().out == written
     monkeypatch.chdir(tmp_path)
-    assert run(["new", "hybrid_landing.toml"]) == 0 and Path("hybrid_landing.toml").exists()
+    assert run_command_line(["new", "hybrid_landing.toml"]) == 0 and Path("hybrid_landing.toml").exists()
     capsys.readouterr()
-    assert run(["new", "moon_walk"]) == 2 and not Path("moon_walk").exists()  # a kind, and not the name of a file
+    assert (
+        run_command_line(["new", "moon_walk"]) == 2 and not Path("moon_walk").exists()
+    )  # a kind, and not the name of a file
     assert "no kind of this name" in capsys.readouterr().err
 
 
@@ -399,35 +410,38 @@ def test_new_hands_out_the_examples(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(["new", "examples", "--json"]) == 0
+    assert run_command_line(["new", "examples", "--json"]) == 0
     files = read_json(capsys.readouterr().out)["files"]
     assert {"hybrid_lander.toml", "maps/build.py", "own_kind/hop.toml"} <= set(files)
     assert all((ROOT / "examples" / name).read_bytes() == (tmp_path / "examples" / name).read_bytes() for name in files)
-    assert run(["check", "examples/hybrid_lander.toml"]) == 0
+    assert run_command_line(["check", "examples/hybrid_lander.toml"]) == 0
     (tmp_path / "examples/hybrid_lander.toml").write_text("mine")
-    assert run(["new", "examples"]) == 2 and "the directory is there already" in capsys.readouterr().err
+    assert run_command_line(["new", "examples"]) == 2 and "the directory is there already" in capsys.readouterr().err
     assert (tmp_path / "examples/hybrid_lander.toml").read_text() == "mine"
-    assert run(["new", "examples", "--force"]) == 0 and run(["check", "examples/hybrid_lander.toml"]) == 0
-    assert run(["new", "examples", "there"]) == 0 and Path("there/own_problem.py").is_file()
+    assert (
+        run_command_line(["new", "examples", "--force"]) == 0
+        and run_command_line(["check", "examples/hybrid_lander.toml"]) == 0
+    )
+    assert run_command_line(["new", "examples", "there"]) == 0 and Path("there/own_problem.py").is_file()
 
 
 @pytest.mark.parametrize("kind", ["hybrid_landing", "powered_descent", "precision_landing"])
 def test_new_knows_every_kind(kind: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    assert run(["new", kind, str(path)]) == 0
-    assert run(["solve", str(path), "--level", "1", "--json"]) == 0
+    assert run_command_line(["new", kind, str(path)]) == 0
+    assert run_command_line(["solve", str(path), "--level", "1", "--json"]) == 0
     document = read_json(capsys.readouterr().out.partition("\n")[2].partition("\n")[2])
     assert (document["problem"], document["outcome"]) == (kind, "PROVED")
-    assert run(["new", "landing_on_paper", str(tmp_path / "other.toml")]) == 2
+    assert run_command_line(["new", "landing_on_paper", str(tmp_path / "other.toml")]) == 2
     assert not (tmp_path / "other.toml").exists()
 
 
 def test_version_and_doctor(capsys: pytest.CaptureFixture[str]) -> None:
     from perilune import __version__
 
-    assert run(["--version"]) == 0
+    assert run_command_line(["--version"]) == 0
     assert capsys.readouterr().out == f"perilune {__version__}\n"
-    assert run(["doctor", "--json"]) == 0
+    assert run_command_line(["doctor", "--json"]) == 0
     told = read_json(capsys.readouterr().out)
     assert {"python", "numpy", "casadi"} <= told["versions"].keys()
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
@@ -439,10 +453,10 @@ def test_ctrl_c_before_the_work_has_begun(capsys: pytest.CaptureFixture[str], mo
         raise KeyboardInterrupt
 
     monkeypatch.setattr(importlib.import_module("perilune.cli.commands"), "deliver", stopped)
-    assert run(["solve", HYBRID, "--json"]) == 130
+    assert run_command_line(["solve", HYBRID, "--json"]) == 130
     assert read_json(capsys.readouterr().out)["outcome"] == "INTERRUPTED"
 
 
 def test_a_misspelt_kind_is_no_file(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["new", "powerd_descent"]) == 2
+    assert run_command_line(["new", "powerd_descent"]) == 2
     assert "powered_descent" in capsys.readouterr().err

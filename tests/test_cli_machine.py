@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from command_line import read_json
-from perilune.cli import main, run
+from perilune.cli import main, run_command_line
 from perilune.kernels.code import cache
 
 
@@ -17,19 +17,19 @@ def test_doctor_shows_and_clears_the_machine_code(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("PERILUNE_CACHE", str(tmp_path / "cache"))
-    cache.save("one", b"body")
-    assert run(["doctor"]) == 0
+    cache.store_object("one", b"body")
+    assert run_command_line(["doctor"]) == 0
     assert f"1 files, 0.0 MB, in {tmp_path / 'cache'}\n" in capsys.readouterr().out
-    assert run(["doctor", "--clear-cache", "--json"]) == 0
+    assert run_command_line(["doctor", "--clear-cache", "--json"]) == 0
     found = read_json(capsys.readouterr().out)["cache"]
     assert found == {"path": str(tmp_path / "cache"), "files": 0, "bytes": 0, "usable": True, "removed": 1}
     assert list((tmp_path / "cache").iterdir()) == []
     (tmp_path / "cache").rmdir()
     (tmp_path / "cache").write_text("in the way")
-    assert run(["doctor"]) == 0
+    assert run_command_line(["doctor"]) == 0
     assert "cannot be used" in capsys.readouterr().out
     monkeypatch.setenv("PERILUNE_CACHE", "off")
-    assert run(["doctor"]) == 0
+    assert run_command_line(["doctor"]) == 0
     assert "none is kept" in capsys.readouterr().out
 
 
@@ -38,7 +38,9 @@ def test_without_cache_none_is_used(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: str
 ) -> None:
     monkeypatch.setenv("PERILUNE_CACHE", str(tmp_path))
-    run([command, "nowhere", "--no-cache", *{"sweep": ["--vary", ""], "reproduce": ["--out", ""]}.get(command, [])])
+    run_command_line(
+        [command, "nowhere", "--no-cache", *{"sweep": ["--vary", ""], "reproduce": ["--out", ""]}.get(command, [])]
+    )
     assert cache.directory() is None
     assert "No such option" not in capsys.readouterr().err
 

@@ -15,8 +15,8 @@ import pytest
 
 import perilune as pl
 from command_line import COMMAND, ENVIRONMENT, HYBRID, ORDINARY, ROOT, read_json, snapshot
-from perilune.cli import run
-from perilune.cli.progress import Told
+from perilune.cli import run_command_line
+from perilune.cli.progress import SpinnerText
 from perilune.io.files import fresh_directory
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -81,13 +81,13 @@ def test_a_full_disk_is_told_where_it_can_be(redirected: str, arguments: tuple[s
 
 
 def test_a_spinner_says_how_many_in_one_line() -> None:
-    told = Told()
+    told = SpinnerText()
     first = told.line("vehicle_thrust = 440 N, vehicle_mass = 300 kg (3 of 17)", 38)
     assert str(first).startswith("3 of 17: vehicle_thrust = 440 N")
     assert first.cell_len <= 38
     assert str(told.line("iteration  12  residual 1.0e-03", 58)) == "3 of 17: iteration  12  residual 1.0e-03"
     assert str(told.line("x = 1 m (5 of 17): PROVED, 4 of 17 done", 58)) == "4 of 17: x = 1 m"
-    assert str(Told().line("[odd] markup", 58)) == "[odd] markup"
+    assert str(SpinnerText().line("[odd] markup", 58)) == "[odd] markup"
 
 
 # --- values
@@ -108,7 +108,7 @@ def test_a_spinner_says_how_many_in_one_line() -> None:
     ],
 )
 def test_a_number_of_no_ordinary_size_is_refused(capsys: pytest.CaptureFixture[str], file: str, change: str) -> None:
-    assert run(["check", file, "--set", change]) == 2
+    assert run_command_line(["check", file, "--set", change]) == 2
     assert change.partition("=")[0] in capsys.readouterr().err
 
 
@@ -127,14 +127,14 @@ def test_a_number_of_no_ordinary_size_is_refused(capsys: pytest.CaptureFixture[s
 def test_a_sweep_says_what_is_wrong_with_its_keys(
     capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
 ) -> None:
-    assert run(["sweep", ORDINARY, *arguments]) == 2
+    assert run_command_line(["sweep", ORDINARY, *arguments]) == 2
     told = capsys.readouterr().err
     assert said in told
     assert "corridor" not in told and "approach" not in told  # keys of other kinds
 
 
 def test_a_sweep_knows_the_keys_of_its_own_kind(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["sweep", PRECISION, "--vary", "orbit.perilune_altitude=10:11:1 km"]) == 2
+    assert run_command_line(["sweep", PRECISION, "--vary", "orbit.perilune_altitude=10:11:1 km"]) == 2
     told = capsys.readouterr().err
     assert "no key with a quantity of this name" in told and "approach.up" in told
 
@@ -143,7 +143,7 @@ def test_new_takes_its_words_in_any_order(capsys: pytest.CaptureFixture[str], tm
     path = tmp_path / "mine.toml"
     path.write_text("mine")
     for order in (["powered_descent", "--force", str(path)], ["--force", "powered_descent", str(path)]):
-        assert run(["new", *order, "--json"]) == 0
+        assert run_command_line(["new", *order, "--json"]) == 0
         assert path.read_text(encoding="utf-8") == template("powered_descent")
 
 
@@ -164,17 +164,17 @@ def test_new_takes_its_words_in_any_order(capsys: pytest.CaptureFixture[str], tm
 def test_a_misspelt_word_is_offered_the_nearest(
     capsys: pytest.CaptureFixture[str], arguments: list[str], said: tuple[str, ...]
 ) -> None:
-    assert run(arguments) == 2
+    assert run_command_line(arguments) == 2
     told = capsys.readouterr().err
     assert all(word in told for word in said), told
 
 
 @pytest.mark.parametrize("arguments", [["help"], ["-h"], ["--help"]])
 def test_help_may_be_asked_for_in_any_way(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
-    assert run(arguments) == 0
+    assert run_command_line(arguments) == 0
     assert "Commands:" in capsys.readouterr().out
     for command in (["solve", "-h"], ["help", "solve"], ["solve", "--help"]):
-        assert run(command) == 0
+        assert run_command_line(command) == 0
         assert capsys.readouterr().out.startswith("usage: perilune solve ")
 
 
@@ -185,7 +185,7 @@ def test_an_older_run_leaves_nothing_beside_the_new_one(
     solved: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    assert run(["solve", ORDINARY, "--out", str(out)]) == 5
+    assert run_command_line(["solve", ORDINARY, "--out", str(out)]) == 5
     new = snapshot(out)
     figures = out / "figures"
     # Figures of another kind of problem, a report of a family, and what the user put there.
@@ -196,7 +196,7 @@ def test_an_older_run_leaves_nothing_beside_the_new_one(
     kept = {"notes.txt": b"mine", "figures/mine.svg": b"<svg/>", "figures/mine.png": b"mine"}
     for name, content in kept.items():
         (out / name).write_bytes(content)
-    assert run(["solve", ORDINARY, "--out", str(out), "--force"]) == 5
+    assert run_command_line(["solve", ORDINARY, "--out", str(out), "--force"]) == 5
     assert snapshot(out).keys() == {*new, *kept}
 
     # A second run that only looks at the directory removes nothing, whatever becomes of it.
@@ -205,7 +205,7 @@ def test_an_older_run_leaves_nothing_beside_the_new_one(
 
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", stopped)
     before = snapshot(out)
-    assert run(["solve", ORDINARY, "--out", str(out), "--force"]) == 130
+    assert run_command_line(["solve", ORDINARY, "--out", str(out), "--force"]) == 130
     assert snapshot(out) == before
 
 
@@ -224,14 +224,14 @@ def test_what_was_solved_is_kept_where_its_figures_are_not_finished(
         raise ending
 
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)
-    monkeypatch.setattr("perilune.report.figures.drawings", drawn)
+    monkeypatch.setattr("perilune.report.figures.solution_drawings", drawn)
     out = tmp_path / "out"
     out.mkdir()
     (out / "solution.json").write_text("{}")  # what an earlier run left
     (out / "figures").mkdir()
     (out / "figures" / "mass.svg").write_text("<svg><dc:title>perilune</dc:title></svg>")
     stopped = isinstance(ending, KeyboardInterrupt)
-    assert run(["solve", ORDINARY, "--out", str(out), "--force"]) == (130 if stopped else 5)
+    assert run_command_line(["solve", ORDINARY, "--out", str(out), "--force"]) == (130 if stopped else 5)
     assert pl.load(out).objective == ordinary.objective
     assert snapshot(out).keys() == {"solution.json", "trajectory.csv", *([] if stopped else ["report.md"])}
     said = capsys.readouterr()
@@ -261,9 +261,9 @@ def test_a_failure_does_not_block_its_directory(
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)
     out = tmp_path / "out"
     for code, outcome in ((130, "INTERRUPTED"), (3, "INFEASIBLE")):
-        assert run(["solve", ORDINARY, "--out", str(out)]) == code
+        assert run_command_line(["solve", ORDINARY, "--out", str(out)]) == code
         assert read_json((out / "failure.json").read_text(encoding="utf-8"))["outcome"] == outcome
-    assert run(["solve", ORDINARY, "--out", str(out)]) == 5
+    assert run_command_line(["solve", ORDINARY, "--out", str(out)]) == 5
     assert "solution.json" in snapshot(out) and "failure.json" not in snapshot(out)
 
 
@@ -299,15 +299,15 @@ def test_what_a_killed_writer_left_is_removed_by_the_next(tmp_path: Path) -> Non
 def test_a_sweep_in_a_used_directory_names_the_ways_on(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     out = tmp_path / "family"
     sweep = ["sweep", ORDINARY, "--vary", "vehicle.thrust=440:441:1 N", "--level", "0", "--out", str(out)]
-    assert run(sweep) == 0
-    assert run(sweep) == 2
+    assert run_command_line(sweep) == 0
+    assert run_command_line(sweep) == 2
     told = capsys.readouterr().err
     assert "--resume" in told and "--force" in told
-    assert run([*sweep, "--resume"]) == 0
+    assert run_command_line([*sweep, "--resume"]) == 0
     other = tmp_path / "notes"
     other.mkdir()
     (other / "mine.txt").write_text("mine")
-    assert run([*sweep[:-1], str(other), "--resume"]) == 2
+    assert run_command_line([*sweep[:-1], str(other), "--resume"]) == 2
     assert "no sweep" in capsys.readouterr().err
     assert snapshot(other) == {"mine.txt": b"mine"}
 
@@ -330,5 +330,5 @@ def test_a_full_disk_names_the_place(tmp_path: Path) -> None:
 def test_a_line_that_is_no_toml_is_shown(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "unquoted.toml"
     path.write_text(template().replace('"300 kg"', "300 kg"), encoding="utf-8")
-    assert run(["check", str(path)]) == 2
+    assert run_command_line(["check", str(path)]) == 2
     assert "mass = 300 kg" in capsys.readouterr().err

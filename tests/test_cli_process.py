@@ -20,9 +20,9 @@ import pytest
 
 import perilune
 from command_line import COMMAND, ENVIRONMENT, HYBRID, read_json, snapshot
-from perilune.cli.answer import Answer, deliver
+from perilune.cli.answer import CommandAnswer, emit_answer
 from perilune.cli.progress import progress
-from perilune.cli.stopping import put_off
+from perilune.cli.stopping import defer_interrupt
 from perilune.direct import nlp
 from perilune.words.outcome import NotConvergedError
 
@@ -88,7 +88,7 @@ def test_ctrl_c_in_the_direct_method_is_told_in_our_words_only(capsys: pytest.Ca
     x, many = ca.MX.sym("x"), ca.MX(ca.linspace(0, 1, 1_000_000))
     program = {"x": x, "f": ca.sumsqr(ca.sin(many * x) - 0.3 + 1e-3 * x * many), "p": ca.MX.sym("p", 0)}
     options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-300}
-    solver = nlp._Solver(ca.nlpsol("slow", "ipopt", program, options), nlp._Alive(1, 0, 0), Lock())
+    solver = nlp._Solver(ca.nlpsol("slow", "ipopt", program, options), nlp._IterationCallback(1, 0, 0), Lock())
     none = np.empty(0)
     posed: Any = SimpleNamespace(given=none, lower=np.array([-9.0]), upper=np.array([9.0]), low=none, high=none)
     stop = Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGINT))
@@ -97,7 +97,7 @@ def test_ctrl_c_in_the_direct_method_is_told_in_our_words_only(capsys: pytest.Ca
         solver(posed, np.array([5.0]))
         time.sleep(1.0)
         pytest.fail("it was over before it was stopped")
-    with nlp._told_in_our_words():
+    with nlp._rewrite_interrupt_messages():
         print("something else\nand a piece", end="", file=sys.stderr)
     assert capsys.readouterr().err == "something else\nand a piece"
 
@@ -185,7 +185,7 @@ def test_help_loads_nothing_heavy() -> None:
     heavy = "numpy scipy casadi matplotlib pydantic llvmlite rich"
     program = (
         "import sys, perilune.cli\n"
-        "code = perilune.cli.run(['--help'])\n"
+        "code = perilune.cli.run_command_line(['--help'])\n"
         f"print(code, [m for m in {heavy.split()} if m in sys.modules], file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT)
@@ -271,7 +271,7 @@ def test_a_stop_waits_until_what_was_computed_is_kept(monkeypatch: pytest.Monkey
     monkeypatch.setattr("perilune.cli.stopping.STOPPED", Event())
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     done = list[str]()
-    with pytest.raises(KeyboardInterrupt), put_off():
+    with pytest.raises(KeyboardInterrupt), defer_interrupt():
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.01)
         done.append("kept")
@@ -286,19 +286,19 @@ def test_what_foreign_code_makes_of_a_stop_is_a_stop(
     stopped = Event()
     monkeypatch.setattr("perilune.cli.answer.STOPPED", stopped)
 
-    def work() -> Answer:
+    def work() -> CommandAnswer:
         stopped.set()
         raise error
 
-    assert deliver(False, work) == 130
+    assert emit_answer(False, work) == 130
     assert capsys.readouterr().err == "perilune: stopped by the user\n"
 
 
 def test_a_package_that_was_taken_away_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    def work() -> Answer:
+    def work() -> CommandAnswer:
         raise ModuleNotFoundError("No module named 'scipy'", name="scipy")
 
-    assert deliver(False, work) == 2
+    assert emit_answer(False, work) == 2
     assert capsys.readouterr().err == (
         "perilune: perilune needs scipy, which is not installed\n  try: pip install perilune\n"
     )

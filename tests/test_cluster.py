@@ -16,10 +16,10 @@ from command_line import HYBRID
 from perilune.atlas.building import build
 from perilune.atlas.query import open_atlas
 from perilune.atlas.sampling import sample_of
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.families import cluster as on_cluster
 from perilune.families.cluster import cluster
-from perilune.families.elsewhere import answers
+from perilune.families.elsewhere import run_on_executor
 from perilune.words.outcome import PeriluneError
 
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}
@@ -70,10 +70,10 @@ def test_where_nobody_computes_it_is_said(monkeypatch: pytest.MonkeyPatch) -> No
     quiet = {"dashboard_address": ":0", "silence_logs": 50}
     with distributed.LocalCluster(n_workers=0, processes=False, protocol="tcp://", **quiet) as local:
         with cluster(local.scheduler_address, tell) as machines, pytest.raises(KeyboardInterrupt, match="no worker"):
-            next(answers(machines, iter([("one", (sorted, [2, 1]))])))
+            next(run_on_executor(machines, iter([("one", (sorted, [2, 1]))])))
         local.scale(1)
         with cluster(local.scheduler_address, tell) as machines:
-            assert list(answers(machines, iter([("one", (sorted, [2, 1]))]))) == [("one", [1, 2])]
+            assert list(run_on_executor(machines, iter([("one", (sorted, [2, 1]))]))) == [("one", [1, 2])]
 
 
 def test_threads_make_the_same_nodes(tmp_path: Path) -> None:
@@ -91,9 +91,9 @@ def test_addresses_at_which_nobody_answers_are_refused(tmp_path: Path, capsys: p
         port = free.getsockname()[1]
     order = ["atlas", "build", HYBRID, *VARY, "--out", str(tmp_path / "a"), "--scheduler"]
     for address in (f"tcp://127.0.0.1:{port}", "nonsense", "tcp://host", "tcp://127.0.0.1:99999", "tcp://no such:1"):
-        assert run([*order, address]) == 2
+        assert run_command_line([*order, address]) == 2
         assert "no scheduler answers" in capsys.readouterr().err
-    assert run([*order, "tcp://127.0.0.1:1", "--workers", "2"]) == 2
+    assert run_command_line([*order, "tcp://127.0.0.1:1", "--workers", "2"]) == 2
     assert "two places" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
 
@@ -103,5 +103,5 @@ def test_without_the_extra_it_is_said_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     order = ["atlas", "build", HYBRID, *VARY, "--out", str(tmp_path / "a"), "--scheduler", "tcp://127.0.0.1:1"]
-    assert run(order) == 2
+    assert run_command_line(order) == 2
     assert "pip install 'perilune[cluster]'" in capsys.readouterr().err and not (tmp_path / "a").exists()

@@ -18,7 +18,7 @@ import perilune as pl
 from perilune.conditions.pontryagin import derive
 from perilune.conditions.singular import singular_control
 from perilune.problem.unpriced import cost_states, unpriced_states
-from perilune.structures.chattering import chattering
+from perilune.structures.chattering import find_chattering_arc
 from perilune.words.outcome import PeriluneError
 from problems.goddard import goddard
 from test_control_law import given, slide, variables
@@ -273,7 +273,7 @@ def test_along_the_speed_limit_the_cart_would_better_chatter(method: Any) -> Non
 
 
 def test_a_flight_along_a_limit_that_is_best_does_not_chatter() -> None:
-    assert chattering(pl.solve(counted(fastest=1.7)).trajectories.restated) is None  # pyright: ignore
+    assert find_chattering_arc(pl.solve(counted(fastest=1.7)).trajectories.restated) is None  # pyright: ignore
 
 
 def planar(rate: Rate, of: str) -> pl.Problem:
@@ -411,11 +411,11 @@ def test_a_theorem_of_what_only_counts() -> None:
     pytest.importorskip("flint")
     from perilune.problem.verification import Verification
     from perilune.rigorous.check_certificate import confirm
-    from perilune.rigorous.verified import with_theorem
+    from perilune.rigorous.verified import add_theorem_checks
 
     solution = pl.solve(counted(), level=5)
     assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 5)
-    told = with_theorem(Verification(checks=()), solution).certificate
+    told = add_theorem_checks(Verification(checks=()), solution).certificate
     confirm(json.loads(json.dumps(told)), tell=lambda *lines: None)
     # Where its end is asked for, its costate is not known to vanish, and no theorem says so.
     asked = pl.solve(counted(used=(-math.inf, 100.0)), level=5)
@@ -427,9 +427,9 @@ def test_a_certificate_that_asks_for_what_is_counted_is_refused() -> None:
     from perilune.problem.verification import Verification
     from perilune.rigorous.certified.expressions import Failed
     from perilune.rigorous.check_certificate import confirm
-    from perilune.rigorous.verified import with_theorem
+    from perilune.rigorous.verified import add_theorem_checks
 
-    told = with_theorem(Verification(checks=()), pl.solve(counted())).certificate
+    told = add_theorem_checks(Verification(checks=()), pl.solve(counted())).certificate
     forged = json.loads(json.dumps(told))
     states = forged["problem"]["phases"][0]["states"]
     states[2]["lower"] = "-1000"

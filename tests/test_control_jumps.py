@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.proof.arc import Arc
+from perilune.proof.arc import PhaseData
 from perilune.proof.singular import Singular
 from test_control_law import given, slide, variables
 
@@ -105,7 +105,7 @@ def test_a_jump_between_minima(
 
 def test_a_cubic_that_meets_its_chord_in_the_middle_is_not_singular() -> None:
     solution = pl.solve(cart(cubic, "m^3/s^5", 1.0), level=2)
-    assert Singular.of(Arc(solution=solution, index=0)).places == (None, None)
+    assert Singular.of(PhaseData(solution=solution, index=0)).places == (None, None)
 
 
 def test_only_what_bends_both_ways_has_more_events() -> None:

@@ -13,24 +13,16 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.cli import run
-from perilune.io.made import made_document
+from perilune.cli import run_command_line
+from perilune.io.made import model_document
 from perilune.io.physics import physics_document
 from perilune.models import standard_atmosphere
 from perilune.models.atmosphere import tabulated
 from perilune.models.bodies import Planet
 from perilune.models.deorbit.opportunities import opportunities
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import (
-    Atmosphere,
-    Interface,
-    Landing,
-    Manoeuvre,
-    Orbit,
-    Returner,
-    Transition,
-)
-from perilune.models.deorbit.times import impulsive
+from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
+from perilune.models.deorbit.times import impulsive_deorbit
 from perilune.problem.preflight import preflight
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file, load_text, template
@@ -41,7 +33,7 @@ BODY = Planet(
     name="earth", gravitational_parameter=3.986005e14, radius=6371e3, rotation_rate=7.2921159e-5, j2=1.08263e-3
 )
 VEHICLE = Returner(mass=500.0, thrust=100.0, exhaust_velocity=3000.0, drag_area=0.6)
-ORBIT = Orbit(radius=6678.14e3, inclination=math.radians(50.0))
+ORBIT = ReturnOrbit(radius=6678.14e3, inclination=math.radians(50.0))
 PLACE = Manoeuvre(longitude=math.radians(16.0), latitude=math.radians(39.5), going="descending")
 STEEP = Interface(altitude=120e3, angle=math.radians(-6.0))
 BOUNDED = Interface(
@@ -56,7 +48,7 @@ QUIET = Atmosphere(model="nrlmsis", f107=150.0, f107a=150.0, ap=4.0)
 SITE = Landing(longitude=math.radians(-98.0), latitude=math.radians(38.0), altitude=10e3)
 
 
-def returning(vehicle: Returner = VEHICLE, orbit: Orbit = ORBIT, **more: Any) -> pl.Problem:
+def returning(vehicle: Returner = VEHICLE, orbit: ReturnOrbit = ORBIT, **more: Any) -> pl.Problem:
     return deorbit_entry(vehicle, orbit, STEEP, BODY, **{"manoeuvre": PLACE, "air": AIR, **more})
 
 
@@ -108,7 +100,7 @@ MILSTEAD = Planet(name="earth", gravitational_parameter=3.986004418e14, radius=6
 
 def test_an_impulsive_deorbit_is_milsteads() -> None:
     for angle, change, time, swept in ((-1.5, 113.244, 1747.11, 115.26), (-6.0, 551.596, 693.21, 42.91)):
-        found = impulsive(6778137.0, 6498137.0, math.radians(angle), MILSTEAD.gravitational_parameter)
+        found = impulsive_deorbit(6778137.0, 6498137.0, math.radians(angle), MILSTEAD.gravitational_parameter)
         assert found.velocity_change == pytest.approx(change, abs=1e-3)
         assert found.time == pytest.approx(time, abs=1e-2)
         assert math.degrees(found.swept) == pytest.approx(swept, abs=1e-2)
@@ -116,12 +108,12 @@ def test_an_impulsive_deorbit_is_milsteads() -> None:
 
 def test_a_finite_burn_becomes_an_impulse() -> None:
     """Thrust rising to 1000x: the time differs by half of the burn, the velocity change by its square."""
-    truth = impulsive(6778137.0, 6498137.0, math.radians(-1.5), MILSTEAD.gravitational_parameter)
+    truth = impulsive_deorbit(6778137.0, 6498137.0, math.radians(-1.5), MILSTEAD.gravitational_parameter)
     errors = []
     for thrust in (1e2, 1e3, 1e4, 1e5):
         problem = deorbit_entry(
             Returner(mass=500.0, thrust=thrust, exhaust_velocity=3000.0),
-            Orbit(radius=6778137.0, inclination=math.radians(50.0)),
+            ReturnOrbit(radius=6778137.0, inclination=math.radians(50.0)),
             Interface(altitude=120e3, angle=math.radians(-1.5)),
             MILSTEAD,
             manoeuvre=PLACE,
@@ -200,7 +192,7 @@ def test_air_of_a_file_beside_the_scenario(tmp_path: Path, stated: str) -> None:
     assert pressure == pytest.approx(0.5 * 1.225 * math.exp(-50e3 / 7200.0) * 5e7, rel=1e-9)
     saved = json.dumps(physics_document(scenario.problem))
     assert str(tmp_path) not in saved and "csv" not in saved.replace("air of air.csv", "")
-    assert made_document(scenario.problem) is None
+    assert model_document(scenario.problem) is None
 
 
 @pytest.mark.parametrize(
@@ -216,7 +208,7 @@ def test_a_scenario_reads_no_file_but_beside_itself(tmp_path: Path, stated: str)
 
 def test_a_failure_with_air_of_a_file_is_kept(tmp_path: Path) -> None:
     scenario, out = beside(tmp_path, "'air.csv'"), tmp_path / "out"
-    code = run(["solve", str(scenario), "--set", "vehicle.dry_mass=499.9 kg", "--out", str(out), "--json"])
+    code = run_command_line(["solve", str(scenario), "--set", "vehicle.dry_mass=499.9 kg", "--out", str(out), "--json"])
     assert code == 3 and json.loads((out / "failure.json").read_text(encoding="utf-8"))["scenario"] is None
 
 

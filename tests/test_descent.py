@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from perilune.methods.breaches import breaches_of
+from perilune.methods.breaches import solution_violations
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.bodies import Body
 from perilune.models.descent import Ignition, Site, Steering, powered_descent
 from perilune.models.landing import Vehicle
 from perilune.models.precision import Approach, Corridor, precision_landing
-from perilune.models.rotating import gravity, heading_axes, local_axes, place, potential
+from perilune.models.rotating import heading_axes, local_axes, potential, spherical_coordinates, zonal_gravity
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -70,7 +70,7 @@ def angles(t: float) -> tuple[float, float]:
 def direction(t: float, position: Any, heading: float) -> np.ndarray:
     """The same history as a unit vector in the rotating Cartesian frame."""
     alpha, beta = angles(t)
-    _, longitude, latitude = place(tuple(position), NUMERIC)
+    _, longitude, latitude = spherical_coordinates(tuple(position), NUMERIC)
     up, oy, oz = (np.array(axis) for axis in heading_axes(longitude, latitude, heading, NUMERIC))
     return math.sin(alpha) * up + math.cos(alpha) * (math.cos(beta) * oy + math.sin(beta) * oz)
 
@@ -97,7 +97,7 @@ def cartesian_of(spherical: np.ndarray, heading: float) -> np.ndarray:
 
 def spherical_of(cartesian: np.ndarray, heading: float) -> np.ndarray:
     """Spherical state of a Cartesian rotating one."""
-    r, theta, phi = place(tuple(cartesian[:3]), NUMERIC)
+    r, theta, phi = spherical_coordinates(tuple(cartesian[:3]), NUMERIC)
     up, oy, oz = (np.array(axis) for axis in heading_axes(theta, phi, heading, NUMERIC))
     return np.array([r, theta, phi, *(cartesian[3:6] @ axis for axis in (oy, oz, up)), cartesian[6]])
 
@@ -168,11 +168,11 @@ def test_gravity_is_the_gradient_of_its_potential(axis: tuple[float, float, floa
             np.imag(potential([c + 1e-20j * (i == j) for j, c in enumerate(position)], axis, p, NUMERIC)) / 1e-20
             for i in range(3)
         ]
-        assert gravity(tuple(position), axis, p, NUMERIC) == pytest.approx([-s for s in slopes], rel=1e-12)
+        assert zonal_gravity(tuple(position), axis, p, NUMERIC) == pytest.approx([-s for s in slopes], rel=1e-12)
     p.body_j2 = 0.0
     position = np.array([1e6, -2e6, 0.5e6])
     point = -p.body_gravitational_parameter * position / np.linalg.norm(position) ** 3
-    assert gravity(tuple(position), axis, p, NUMERIC) == pytest.approx(point, rel=1e-14)
+    assert zonal_gravity(tuple(position), axis, p, NUMERIC) == pytest.approx(point, rel=1e-14)
 
 
 # -- the paper's landing
@@ -364,8 +364,8 @@ def test_a_bound_of_the_throttle_is_a_parameter() -> None:
     assert changed.trajectories[0].control.values[:, 3].max() == pytest.approx(0.7, abs=1e-9)
     full = Indirect().run(approach(wide))
     assert full.objective < stated.objective - 0.1
-    assert not list(breaches_of(full, 1e-8)) and not list(breaches_of(changed, 1e-8))
-    (breach,) = breaches_of(replace(full, problem=changed.problem), 1e-8)
+    assert not list(solution_violations(full, 1e-8)) and not list(solution_violations(changed, 1e-8))
+    (breach,) = solution_violations(replace(full, problem=changed.problem), 1e-8)
     assert breach.text == "throttle rises to 0.9, above throttle.upper of 0.7"
 
 

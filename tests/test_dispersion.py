@@ -24,9 +24,9 @@ from perilune.models.deorbit.records import (
     Atmosphere,
     Interface,
     Landing,
-    Orbit,
     Parachute,
     Returner,
+    ReturnOrbit,
     Separation,
     Transition,
 )
@@ -35,7 +35,7 @@ from perilune.problem.views import Disturbance
 from perilune.words.outcome import PeriluneError
 from return_by_scipy import backwards, fly
 
-ORBIT = Orbit(
+ORBIT = ReturnOrbit(
     perigee_altitude=380e3, apogee_altitude=400e3, argument_of_perigee=0.3, inclination=math.radians(51.6),
     node_longitude=0.2, argument_of_latitude=2.0,
 )  # fmt: skip

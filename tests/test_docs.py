@@ -22,7 +22,7 @@ from types import ModuleType
 import pytest
 
 from cho import cho_landing
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.problem.solution import Solution
 from perilune.solve import prove, solve
 from perilune.words.outcome import Outcome
@@ -84,7 +84,7 @@ def said(arguments: list[str]) -> tuple[int, str]:
     """
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-        code = run(arguments)
+        code = run_command_line(arguments)
     return code, re.sub(r"^perilune: at work for .*\n", "", printed.getvalue(), flags=re.MULTILINE)
 
 

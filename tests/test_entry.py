@@ -16,9 +16,9 @@ from perilune.models import aerodynamics, ellipsoid
 from perilune.models.aerodynamics import sphere_cone_drag_area
 from perilune.models.atmosphere import exponential
 from perilune.models.deorbit import orbit
-from perilune.models.deorbit.flight import falling
-from perilune.models.flight_path import FlightPath, cartesian, flight_path, path_axes, rates
-from perilune.models.rotating import combine, dot, free_acceleration, gravity, local_axes, potential
+from perilune.models.deorbit.flight import entry_rates
+from perilune.models.flight_path import FlightPath, flight_path, flight_path_rates, path_axes, to_cartesian
+from perilune.models.rotating import combine, free_acceleration, local_axes, potential, scalar_product, zonal_gravity
 from perilune.problem.symbolic import SYMBOLIC
 from perilune.words.maths import NUMERIC
 
@@ -47,9 +47,9 @@ def test_gravity_of_higher_harmonics_is_the_gradient_of_its_potential() -> None:
         np.imag(potential([c + 1e-20j * (i == j) for j, c in enumerate(position)], AXIS, PEAR, NUMERIC)) / 1e-20
         for i in range(3)
     ]
-    np.testing.assert_allclose(gravity(position, AXIS, PEAR, NUMERIC), np.negative(gradient), rtol=1e-12)
+    np.testing.assert_allclose(zonal_gravity(position, AXIS, PEAR, NUMERIC), np.negative(gradient), rtol=1e-12)
     # Pear shape: the pulls at the poles differ by 8 J3 (R/r)^3, from P'_4(1) - P'_3(1) = 10 - 6 on each side.
-    north, south = (gravity((0.0, 0.0, z), AXIS, PEAR, NUMERIC)[2] for z in (7e6, -7e6))
+    north, south = (zonal_gravity((0.0, 0.0, z), AXIS, PEAR, NUMERIC)[2] for z in (7e6, -7e6))
     assert (north + south) / (MU / 49e12) == pytest.approx(8 * PEAR.body_j3 * (RADIUS / 7e6) ** 3, rel=1e-9)
 
 
@@ -59,7 +59,7 @@ def test_a_coasting_flight_keeps_its_energy_and_momentum() -> None:
     flight = flown(start, 2 * 86400.0, PEAR, t_eval=np.linspace(0, 2 * 86400.0, 50))
     x, v = flight.y[:3], flight.y[3:]
     along = x[0] * x[0] + x[1] * x[1]
-    jacobi = 0.5 * dot(v, v) + potential(x, AXIS, PEAR, NUMERIC) - 0.5 * TURN**2 * along
+    jacobi = 0.5 * scalar_product(v, v) + potential(x, AXIS, PEAR, NUMERIC) - 0.5 * TURN**2 * along
     momentum = x[0] * v[1] - x[1] * v[0] + TURN * along
     np.testing.assert_allclose(jacobi, jacobi[0], rtol=1e-10)
     np.testing.assert_allclose(momentum, momentum[0], rtol=1e-10)
@@ -88,7 +88,7 @@ _upwards.direction = 1  # type: ignore[attr-defined]
 
 
 def test_flight_path_coordinates_and_back() -> None:
-    position, velocity = cartesian(WHERE, NUMERIC)
+    position, velocity = to_cartesian(WHERE, NUMERIC)
     found = flight_path(position, velocity, NUMERIC)
     for name, value in vars(WHERE).items():
         assert getattr(found, name) == pytest.approx(value, rel=1e-13)
@@ -103,7 +103,7 @@ def test_flight_path_coordinates_fly_as_newton_does() -> None:
             distance=rng.uniform(6.4e6, 8e6), longitude=rng.uniform(-3, 3), latitude=rng.uniform(-1.4, 1.4),
         )  # fmt: skip
         pushed = rng.normal(size=3).tolist()
-        position, velocity = cartesian(path, NUMERIC)
+        position, velocity = to_cartesian(path, NUMERIC)
         acceleration = combine(
             (1, free_acceleration(position, velocity, AXIS, p, NUMERIC)),
             *zip(pushed, path_axes(path, NUMERIC), strict=True),
@@ -115,7 +115,10 @@ def test_flight_path_coordinates_fly_as_newton_does() -> None:
         exact = [np.imag(value) / 1e-20 for value in vars(moved).values()]
         sizes = [1.0, *[1e-3] * 2, path.speed, *[1e-3] * 2]
         np.testing.assert_allclose(
-            np.divide(rates(path, pushed, p, NUMERIC), sizes), np.divide(exact, sizes), rtol=1e-10, atol=1e-10
+            np.divide(flight_path_rates(path, pushed, p, NUMERIC), sizes),
+            np.divide(exact, sizes),
+            rtol=1e-10,
+            atol=1e-10,
         )
 
 
@@ -138,7 +141,7 @@ def test_a_flight_in_either_coordinates_ends_alike() -> None:
 
     def slope(t: float, y: Any) -> Any:
         path = FlightPath(**dict(zip(vars(start), y, strict=True)))
-        return rates(path, pushed(t, path), EARTH, NUMERIC)
+        return flight_path_rates(path, pushed(t, path), EARTH, NUMERIC)
 
     by_path = solve_ivp(slope, (0, 1500), list(vars(start).values()), method="DOP853", rtol=1e-13, atol=1e-13)
 
@@ -146,7 +149,7 @@ def test_a_flight_in_either_coordinates_ends_alike() -> None:
         path = flight_path(y[:3], y[3:], NUMERIC)
         return combine(*zip(pushed(t, path), path_axes(path, NUMERIC), strict=True))
 
-    position, velocity = cartesian(start, NUMERIC)
+    position, velocity = to_cartesian(start, NUMERIC)
     by_newton = flown([*position, *velocity], 1500, EARTH, turned)
     found = flight_path(by_newton.y[:3, -1], by_newton.y[3:, -1], NUMERIC)
     np.testing.assert_allclose(list(vars(found).values()), by_path.y[:, -1], rtol=1e-10)
@@ -165,7 +168,9 @@ def test_altitude_is_above_the_ellipsoid() -> None:
         level * np.cos(longitude), level * np.sin(longitude),
         ((1 - flat) ** 2 * normal + height) * np.sin(latitude),
     )  # fmt: skip
-    np.testing.assert_allclose(ellipsoid.at(longitude, latitude, height, EARTH, NUMERIC), position, atol=1e-8)
+    np.testing.assert_allclose(
+        ellipsoid.geodetic_position(longitude, latitude, height, EARTH, NUMERIC), position, atol=1e-8
+    )
     np.testing.assert_allclose(ellipsoid.altitude(position, EARTH, NUMERIC), height, atol=1e-7)
     np.testing.assert_allclose(ellipsoid.latitude(position, EARTH, NUMERIC), latitude, atol=1e-10)
 
@@ -182,9 +187,9 @@ def test_altitude_is_above_the_ellipsoid() -> None:
 def test_a_manoeuvre_is_above_its_geodetic_place(shape: Any, latitude: float, going: str) -> None:
     place = {"manoeuvre_latitude": latitude, "manoeuvre_longitude": 0.3, "orbit_inclination": 0.9}
     p = SimpleNamespace(**vars(EARTH), **shape, **place)
-    angles: Any = orbit.from_place(going)
+    angles: Any = orbit.angles_of_place(going)
     angle, node = angles(p, NUMERIC)
-    position, velocity = orbit.state(angle, node, p, NUMERIC)
+    position, velocity = orbit.orbit_state(angle, node, p, NUMERIC)
     assert ellipsoid.latitude(position, p, NUMERIC) == pytest.approx(latitude, abs=1e-9)
     assert math.atan2(position[1], position[0]) == pytest.approx(0.3, abs=1e-12)
     assert (velocity[2] > 0) == (going == "ascending")
@@ -197,14 +202,14 @@ def test_a_manoeuvre_is_above_its_geodetic_place(shape: Any, latitude: float, go
         return
     sphere = SimpleNamespace(**{k: v for k, v in vars(p).items() if k != "body_flattening"})
     angle, node = angles(sphere, NUMERIC)
-    round_ = orbit.state(angle, node, sphere, NUMERIC)[0]
+    round_ = orbit.orbit_state(angle, node, sphere, NUMERIC)[0]
     assert math.asin(round_[2] / math.hypot(*round_)) == pytest.approx(latitude, abs=1e-12)
 
 
 @pytest.mark.parametrize("latitude", [0.0, 0.7, math.pi / 2, -math.pi / 2])
 def test_altitude_is_smooth_everywhere(latitude: float) -> None:
     """Its gradient is the upward normal, at the equator and at the poles too, where other formulas have a corner."""
-    position = ellipsoid.at(0.3, latitude, 120e3, EARTH, NUMERIC)
+    position = ellipsoid.geodetic_position(0.3, latitude, 120e3, EARTH, NUMERIC)
     x = ca.SX.sym("x", 3)
     height = ellipsoid.altitude([x[i] for i in range(3)], EARTH, SYMBOLIC)
     gradient = ca.Function("g", [x], [ca.gradient(height, x)])
@@ -216,7 +221,7 @@ def test_altitude_is_smooth_everywhere(latitude: float) -> None:
 
 def test_without_a_flattening_it_is_a_sphere() -> None:
     sphere = SimpleNamespace(body_radius=6371e3)
-    position = ellipsoid.at(0.3, -0.8, 10e3, sphere, NUMERIC)
+    position = ellipsoid.geodetic_position(0.3, -0.8, 10e3, sphere, NUMERIC)
     assert ellipsoid.altitude(position, sphere, NUMERIC) == pytest.approx(10e3, abs=1e-8)
     assert ellipsoid.latitude(position, sphere, NUMERIC) == pytest.approx(-0.8)
 
@@ -245,7 +250,7 @@ def test_heat_rate_is_near_that_of_detra_kemp_and_riddell() -> None:
 
 
 def test_lift_is_across_the_velocity() -> None:
-    position, velocity = cartesian(WHERE, NUMERIC)
+    position, velocity = to_cartesian(WHERE, NUMERIC)
     upward, right = aerodynamics.lift_axes(position, velocity, NUMERIC)
     _, expected, left = path_axes(WHERE, NUMERIC)
     np.testing.assert_allclose(upward, expected, atol=1e-12)
@@ -304,7 +309,7 @@ def test_a_glide_in_equilibrium_is_that_of_its_closed_form(lift_to_drag: float) 
 
         slow.terminal = True  # type: ignore[attr-defined]
         flight = solve_ivp(
-            lambda t, y: falling(vehicle._make([*y, 1.0]), up, p, NUMERIC, air=air)[:6], (0.0, 1e4), start,
+            lambda t, y: entry_rates(vehicle._make([*y, 1.0]), up, p, NUMERIC, air=air)[:6], (0.0, 1e4), start,
             method="DOP853", rtol=1e-10, atol=1e-3, events=slow,
         )  # fmt: skip
         way = 0.5 * lift_to_drag * math.log((1 - last**2) / (1 - first**2))

@@ -34,22 +34,22 @@ from websockets.sync.client import ClientConnection, connect
 import perilune.app.answering
 from explored import ROOT, atlas_of_the_jump, served
 from perilune import PeriluneError, Problem, Solution
-from perilune.app.answering import Answering, keeps
-from perilune.app.beside import Beside, Dropped, Killed, in_thread
-from perilune.app.client import MESSAGE, Client, asked
+from perilune.app.answering import Answering, meets_path_constraints
+from perilune.app.beside import SupersededWork, WorkerKilled, WorkerProcess, in_thread
+from perilune.app.client import MESSAGE, Client, parse_request
 from perilune.app.files import page_files
-from perilune.app.frames import ALL_DIGITS, flight, hello, rounded
-from perilune.app.frozen import frozen_page
-from perilune.app.resting import compared, proved
+from perilune.app.frames import ALL_DIGITS, flight_message, opening_message, round_to_digits
+from perilune.app.frozen import static_page
+from perilune.app.resting import compare_with_cold_start, prove_timed
 from perilune.app.slices import Slices
 from perilune.app.subject import Subject, subject_of
-from perilune.cli.commands import obey
+from perilune.cli.commands import run_command
 from perilune.io.export import save
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
 from perilune.words.outcome import InfeasibleError, NotConvergedError
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 ISP = "retro_specific_impulse"
 
@@ -134,7 +134,7 @@ def _told_to(subject: Subject, story: Callable[[_Page], Awaitable[None]]) -> Non
     """A story of a page of a subject, to its end."""
 
     async def live() -> None:
-        page, beside = _Page(), Beside()
+        page, beside = _Page(), WorkerProcess()
         running = asyncio.ensure_future(Client(subject, cast("Any", page), beside).run())
         try:
             await asyncio.wait_for(story(page), 60.0)
@@ -375,9 +375,9 @@ def test_newer_values_do_not_end_the_first_flight_from_which_they_are_followed(m
 def test_it_is_said_when_nothing_more_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """And not that the process was begun anew, which is true of the next flight."""
 
-    async def killed(self: Beside, *work: Any, **more: Any) -> None:
+    async def killed(self: WorkerProcess, *work: Any, **more: Any) -> None:
         self.killed += 1
-        raise Killed("killed whenever it was begun")
+        raise WorkerKilled("killed whenever it was begun")
 
     async def story(page: _Page) -> None:
         page.put(number=0, values={})
@@ -385,15 +385,15 @@ def test_it_is_said_when_nothing_more_is_tried(monkeypatch: pytest.MonkeyPatch) 
         await asyncio.sleep(0.1)
         assert [said["words"] for said in page.told if said["type"] == "notice"] == ["killed whenever it was begun"]
 
-    monkeypatch.setattr(Beside, "done", killed)
+    monkeypatch.setattr(WorkerProcess, "done", killed)
     _told_to(subject_of(None), story)
 
 
 def test_what_waits_for_another_page_says_so_and_its_time_has_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def late(self: Beside, work: Any, *arguments: Any, begun: Callable[[], None]) -> Any:
+    async def late(self: WorkerProcess, work: Any, *arguments: Any, begun: Callable[[], None]) -> Any:
         await asyncio.sleep(1.3)  # more than there is for the work
         begun()
-        return await in_thread(work, *arguments, silent)
+        return await in_thread(work, *arguments, ignore_events)
 
     async def story(page: _Page) -> None:
         page.put(number=0, values={})
@@ -402,14 +402,14 @@ def test_what_waits_for_another_page_says_so_and_its_time_has_not_begun(monkeypa
         assert (await page.until("compared"))["words"] == "best of 3 found"
         assert any(said["type"] == "progress" and "another page" in said["words"] for said in page.told)
 
-    monkeypatch.setattr(Beside, "done", late)
+    monkeypatch.setattr(WorkerProcess, "done", late)
     monkeypatch.setattr("perilune.app.client.COMPARING", 1.0)
     _told_to(subject_of(None), story)
 
 
 def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_changed() -> None:
     subject = subject_of(ROOT / "examples" / "hybrid_lander.toml", ["vehicle.thrust=450 N"])
-    assert not any(knob["mapped"] for knob in hello(subject)["knobs"])
+    assert not any(knob["mapped"] for knob in opening_message(subject)["knobs"])
     text = subject.scenario({"vehicle_thrust": 470.0})
     assert 'thrust = "470 N"' in text
     template = subject_of(None)  # of which the body is known by its name
@@ -422,7 +422,7 @@ def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_chang
         knob.key.partition(".")[0] for knob in without.knobs
     }  # a file with it states another problem
     with pytest.raises(PeriluneError, match="far from its range"):
-        asked('{"number": 0, "values": {"vehicle_thrust": 1e6}}', subject)
+        parse_request('{"number": 0, "values": {"vehicle_thrust": 1e6}}', subject)
 
 
 def test_a_saved_flight_is_shown_as_it_was_saved_and_made_anew_once_to_be_followed(
@@ -440,13 +440,13 @@ def test_a_saved_flight_is_shown_as_it_was_saved_and_made_anew_once_to_be_follow
     def newer(_: object) -> None:
         if asked != [440.0]:
             return
-        raise Dropped
+        raise SupersededWork
 
     monkeypatch.setattr("perilune.app.answering.solve", noted)
     answering, first = Answering(subject.problem, None, subject.known), {k.name: k.value for k in subject.knobs}
     found = answering.at(first, newer)
     assert found.solution is subject.known and found.words == "as it was saved" and not asked
-    assert answering.at({**first, "vehicle_thrust": 441.0}, newer, silent).source == "neighbour"
+    assert answering.at({**first, "vehicle_thrust": 441.0}, newer, ignore_events).source == "neighbour"
     assert asked == [440.0, 441.0]
 
 
@@ -455,11 +455,13 @@ def test_a_saved_flight_is_compared_and_proved_like_any_other(tmp_path: Path) ->
     save(solve(load_file(ROOT / "examples" / "hybrid_lander.toml").problem, level=0), tmp_path / "run")
     known = subject_of(tmp_path / "run" / "solution.json").known  # by the file in it, too
     assert known is not None and not known.extremals
-    found = compared(known, silent)
+    found = compare_with_cold_start(known, ignore_events)
     assert not found.jumped and found.words == "best of 3 found" and found.family is not None
     assert [one.nature.name for one in found.solution.extremals] == ["BEST", "LOCAL_OPTIMUM_AT_BOUND", "WORST"]
-    assert proved(found.solution, silent).outcome.name == "PROVED"
-    worse, better = (compared(replace(known, objective=known.objective + off), silent) for off in (1.0, -1.0))
+    assert prove_timed(found.solution, ignore_events).outcome.name == "PROVED"
+    worse, better = (
+        compare_with_cold_start(replace(known, objective=known.objective + off), ignore_events) for off in (1.0, -1.0)
+    )
     assert worse.jumped and [one.nature.name for one in worse.solution.extremals][-1] == "UNPROVED"
     assert not better.jumped and [one.nature.name for one in better.solution.extremals][:2] == [
         "UNPROVED", "LOCAL_OPTIMUM"
@@ -476,21 +478,21 @@ def test_a_saved_solution_hands_out_the_scenario_that_it_keeps(tmp_path: Path) -
     moved = load_text(kept.scenario({"vehicle_mass": 310.0})).given
     assert (moved["vehicle_mass"].value, moved["vehicle_thrust"].value) == (310.0, 450.0)
     assert not any(knob.key.startswith("retro.") for knob in kept.knobs)  # a file with it states another problem
-    assert not hello(bare)["scenario"] and "saved without" in hello(bare)["unwritten"]
+    assert not opening_message(bare)["scenario"] and "saved without" in opening_message(bare)["unwritten"]
     with pytest.raises(PeriluneError, match="saved without a scenario"):
         bare.scenario({})
 
 
 def test_a_switch_is_shown_as_a_step_and_a_flat_curve_as_it_goes() -> None:
     flown = solve(load_file(ROOT / "examples" / "precision_landing.toml").problem, level=0)
-    (phase,) = flight(flown)["phases"]
+    (phase,) = flight_message(flown)["phases"]
     throttle, times = phase["columns"]["throttle"]["values"], phase["time"]
     assert set(throttle) == {0.3, 0.9}
     steps = [(a, b) for a, b, x, y in zip(times, times[1:], throttle, throttle[1:], strict=False) if x != y]
     assert len(steps) == 2 and all(a == b for a, b in steps)
     flat = phase["columns"]["lambda_east"]["values"]  # constant to 1e-3, of which six digits show a thousand steps
     assert len(set(flat)) == len(set(times))
-    called = flight(flown)["labels"]
+    called = flight_message(flown)["labels"]
     assert "v_east" not in called and called["thrust_tilt"] == "tilt"  # beside the panel of "east" it is no "east" too
 
 
@@ -499,13 +501,13 @@ def test_numbers_are_as_short_as_they_may_be() -> None:
     numbers = np.random.default_rng(1).normal(size=3000) * 10.0 ** np.random.default_rng(2).uniform(-8, 20, 3000)
     numbers[:5] = 0.0, -0.0, 999999.5, -123456789.0, 0.1
     for digits in (3, 6, 9):
-        assert rounded(numbers, digits) == [float(f"{number:.{digits}g}") for number in numbers.tolist()]
-    assert rounded(numbers, ALL_DIGITS) == numbers.tolist()
-    assert rounded([math.nan, 2.0000001, -math.inf]) == [None, 2.0, None]
+        assert round_to_digits(numbers, digits) == [float(f"{number:.{digits}g}") for number in numbers.tolist()]
+    assert round_to_digits(numbers, ALL_DIGITS) == numbers.tolist()
+    assert round_to_digits([math.nan, 2.0000001, -math.inf]) == [None, 2.0, None]
 
 
 def test_quantities_are_called_as_on_the_axes_of_figures(subject: Subject) -> None:
-    told = flight(solve(subject.problem, level=0))["labels"]
+    told = flight_message(solve(subject.problem, level=0))["labels"]
     assert told["u"] == "horizontal velocity" and told["thrust_angle"] == "thrust angle β"
     assert "propellant" not in told  # which is its name
 
@@ -528,19 +530,19 @@ def test_sliders_keep_to_what_may_be_stated_and_flown() -> None:
 
 
 def test_a_page_that_needs_no_server_holds_its_flights(subject: Subject) -> None:
-    page, words = frozen_page(subject)
+    page, words = static_page(subject)
     assert page.count('"type":"flight"') == 225 and "http://" not in page.replace("http://www.w3.org/2000/svg", "")
     assert words == "a flight at each of 225 points"
 
 
 def test_what_cannot_be_explored_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert obey(["explore", str(tmp_path / "nothing.toml")]) == 2
+    assert run_command(["explore", str(tmp_path / "nothing.toml")]) == 2
     assert "nothing to explore" in capsys.readouterr().err
-    assert obey(["explore", str(tmp_path)]) == 2
+    assert run_command(["explore", str(tmp_path)]) == 2
     assert "perilune atlas build --out" in capsys.readouterr().err  # not of a saved solution alone
-    assert obey(["explore", str(tmp_path), "--set", "vehicle.thrust=1 N"]) == 2
+    assert run_command(["explore", str(tmp_path), "--set", "vehicle.thrust=1 N"]) == 2
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        assert obey(["explore", "--no-open", "--port", str(taken.getsockname()[1])]) == 2
+        assert run_command(["explore", "--no-open", "--port", str(taken.getsockname()[1])]) == 2
     assert "cannot be used" in capsys.readouterr().err
 
 
@@ -548,7 +550,7 @@ def test_a_page_without_an_atlas_jumps_too() -> None:
     """Followed from both ends, so that on either side of 277.867 s the better family is there."""
     subject = subject_of(None)
     knob = next(knob for knob in subject.knobs if knob.name == ISP)
-    page, _ = frozen_page(replace(subject, knobs=(replace(knob, low=272.0, high=284.0),)))
+    page, _ = static_page(replace(subject, knobs=(replace(knob, low=272.0, high=284.0),)))
     document = json.loads(page.partition('id="frozen">')[2].partition("</script>")[0])
     flights = document["flights"]
     burns = [(flight["values"][ISP], flight["free"]["retro_delta_v"] > 0.0) for flight in flights]
@@ -564,7 +566,7 @@ def test_what_moves_on_a_page_is_chosen_and_said(
     monkeypatch.setattr("perilune.app.frozen._ALONG", 2)
     file, ask = tmp_path / "page.html", ["explore", str(ROOT / "examples" / "hybrid_lander.toml"), "--html"]
     vary = ["--vary", "vehicle.thrust=429:450 N", "--vary", "retro.specific_impulse=270:290 s"]
-    assert obey([*ask, str(file), *vary]) == 0
+    assert run_command([*ask, str(file), *vary]) == 0
     assert "vehicle.thrust from 429 to 450 N and retro.specific_impulse from 270 to 290 s" in capsys.readouterr().out
     document = json.loads(file.read_text("utf-8").partition('id="frozen">')[2].partition("</script>")[0])
     moved, flights = [knob["name"] for knob in document["hello"]["knobs"]], document["flights"]
@@ -572,7 +574,7 @@ def test_what_moves_on_a_page_is_chosen_and_said(
     thrusts = [found["values"]["vehicle_thrust"] for found in flights]
     assert thrusts == [429.0] * 3 + [440.0] * 3 + [450.0] * 3  # that of the scenario is among them
     assert [found["free"]["retro_delta_v"] > 0.0 for found in flights] == [False, True, True] * 3  # the best at each
-    assert obey([*ask, str(tmp_path / "beside.html"), "--vary", "vehicle.thrust=20:430 N"]) == 0
+    assert run_command([*ask, str(tmp_path / "beside.html"), "--vary", "vehicle.thrust=20:430 N"]) == 0
     words = "a flight at 1 of 2 points; vehicle.thrust as it is stated, 440 N, is none of them"
     assert words in capsys.readouterr().out and words in (tmp_path / "beside.html").read_text("utf-8")
     for more, words in (
@@ -582,9 +584,9 @@ def test_what_moves_on_a_page_is_chosen_and_said(
         (["--vary", "vehicle.thrust=3:2 N"], "is empty"),
         (["--vary", "vehicle.thrust=-5:400 N"], "vehicle.thrust"),
     ):
-        assert obey([*ask, str(tmp_path / "other.html"), *more]) == 2
+        assert run_command([*ask, str(tmp_path / "other.html"), *more]) == 2
         assert words in capsys.readouterr().err
-    assert obey([*ask[:2], "--no-open", *vary]) == 2
+    assert run_command([*ask[:2], "--no-open", *vary]) == 2
     assert "page of --html" in capsys.readouterr().err
 
 
@@ -660,11 +662,11 @@ def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_th
 
     def dropping(_: object) -> None:
         if tried[-1:] == [445.0] and len(tried) > 2:
-            raise Dropped
+            raise SupersededWork
 
     first = answering.at({}).solution
     monkeypatch.setattr("perilune.app.answering.solve", near)
-    with pytest.raises(Dropped):
+    with pytest.raises(SupersededWork):
         answering.at({"vehicle_thrust": 450.0}, dropping)
     assert tried == [450.0, 445.0, 442.5, 445.0]
     assert answering.last is not None and answering.last.problem.given["vehicle_thrust"].value == 442.5
@@ -748,8 +750,8 @@ def test_a_neighbour_that_breaks_a_condition_is_not_shown(monkeypatch: pytest.Mo
     """Of a guess `solve` follows the extremal alone, here out of the bounds of steering, and further on underground."""
     monkeypatch.setattr("perilune.app.answering._LOOK", 60.0)  # s: what is found from nothing tells why
     answering = Answering(load_file(ROOT / "examples" / "polar_descent.toml").problem)
-    assert keeps(answering.at({"site_longitude": math.radians(7.0)}).solution)
+    assert meets_path_constraints(answering.at({"site_longitude": math.radians(7.0)}).solution)
     with pytest.raises(PeriluneError, match=r"the best misses steering.azimuth_upper by about 11 deg"):
         answering.at({"site_longitude": math.radians(9.0)})
     near = solve(answering.problem_at({"site_longitude": math.radians(9.0)}), guess=answering.last, level=0)
-    assert not keeps(near)
+    assert not meets_path_constraints(near)

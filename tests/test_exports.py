@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 import perilune as pl
 from command_line import HYBRID, ROOT, read_json
-from perilune.cli import run
-from perilune.io.exports.czml import attitudes, joined
+from perilune.cli import run_command_line
+from perilune.io.exports.czml import attitudes, join_legs
 from perilune.io.exports.epochs import stamp
-from perilune.io.exports.path import LOST, Leg, legs
+from perilune.io.exports.path import LOST, InertialLeg, legs
 from perilune.io.exports.table import flight_table
 from perilune.io.exports.tabular import write_netcdf
 from perilune.models.bodies import MARS, MOON, Body
@@ -244,10 +244,10 @@ def test_a_thrust_that_turns_over_keeps_its_attitudes_apart() -> None:
     times = [0.0, 1e-12, 1.0, np.nextafter(1.0, 2.0), 1.0 + 1e-7, 2.0, 3.0]
     zeros = np.zeros((3, len(times)))
     push = np.array([[0.0, 0.0, 1.0]] * 3 + [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]).T
-    leg = Leg(
+    leg = InertialLeg(
         phase="burn", time=np.array(times), position=zeros, velocity=zeros + 1, push=push, push_rate=zeros, lost=0
     )
-    rows = np.array(attitudes(joined([leg]))).reshape(-1, 5)
+    rows = np.array(attitudes(join_legs([leg]))).reshape(-1, 5)
     assert rows[0, 0] == 0 and rows[-1, 0] == 3 and (np.diff(rows[:, 0]) > 0).all()
     up = Rotation.from_quat(rows[:, 1:]).apply([0.0, 0.0, 1.0])
     np.testing.assert_allclose(up[[0, -4, -3, -2, -1]], push.T[[0, 2, 4, 5, 6]], atol=1e-12)
@@ -260,27 +260,30 @@ def test_the_command_exports_what_was_solved(
     scenario = load_file(HYBRID)
     pl.save(pl.solve(scenario.problem, level=1), place, scenario.text)
     ask = ["export", place, "--format", "czml", "--out", str(file), "--json"]
-    assert run(ask) == 2
+    assert run_command_line(ask) == 2
     assert "--epoch" in capsys.readouterr().out
-    assert run([*ask, "--epoch", EPOCH]) == 0
+    assert run_command_line([*ask, "--epoch", EPOCH]) == 0
     told = read_json(capsys.readouterr().out)
     assert (
         told["bytes"] == file.stat().st_size and told["proof"] == "not proved again; its file claims level 1: feasible"
     )
     (vehicle,) = [packet for packet in json.loads(file.read_text()) if packet["id"] == "vehicle"]
     assert "perilune_altitude" in vehicle["description"] and "its file claims level 1" in vehicle["description"]
-    assert run([*ask, "--epoch", EPOCH]) == 2
+    assert run_command_line([*ask, "--epoch", EPOCH]) == 2
     capsys.readouterr()
-    assert run([*ask, "--epoch", EPOCH, "--force", "--prove", "1"]) == 0
+    assert run_command_line([*ask, "--epoch", EPOCH, "--force", "--prove", "1"]) == 0
     assert read_json(capsys.readouterr().out)["proof"] == "level 1: feasible"
-    assert run(["export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
-    assert run(["export", place, "--out", str(tmp_path / "flight.oem"), "--format", "czml", "--epoch", EPOCH]) == 2
+    assert run_command_line(["export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
+    assert (
+        run_command_line(["export", place, "--out", str(tmp_path / "flight.oem"), "--format", "czml", "--epoch", EPOCH])
+        == 2
+    )
     assert "ask for oem" in capsys.readouterr().err
-    assert run(["export", place, "--out", str(tmp_path / "flight.csv")]) == 0
+    assert run_command_line(["export", place, "--out", str(tmp_path / "flight.csv")]) == 0
     assert (tmp_path / "flight.csv").read_text().count(",") > 100
     (tmp_path / "flight.csv").unlink()
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "prove", None)  # it takes long, and is not begun
-    assert run([*ask, "--epoch", "no time", "--force", "--prove", "3"]) == 2
+    assert run_command_line([*ask, "--epoch", "no time", "--force", "--prove", "3"]) == 2
     assert "no time that is computed with" in capsys.readouterr().err
     assert sorted(os.listdir(tmp_path)) == ["flight.czml", "run"]
 
@@ -307,5 +310,5 @@ def test_what_is_not_proved_says_so_in_every_file(ordinary: Solution, tmp_path: 
     for form in ("oem", "czml", "netcdf"):
         file = pl.export(failed, tmp_path / f"{form}.x", form, epoch=EPOCH)
         assert told.encode() in file.read_bytes(), form
-    assert run(["export", str(tmp_path / "run"), "--out", str(tmp_path / "x.oem"), "--epoch", EPOCH]) == 0
+    assert run_command_line(["export", str(tmp_path / "run"), "--out", str(tmp_path / "x.oem"), "--epoch", EPOCH]) == 0
     assert f"not proved again; its file claims {told}" in (tmp_path / "x.oem").read_text()

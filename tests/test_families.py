@@ -20,7 +20,7 @@ import pytest
 
 from cho import cho_landing
 from command_line import read_json
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.methods.pseudospectral import Pseudospectral
@@ -427,32 +427,32 @@ def test_a_grid_from_the_command_line(capsys: pytest.CaptureFixture[str], tmp_pa
     out = tmp_path / "out"
     vary = ["--vary", "vehicle.thrust=440:460:20 N", "--vary", "vehicle.mass=290:300:10 kg"]
     arguments = ["sweep", EXAMPLE, *vary, "--out", str(out), "--json"]
-    assert run(arguments) == 0
+    assert run_command_line(arguments) == 0
     document = read_json(capsys.readouterr().out)
     assert document["parameters"] == [{"name": "vehicle_thrust", "unit": "N"}, {"name": "vehicle_mass", "unit": "kg"}]
     assert [p["values"] for p in document["points"]] == [[440.0, 290.0], [440.0, 300.0], [460.0, 290.0], [460.0, 300.0]]
     assert (out / "family.csv").read_text().startswith("vehicle_thrust [N],vehicle_mass [kg],landed_mass [kg]")
     stamps = {p.name: p.stat().st_mtime_ns for p in (out / "members").iterdir()}
-    assert run([*arguments, "--resume"]) == 0
+    assert run_command_line([*arguments, "--resume"]) == 0
     assert read_json(capsys.readouterr().out)["points"][3]["outcome"] == "PROVED"
     assert {p.name: p.stat().st_mtime_ns for p in (out / "members").iterdir()} == stamps
     falsified(out / "members", lambda d: d["solution"].update(objective={"value": -999.0}, extremals=[]))
-    assert run([*arguments, "--resume"]) == 0
+    assert run_command_line([*arguments, "--resume"]) == 0
     said = capsys.readouterr()
     assert "perilune: stored member 000000 does not prove and is solved again" in said.err
     assert read_json(said.out)["notes"] == ["stored member 000000 does not prove and is solved again"]
-    assert run(arguments) == 2  # the directory is not empty
-    assert run([*arguments, "--force"]) == 0
+    assert run_command_line(arguments) == 2  # the directory is not empty
+    assert run_command_line([*arguments, "--force"]) == 0
     assert {p.name: p.stat().st_mtime_ns for p in (out / "members").iterdir()} != stamps
 
 
 def test_workers_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["sweep", EXAMPLE, "--vary", "vehicle.thrust=440:460:20 N", "--json", "--level", "1"]
-    assert run([*arguments, "--workers", "2"]) == 0
+    assert run_command_line([*arguments, "--workers", "2"]) == 0
     found = read_json(capsys.readouterr().out)
     assert [p["outcome"] for p in found["points"]] == ["PROVED", "PROVED"]
 
 
 def test_resuming_needs_a_directory(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["sweep", EXAMPLE, "--vary", "vehicle.thrust=440:460:20 N", "--resume", "--json"]) == 2
+    assert run_command_line(["sweep", EXAMPLE, "--vary", "vehicle.thrust=440:460:20 N", "--resume", "--json"]) == 2
     assert "--out DIR" in json.dumps(read_json(capsys.readouterr().out))

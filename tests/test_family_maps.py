@@ -13,14 +13,14 @@ from matplotlib.colors import to_hex
 
 from cho import cho_landing
 from command_line import ROOT
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.problem.solution import Solution
 from perilune.report import contours
-from perilune.report.contours import OVER_WEIGHT, demand_map, family_map, map_names
+from perilune.report.contours import OVER_WEIGHT, family_map, map_names, require_map
 from perilune.report.family import write_family
-from perilune.report.figures import drawings
+from perilune.report.figures import solution_drawings
 from perilune.scenario import load_file
 from perilune.solve import solve
 from perilune.words.outcome import Outcome, PeriluneError
@@ -130,8 +130,8 @@ def test_members_on_a_curve_are_no_contours(family: Family) -> None:
         (lambda f: family_map(replace(f, points=f.points[:-1])), ("along two parameters", "11 members")),
         (lambda f: family_map(without(f, *range(12)), z="propellant"), ("no quantity of a family",)),
         (lambda f: family_map(without(f, *range(11))), ("nothing to draw of", "three neighbours")),
-        (lambda f: demand_map(f.problem, ("vehicle_thrust",), {"x": "m"}), ("two parameters", "leave out x")),
-        (lambda f: demand_map(f.problem, f.parameters, {"z": "speed"}), ("no quantity", "thrust_over_weight")),
+        (lambda f: require_map(f.problem, ("vehicle_thrust",), {"x": "m"}), ("two parameters", "leave out x")),
+        (lambda f: require_map(f.problem, f.parameters, {"z": "speed"}), ("no quantity", "thrust_over_weight")),
     ],
 )  # fmt: skip
 def test_a_map_that_cannot_be_drawn_is_refused(
@@ -153,12 +153,12 @@ def test_names_that_are_known_beforehand_are_those_of_the_members(family: Family
 def test_the_command_draws_what_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ask = ["sweep", str(ROOT / "examples" / "ordinary_lander.toml"), "--level", "0", "--vary",
            "vehicle.thrust=440:500:60 N", "--vary", "vehicle.mass=290:300:10 kg"]  # fmt: skip
-    assert run([*ask, "--x", OVER_WEIGHT]) == 2 and "--out DIR" in capsys.readouterr().err
-    assert run([*ask, "--z", "speed", "--out", str(tmp_path / "a")]) == 2 and not (tmp_path / "a").exists()
+    assert run_command_line([*ask, "--x", OVER_WEIGHT]) == 2 and "--out DIR" in capsys.readouterr().err
+    assert run_command_line([*ask, "--z", "speed", "--out", str(tmp_path / "a")]) == 2 and not (tmp_path / "a").exists()
     assert "landed_mass" in capsys.readouterr().err
-    assert run([*ask[:-2], "--y", "propellant", "--out", str(tmp_path / "a")]) == 2
+    assert run_command_line([*ask[:-2], "--y", "propellant", "--out", str(tmp_path / "a")]) == 2
     assert "two parameters" in capsys.readouterr().err
-    assert run([*ask, "--x", OVER_WEIGHT, "--z", "propellant", "--out", str(tmp_path / "a")]) == 0
+    assert run_command_line([*ask, "--x", OVER_WEIGHT, "--z", "propellant", "--out", str(tmp_path / "a")]) == 0
     text = (tmp_path / "a" / "family.svg").read_text(encoding="utf-8")
     assert "<svg" in text and (tmp_path / "a" / "family.png").stat().st_size > 5000
 
@@ -180,7 +180,7 @@ def level_flight() -> Solution:
 
 def test_two_millimetres_are_not_blown_up(level_flight: Solution) -> None:
     """Beside a way of 3.2 km the panel spans 3.2 m, and a thousandth of the largest change of speed."""
-    drawn = drawings(level_flight)
+    drawn = solution_drawings(level_flight)
     _, top = drawn["track"]().axes
     assert "cross-range" in top.get_ylabel() and np.ptp(top.get_ylim()) == pytest.approx(3.22e-3, rel=0.01)
     east, north, up = drawn["velocities"]().axes

@@ -16,7 +16,7 @@ from perilune.io.columns import Column
 from perilune.io.export import trajectory_csv
 from perilune.problem.solution import Solution
 from perilune.report.family import family_csv, family_document
-from perilune.report.figures import label, save, solution_figures
+from perilune.report.figures import label, save_figure, solution_figures
 from perilune.report.histories import _costate_symbol
 from perilune.scenario import load_file
 from perilune.solve import solve
@@ -65,7 +65,7 @@ def test_a_site_below_the_datum_is_in_the_picture(below: Solution, ordinary: Sol
     under = np.interp(flight[:, 0], ground[:, 0], ground[:, 1])
     assert (flight[:, 1] - under).min() > -1e-2  # km on the paper: it comes down to the ground, and not below
     assert abs(flight[-1, 1] - under[-1]) < 0.02 * np.ptp(flight[:, 1])
-    save(path, tmp_path, "path")
+    save_figure(path, tmp_path, "path")
 
 
 def test_a_switch_is_drawn_as_a_step() -> None:

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import perilune as pl
 from perilune.direct.first_guess import first_guesses
-from perilune.direct.flown_guess import NODES, fitting_segments, flown_guess, winds
+from perilune.direct.flown_guess import NODES, fitting_segments, simulate_guess, winds_repeatedly
 from perilune.direct.segments import Sampler
 from perilune.problem.controls import admissible
 from perilune.problem.problem import Problem
@@ -22,7 +22,7 @@ from problems.transfers import dionysus
 
 def flown(problem: Problem) -> list[Sampler]:
     free, lines, _ = next(first_guesses(problem, None))
-    found = flown_guess(problem, free, lines)
+    found = simulate_guess(problem, free, lines)
     assert found is not None
     return found
 
@@ -46,7 +46,7 @@ def test_a_flight_that_winds_keeps_the_dynamics_and_gives_the_mesh() -> None:
     problem = dionysus()
     (guess,) = flown(problem)
     (segments,) = fitting_segments([guess])
-    assert winds([guess])
+    assert winds_repeatedly([guess])
     assert segments == 10 and segments * NODES == 80
     p, phase, duration = problem.parameters({}), problem.phases[0], problem.given["flight_time"].value
 
@@ -63,7 +63,7 @@ def test_a_flight_that_winds_keeps_the_dynamics_and_gives_the_mesh() -> None:
 @pytest.mark.parametrize("name", [a.name for a in LIBRARY])
 def test_what_does_not_wind_is_left_alone(name: str) -> None:
     problem = next(a for a in LIBRARY if a.name == name).make()
-    assert not winds(flown(problem))
+    assert not winds_repeatedly(flown(problem))
 
 
 def test_three_quarters_round_in_one_leg() -> None:
@@ -85,7 +85,7 @@ def test_what_cannot_be_flown_to_the_end_is_no_guess() -> None:
     """A mass that runs out on the way."""
     problem = meditch().with_given(m=0.2)
     free, lines, _ = next(first_guesses(problem, None))
-    assert flown_guess(problem, free, [lambda at: (lines[0](at)[0], np.full((len(at), 1), 1.2))]) is None
+    assert simulate_guess(problem, free, [lambda at: (lines[0](at)[0], np.full((len(at), 1), 1.2))]) is None
 
 
 def test_an_ordinary_problem_is_solved_from_the_straight_line_alone() -> None:

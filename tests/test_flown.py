@@ -13,12 +13,12 @@ import perilune as pl
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.methods.answer import Curves
-from perilune.methods.flown import exported, in_one_piece, mended
+from perilune.methods.flown import correct_last_digits, propagate_for_export, propagate_in_one_piece
 from perilune.methods.search import Search
 from perilune.problem.variables import Given, Variable
 from perilune.shooting.function import Root, Shooting
 from perilune.words.outcome import NotConvergedError
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from test_control_law import given, variables
 
 
@@ -70,7 +70,10 @@ def test_one_piece_misses_where_pieces_do_not() -> None:
     root = shooting.at(found.unknowns[None], p, shooting.holding({}))[0]
     ends = [
         flown.z[-1, 0] - 1
-        for flown in (in_one_piece(problem, conditions, root.y)[0], exported(problem, conditions, root)[0])
+        for flown in (
+            propagate_in_one_piece(problem, conditions, root.y)[0],
+            propagate_for_export(problem, conditions, root)[0],
+        )
     ]
     assert abs(ends[0]) > 1e-10 > 1e-12 > abs(ends[1])
 
@@ -90,11 +93,11 @@ def test_a_root_of_amplified_rounding_is_moved_by_its_last_digits() -> None:
     problem = saddle(8.0)
     known = pl.solve(problem, level=0).trajectories
     assert isinstance(known, Curves)
-    search, root = Search(pl.Indirect(), problem, silent), known.root
+    search, root = Search(pl.Indirect(), problem, ignore_events), known.root
     rounded = replace(root, y=root.y + np.array([1e-10, 0.0, 0.0]), residual=root.residual + 5e-10)
 
     def missed(root: Root) -> float:
-        (flown,) = in_one_piece(problem, known.conditions, root.y)
+        (flown,) = propagate_in_one_piece(problem, known.conditions, root.y)
         return abs(float(flown.z[-1, 0]) - 1.0)
 
     assert missed(rounded) > 1e-8 and missed(search._to_last_digits(rounded)) < 1e-11
@@ -125,9 +128,9 @@ def test_of_what_rounding_leaves_the_least_is_kept(
         tried.append(y)
         return []
 
-    monkeypatch.setattr("perilune.methods.flown.in_one_piece", flown)
-    monkeypatch.setattr("perilune.methods.flown._left", lambda *_, **__: np.full(len(plan.rows), next(still)))
-    best, least = mended(problem, conditions, start, plan.rows, plan.active)
+    monkeypatch.setattr("perilune.methods.flown.propagate_in_one_piece", flown)
+    monkeypatch.setattr("perilune.methods.flown._end_residual", lambda *_, **__: np.full(len(plan.rows), next(still)))
+    best, least = correct_last_digits(problem, conditions, start, plan.rows, plan.active)
     assert len(tried) == flights and best.y is tried[kept]
     assert least == (left[kept] if math.isfinite(left[kept]) else math.inf)
 
@@ -138,12 +141,12 @@ def test_a_flight_that_is_stuck_is_flown_as_newton_flew_it_or_refused() -> None:
     known = pl.solve(problem, level=0).trajectories
     assert isinstance(known, Curves)
     of = problem, known.conditions, known.root
-    assert not in_one_piece(*of[:2], known.root.y, max_steps=15)[0].complete
-    (flown,) = exported(*of, max_steps=15)
+    assert not propagate_in_one_piece(*of[:2], known.root.y, max_steps=15)[0].complete
+    (flown,) = propagate_for_export(*of, max_steps=15)
     assert flown.complete and flown.arcs[0].t[-1] == flown.duration
     assert flown.z[-1, 0] == pytest.approx(1.0, abs=1e-10)
     with pytest.raises(NotConvergedError, match=r"to its end\n  got: it is stuck 0\.\d+ s into way, of 1 s"):
-        exported(*of, max_steps=8)
+        propagate_for_export(*of, max_steps=8)
 
 
 def test_pieces_are_one_curve() -> None:

@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.scenario import load_file
 from perilune.words.outcome import PeriluneError
 
@@ -63,7 +63,7 @@ def test_what_is_a_failure_is_seen(fuzz: ModuleType) -> None:
 def test_numbers_that_no_fall_bears_are_refused_in_words(
     changes: list[str], code: int, said: str, capfd: pytest.CaptureFixture[str], recwarn: pytest.WarningsRecorder
 ) -> None:
-    assert run(["check", CAPSULE, *(word for change in changes for word in ("--set", change))]) == code
+    assert run_command_line(["check", CAPSULE, *(word for change in changes for word in ("--set", change))]) == code
     told = capfd.readouterr()
     assert said in told.err
     assert "Warning" not in told.err

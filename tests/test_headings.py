@@ -11,7 +11,7 @@ import pytest
 
 import perilune as pl
 from command_line import ROOT
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.models.bodies import MARS, MOON, Body
 from perilune.models.landing import Orbit, Vehicle, hybrid_landing
 from perilune.scenario import load_file
@@ -61,7 +61,7 @@ def test_a_file_calls_no_body_by_the_name_of_another(
     document = json.loads(path.read_text())
     document["made"]["sections"]["body"]["name"] = "moon"
     path.write_text(json.dumps(document))
-    assert run(["verify", str(tmp_path / "saved")]) == 0
+    assert run_command_line(["verify", str(tmp_path / "saved")]) == 0
     first = capsys.readouterr().out.splitlines()[0]
     called = "Mars, its air left out" if numbers == "of Mars" else "a body called moon"
     assert first.startswith(f"300 kg lander from 15 km to {called}, but with vehicle_thrust 3000 N: PROVED")

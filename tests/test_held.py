@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from perilune.methods.indirect import Indirect
-from perilune.models.descent_frames import variables
+from perilune.models.descent_frames import variables_of_unit
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -28,9 +28,17 @@ def bryson_denham(wall: float) -> Problem:
 
     def phase(name: str, **more: Any) -> Phase:
         return Phase(
-            name=name, states=(*variables("m", "x"), *variables("m/s", "v"), *variables("m^2/s^3", "cost")),
-            controls=(Bounded(name="a", unit="m/s^2"),), dynamics=_rates, duration=f"T_{name}", **more,
-        )  # fmt: skip
+            name=name,
+            states=(
+                *variables_of_unit("m", "x"),
+                *variables_of_unit("m/s", "v"),
+                *variables_of_unit("m^2/s^3", "cost"),
+            ),
+            controls=(Bounded(name="a", unit="m/s^2"),),
+            dynamics=_rates,
+            duration=f"T_{name}",
+            **more,
+        )
 
     return Problem(
         name="bryson_denham",
@@ -38,13 +46,17 @@ def bryson_denham(wall: float) -> Problem:
             phase(
                 "up",
                 end=lambda x, p, m: (x.x - p.wall, x.v),
-                end_conditions=(*variables("m", "on_wall"), *variables("m/s", "at_rest")),
+                end_conditions=(*variables_of_unit("m", "on_wall"), *variables_of_unit("m/s", "at_rest")),
             ),
-            phase("along", held=lambda x, u, p, m: (u.a,), held_conditions=variables("m/s^2", "stays")),
+            phase("along", held=lambda x, u, p, m: (u.a,), held_conditions=variables_of_unit("m/s^2", "stays")),
             phase(
                 "down",
                 end=lambda x, p, m: (x.x, x.v + p.speed, p.T_up + p.T_along + p.T_down - p.T),
-                end_conditions=(*variables("m", "back"), *variables("m/s", "speed"), *variables("s", "time")),
+                end_conditions=(
+                    *variables_of_unit("m", "back"),
+                    *variables_of_unit("m/s", "speed"),
+                    *variables_of_unit("s", "time"),
+                ),
             ),
         ),
         links=(lambda x, p, m: (x.x, x.v, x.cost),) * 2,

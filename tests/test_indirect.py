@@ -13,13 +13,13 @@ from cho import cho_landing
 from newton_toys import toy
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.methods.assemble import _agreed
+from perilune.methods.assemble import _reconcile_switch_values
 from perilune.methods.indirect import Indirect
 from perilune.problem.nodes import hermite_nodes
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution
 from perilune.problem.variables import Free, Given, Variable
-from perilune.shooting.continuation import Member, follow
+from perilune.shooting.continuation import Member, follow_family
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import Columns, newton
 from perilune.solve import solve
@@ -118,7 +118,7 @@ def test_continuation_halves_steps_and_reports() -> None:
         return r.inverse[0]
 
     first = Member(value=1.0, root=root(2, np.ones(1), 1.0))
-    found = list(follow(first, [0.5, 0.01, -1.0], lambda y, v: root(2, y, v), lambda r, v: tangent(2, r, v)))
+    found = list(follow_family(first, [0.5, 0.01, -1.0], lambda y, v: root(2, y, v), lambda r, v: tangent(2, r, v)))
     assert found[0] is not None and found[0].root.y[0] == pytest.approx(math.sqrt(0.5))
     assert found[1] is not None and found[1].root.y[0] == pytest.approx(0.1)
     assert found[2] is None
@@ -201,7 +201,7 @@ def test_a_control_that_goes_on_through_a_switch_is_told_by_the_side_that_turns_
         for slow, fast in ((0, 1), (1, 0)):
             pieces = [piece(2.0, 0.5, 0.1), piece(2.0 + gone, 0.5 + step, -600.0)][:: 1 if slow == 0 else -1]
             pieces[1][0], pieces[0][0] = np.full(1, 2.0 + gone), np.full(1, 2.0)
-            _agreed(pieces, slice(1, None))
+            _reconcile_switch_values(pieces, slice(1, None))
             assert pieces[fast][1][0, 1] == (told or 0.5 + step)
             assert pieces[slow][1][0].tolist() == [7.0, 0.5] and pieces[fast][2][0, 1] == -600.0
 

@@ -13,10 +13,10 @@ import pytest
 from scipy.optimize import brentq
 
 from perilune.conditions.canonical import extremal_parameters
-from perilune.conditions.pontryagin import derive, keepable_conditions
+from perilune.conditions.pontryagin import attainable_conditions, derive
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.methods.rungs import Rungs
-from perilune.models.descent_frames import variables
+from perilune.methods.rungs import ColdStarts
+from perilune.models.descent_frames import variables_of_unit
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -36,14 +36,14 @@ def _steered(*, path: Any, names: tuple[str, ...], of: str = "1", **given: float
     """As far as possible in a given time, to a given height, with a thrust of one size: linear tangent steering."""
     phase = Phase(
         name="burn",
-        states=(*variables("m", "x", "y"), *variables("m/s", "vx", "vy")),
+        states=(*variables_of_unit("m", "x", "y"), *variables_of_unit("m/s", "vx", "vy")),
         controls=(Direction(names=("along", "up")),),
         dynamics=_rates,
         duration="T",
         end=lambda x, p, m: (x.y - p.height,),
-        end_conditions=variables("m", "height"),
+        end_conditions=variables_of_unit("m", "height"),
         path=path,
-        path_conditions=variables(of, *names),
+        path_conditions=variables_of_unit(of, *names),
     )
     units = {"push": "m/s^2", "height": "m", "T": "s"}
     values = {"push": 1.0, "height": HEIGHT, "T": DURATION, "steepest": STEEPEST, **given}
@@ -101,8 +101,8 @@ def test_a_limit_that_the_direct_solution_meets_is_kept_where_no_extremal_tells_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As random costates without the limit may find nothing."""
-    found = Rungs.from_random_costates
-    monkeypatch.setattr(Rungs, "from_random_costates", lambda self: found(self) if self.keep else iter(()))
+    found = ColdStarts.from_random_costates
+    monkeypatch.setattr(ColdStarts, "from_random_costates", lambda self: found(self) if self.keep else iter(()))
     problem = _steered(path=lambda x, u, p, m: (p.steepest - u.up,), names=("below_steepest",))
     solution = solve(problem, level=0)
     assert solution.objective == pytest.approx(_clipped()[0], abs=1e-11)
@@ -147,7 +147,7 @@ def test_two_limits_at_once() -> None:
     problem = _steered(
         path=lambda x, u, p, m: (p.steepest - u.up, u.up - p.flattest), names=("below", "above"), flattest=0.2
     )
-    assert keepable_conditions(problem) == ("below", "above")
+    assert attainable_conditions(problem) == ("below", "above")
     solution = solve(problem, level=0)
     J, _, _ = _clipped(least=0.2)
     assert solution.objective == pytest.approx(J, abs=1e-11)
@@ -163,14 +163,14 @@ def test_two_limits_at_once() -> None:
 )
 def test_what_the_control_cannot_keep_so(path: Any, names: tuple[str, ...], of: str) -> None:
     problem = _steered(path=path, names=names, of=of)
-    assert keepable_conditions(problem) == ()
+    assert attainable_conditions(problem) == ()
     assert len(derive(problem, names).phases[0].modes) == 1
 
 
 def test_limits_about_one_axis_never_hold_together() -> None:
     """An elevation cannot be at both of its limits; about two axes there is a corner of each pair."""
     problem = load_file("examples/polar_descent.toml").problem
-    keep = keepable_conditions(problem)
+    keep = attainable_conditions(problem)
     assert keep == ("elevation_above_lower", "elevation_below_upper")
     assert set(derive(problem, keep).phases[0].held) == {(), (keep[0],), (keep[1],)}
 
@@ -227,7 +227,7 @@ def test_a_free_parameter_in_a_condition_is_chosen_with_its_multiplier() -> None
 def test_bounded_controls_beside_a_kept_condition() -> None:
     """A throttle beside it: regimes of both, each combination a mode."""
     problem = load_file("examples/precision_landing.toml").problem
-    phase = derive(problem, keepable_conditions(problem)).phases[0]
+    phase = derive(problem, attainable_conditions(problem)).phases[0]
     assert [*zip(phase.held, phase.regimes, strict=True)] == [
         ((), ("lower",)), ((), ("upper",)), (("pointing_margin",), ("lower",)), (("pointing_margin",), ("upper",)),
     ]  # fmt: skip

@@ -16,9 +16,9 @@ from scipy.optimize import brentq
 
 import perilune as pl
 from perilune.conditions.canonical import extremal_parameters
-from perilune.conditions.pontryagin import derive, keepable_conditions
-from perilune.conditions.scalars import Scalar, _met, least_between, pivots
-from perilune.methods.judge import Judge
+from perilune.conditions.pontryagin import attainable_conditions, derive
+from perilune.conditions.scalars import Scalar, _condition_zeros_on_line, minimise_interior_scalars, pivots
+from perilune.methods.judge import AdmissibilityTest
 from perilune.problem.controls import Settled
 from perilune.shooting.function import Shooting
 from problems.entry import limited_entry
@@ -156,7 +156,7 @@ def _least(H: Any, held: Any, *ranges: tuple[float, float]) -> list[float]:
                (ca.SX(low), ca.SX(high)), acts=True)
         for at, (low, high) in enumerate(ranges)
     ]  # fmt: skip
-    control, w, at = least_between(phase, H(*ca.vertsplit(u)), u, free, ca.SX(held(*ca.vertsplit(u))))
+    control, w, at = minimise_interior_scalars(phase, H(*ca.vertsplit(u)), u, free, ca.SX(held(*ca.vertsplit(u))))
     return np.array(ca.evalf(ca.substitute(control, w, at))).ravel().tolist()
 
 
@@ -209,7 +209,7 @@ def test_what_knows_a_direction_too_is_not_kept() -> None:
         path=lambda x, u, p, m: (p.most - u.size * u.e,),
         path_conditions=variables(across="m/s^2"),
     )
-    assert keepable_conditions(replace(problem, phases=(phase,))) == ()
+    assert attainable_conditions(replace(problem, phases=(phase,))) == ()
 
 
 def test_an_entry_under_limits_of_load_and_of_heating() -> None:
@@ -227,20 +227,22 @@ def test_a_load_that_is_broken_for_a_moment_alone_is_seen() -> None:
     problem, conditions = free.problem.with_given(most_load=60.7), derive(free.problem)
     p, shooting = extremal_parameters(problem), Shooting(conditions)
     root = shooting.root(np.array(free.unknowns), p, np.zeros(2 * shooting.plan.held))
-    breach = Judge(problem, conditions, p).breach(root)
+    breach = AdmissibilityTest(problem, conditions, p).breach(root)
     assert breach is not None and breach.name == "load"
     assert breach.miss == pytest.approx(0.0066, abs=1e-4)
     kept = problem.with_given(most_load=61.2)
-    assert Judge(kept, conditions, extremal_parameters(kept)).breach(root) is None
+    assert AdmissibilityTest(kept, conditions, extremal_parameters(kept)).breach(root) is None
 
 
 @pytest.mark.parametrize("rate", [2.0, -0.5])
 def test_along_a_line_a_condition_that_is_linear_is_met_at_once(rate: float) -> None:
     """At its root, whatever the grid; one that bends where a chord of the grid between two signs leads."""
     u = ca.SX.sym("u", 2)
-    [(point, met)] = _met(u, [ca.SX(7.0), ca.SX(1.0)], ca.SX(1.0), rate * u[0] + 3.0 * u[1] - 9.0, 0, [ca.SX(0.0)])
+    [(point, met)] = _condition_zeros_on_line(
+        u, [ca.SX(7.0), ca.SX(1.0)], ca.SX(1.0), rate * u[0] + 3.0 * u[1] - 9.0, 0, [ca.SX(0.0)]
+    )
     assert [float(ca.evalf(value)) for value in point] == [6.0 / rate, 1.0] and float(met) == 1.0
     grid = [ca.SX(value) for value in (0.0, 1.0, 3.0)]
-    both = list(_met(u, [ca.SX(7.0), ca.SX(1.0)], ca.SX(1.0), u[0] ** 2 - 4.0 * u[1], 0, grid))
+    both = list(_condition_zeros_on_line(u, [ca.SX(7.0), ca.SX(1.0)], ca.SX(1.0), u[0] ** 2 - 4.0 * u[1], 0, grid))
     assert [float(ca.evalf(met)) for _, met in both] == [0.0, 1.0]
     assert float(ca.evalf(both[1][0][0])) == pytest.approx(1.0 + 3.0 * 2.0 / 8.0)

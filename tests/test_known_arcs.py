@@ -11,11 +11,11 @@ import pytest
 import perilune as pl
 from perilune.conditions.pontryagin import derive
 from perilune.methods import structured
-from perilune.problem.neighbours import movable, moved
+from perilune.problem.neighbours import move_start, with_start_offsets
 from perilune.problem.solution import Solution
 from perilune.structures import read as reading
-from perilune.structures.carry import Joined
-from perilune.structures.read import own_readings, readings
+from perilune.structures.carry import JoinedTrajectories
+from perilune.structures.read import detect_own_structures, detect_structures
 from perilune.words.deferred import Deferred
 from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham
 
@@ -46,7 +46,7 @@ def test_known_arcs_are_neither_read_nor_restated(touching: Solution, monkeypatc
         monkeypatch.setattr(structured, name, None)
     solution = pl.solve(problem, guess=guess, level=0)
     for known in (guess.trajectories, solution.trajectories):
-        assert isinstance(known, Joined) and not known.made
+        assert isinstance(known, JoinedTrajectories) and not known.made
     monkeypatch.undo()
     assert solution.objective == pytest.approx(from_curves.objective, rel=1e-13)
     assert solution.statistics.rung == from_curves.statistics.rung == "structure"
@@ -95,7 +95,7 @@ def test_arcs_are_known_where_a_range_moves_that_ends_nothing(monkeypatch: pytes
     """As the longest flight of a return does with the area of its drag: all of it was read and restated anew."""
     first, moved, narrow = (timed_bryson_denham(0.12, 0.5, longest, -8 / 9) for longest in (0.8, 0.9, 0.58))
     guess, best = pl.solve(first, level=0), pl.solve(moved, level=0)
-    assert isinstance(guess.trajectories, Joined) and guess.free["T"] == pytest.approx(0.6)
+    assert isinstance(guess.trajectories, JoinedTrajectories) and guess.free["T"] == pytest.approx(0.6)
     for name in ("restate", "readings", "split"):
         monkeypatch.setattr(structured, name, None)
     solution = pl.solve(moved, guess=guess, level=0)
@@ -107,12 +107,12 @@ def test_arcs_are_known_where_a_range_moves_that_ends_nothing(monkeypatch: pytes
 def test_a_guess_is_read_once_for_all_its_neighbours(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept is of this very solution, and is gone with it."""
     read = list[int]()
-    monkeypatch.setattr(reading, "readings", lambda *of: read.append(1) or readings(*of))
+    monkeypatch.setattr(reading, "detect_structures", lambda *of: read.append(1) or detect_structures(*of))
     one, other = (replace(touching, objective=touching.objective) for _ in range(2))
-    first = own_readings(one, 1e-7)
-    assert own_readings(one, 1e-7) == first == readings(one.problem, one, 1e-7) and len(read) == 1
-    assert own_readings(other, 1e-7) == first and len(read) == 2
-    assert own_readings(one, 1e-2) and len(read) == 3
+    first = detect_own_structures(one, 1e-7)
+    assert detect_own_structures(one, 1e-7) == first == detect_structures(one.problem, one, 1e-7) and len(read) == 1
+    assert detect_own_structures(other, 1e-7) == first and len(read) == 2
+    assert detect_own_structures(one, 1e-2) and len(read) == 3
     kept = weakref.ref(one)
     del one
     gc.collect()
@@ -121,7 +121,7 @@ def test_a_guess_is_read_once_for_all_its_neighbours(touching: Solution, monkeyp
 
 def test_a_start_is_moved_without_asking_for_anything_anew(touching: Solution) -> None:
     """The same as with other given values; what is derived of it is what is derived of the problem."""
-    problem = movable(touching.problem)
-    ahead = moved(problem, offset_v=1e-3)
+    problem = with_start_offsets(touching.problem)
+    ahead = move_start(problem, offset_v=1e-3)
     assert ahead == problem.with_given(offset_v=1e-3) and ahead.structure == problem.structure
     assert derive(ahead) is derive(touching.problem)

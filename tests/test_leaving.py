@@ -13,13 +13,13 @@ import perilune as pl
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.methods.search import Search
-from perilune.methods.structured import Polish
+from perilune.methods.structured import StructureRefinement
 from perilune.problem.solution import Curve, Solution
-from perilune.structures.carry import split
-from perilune.structures.leaving import worth_riding
+from perilune.structures.carry import split_solution
+from perilune.structures.leaving import paying_intervals
 from perilune.structures.restate import restate
 from perilune.structures.structure import Arc, Condition, Structure, conditions_of
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from problems.constrained import FROM, HOP, UNTIL, drawn_off, hopping
 
 TOO_FAR = Structure(((Arc(until=FROM), Arc(along=("height",), until=2.9)),))
@@ -33,10 +33,10 @@ def rough() -> Solution:
 def test_an_arc_pays_until_its_multiplier_changes_sign(rough: Solution) -> None:
     """mu = 6 (2 - t): worth it for 1.5 s from where it is met, and not to the end."""
     restated = restate(drawn_off(), TOO_FAR, repeated=False)
-    ridden = Search(Indirect(), restated, silent).solve(split(rough, TOO_FAR, restated))
+    ridden = Search(Indirect(), restated, ignore_events).solve(split_solution(rough, TOO_FAR, restated))
     assert ridden.trajectories[0].duration == pytest.approx(FROM, abs=1e-9)
     condition = conditions_of(drawn_off(), 0, ("height",))["height"]
-    [(begin, end)] = worth_riding(ridden, 1, condition) or []
+    [(begin, end)] = paying_intervals(ridden, 1, condition) or []
     assert begin == 0.0
     assert end == pytest.approx(2.0 - FROM, abs=0.01)
 
@@ -45,9 +45,9 @@ def test_where_the_multiplier_has_a_kink_it_tells_nothing(rough: Solution, monke
     """No polynomial follows it, and curves that it has not would be read off one; a parabola is what it is."""
     condition, index = conditions_of(drawn_off(), 0, ("height",))["height"], 0
     monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: np.abs(t - 0.3))
-    assert worth_riding(rough, index, condition) is None
+    assert paying_intervals(rough, index, condition) is None
     monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: t * t)
-    assert worth_riding(rough, index, condition) == [(0.0, rough.trajectories[0].duration)]
+    assert paying_intervals(rough, index, condition) == [(0.0, rough.trajectories[0].duration)]
 
 
 @pytest.mark.parametrize(("order", "pays"), [(1, True), (2, False), (3, None)])
@@ -58,12 +58,12 @@ def test_what_pays_is_a_derivative_of_the_multiplier_of_the_order_of_the_conditi
     condition = cast(Condition, SimpleNamespace(order=order, rated=lambda *_: SimpleNamespace(name="height")))
     monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: -t - t * t)
     everywhere = [(0.0, rough.trajectories[0].duration)]
-    assert worth_riding(rough, 0, condition) == {True: everywhere, False: [], None: None}[pays]
+    assert paying_intervals(rough, 0, condition) == {True: everywhere, False: [], None: None}[pays]
 
 
 def test_the_structure_is_revised_to_one_that_leaves(rough: Solution) -> None:
     tried = list[str]()
-    run = Polish(settings=Indirect(), problem=drawn_off(), watch=silent, tried=tried)
+    run = StructureRefinement(settings=Indirect(), problem=drawn_off(), watch=ignore_events, tried=tried)
     found = run.followed(rough, TOO_FAR, set())
     assert found is not None
     assert tried == [
@@ -88,7 +88,9 @@ def hop() -> Solution:
 def test_an_arc_that_pays_nowhere_is_a_touch(hop: Solution) -> None:
     """The touch, the hop behind it and the jump of the costate in closed form, though S'' is 4e-7 of its largest."""
     tried, ridden = list[str](), Structure(((Arc(until=0.5), Arc(along=("height",), until=1.0)),))
-    assert Polish(settings=Indirect(), problem=hopping(), watch=silent, tried=tried).followed(hop, ridden, set())
+    assert StructureRefinement(settings=Indirect(), problem=hopping(), watch=ignore_events, tried=tried).followed(
+        hop, ridden, set()
+    )
     assert tried == [
         "structure free, along height: an extremal of another one",
         "structure free and touches height, free: an extremal",

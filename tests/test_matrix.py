@@ -22,7 +22,7 @@ from carried import Carried, rough_flight
 from matrix import QUICK_RETURNS, REFUSED, WAYS, cover, declared, reached, text_of, unreached
 from perilune.models.kinds import KINDS, Kind, Section
 from perilune.scenario import load_text
-from perilune.words.declared import quantity, record, words
+from perilune.words.declared import quantity, record, text_field
 from perilune.words.outcome import PeriluneError
 
 SINGLES = [
@@ -59,7 +59,7 @@ def test_a_section_or_choice_that_is_new_is_missed() -> None:
 
     @record("sails")
     class Sails:
-        shape: str = words("square", "square", "round", default="square")
+        shape: str = text_field("square", "square", "round", default="square")
         area: float | None = quantity("m^2", "9 m^2", default=None)
 
     kind = KINDS["hybrid_landing"]

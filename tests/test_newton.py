@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from newton_toys import toy
-from perilune.shooting.newton import FINEST, Columns, Ends, Evaluate, Lanes, newton, rows
+from perilune.shooting.newton import FINEST, Columns, Ends, Evaluate, Lanes, evaluation_rows, newton
 from perilune.words.watch import Iteration
 
 ONE = Columns(n=1)
@@ -102,7 +102,7 @@ def test_steps_are_limited() -> None:
 
     def noted(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
         at.append(float(y[0, 0]))
-        return rows(y, y - 10, np.ones((1, 1, 1)), inverse, np.zeros((1, 0)))
+        return evaluation_rows(y, y - 10, np.ones((1, 1, 1)), inverse, np.zeros((1, 0)))
 
     assert run(noted, 0.0, max_step=3.0).converged.all()
     assert np.abs(np.diff(at)).max() <= 3.0
@@ -117,7 +117,9 @@ def test_a_residual_that_is_round_off_is_a_root(copies: int) -> None:
 
     def noisy(size: float) -> Evaluate:
         def evaluate(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-            return rows(y, np.full_like(y, size), np.full((len(y), 1, 1), 1e-8), inverse, np.zeros((len(y), 0)))
+            return evaluation_rows(
+                y, np.full_like(y, size), np.full((len(y), 1, 1), 1e-8), inverse, np.zeros((len(y), 0))
+            )
 
         return evaluate
 
@@ -132,7 +134,7 @@ def test_no_root_is_claimed_from_a_rough_evaluation(copies: int) -> None:
 
     def rough(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
         asked.append(float(accuracy.max()))
-        return rows(y, y - 1 + accuracy[:, None], np.ones((len(y), 1, 1)), inverse, np.zeros((len(y), 0)))
+        return evaluation_rows(y, y - 1 + accuracy[:, None], np.ones((len(y), 1, 1)), inverse, np.zeros((len(y), 0)))
 
     ends = run(rough, *[0.0] * copies)
     assert ends.converged.all()
@@ -148,7 +150,7 @@ def test_a_rough_evaluation_that_leads_nowhere_is_made_again(copies: int) -> Non
     def misleading(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
         asked.append(float(accuracy.max()))
         slope = np.where(accuracy > FINEST, -1.0, 1.0)
-        return rows(y, y - 1, slope[:, None, None], inverse, np.zeros((len(y), 0)))
+        return evaluation_rows(y, y - 1, slope[:, None, None], inverse, np.zeros((len(y), 0)))
 
     ends = run(misleading, *[0.0] * copies)
     assert ends.converged.all()
@@ -165,7 +167,7 @@ def test_amplified_round_off_is_a_root_where_y_cannot_be_better(copies: int) -> 
 
         def evaluate(lanes: Lanes, y: np.ndarray, accuracy: np.ndarray, inverse: np.ndarray) -> np.ndarray:
             h = 1e5 * (y**2 - 2) + size * (1 + state.random(y.shape))
-            return rows(y, h, (2e5 * y)[:, :, None], inverse, np.zeros((len(y), 0)))
+            return evaluation_rows(y, h, (2e5 * y)[:, :, None], inverse, np.zeros((len(y), 0)))
 
         return evaluate
 

@@ -15,15 +15,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.models.bodies import Planet
 from perilune.models.deorbit.opportunities import opportunities
-from perilune.models.deorbit.orbit import plane, state
-from perilune.models.deorbit.passes import furthest_turned, passes
+from perilune.models.deorbit.orbit import orbit_state, plane_axes
+from perilune.models.deorbit.passes import find_passes, largest_plane_turn
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Orbit, Returner, Transition
+from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Returner, ReturnOrbit, Transition
 from perilune.models.deorbit.secular import drift
-from perilune.models.deorbit.times import impulsive
+from perilune.models.deorbit.times import impulsive_deorbit
 from perilune.models.rotating import free_acceleration
 from perilune.models.vehicle import Throttle
 from perilune.problem.preflight import preflight
@@ -33,7 +33,7 @@ from perilune.words.outcome import InfeasibleError, PeriluneError
 MU, RADIUS, TURN = 3.986004418e14, 6378137.0, 7.292115e-5
 EARTH = Planet(name="earth", gravitational_parameter=MU, radius=RADIUS, rotation_rate=TURN, j2=1.0826e-3)
 VEHICLE = Returner(mass=500.0, thrust=500.0, exhaust_velocity=3000.0, drag_area=0.6, dry_mass=460.0)
-ORBIT = Orbit(
+ORBIT = ReturnOrbit(
     radius=6771e3, inclination=math.radians(51.6), node_longitude=math.radians(-27.0),
     argument_of_latitude=math.radians(120.0), longest_coast=1200.0,
 )  # fmt: skip
@@ -72,7 +72,7 @@ altitude = "10 km"
 """
 
 
-def returning(orbit: Orbit = ORBIT, vehicle: Returner = VEHICLE, **more: Any) -> pl.Problem:
+def returning(orbit: ReturnOrbit = ORBIT, vehicle: Returner = VEHICLE, **more: Any) -> pl.Problem:
     air = Atmosphere(model="exponential", density=1.225, scale_height=7200.0)
     made = {
         "interface": Interface(altitude=120e3, angle=math.radians(-2.0)), "body": EARTH, "air": air, "site": SITE,
@@ -90,7 +90,7 @@ def test_secular_rates_are_those_of_the_flight(inclination: float, perigee: floa
         orbit_perigee_altitude=perigee, orbit_apogee_altitude=apogee, orbit_argument_of_perigee=1.0,
         orbit_inclination=math.radians(inclination),
     )  # fmt: skip
-    position, velocity = state(angle, 0.5, p, NUMERIC)
+    position, velocity = orbit_state(angle, 0.5, p, NUMERIC)
 
     def slope(t: float, y: Any) -> Any:
         return [*y[3:], *free_acceleration(y[:3], y[3:], (0.0, 0.0, 1.0), p, NUMERIC)]
@@ -100,7 +100,7 @@ def test_secular_rates_are_those_of_the_flight(inclination: float, perigee: floa
         slope, (0, times[-1]), [*position, *velocity], method="DOP853", rtol=1e-9, atol=1e-2, t_eval=times
     )
     truth = flown.y[:3] / np.linalg.norm(flown.y[:3], axis=0)
-    found = np.array(plane(*drift(position, velocity, p).at(times), p, NUMERIC)[0])
+    found = np.array(plane_axes(*drift(position, velocity, p).at(times), p, NUMERIC)[0])
     assert np.degrees(np.linalg.norm(found - truth, axis=0)).max() < 0.3
 
 
@@ -112,9 +112,9 @@ def test_passes_of_a_polar_orbit_over_the_equator() -> None:
         setattr(p, name, value)
     n, entry = math.sqrt(MU / 6.9e6**3), (400.0, 0.3)
     node, angle = -0.4, 0.7
-    down = impulsive(6.9e6, RADIUS + 120e3, math.radians(-2.0), MU)
+    down = impulsive_deorbit(6.9e6, RADIUS + 120e3, math.radians(-2.0), MU)
     lasts, sweeps = down.time + entry[0], down.swept + entry[1]
-    found = passes(p, drift(*state(angle, node, p, NUMERIC), p), entry, drifts=True, until=86400.0)
+    found = find_passes(p, drift(*orbit_state(angle, node, p, NUMERIC), p), entry, drifts=True, until=86400.0)
     expected = []
     for half in range(60):
         ignition = (half * math.pi - angle - sweeps) / n
@@ -173,7 +173,7 @@ def test_a_pass_out_of_reach_is_refused() -> None:
 
 def test_an_orbit_that_comes_down_by_itself_has_no_passes() -> None:
     """Nothing is left of it hours later."""
-    dips = Orbit(
+    dips = ReturnOrbit(
         perigee_altitude=100e3, apogee_altitude=400e3, argument_of_perigee=0.0, inclination=ORBIT.inclination,
         node_longitude=0.0, argument_of_latitude=math.pi,
     )  # fmt: skip
@@ -225,12 +225,12 @@ def test_the_bound_of_the_turn_holds_for_one_that_raises_the_apogee_before() -> 
     p = SimpleNamespace(orbit_radius=6678e3, body_gravitational_parameter=3.986e14)
     speed = math.sqrt(3.986e14 / 6678e3)
     for share in (0.05, 0.2, 0.33, 0.36, 0.4):
-        bound = furthest_turned(p, share * speed)
+        bound = largest_plane_turn(p, share * speed)
         for a in np.linspace(0.0, share, 50):
             slow = 2 / (1 + a) - (1 + a)
             assert bound > math.asin(min((share - a) / slow, 1.0))
         assert share < bound and (bound < 1.1 * share or share > 0.25)
-    assert furthest_turned(p, math.inf) == math.pi
+    assert largest_plane_turn(p, math.inf) == math.pi
 
 
 def test_a_turn_high_up_is_not_refused() -> None:
@@ -282,11 +282,14 @@ def test_what_has_no_opportunities_is_refused(make: Any, said: str) -> None:
 def test_the_command_lists_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "return.toml"
     file.write_text(SCENARIO, encoding="utf-8")
-    assert run(["opportunities", str(file), "--days", "2"]) == 0
+    assert run_command_line(["opportunities", str(file), "--days", "2"]) == 0
     text = capsys.readouterr().out
     assert re.search(r"13\.3\d\d h +13\.\d+ h  descending +0\.4\d deg \d+ km right", text) and "out of reach:" in text
     assert (
-        run(["opportunities", str(file), "--days", "2", "--json", "--set", "problem.epoch=2026-06-01T12:00:00Z"]) == 0
+        run_command_line(
+            ["opportunities", str(file), "--days", "2", "--json", "--set", "problem.epoch=2026-06-01T12:00:00Z"]
+        )
+        == 0
     )
     rows = json.loads(capsys.readouterr().out)["opportunities"]
     assert len(rows) > 25 and {row["verdict"] for row in rows} == {"reachable", "doubtful", "out of reach"}
@@ -294,7 +297,7 @@ def test_the_command_lists_them(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert good["utc"].startswith("2026-06-02T01:2") and good["settings"]["problem.epoch"] < good["utc"]
     # With the changes that it names, the pass is the first, half of the longest coast ahead.
     changes = [word for key, value in good["settings"].items() for word in ("--set", f"{key}={value}")]
-    assert run(["opportunities", str(file), "--days", "0.1", "--json", *changes]) == 0
+    assert run_command_line(["opportunities", str(file), "--days", "0.1", "--json", *changes]) == 0
     again = json.loads(capsys.readouterr().out)["opportunities"][0]
     assert again["ignition"] == pytest.approx(600.0, abs=15.0) and again["utc"][:16] == good["utc"][:16]
 
@@ -314,11 +317,11 @@ def test_the_command_refuses(
 ) -> None:
     file = tmp_path / "return.toml"
     file.write_text(SCENARIO, encoding="utf-8")
-    assert run(["opportunities", str(file), *words]) == code
+    assert run_command_line(["opportunities", str(file), *words]) == code
     assert said in capsys.readouterr().err
 
 
 def test_a_landing_from_orbit_has_no_opportunities(capsys: pytest.CaptureFixture[str]) -> None:
     example = Path(__file__).parent.parent / "examples" / "hybrid_lander.toml"
-    assert run(["opportunities", str(example)]) == 2
+    assert run_command_line(["opportunities", str(example)]) == 2
     assert "only a return from orbit" in capsys.readouterr().err

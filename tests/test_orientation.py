@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from perilune.models.bodies import BODIES, EARTH
-from perilune.models.orientation import ELEMENTS, axes_in_space, told_orientation
+from perilune.models.orientation import ELEMENTS, axes_in_space, describe_orientation
 from perilune.models.time_scales import tdb_minus_utc
 from perilune.words.outcome import PeriluneError
 
@@ -106,7 +106,7 @@ def test_leap_seconds_are_those_of_another_library() -> None:
      (2030, "69.184 s ahead of UTC as since 2017: later leap seconds are not known")],
 )  # fmt: skip
 def test_it_is_said_which_time_a_body_is_turned_by(year: int, said: str) -> None:
-    assert said in told_orientation("mars", datetime(year, 1, 1, tzinfo=UTC))
+    assert said in describe_orientation("mars", datetime(year, 1, 1, tzinfo=UTC))
 
 
 def test_the_moon_shows_the_earth_the_side_that_is_printed() -> None:

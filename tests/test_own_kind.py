@@ -13,8 +13,8 @@ import pytest
 
 import perilune as pl
 from carried import Carried
-from perilune.cli import run
-from perilune.io.made import made_document, read_made
+from perilune.cli import run_command_line
+from perilune.io.made import model_document, read_model
 from perilune.models.kinds import KINDS
 from perilune.scenario import load_file
 from perilune.words.outcome import PeriluneError
@@ -77,12 +77,12 @@ def test_it_is_carried_the_whole_way(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("at_hand")
 def test_its_keys_are_varied_and_refused_like_all_others(capsys: pytest.CaptureFixture[str]) -> None:
     hop = str(PLACE / "hop.toml")
-    assert run(["new", "lunar_hop"]) == 0
+    assert run_command_line(["new", "lunar_hop"]) == 0
     text = "".join(capsys.readouterr())
     assert 'kind = "lunar_hop"' in text and 'distance = "2 km"' in text and '--set "hopper.' in text
-    assert run(["check", hop, "--set", "hopper.thrus=1 N"]) == 2
+    assert run_command_line(["check", hop, "--set", "hopper.thrus=1 N"]) == 2
     assert "thrust" in "".join(capsys.readouterr())
-    assert run(["check", hop, "--set", "hopper.mass=-1 kg"]) == 2
+    assert run_command_line(["check", hop, "--set", "hopper.mass=-1 kg"]) == 2
     assert "must be positive" in "".join(capsys.readouterr())
     problem = load_file(PLACE / "hop.toml").problem
     assert "hopper_mass 1010 kg" in problem.with_given(hopper_mass=1010).heading
@@ -104,7 +104,7 @@ def test_what_is_no_kind_is_refused_in_words(
     installed(tmp_path, value)
     for place in (tmp_path, PLACE):
         monkeypatch.syspath_prepend(place)
-    assert run(["check", str(PLACE / "hop.toml")]) == 2
+    assert run_command_line(["check", str(PLACE / "hop.toml")]) == 2
     text = "".join(capsys.readouterr())
     assert words in text and "Traceback" not in text
 
@@ -161,7 +161,7 @@ def test_an_example_that_is_no_scenario_is_the_fault_of_its_package(
     key: str, value: str, words: str, brought: Callable[[str], object], capsys: pytest.CaptureFixture[str]
 ) -> None:
     brought(f"K = replace(LUNAR_HOP, example={{**LUNAR_HOP.example, {key!r}: {value!r}}})")
-    assert run(["new", "lunar_hop"]) == 2
+    assert run_command_line(["new", "lunar_hop"]) == 2
     said = capsys.readouterr()
     assert not said.out and words in said.err
     assert "the example of the kind of problem lunar_hop is no scenario" in said.err and "bad_kind:K of" in said.err
@@ -170,7 +170,7 @@ def test_an_example_that_is_no_scenario_is_the_fault_of_its_package(
 @pytest.mark.usefixtures("at_hand")
 def test_help_names_the_kinds_of_packages(capsys: pytest.CaptureFixture[str]) -> None:
     for asked in (["new", "--help"], ["help", "new"], ["new", "-h"]):
-        assert run(asked) == 0
+        assert run_command_line(asked) == 0
         assert "lunar_hop" in capsys.readouterr().out
     assert "lunar_hop" not in KINDS  # nothing of a package is loaded for it
 
@@ -179,10 +179,10 @@ def test_its_author_is_shown_where_it_fails(
     brought: Callable[[str], object], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     brought("K = replace(LUNAR_HOP, make=lambda **records: 1 / 0)")
-    assert run(["check", str(PLACE / "hop.toml")]) == 2
+    assert run_command_line(["check", str(PLACE / "hop.toml")]) == 2
     assert "PERILUNE_TRACEBACK=1" in (said := capsys.readouterr().err) and "Traceback" not in said
     monkeypatch.setenv("PERILUNE_TRACEBACK", "1")
-    assert run(["check", str(PLACE / "hop.toml")]) == 2
+    assert run_command_line(["check", str(PLACE / "hop.toml")]) == 2
     assert "1 / 0" in (said := capsys.readouterr().err) and "perilune: the kind of problem lunar_hop fails" in said
 
 
@@ -206,9 +206,9 @@ def test_without_the_package_the_known_kinds_are_named_and_what_to_do() -> None:
 def test_its_problems_are_read_back_where_nothing_of_it_was_loaded_yet() -> None:
     """As by whoever opens an atlas of one: the file names the kind, and the package is asked for it."""
     problem = load_file(PLACE / "hop.toml").problem
-    document = made_document(problem)
+    document = model_document(problem)
     assert document is not None
     del KINDS["lunar_hop"]
-    assert read_made(document, problem.given) == problem
+    assert read_model(document, problem.given) == problem
     with pytest.raises(PeriluneError, match="lunar_hip"):
-        read_made({**document, "kind": "lunar_hip"}, problem.given)
+        read_model({**document, "kind": "lunar_hip"}, problem.given)

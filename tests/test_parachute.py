@@ -18,9 +18,9 @@ import perilune as pl
 from perilune.models.atmosphere import exponential
 from perilune.models.deorbit import flight, parachute
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Interface, Landing, Orbit, Parachute, Returner, Transition
+from perilune.models.deorbit.records import Interface, Landing, Parachute, Returner, ReturnOrbit, Transition
 from perilune.report.figures import solution_figures
-from perilune.report.style import save as draw
+from perilune.report.style import save_figure as draw
 from perilune.scenario import load_text
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -48,7 +48,7 @@ def solved() -> pl.Solution:
 def returning(parachute: Parachute | None = CANOPY, **more: Any) -> pl.Problem:
     made = {"manoeuvre": PLACE, "air": AIR, "site": Landing(), "transition": Transition(longest_coast=4000.0), **more}
     return deorbit_entry(
-        made.pop("vehicle", VEHICLE), Orbit(radius=6778e3, inclination=math.radians(50.0)),
+        made.pop("vehicle", VEHICLE), ReturnOrbit(radius=6778e3, inclination=math.radians(50.0)),
         Interface(altitude=120e3, angle=math.radians(-2.0)), BALL, parachute=parachute, minimise="propellant", **made,
     )  # fmt: skip
 
@@ -79,10 +79,10 @@ def test_it_is_what_the_full_equations_do_but_for_seconds() -> None:
     record = solution.problem.phases[-2].state_record
 
     def slope(t: float, y: Vector) -> Any:
-        return flight.falling(record(*y), (), below, NUMERIC, air=air)
+        return flight.entry_rates(record(*y), (), below, NUMERIC, air=air)
 
     def lands(t: float, y: Vector) -> float:
-        return float(flight.beside_site(record(*y), below, NUMERIC)[0])
+        return float(flight.offset_from_site(record(*y), below, NUMERIC)[0])
 
     lands.terminal = True  # type: ignore[attr-defined]
     opened = solution.trajectories[-2].state.values[-1]
@@ -95,8 +95,10 @@ def test_it_is_what_the_full_equations_do_but_for_seconds() -> None:
     assert np.linalg.norm(full.y[3:6, -1]) == pytest.approx(solution.results["landing_speed"].value, rel=1e-3)
     # And why: along a descent by the full equations a costate grows by the integral of 2 g/V.
     x = solution.trajectories[-1].state(np.linspace(0.0, time, 200))
-    speeds = [np.linalg.norm(parachute.velocity(SimpleNamespace(x=r[0], y=r[1], z=r[2], m=r[3]), p, NUMERIC, air=air))
-              for r in x]  # fmt: skip
+    speeds = [
+        np.linalg.norm(parachute.sinking_velocity(SimpleNamespace(x=r[0], y=r[1], z=r[2], m=r[3]), p, NUMERIC, air=air))
+        for r in x
+    ]
     assert np.mean(2 * 9.8 / np.array(speeds)) * time > 1000.0  # and e^709 is the largest double
 
 
@@ -119,9 +121,15 @@ def test_least_heat_below_a_parachute() -> None:
     assert [phase.name for phase in problem.phases] == ["burn", "drift", "entry", "parachute"]
     heated = deorbit_entry(
         Returner(mass=500.0, thrust=500.0, exhaust_velocity=3000.0, drag_area=0.6, nose_radius=0.3),
-        Orbit(radius=6778e3, inclination=math.radians(50.0)), Interface(altitude=120e3, angle=math.radians(-2.0)), BALL,
-        manoeuvre=PLACE, air=AIR, site=Landing(), parachute=CANOPY, minimise="heat_load",
-    )  # fmt: skip
+        ReturnOrbit(radius=6778e3, inclination=math.radians(50.0)),
+        Interface(altitude=120e3, angle=math.radians(-2.0)),
+        BALL,
+        manoeuvre=PLACE,
+        air=AIR,
+        site=Landing(),
+        parachute=CANOPY,
+        minimise="heat_load",
+    )
     assert heated.phases[-1].state_names == ("x", "y", "z", "m", "heat")
     ended = heated.phases[-2].state_record(6.379e6, 0.0, 0.0, -200.0, 0.0, 0.0, 400.0, 5e7)
     p = heated.parameters({free.name: 1000.0 for free in heated.free})

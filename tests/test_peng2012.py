@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.io.columns import required_hamiltonian
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.models.descent import Site
@@ -20,26 +20,32 @@ from perilune.models.landing import Vehicle
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.problem.solution import Solution
 from perilune.report.figures import solution_figures
-from perilune.report.track import path
-from perilune.reproductions.papers import PAPERS, reproduce
+from perilune.report.track import track_path
+from perilune.reproductions.papers import PAPERS, reproduce_paper
 from perilune.reproductions.peng2012.case import (
     CASE,
     PRINTED,
     implied_gravity,
     other_readings,
     parking_altitude,
-    problem,
+    peng_descent,
     problem_of_the_paper,
 )
 from perilune.reproductions.peng2012.compute import (
     AT_FIFTY,
-    Reproduction,
-    computed_numbers,
-    converge,
+    PengReproduction,
+    convergence_at,
     fitting_gravity,
     missed_by_reintegration,
+    peng_numbers,
 )
-from perilune.reproductions.peng2012.report import convergence_csv, figures, markdown, point_times, scaled_hamiltonian
+from perilune.reproductions.peng2012.report import (
+    convergence_csv,
+    peng_figures,
+    peng_report,
+    point_times,
+    scaled_hamiltonian,
+)
 from perilune.reproductions.starts import Starts
 from perilune.solve import solve
 from perilune.words.outcome import Outcome, PeriluneError
@@ -50,20 +56,20 @@ def silent(_: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def made() -> Reproduction:
+def made() -> PengReproduction:
     """Everything that the report is made of, with a short convergence and seeds that were not run."""
-    indirect = solve(problem(), level=0)
-    return Reproduction(
+    indirect = solve(peng_descent(), level=0)
+    return PengReproduction(
         indirect=indirect,
-        fastest=solve(problem(minimise="flight_time"), level=0),
+        fastest=solve(peng_descent(minimise="flight_time"), level=0),
         direct=AT_FIFTY.run(problem_of_the_paper()),
         direct_fastest=AT_FIFTY.run(problem_of_the_paper(minimise="flight_time")),
-        direct_cartesian=Pseudospectral(nodes=20, refine=0).run(problem()),
-        convergence=tuple(converge(n, indirect, silent) for n in (4, 8, 50)),
+        direct_cartesian=Pseudospectral(nodes=20, refine=0).run(peng_descent()),
+        convergence=tuple(convergence_at(n, indirect, silent) for n in (4, 8, 50)),
         missed=(1e-4, 1e-6),
         genetic=Starts(flight_times=(indirect.free["flight_time"],) * 2, processor_times=(1.0, 3.0)),
         random=Starts(flight_times=(math.nan, 500.0), processor_times=(1.0, 3.0)),
-        readings={name: solve(problem(case), level=0) for name, case in other_readings().items()},
+        readings={name: solve(peng_descent(case), level=0) for name, case in other_readings().items()},
         fitting_gravity=4895e9,
     )
 
@@ -72,19 +78,19 @@ def made() -> Reproduction:
 # ------------------------------------------------------------------------------------------------------
 
 
-def test_computed_numbers_follow_the_solution(made: Reproduction) -> None:
+def test_computed_numbers_follow_the_solution(made: PengReproduction) -> None:
     """Truth of the issue; of another solution they are another's, the printed ones never."""
-    found = computed_numbers(made)
+    found = peng_numbers(made)
     assert found["flight time"] == pytest.approx(472.796, abs=2e-3)
     assert found["fuel"] == pytest.approx(5947.95, abs=0.03)
-    other = computed_numbers(replace(made, indirect=made.readings["a Moon that does not turn"]))
+    other = peng_numbers(replace(made, indirect=made.readings["a Moon that does not turn"]))
     assert other["flight time"] == pytest.approx(472.73, abs=5e-3)
     for name, (printed, _, _) in PRINTED.items():
         assert found[name] != printed
         assert other[name] != found[name]
 
 
-def test_gauss_points_converge_spectrally(made: Reproduction) -> None:
+def test_gauss_points_converge_spectrally(made: PengReproduction) -> None:
     """Four points more are worth a factor of a thousand; fifty agree to 1e-6 s with the indirect method."""
     four, eight, fifty = made.convergence
     assert four.position > 1e3 * eight.position > 1e5 * fifty.position
@@ -93,14 +99,14 @@ def test_gauss_points_converge_spectrally(made: Reproduction) -> None:
 
 
 @pytest.mark.parametrize("name", ["direct", "direct_fastest"])
-def test_hamiltonian_has_its_required_value(made: Reproduction, name: str) -> None:
+def test_hamiltonian_has_its_required_value(made: PengReproduction, name: str) -> None:
     """Along the Gauss points: 0 for the mass, -1 for the time."""
     solution: Solution = getattr(made, name)
     assert required_hamiltonian(solution, 0) == (0.0 if name == "direct" else -1.0)
     assert np.abs(scaled_hamiltonian(solution, point_times(solution))).max() < 1e-5
 
 
-def test_reintegration_meets_the_site_and_sees_a_wrong_control(made: Reproduction) -> None:
+def test_reintegration_meets_the_site_and_sees_a_wrong_control(made: PengReproduction) -> None:
     """Millimetres; with the angles a hundredth of a degree off, tens of metres."""
     metres, speed = missed_by_reintegration(made.direct)
     assert metres < 0.01
@@ -111,7 +117,7 @@ def test_reintegration_meets_the_site_and_sees_a_wrong_control(made: Reproductio
     assert missed_by_reintegration(spoilt)[0] > 10.0
 
 
-def test_printed_numbers_imply_what_is_not_printed(made: Reproduction) -> None:
+def test_printed_numbers_imply_what_is_not_printed(made: PengReproduction) -> None:
     """g0 from fuel and time; a parking orbit at a round altitude; mu that gives the printed time gives it."""
     assert implied_gravity() == pytest.approx(9.80, abs=5e-4)
     assert parking_altitude() == pytest.approx(110e3, abs=200.0)
@@ -124,9 +130,9 @@ def test_printed_numbers_imply_what_is_not_printed(made: Reproduction) -> None:
 # -------------------------------------------------------------------------------------------------------
 
 
-def test_report_states_what_was_computed(made: Reproduction) -> None:
+def test_report_states_what_was_computed(made: PengReproduction) -> None:
     """Every verdict yes; every figure that the text shows is drawn."""
-    text, drawn = markdown(made), figures(made)
+    text, drawn = peng_report(made), peng_figures(made)
     assert "**no**" not in text
     assert "472.7956" in text
     assert "nan" not in text
@@ -140,13 +146,13 @@ def test_report_states_what_was_computed(made: Reproduction) -> None:
 
 
 def test_the_command_writes_it_all(
-    made: Reproduction, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: PengReproduction, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Report, data and figures; the exit code is that of the solution that was to be proved."""
     doubtful = replace(made, indirect=replace(made.indirect, outcome=Outcome.NOT_PROVED))
-    monkeypatch.setattr("perilune.reproductions.peng2012.compute.compute", lambda watch: doubtful)
+    monkeypatch.setattr("perilune.reproductions.peng2012.compute.compute_peng", lambda watch: doubtful)
     out = tmp_path / "report"
-    assert run(["reproduce", "peng-2012", "--out", str(out)]) == Outcome.NOT_PROVED.exit_code
+    assert run_command_line(["reproduce", "peng-2012", "--out", str(out)]) == Outcome.NOT_PROVED.exit_code
     assert "report.md" in capsys.readouterr().out
     assert {path.name for path in out.iterdir()} == {"report.md", "convergence.csv", "figures"}
     assert len(list((out / "figures").glob("*.png"))) == 7
@@ -155,7 +161,7 @@ def test_the_command_writes_it_all(
 def test_papers_are_known_by_name(tmp_path: Path) -> None:
     """Another is refused before anything is computed, and leaves nothing."""
     with pytest.raises(PeriluneError, match="cho-2015"):
-        reproduce("cho-2051", tmp_path / "out")
+        reproduce_paper("cho-2051", tmp_path / "out")
     assert not (tmp_path / "out").exists()
     assert set(PAPERS) == {"cho-2015", "peng-2012", "liu-2019"}
 
@@ -171,9 +177,9 @@ def test_papers_are_known_by_name(tmp_path: Path) -> None:
         (lambda m: {"direct": replace(m.direct, trajectories=(turned(m.direct),))}, "Hamiltonian"),
     ],
 )
-def test_claims_can_fail(made: Reproduction, spoil: Any, claim: str) -> None:
+def test_claims_can_fail(made: PengReproduction, spoil: Any, claim: str) -> None:
     """A number on the wrong side is a "no" in its own row."""
-    text = markdown(replace(made, **spoil(made)))
+    text = peng_report(replace(made, **spoil(made)))
     row = next(line for line in text.splitlines() if line.startswith("|") and claim in line)
     assert row.endswith("**no** |")
 
@@ -189,9 +195,9 @@ def turned(solution: Solution) -> Any:
 # -------------------------------------------------------------------------------------------
 
 
-def test_path_over_the_pole(made: Reproduction) -> None:
+def test_path_over_the_pole(made: PengReproduction) -> None:
     """From the origin along the heading; to the site by the sides of its spherical triangle; alike in both frames."""
-    along, across, height = path(made.indirect)[1]
+    along, across, height = track_path(made.indirect)[1]
     radius, site = CASE.body.radius, CASE.site
     assert site.latitude is not None and site.longitude is not None
     assert (along[0], across[0], height[0]) == pytest.approx((0.0, 0.0, 15e3), abs=1e-6)
@@ -199,12 +205,12 @@ def test_path_over_the_pole(made: Reproduction) -> None:
     colatitude = math.pi / 2 - site.latitude
     assert along[-1] == pytest.approx(radius * math.atan(math.tan(colatitude) * math.cos(site.longitude)), abs=1e-3)
     assert across[-1] == pytest.approx(radius * math.asin(math.sin(colatitude) * math.sin(site.longitude)), abs=1e-3)
-    for one, other in zip(path(made.direct)[1], (along, across, height), strict=True):
+    for one, other in zip(track_path(made.direct)[1], (along, across, height), strict=True):
         assert one == pytest.approx(other, abs=0.1)
 
 
 @pytest.mark.parametrize("name", ["indirect", "direct"])
-def test_a_spatial_descent_has_its_own_figures(made: Reproduction, name: str) -> None:
+def test_a_spatial_descent_has_its_own_figures(made: PengReproduction, name: str) -> None:
     """None of the planar ones, whose u, v and phi are other quantities."""
     drawn = solution_figures(getattr(made, name))
     assert set(drawn) == {"altitude", "mass", "track", "velocities", "steering", "costates", "hamiltonian"}
@@ -220,7 +226,7 @@ def test_a_precision_landing_is_seen_along_its_line() -> None:
         (0.3, 0.9),
     )
     solution = Pseudospectral(nodes=20, refine=0).run(landing)
-    along, across, height, least = path(solution)[1]
+    along, across, height, least = track_path(solution)[1]
     assert (height >= least - 1e-6).all()  # the slope was kept
     assert (along[-1], across[-1], height[-1]) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
     assert along[0] == pytest.approx(-math.hypot(2400.0, 300.0))

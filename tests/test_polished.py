@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.cli import run
-from perilune.methods.polished import polished
+from perilune.cli import run_command_line
+from perilune.methods.polished import solve_and_polish
 from perilune.models.bodies import MERCURY
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.extremal import Nature
@@ -82,10 +82,10 @@ def test_a_tilt_limit_on_which_refinement_stalls(degrees: int) -> None:
 def test_a_steering_limit_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """PROVED with the polish; without it the mesh stalls, exit code 4, and the best flight is in failure.json."""
     told = ["solve", POLAR, "--method", "direct", "--set", "steering.elevation_upper=25deg", "--json"]
-    assert run(told) == 0
+    assert run_command_line(told) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["verification"]["level"] == 3 and "then Newton" in document["statistics"]["rung"]
-    assert run([*told, "--no-polish", "--out", str(tmp_path / "out")]) == 4
+    assert run_command_line([*told, "--no-polish", "--out", str(tmp_path / "out")]) == 4
     capsys.readouterr()
     failure = json.loads((tmp_path / "out" / "failure.json").read_text())
     propellant = (found["results"]["propellant"]["value"] for found in (failure["flight"], document))
@@ -94,7 +94,7 @@ def test_a_steering_limit_by_the_command_line(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_no_polish_is_a_setting_of_the_direct_method(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["solve", POLAR, "--no-polish"]) == 2
+    assert run_command_line(["solve", POLAR, "--no-polish"]) == 2
     told = capsys.readouterr().err
     assert "the indirect method has no setting polish" in told and "got: --no-polish" in told
     assert "--method direct" in told
@@ -103,7 +103,7 @@ def test_no_polish_is_a_setting_of_the_direct_method(capsys: pytest.CaptureFixtu
 def test_what_cannot_be_made_exact_stays_and_says_so() -> None:
     """The direct method follows Goddard's singular arc; an indirect method that knows none leaves its answer alone."""
     direct = pl.solve(goddard(), MESH_ALONE, level=0)
-    solution = polished(DIRECT, goddard())
+    solution = solve_and_polish(DIRECT, goddard())
     assert solution.objective == pytest.approx(direct.objective, rel=1e-7)
     if solution.method == "pseudospectral":
         assert solution.statistics.tried[-1] == "polish: the direct answer stays as it is"
@@ -135,7 +135,7 @@ class Worse(pl.Pseudospectral):
 
 
 def test_another_extremal_that_is_worse_is_not_taken() -> None:
-    solution = polished(Worse(), meditch())
+    solution = solve_and_polish(Worse(), meditch())
     assert solution.method == "pseudospectral"
     assert sum("another extremal, which is worse" in line for line in solution.statistics.tried) >= 1
 

@@ -13,7 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.models.bodies import CERES, MOON, Body, UniformGravity
 from perilune.models.descent import Site
 from perilune.models.final_descent import FinalDescent
@@ -303,7 +303,7 @@ def test_a_final_descent_is_saved_and_drawn(upright: Solution, tmp_path: Path) -
     assert back.problem == upright.problem
     assert pl.prove(back).outcome is Outcome.PROVED
     out = tmp_path / "drawn"
-    assert run(["solve", str(PRECISION), "--set", "final.height=50 m", "--out", str(out)]) == 0
+    assert run_command_line(["solve", str(PRECISION), "--set", "final.height=50 m", "--out", str(out)]) == 0
     assert (out / "trajectory_2_final_descent.csv").exists()
     assert {path.stem for path in (out / "figures").glob("*.png")} >= {"track", "steering", "velocities"}
 

@@ -22,7 +22,7 @@ from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.problem.controls import Direction
 from perilune.problem.phase import Phase
-from perilune.problem.preflight import Finding, member, possible, preflight, refuse_impossible
+from perilune.problem.preflight import Finding, is_possible, preflight, refuse_impossible, select_findings
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Given, Variable
 from perilune.solve import solve
@@ -266,7 +266,7 @@ def test_a_problem_without_comparisons_has_none() -> None:
         given={"T": Given(value=1.0, unit="s")},
     )
     assert preflight(other) == ()
-    assert possible(preflight(other))
+    assert is_possible(preflight(other))
 
 
 # -- in the library
@@ -305,13 +305,13 @@ def test_many_are_judged_at_once_as_one_by_one() -> None:
     }
     problem = lander(dry_mass=60.0)
     together = preflight(problem, over)
-    verdicts = possible(together)
+    verdicts = is_possible(together)
     assert 20 < verdicts.sum() < 180
     for i in range(0, 200, 9):
         alone = preflight(problem.with_given(**{name: float(values[i]) for name, values in over.items()}))
-        assert possible(alone) == verdicts[i]
+        assert is_possible(alone) == verdicts[i]
         # Behind them stands what others of them miss at their start.
-        for one, other in zip(alone, member(together, i), strict=False):
+        for one, other in zip(alone, select_findings(together, i), strict=False):
             assert (one.name, one.verdict) == (other.name, other.verdict)
             assert one.value == pytest.approx(other.value, rel=1e-12)
             assert one.limit == pytest.approx(other.limit, rel=1e-12)

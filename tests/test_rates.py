@@ -12,7 +12,13 @@ import pytest
 
 import perilune as pl
 from perilune.problem.form import trace
-from perilune.problem.rates import acts, component, derivatives, gathered, rate
+from perilune.problem.rates import (
+    component,
+    depends_on_control,
+    derivatives_to_control,
+    gather_expressions,
+    total_derivative,
+)
 from perilune.problem.tape import Expression, Recorder
 from perilune.scenario import load_file
 from perilune.words.derivatives import COMPLEX, STEP
@@ -79,7 +85,7 @@ def test_rates_are_those_of_a_step_along_the_flow(name: str, a: float, b: float)
     function = {**UNARY, **OTHERS}[name]
     if name in ("asin", "acos"):
         a, b = 0.2 * a, 0.2 * b
-    found = rate(tape(function, ("x", "p")), DYNAMICS, NAMES)
+    found = total_derivative(tape(function, ("x", "p")), DYNAMICS, NAMES)
     value = found(SimpleNamespace(a=a, b=b), U, P, NUMERIC)[0]
     exact = 1e-13 if name not in ("below", "above") else 1e-8
     assert value == pytest.approx(along(function, a, b), rel=exact, abs=exact)
@@ -88,21 +94,21 @@ def test_rates_are_those_of_a_step_along_the_flow(name: str, a: float, b: float)
 def test_derivatives_end_where_a_control_appears() -> None:
     """a' = sin b + k a, a'' = cos(b) (a b + w) + k a'."""
     S = tape(lambda x, p, m: (x.a,), ("x", "p"))
-    found = derivatives(S, DYNAMICS, NAMES)
-    assert [acts(f) for f in found] == [False, False, True]
+    found = derivatives_to_control(S, DYNAMICS, NAMES)
+    assert [depends_on_control(f) for f in found] == [False, False, True]
     x = SimpleNamespace(a=0.4, b=1.1)
     first = np.sin(1.1) + 0.3 * 0.4
     assert found[1](x, U, P, NUMERIC) == pytest.approx([first])
     assert found[2](x, U, P, NUMERIC) == pytest.approx([np.cos(1.1) * (0.4 * 1.1 + 0.7) + 0.3 * first])
-    assert len(derivatives(tape(lambda x, p, m: (x.b * x.b,), ("x", "p")), DYNAMICS, NAMES)) == 2
+    assert len(derivatives_to_control(tape(lambda x, p, m: (x.b * x.b,), ("x", "p")), DYNAMICS, NAMES)) == 2
 
 
 def test_what_does_not_change_shows_no_control() -> None:
     """A product with what is constant, a choice between constants, the speed of a state that stands."""
     still = tape(lambda x, u, p, m: (0.0, u.w))
     S = tape(lambda x, p, m: (m.where(x.b < p.k, 1.0, 2.0) * x.a + x.a**x.a * p.k, x.b * 0.0 + x.a), ("x", "p"))
-    assert not acts(rate(component(S, 0), still, NAMES))
-    assert not any(acts(f) for f in derivatives(component(S, 0), still, NAMES))
+    assert not depends_on_control(total_derivative(component(S, 0), still, NAMES))
+    assert not any(depends_on_control(f) for f in derivatives_to_control(component(S, 0), still, NAMES))
 
 
 def test_a_control_whose_effects_cancel_does_not_act() -> None:
@@ -116,8 +122,8 @@ def test_a_control_whose_effects_cancel_does_not_act() -> None:
     recorder = Recorder()
     x = SimpleNamespace(**{n: recorder.input("x", n) for n in names})
     load = recorder.namespace.exp(-x.h) * (x.u * x.u + x.v * x.v)
-    found = derivatives(Expression(recorder.tape([load]), ("x", "p")), dynamics, names)
-    assert [acts(value) for value in found] == [False, False, True]
+    found = derivatives_to_control(Expression(recorder.tape([load]), ("x", "p")), dynamics, names)
+    assert [depends_on_control(value) for value in found] == [False, False, True]
     # With q = h, u, v: S = e^-h V^2 has S' = -e^-h V^2 (v + 2 k) - 2 e^-h v.
     h, u, v = 0.3, 0.7, -0.4
     x, fast = SimpleNamespace(h=h, u=u, v=v), u * u + v * v
@@ -134,7 +140,7 @@ def test_orders_of_a_lander() -> None:
     form = trace(problem)
     path = form.expressions[0, "path"]
     orders = {
-        c.name: len(derivatives(component(path, k), form.expressions[0, "dynamics"], phase.state_names)) - 1
+        c.name: len(derivatives_to_control(component(path, k), form.expressions[0, "dynamics"], phase.state_names)) - 1
         for k, c in enumerate(phase.path_conditions)
     }
     assert orders == {"height_above_glide_slope": 2, "pointing_margin": 0}
@@ -142,6 +148,6 @@ def test_orders_of_a_lander() -> None:
 
 def test_expressions_are_gathered() -> None:
     S = tape(lambda x, p, m: (x.a, x.b * p.k), ("x", "p"))
-    both = gathered([component(S, 1), DYNAMICS], ("x", "u", "p"))
+    both = gather_expressions([component(S, 1), DYNAMICS], ("x", "u", "p"))
     x = SimpleNamespace(a=0.4, b=1.1)
     assert both(x, U, P, NUMERIC) == [1.1 * 0.3, *flow(x, U, P, NUMERIC)]

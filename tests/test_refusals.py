@@ -15,12 +15,12 @@ import pytest
 import perilune as pl
 from cho import CHO_MOON
 from command_line import HYBRID, read_json, snapshot
-from perilune.cli import run
-from perilune.methods.breaches import Breach, outside
+from perilune.cli import run_command_line
+from perilune.methods.breaches import ConstraintViolation, bound_violations
 from perilune.methods.coarse import Coarse
 from perilune.methods.indirect import Indirect
-from perilune.methods.refusals import refusal, ridden_condition
-from perilune.methods.structured import Polish
+from perilune.methods.refusals import active_path_condition, explain_refusal
+from perilune.methods.structured import StructureRefinement
 from perilune.models.bodies import MOON
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.controls import Bounded
@@ -37,13 +37,13 @@ from perilune.words.outcome import (
     Outcome,
     PeriluneError,
 )
-from perilune.words.units import told_outwards
+from perilune.words.units import format_bound
 from problems.ascents import tangent_steering
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
-LOW = Breach(name="height", text="height falls to -3 m", miss=3.0, unit="m", canonical=3e-6)
-WIDE = Breach(name="angle", text="angle falls to -0.5 rad", miss=0.5, unit="rad", canonical=0.5)
+LOW = ConstraintViolation(name="height", text="height falls to -3 m", miss=3.0, unit="m", canonical=3e-6)
+WIDE = ConstraintViolation(name="angle", text="angle falls to -0.5 rad", miss=0.5, unit="rad", canonical=0.5)
 NEAREST = "the best of 4 found misses the end condition landing.rest by 2 m/s"
 
 
@@ -59,16 +59,16 @@ def test_what_is_no_number_keeps_no_bounds() -> None:
     problem = tangent_steering()
     state = problem.phases[0].states[0]
     anywhere = (-math.inf, math.inf)
-    assert not list(outside(problem, state, np.array([0.0, 1e9]), anywhere, 0.0))
-    assert list(outside(problem, state, np.array([0.0, math.nan]), anywhere, 0.0))
+    assert not list(bound_violations(problem, state, np.array([0.0, 1e9]), anywhere, 0.0))
+    assert list(bound_violations(problem, state, np.array([0.0, math.nan]), anywhere, 0.0))
 
 
 def test_what_would_be_wide_enough_is_rounded_outwards() -> None:
     """Away from the side that is allowed, also of negative values; nothing and infinity stay as they are."""
-    assert [told_outwards(0.999956, "1", side) for side in ("lower", "upper")] == ["0.99995", "0.99996"]
-    assert [told_outwards(-1234.567, "kg", side) for side in ("lower", "upper")] == ["-1234.6 kg", "-1234.5 kg"]
-    assert told_outwards(math.pi / 180, "rad", "upper", 3) == "1 deg"
-    assert [told_outwards(value, "m", "upper") for value in (0.0, math.inf)] == ["0 m", "inf m"]
+    assert [format_bound(0.999956, "1", side) for side in ("lower", "upper")] == ["0.99995", "0.99996"]
+    assert [format_bound(-1234.567, "kg", side) for side in ("lower", "upper")] == ["-1234.6 kg", "-1234.5 kg"]
+    assert format_bound(math.pi / 180, "rad", "upper", 3) == "1 deg"
+    assert [format_bound(value, "m", "upper") for value in (0.0, math.inf)] == ["0 m", "inf m"]
 
 
 def test_a_condition_of_the_path_is_named_with_the_key_that_states_it() -> None:
@@ -90,7 +90,7 @@ def test_a_condition_of_the_path_is_named_with_the_key_that_states_it() -> None:
 def test_the_best_of_those_that_miss_is_named() -> None:
     """Compared in canonical units: 3 m of 1000 km are less than half a radian."""
     partial = {"missed": ["the rest is missed by 2 m/s"], "all_missed": True}
-    error = refusal(known(NotConvergedError(NEAREST, partial=partial)), [WIDE, LOW])
+    error = explain_refusal(known(NotConvergedError(NEAREST, partial=partial)), [WIDE, LOW])
     assert isinstance(error, InfeasibleError) and error.exit_code == 3
     assert (
         error.what == "the best of 2 found misses height by 3 m"
@@ -98,7 +98,7 @@ def test_the_best_of_those_that_miss_is_named() -> None:
     )
     assert error.reason == "the best found misses it" and error.reason in str(error)
     assert error.partial == {**partial, "tried": ["costates on the unit sphere: 2 extremals"]}
-    undecided = refusal(known(NotConvergedError("not yet optimal", partial={"all_missed": False})), [WIDE, LOW])
+    undecided = explain_refusal(known(NotConvergedError("not yet optimal", partial={"all_missed": False})), [WIDE, LOW])
     assert isinstance(undecided, NotConvergedError) and "not settled" in undecided.what
     assert "the nearest height by 3 m" in undecided.what
     assert InfeasibleError("too heavy").reason == "cannot be flown"
@@ -109,12 +109,12 @@ def test_the_limit_that_the_nearest_extremal_breaks_is_named_and_no_equation_of_
     coarse = Coarse(Indirect(), load_file(EXAMPLES / "capsule_return.toml").problem, [])
     partial = {"missed": ["the dynamics of vz in entry is missed by 362.7 m/s"], "all_missed": False}
     coarse.refusal = NotConvergedError("no trajectory was found", partial=partial)
-    broken = Breach(
+    broken = ConstraintViolation(
         name="load_left", text="load left falls to -23 m/s^2 on the way", miss=23.0, unit="m/s^2", canonical=3.0,
         path=True, limit="load left",
     )  # fmt: skip
     worse = replace(broken, text="load left falls to -40 m/s^2 on the way", miss=40.0, canonical=5.0)
-    error = refusal(coarse, [worse, broken])
+    error = explain_refusal(coarse, [worse, broken])
     assert isinstance(error, NotConvergedError) and error.partial["missed"] == partial["missed"]
     assert (
         "the nearest load left (limits.load) by 23 m/s^2, and" in error.what
@@ -173,19 +173,19 @@ def test_extremals_that_break_the_path_refuse_nothing() -> None:
     """They know nothing of it, nor does the direct method's nearest miss: only what cannot be flown refuses."""
     breaks = [replace(WIDE, path=True), replace(LOW, path=True)]
     direct = InfeasibleError("the start is outside its bounds")
-    assert refusal(known(direct), breaks) is direct
+    assert explain_refusal(known(direct), breaks) is direct
     nearest = NotConvergedError(NEAREST, partial={"all_missed": True, "least_miss": 0.1})
-    assert refusal(known(nearest), []) is nearest  # where there is no extremal it says the most
+    assert explain_refusal(known(nearest), []) is nearest  # where there is no extremal it says the most
     for tried in (nearest, NotConvergedError("the optimum was not reached")):
-        error = refusal(known(tried), breaks)
+        error = explain_refusal(known(tried), breaks)
         assert isinstance(error, NotConvergedError) and error.exit_code == 4 and "not settled" in error.what
         assert f"height falls to -3 m; direct method: {tried.what}" in error.got
-    assert refusal(known(NotConvergedError("the optimum was not reached")), []) is None
+    assert explain_refusal(known(NotConvergedError("the optimum was not reached")), []) is None
 
 
 def test_where_a_flight_keeps_everything_it_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every smooth extremal breaks a glide slope of 25 degrees, the direct method's flight does not; no structure."""
-    monkeypatch.setattr(Polish, "run", lambda self, rough: None)
+    monkeypatch.setattr(StructureRefinement, "run", lambda self, rough: None)
     tight = load_file(EXAMPLES / "precision_landing.toml", ("corridor.slope=25 deg",)).problem
     with pytest.raises(
         NotConvergedError, match=r"every extremal found breaks[\s\S]*direct method: landed mass \d+.* kg, mesh error"
@@ -239,7 +239,7 @@ def test_what_must_land_is_more_than_the_best_that_lands(dry: float, missed: flo
 def test_the_flight_that_keeps_everything_is_on_disk(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Every extremal would go through the ground; the direct method's flight is kept beside the refusal, unproved."""
     out, weak = tmp_path / "out", ["--set", "vehicle.thrust=200 N", "--set", "retro.delta_v=0 m/s"]
-    assert run(["solve", HYBRID, *weak, "--out", str(out)]) == 4
+    assert run_command_line(["solve", HYBRID, *weak, "--out", str(out)]) == 4
     assert "every extremal found breaks a condition" in capsys.readouterr().err
     kept = read_json((out / "failure.json").read_text(encoding="utf-8"))
     assert snapshot(out).keys() == {"failure.json"} and "PROVED" not in json.dumps(kept["flight"])
@@ -291,7 +291,7 @@ def over_ground(height: Callable[[np.ndarray], np.ndarray], residual: float = 1e
 @pytest.mark.parametrize(("at", "ridden"), [(0.0, None), (0.02, None), (0.3, "ground"), (0.93, "ground"), (1.0, None)])
 def test_a_condition_that_is_met_at_the_ends_alone_is_not_ridden(at: float, ridden: str | None) -> None:
     flight = over_ground(lambda t: 3.0 * (t - at) ** 2)
-    assert ridden_condition(flight.problem, flight) == ridden
+    assert active_path_condition(flight.problem, flight) == ridden
 
 
 @dataclass(frozen=True)

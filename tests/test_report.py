@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, shoot, solution_of
-from perilune.io.columns import columns, hamiltonian, per_unit
-from perilune.io.export import results, save, solution_document, trajectory_csv
+from perilune.io.columns import hamiltonian, per_unit, phase_columns
+from perilune.io.export import results_document, save, solution_document, trajectory_csv
 from perilune.io.files import fresh_directory, json_text
 from perilune.io.reload import hash_of, load
 from perilune.models.landing import Retro
@@ -24,7 +24,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.problem.verification import Check, Verification
 from perilune.report import write_all
-from perilune.report.summary import solution_markdown, solution_summary, table
+from perilune.report.summary import markdown_table, solution_markdown, solution_summary
 from perilune.words.outcome import Outcome, PeriluneError
 
 SCENARIO = "[retro]\nspecific_impulse = '310 s'  # Cho's, µ\n"
@@ -83,7 +83,7 @@ def stand_in(text: str) -> Problem:
 
 def test_results_are_the_papers(hybrid: Solution, ordinary: Solution) -> None:
     """Table 1, (25) and (26) within the error of the printed digits; units named."""
-    found = results(hybrid)
+    found = results_document(hybrid)
     assert found["landed_mass"]["value"] == pytest.approx(160.6186, abs=5e-5)
     assert found["propellant"]["value"] == pytest.approx(139.3814, abs=5e-5)
     assert found["perilune_speed"]["value"] == pytest.approx(1691.96926, abs=5e-6)
@@ -91,8 +91,8 @@ def test_results_are_the_papers(hybrid: Solution, ordinary: Solution) -> None:
     # Programs read these by name and in this order; what came later stands behind them.
     assert list(found)[:5] == ["landed_mass", "propellant", "delta_v", "flight_time", "perilune_speed"]
     assert [entry["unit"] for entry in found.values()][:5] == ["kg", "kg", "m/s", "s", "m/s"]
-    assert results(ordinary)["landed_mass"]["value"] == pytest.approx(154.5413, abs=5e-5)
-    assert results(ordinary)["delta_v"]["value"] == 0.0
+    assert results_document(ordinary)["landed_mass"]["value"] == pytest.approx(154.5413, abs=5e-5)
+    assert results_document(ordinary)["delta_v"]["value"] == 0.0
 
 
 def test_the_json_document_has_the_promised_shape(hybrid: Solution) -> None:
@@ -133,7 +133,7 @@ def test_costate_units(state: str, unit: str) -> None:
 def test_columns_satisfy_the_optimality_conditions(hybrid: Solution) -> None:
     """H vanishes, the thrust is straight retro at first, and turning it either way can only raise H."""
     t = np.linspace(0.0, hybrid.trajectories[0].duration, 200)
-    found = columns(hybrid, 0, t)
+    found = phase_columns(hybrid, 0, t)
     assert np.abs(found["H"].values).max() < 1e-9
     assert found["thrust_angle"].unit == "deg"
     assert found["thrust_angle"].values[0] == pytest.approx(180.0, abs=1e-8)
@@ -332,11 +332,11 @@ def test_everything_is_written(hybrid: Solution, ordinary: Solution, tmp_path) -
 
 def test_figures_are_deterministic_and_show_both_landings(hybrid: Solution, ordinary: Solution, tmp_path) -> None:
     """Equal bytes on equal input; what is drawn is what was computed."""
-    from perilune.report.figures import save, solution_figures
+    from perilune.report.figures import save_figure, solution_figures
 
     for name in ("a", "b"):
         figure = solution_figures(hybrid, ordinary)["altitude"]
-        save(figure, tmp_path, name)
+        save_figure(figure, tmp_path, name)
         drawn: list[Any] = [line for line in figure.axes[0].lines if len(np.asarray(line.get_xdata())) > 1]
         assert [line.get_ydata()[0] for line in drawn] == pytest.approx([15.0, 15.0])
         assert [line.get_xdata()[-1] for line in drawn] == pytest.approx([286.864, 1005.351], abs=1e-3)
@@ -361,4 +361,4 @@ def test_summary_says_what_failed(hybrid: Solution) -> None:
 
 def test_a_bar_in_a_cell_does_not_break_the_table() -> None:
     """Markdown cells escape bars and line ends."""
-    assert table(["a", "b"], [["|x|", "1\n2"]]).splitlines()[-1] == "| \\|x\\| | 1 2 |"
+    assert markdown_table(["a", "b"], [["|x|", "1\n2"]]).splitlines()[-1] == "| \\|x\\| | 1 2 |"

@@ -17,7 +17,7 @@ from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.solution import Solution
 from perilune.report.family import family_csv, family_document, family_figure, write_family
 from perilune.reproductions.cho2015.case import PRINTED
-from perilune.reproductions.cho2015.compute import best_with_retro_burn, compute, computed_numbers, gain_of_retro_burn
+from perilune.reproductions.cho2015.compute import best_with_retro_burn, cho_numbers, compute_cho, gain_of_retro_burn
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 
 # --- families ---
@@ -80,11 +80,11 @@ def test_printed_numbers_are_never_passed_off_as_computed(hybrid: Solution, ordi
     right: Any = SimpleNamespace(hybrid=hybrid, ordinary=ordinary)
     swapped: Any = SimpleNamespace(hybrid=ordinary, ordinary=hybrid)
     for name, (printed, _, _) in PRINTED.items():
-        computed = computed_numbers(right)[name]
+        computed = cho_numbers(right)[name]
         assert computed != printed
         assert computed == pytest.approx(printed, abs=5e-2 if name == "optimal retro burn" else 5e-5)
         if name != "perilune speed V0":
-            assert abs(computed_numbers(swapped)[name] - printed) > 1.0
+            assert abs(cho_numbers(swapped)[name] - printed) > 1.0
 
 
 def test_gain_of_the_retro_burn_compares_the_best_of_each_kind() -> None:
@@ -112,4 +112,4 @@ def test_a_stopped_family_stops_the_reproduction(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("perilune.reproductions.cho2015.compute.solve", lambda *_, **__: hybrid)
     monkeypatch.setattr("perilune.reproductions.cho2015.compute.sweep", lambda *_, **__: stopped)
     with pytest.raises(KeyboardInterrupt):
-        compute(lambda _: None, level=0)
+        compute_cho(lambda _: None, level=0)

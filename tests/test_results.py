@@ -23,7 +23,7 @@ from perilune.problem.variables import Variable
 from perilune.problem.views import Beside, Views
 from perilune.report.figures import label, solution_figures
 from perilune.report.summary import solution_markdown, solution_summary
-from perilune.reproductions.peng2012.case import problem, problem_of_the_paper
+from perilune.reproductions.peng2012.case import peng_descent, problem_of_the_paper
 from perilune.scenario import load_file
 from perilune.solve import prove, solve
 from perilune.words.outcome import Outcome, PeriluneError
@@ -39,7 +39,7 @@ def flights(hybrid: Solution, ordinary: Solution) -> dict[str, Solution]:
     return {
         "hybrid": hybrid,
         "ordinary": ordinary,
-        "cartesian": solve(problem(), level=0),
+        "cartesian": solve(peng_descent(), level=0),
         "spherical": Pseudospectral(nodes=50, refine=0).run(problem_of_the_paper()),
         "precision": solve(precision, level=0),
     }

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.models.deorbit.told import views
+from perilune.models.deorbit.told import return_views
 from perilune.problem.solution import Solution
 from perilune.report.figures import solution_figures
-from perilune.report.ground import coastline, on_map
-from perilune.report.optimality import optimality
+from perilune.report.ground import coastline, track_on_map
+from perilune.report.optimality import optimality_figure
 from perilune.scenario import load_file, load_text
 from perilune.scenario.reference import template
 from perilune.solve import solve
@@ -46,7 +46,7 @@ def test_every_figure_of_a_return_is_there(drawn: dict[str, Any]) -> None:
 def test_the_condition_of_a_fall_that_counts_for_nothing_is_drawn() -> None:
     """Least propellant to any place: all costates of the entry are 0, and H with them, which is no error of it."""
     solution = solve(load_text(template("deorbit_entry")), level=0)
-    lines = optimality(solution).axes[0].lines
+    lines = optimality_figure(solution).axes[0].lines
     assert np.all([np.isfinite(line.get_ydata()).all() for line in lines])
 
 
@@ -73,7 +73,7 @@ def test_a_track_leaves_the_map_at_one_edge_and_comes_in_at_the_other(way: float
     """Twice round in either sense: at the seam there is a gap, and the latitude on both sides is one."""
     east = way * np.linspace(100.0, 890.0, 91)
     wrapped = (east + 180) % 360 - 180
-    x, y = on_map(wrapped, 0.05 * east)
+    x, y = track_on_map(wrapped, 0.05 * east)
     assert np.nanmax(np.abs(x)) <= 180.0
     steps = np.abs(np.diff(x))
     assert np.nanmax(steps) < 20.0
@@ -139,7 +139,7 @@ def test_names_in_views_are_checked(flown: Solution) -> None:
     ):
         with pytest.raises(PeriluneError, match=r"lon|weight"):
             replace(flown.problem, views=spoilt)
-    assert views(air=None, heat=False, coasts=True, given=()).corridor is None
+    assert return_views(air=None, heat=False, coasts=True, given=()).corridor is None
 
 
 # -- against time ---------------------------------------------------------------------------------------------------

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.models.bodies import EARTH, Planet
-from perilune.models.deorbit.bounds import furthest_moved, interface_speeds, steepest_angle
+from perilune.models.deorbit.bounds import interface_speeds, largest_altitude_change, steepest_angle
 from perilune.models.deorbit.fall import fall, slowest_arrival
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Orbit, Returner, Transition
-from perilune.models.deorbit.times import impulsive
+from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
+from perilune.models.deorbit.times import impulsive_deorbit
 from perilune.problem.preflight import preflight
 from perilune.scenario import load_file
 from perilune.words.maths import NUMERIC
@@ -30,8 +30,8 @@ BALL = Planet(
     name="earth", gravitational_parameter=3.986005e14, radius=6371e3, rotation_rate=7.2921159e-5, j2=1.0826e-3
 )
 VEHICLE = Returner(mass=500.0, thrust=500.0, exhaust_velocity=3000.0, drag_area=0.6)
-CIRCLE = Orbit(radius=6778e3, inclination=math.radians(50.0))
-ELLIPSE = Orbit(
+CIRCLE = ReturnOrbit(radius=6778e3, inclination=math.radians(50.0))
+ELLIPSE = ReturnOrbit(
     perigee_altitude=300e3, apogee_altitude=900e3, argument_of_perigee=0.6, inclination=math.radians(98.0),
     longest_coast=5000.0,
 )  # fmt: skip
@@ -40,25 +40,36 @@ AIR = Atmosphere(model="exponential", density=1.225, scale_height=7200.0)
 
 
 def returning(
-    degrees: float, vehicle: Returner = VEHICLE, orbit: Orbit = CIRCLE, *, drifts: bool = True, body: Planet = BALL,
+    degrees: float,
+    vehicle: Returner = VEHICLE,
+    orbit: ReturnOrbit = CIRCLE,
+    *,
+    drifts: bool = True,
+    body: Planet = BALL,
     **more: Any,
-) -> pl.Problem:  # fmt: skip
+) -> pl.Problem:
     made = {
-        "manoeuvre": PLACE, "transition": Transition(longest_coast=4000.0) if drifts else None,
-        "minimise": "propellant", **more,
-    }  # fmt: skip
+        "manoeuvre": PLACE,
+        "transition": Transition(longest_coast=4000.0) if drifts else None,
+        "minimise": "propellant",
+        **more,
+    }
     return deorbit_entry(vehicle, orbit, Interface(altitude=120e3, angle=math.radians(degrees)), body, **made)
 
 
 @pytest.mark.parametrize(
     ("degrees", "thrust", "orbit", "drifts", "body"),
     [
-        (-1.0, 500.0, CIRCLE, True, BALL), (-3.0, 500.0, CIRCLE, True, EARTH), (-8.0, 5000.0, CIRCLE, True, BALL),
-        (-2.0, 300.0, ELLIPSE, True, BALL), (-5.0, 2000.0, ELLIPSE, True, EARTH), (-6.0, 100.0, CIRCLE, False, BALL),
+        (-1.0, 500.0, CIRCLE, True, BALL),
+        (-3.0, 500.0, CIRCLE, True, EARTH),
+        (-8.0, 5000.0, CIRCLE, True, BALL),
+        (-2.0, 300.0, ELLIPSE, True, BALL),
+        (-5.0, 2000.0, ELLIPSE, True, EARTH),
+        (-6.0, 100.0, CIRCLE, False, BALL),
     ],
-)  # fmt: skip
+)
 def test_what_is_flown_is_never_refused(
-    degrees: float, thrust: float, orbit: Orbit, drifts: bool, body: Planet
+    degrees: float, thrust: float, orbit: ReturnOrbit, drifts: bool, body: Planet
 ) -> None:
     """The least propellant for an angle, and no more than that on board: within all bounds, and not far within."""
     free = replace(VEHICLE, thrust=thrust)
@@ -77,7 +88,7 @@ def test_what_is_flown_is_never_refused(
 
 def test_an_orbit_that_comes_down_by_itself_is_left_before_it_does() -> None:
     """From 110 by 400 km a burn near the apogee leads to the interface at -1.5 degrees; from near the perigee none."""
-    dips = Orbit(
+    dips = ReturnOrbit(
         perigee_altitude=110e3, apogee_altitude=400e3, argument_of_perigee=-0.9, inclination=math.radians(50.0)
     )
     problem = returning(-1.5, orbit=dips)
@@ -97,7 +108,7 @@ def test_the_bound_of_the_angle_beside_an_impulse() -> None:
     """About a round body at rest, with great thrust: a third more than Milstead's impulse, half more at one degree."""
     still = Planet(name="x", gravitational_parameter=3.986004418e14, radius=6378137.0, rotation_rate=0.0, j2=0.0)
     for degrees, most in ((1.0, 1.5), (2.0, 1.35), (6.0, 1.4)):
-        change = impulsive(6778e3, 6498137.0, math.radians(-degrees), 3.986004418e14).velocity_change
+        change = impulsive_deorbit(6778e3, 6498137.0, math.radians(-degrees), 3.986004418e14).velocity_change
         vehicle = replace(VEHICLE, thrust=1e5, dry_mass=500.0 * math.exp(-change / 3000.0))
         p = returning(-degrees, vehicle, body=still).parameters({})
         assert 1.0 < steepest_angle(p, NUMERIC) / math.radians(degrees) < most
@@ -137,7 +148,7 @@ def test_a_burn_moves_no_further_than_its_bound() -> None:
             rise += (turn**2 / r**3 - mu / r**2 + upwards * push) * time / steps
             r += rise * time / steps
         moved = abs(r - 6778e3)
-        assert 0.4 * (bound := furthest_moved(p, NUMERIC, 3000.0 * math.log(500 / 400))) < moved < bound
+        assert 0.4 * (bound := largest_altitude_change(p, NUMERIC, 3000.0 * math.log(500 / 400))) < moved < bound
 
 
 def landing(area: float, altitude: float = 10e3, **more: Any) -> pl.Problem:
@@ -247,7 +258,7 @@ def test_a_slip_is_answered_at_once(
     file = tmp_path / "return.toml"
     file.write_text(SCENARIO, encoding="utf-8")
     words = [word for change in changes for word in ("--set", change)]
-    assert run(["check", str(file), *words]) == code
+    assert run_command_line(["check", str(file), *words]) == code
     told = "".join(capsys.readouterr())
     assert said in told
     if code == 3:
@@ -281,12 +292,12 @@ def test_an_orbit_within_the_body_and_air_like_a_wall_are_refused_in_words(
     example: str, change: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = Path(__file__).parent.parent / "examples" / f"{example}.toml"
-    assert run(["check", str(path), "--set", change]) == 3
+    assert run_command_line(["check", str(path), "--set", change]) == 3
     assert words in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("orbit", "radii"), [(CIRCLE, (6778e3, 6778e3)), (ELLIPSE, (6671e3, 7271e3))])
-def test_a_burn_of_more_than_a_turn_is_warned_of(orbit: Orbit, radii: tuple[float, float]) -> None:
+def test_a_burn_of_more_than_a_turn_is_warned_of(orbit: ReturnOrbit, radii: tuple[float, float]) -> None:
     """By Hohmann's impulse at the apogee to 120 km, Tsiolkovsky's burn for it, and Kepler's period."""
     low, high = radii
     gate, mu = 6371e3 + 120e3, 3.986005e14

@@ -6,12 +6,12 @@ import pytest
 
 import perilune as pl
 from matrix import QUICK_RETURNS, WAYS, text_of
-from perilune.methods.assemble import unknowns_from
+from perilune.methods.assemble import unknowns_from_solution
 from perilune.methods.coarse import Coarse
-from perilune.methods.starts import held_in
+from perilune.methods.starts import active_set_of_guess
 from perilune.methods.trials import Trials
 from perilune.scenario import load_text
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 
 LATE, BANKED = (load_text(text_of(WAYS["deorbit_entry"].document(picked))) for picked in QUICK_RETURNS[2:4])
 
@@ -28,7 +28,7 @@ def test_pieces_that_miss_by_rounding_are_a_root() -> None:
     """Through the air of a day a billionth is rounding: it is an extremal, with the cost that the mesh has."""
     rough = Coarse(pl.Indirect(), BANKED, []).solve()
     assert rough is not None
-    trials = Trials(BANKED, silent)
-    y = unknowns_from(BANKED, trials.conditions, rough)
-    root = trials.by_pieces(rough, y, held_in(trials, rough, y), 6, trials.others)
+    trials = Trials(BANKED, ignore_events)
+    y = unknowns_from_solution(BANKED, trials.conditions, rough)
+    root = trials.by_pieces(rough, y, active_set_of_guess(trials, rough, y), 6, trials.others)
     assert root.converged and root.cost * BANKED.scales.mass == pytest.approx(rough.objective, rel=1e-6)

@@ -12,7 +12,7 @@ import pytest
 
 import perilune as pl
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Interface, Landing, Orbit, Parachute, Returner, Separation, Transition
+from perilune.models.deorbit.records import Interface, Landing, Parachute, Returner, ReturnOrbit, Separation, Transition
 from perilune.models.vehicle import Throttle
 from perilune.problem.preflight import preflight
 from perilune.scenario import load_text
@@ -25,7 +25,7 @@ BARE = replace(VEHICLE, drag_area=None)
 
 def returning(degrees: float = -1.5, vehicle: Returner = BARE, **more: Any) -> pl.Problem:
     made = {"manoeuvre": PLACE, "minimise": "propellant", **more}
-    orbit = Orbit(radius=6778e3, inclination=math.radians(50.0))
+    orbit = ReturnOrbit(radius=6778e3, inclination=math.radians(50.0))
     return deorbit_entry(vehicle, orbit, Interface(altitude=120e3, angle=math.radians(degrees)), BALL, **made)
 
 

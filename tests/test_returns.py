@@ -12,8 +12,8 @@ import pytest
 
 import perilune as pl
 from perilune.methods.indirect import Indirect
-from perilune.methods.refusals import ridden_condition
-from perilune.methods.starts import held_in
+from perilune.methods.refusals import active_path_condition
+from perilune.methods.starts import active_set_of_guess
 from perilune.methods.trials import Trials
 from perilune.models.bodies import EARTH
 from perilune.models.deorbit.problem import deorbit_entry
@@ -22,17 +22,17 @@ from perilune.models.deorbit.records import (
     Interface,
     Landing,
     Manoeuvre,
-    Orbit,
     Returner,
+    ReturnOrbit,
     Separation,
     Transition,
 )
-from perilune.models.deorbit.times import impulsive
+from perilune.models.deorbit.times import impulsive_deorbit
 from perilune.problem.extremal import Nature
 from perilune.scenario import load_file
-from perilune.shooting.settling import growth
+from perilune.shooting.settling import costate_error_growth
 from perilune.solve import verify
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 
 NEIGHBOUR_B = Path(__file__).parents[1] / "examples" / "minimum_duration_return.toml"
 FREE_IGNITION = (
@@ -89,7 +89,7 @@ COASTING: dict[str, Any] = {
     "air": Atmosphere(model="us1976"),
     "manoeuvre": Manoeuvre(longitude=0.3, latitude=0.4, going="ascending"),
 }
-LOW = Orbit(radius=EARTH.radius + 300e3, inclination=1.0)
+LOW = ReturnOrbit(radius=EARTH.radius + 300e3, inclination=1.0)
 PERIOD = 2 * math.pi * math.sqrt((EARTH.radius + 300e3) ** 3 / EARTH.gravitational_parameter)
 
 
@@ -139,7 +139,9 @@ def test_a_rough_burn_of_low_thrust_comes_down_at_the_angle_that_is_stated() -> 
     x = problem.rough_flight(problem.parameters(rough))[1][-1]
     angle = math.asin(x[:3] @ x[3:6] / np.linalg.norm(x[:3]) / np.linalg.norm(x[3:6]))
     assert math.degrees(angle) == pytest.approx(-2.8, abs=0.15)
-    change = impulsive(radius, EARTH.radius + 120e3, math.radians(-2.8), EARTH.gravitational_parameter).velocity_change
+    change = impulsive_deorbit(
+        radius, EARTH.radius + 120e3, math.radians(-2.8), EARTH.gravitational_parameter
+    ).velocity_change
     assert rough["burn_time"] > 1.15 * 1000.0 * 3000.0 / 100.0 * (1 - math.exp(-change / 3000.0))
 
 
@@ -147,7 +149,7 @@ def test_propellant_is_that_of_the_whole_vehicle_whatever_enters_the_air() -> No
     """What is left behind at the interface is no propellant: the best burn is that of a flight which ends there."""
     stated = {
         "vehicle": Returner(mass=7000.0, thrust=3190.0, specific_impulse=302.0, dry_mass=6000.0, drag_area=5.8),
-        "orbit_": Orbit(radius=EARTH.radius + 432.7e3, inclination=math.radians(51.6)),
+        "orbit_": ReturnOrbit(radius=EARTH.radius + 432.7e3, inclination=math.radians(51.6)),
         "interface": Interface(altitude=100e3, angle=math.radians(-1.6)),
         "manoeuvre": Manoeuvre(longitude=0.0, latitude=math.radians(-45.0), going="ascending"),
         "transition": Transition(longest_coast=3000.0),
@@ -184,9 +186,9 @@ def test_the_jacobian_of_a_phase_that_settles(tmp_path: Path) -> None:
     """By central differences of the residual, at a root and beside it."""
     problem = returning(tmp_path, 177)
     solution = pl.solve(problem, level=0)
-    trials = Trials(problem, silent)
+    trials = Trials(problem, ignore_events)
     assert [phase.settles for phase in trials.conditions.phases] == [False, False, False, True]
-    shooting, choice = trials.shooting, held_in(trials, solution, np.array(solution.unknowns))
+    shooting, choice = trials.shooting, active_set_of_guess(trials, solution, np.array(solution.unknowns))
     active = shooting.plan.active
     assert shooting.plan.legs[-1].seeds is not None  # its start has fewer entries than there are unknowns before it
     for y in (np.array(solution.unknowns), 1.01 * np.array(solution.unknowns)):
@@ -200,8 +202,10 @@ def test_the_jacobian_of_a_phase_that_settles(tmp_path: Path) -> None:
 
 def test_costates_of_a_state_that_is_lost_on_the_way_grow_beyond_all() -> None:
     """One of random_returns.py ended in an error of the linear algebra."""
-    assert growth(np.diag([1.0, 0.0])) == math.inf and growth(np.diag([1.0, math.nan])) == 0.0
-    assert growth(np.array([[2.0, 1.0], [0.0, 0.1]])) == pytest.approx(
+    assert (
+        costate_error_growth(np.diag([1.0, 0.0])) == math.inf and costate_error_growth(np.diag([1.0, math.nan])) == 0.0
+    )
+    assert costate_error_growth(np.array([[2.0, 1.0], [0.0, 0.1]])) == pytest.approx(
         np.linalg.norm(np.linalg.inv([[2.0, 1.0], [0.0, 0.1]]), 2), rel=1e-14
     )
 
@@ -250,7 +254,7 @@ def test_an_engine_that_burns_all_the_way_leaves_no_drift() -> None:
     def down(transition: Transition | None) -> pl.Problem:
         return deorbit_entry(
             Returner(mass=500.0, thrust=100.0, exhaust_velocity=3000.0, dry_mass=350.0),
-            Orbit(radius=6678.14e3, inclination=math.radians(50)),
+            ReturnOrbit(radius=6678.14e3, inclination=math.radians(50)),
             Interface(altitude=120e3, angle=math.radians(-1.5)),
             EARTH,
             manoeuvre=Manoeuvre(longitude=math.radians(16), latitude=math.radians(39.5), going="descending"),
@@ -262,7 +266,7 @@ def test_an_engine_that_burns_all_the_way_leaves_no_drift() -> None:
         down(Transition(longest_coast=3e3))
     )
     assert 2e-5 < rough.free["drift_time"] - 1e-3 < 1e-4
-    assert ridden_condition(rough.problem, rough) is None
+    assert active_path_condition(rough.problem, rough) is None
     solution = Indirect().run(rough.problem, rough)
     assert solution.free["drift_time"] == 1e-3
     assert 0 < solution.objective - pl.solve(down(None), level=0).objective < 1e-3
@@ -277,7 +281,7 @@ def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less(
     def to(site: Landing, degrees: float = -0.85) -> pl.Problem:
         problem = deorbit_entry(
             Returner(mass=500.0, thrust=500.0, exhaust_velocity=3000.0, dry_mass=350.0, ballistic_coefficient=345.0),
-            Orbit(radius=6878.14e3, inclination=math.radians(50)),
+            ReturnOrbit(radius=6878.14e3, inclination=math.radians(50)),
             Interface(altitude=120e3, angle=math.radians(degrees)),
             EARTH,
             manoeuvre=Manoeuvre(longitude=math.radians(16), latitude=math.radians(39.5), going="descending"),
@@ -312,7 +316,7 @@ def test_the_least_time_from_low_thrust_is_found_without_a_guess(drifts: bool) -
     """
     problem = deorbit_entry(
         Returner(mass=1e3, thrust=130.0, exhaust_velocity=3000.0, dry_mass=700.0, ballistic_coefficient=430.0),
-        Orbit(radius=EARTH.radius + 263e3, inclination=math.radians(31)),
+        ReturnOrbit(radius=EARTH.radius + 263e3, inclination=math.radians(31)),
         Interface(altitude=120e3, angle_lower=math.radians(-3.5), angle_upper=math.radians(-1.8)),
         EARTH,
         manoeuvre=Manoeuvre(longitude=0.0, latitude=0.0, going="descending"),
@@ -325,10 +329,10 @@ def test_the_least_time_from_low_thrust_is_found_without_a_guess(drifts: bool) -
     assert solution.objective == pytest.approx(1697.381, abs=1e-3)
     assert solution.free.get("drift_time", 1e-3) == 1e-3
     if drifts:  # the direct method leaves it by some thousandths of a second
-        trials = Trials(problem, silent)
+        trials = Trials(problem, ignore_events)
         y, index = np.array(solution.unknowns), problem.free_names.index("drift_time")
         y[trials.conditions.free_at.start + index] += 3e-3 / problem.scales.time
-        assert held_in(trials, solution, y)[index] == 1.0
+        assert active_set_of_guess(trials, solution, y)[index] == 1.0
 
 
 def test_an_extremal_that_is_no_minimum_leads_on_to_the_direct_method() -> None:
@@ -337,7 +341,7 @@ def test_an_extremal_that_is_no_minimum_leads_on_to_the_direct_method() -> None:
         Returner(
             mass=5372.35, thrust=3768.415, exhaust_velocity=3000.0, dry_mass=3760.645, ballistic_coefficient=469.5
         ),
-        Orbit(radius=7042169.5, inclination=1.0227133, longest_coast=5881.264),
+        ReturnOrbit(radius=7042169.5, inclination=1.0227133, longest_coast=5881.264),
         Interface(altitude=120e3, angle_lower=math.radians(-3.5), angle_upper=math.radians(-1.75)),
         EARTH,
         manoeuvre=Manoeuvre(longitude=0.341998778, latitude=0.148204695, going="descending"),

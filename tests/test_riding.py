@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from perilune.conditions.canonical import canonical_equations, extremal_parameters, hamiltonian_at, limit_symbols
-from perilune.conditions.riding import riding
+from perilune.conditions.riding import boundary_arc_optimum
 from perilune.models.bodies import UniformGravity
 from perilune.models.corridor import NONE
 from perilune.models.precision import Approach, precision_landing
@@ -36,8 +36,8 @@ def test_what_two_more_conditions_hold_has_no_closed_form() -> None:
     """With one more there is; the second would not be held."""
     d, size = ca.SX.sym("d", 3), ca.SX.sym("size")
     asked = size * (d[0] - 2.0 * d[1]), d, size, size * d[2] - 1.0
-    assert riding(*asked, [d[0] - 0.1]) is not None
-    assert riding(*asked, [d[0] - 0.1, d[1] - 0.2]) is None
+    assert boundary_arc_optimum(*asked, [d[0] - 0.1]) is not None
+    assert boundary_arc_optimum(*asked, [d[0] - 0.1, d[1] - 0.2]) is None
 
 
 @pytest.mark.parametrize("held", [False, True], ids=["free", "held"])
@@ -49,7 +49,7 @@ def test_no_direction_is_better(held: bool) -> None:
         a, k, share = rng.normal(), rng.normal() + 1.0, rng.uniform(-0.9, 0.9)
         axis /= np.linalg.norm(axis)
         H, c = s * (ca.dot(g, d) + k) + 0.7, a + s * ca.dot(b, d)
-        law = riding(H, d, s, c, [2.0 * ca.dot(axis, d) - 2.0 * share] if held else [])
+        law = boundary_arc_optimum(H, d, s, c, [2.0 * ca.dot(axis, d) - 2.0 * share] if held else [])
         assert law is not None
         best, size, room = (np.array(ca.evalf(e)).ravel() for e in law)
         every = every_held(axis, share, 200_001) if held else every_direction(200_000)
@@ -73,9 +73,9 @@ def test_another_form_is_left_to_newton() -> None:
     """A drag that grows with the square of the size, or a condition that the size alone moves too."""
     d, s = ca.SX.sym("d", 3), ca.SX.sym("s")
     plain = s * (d[0] + 1.0)
-    assert riding(plain + s**2, d, s, 1.0 - s * d[1], []) is None
-    assert riding(plain, d, s, 1.0 - s * d[1] + s, []) is None
-    assert riding(plain + d[2], d, s, 1.0 - s * d[1], []) is None
+    assert boundary_arc_optimum(plain + s**2, d, s, 1.0 - s * d[1], []) is None
+    assert boundary_arc_optimum(plain, d, s, 1.0 - s * d[1] + s, []) is None
+    assert boundary_arc_optimum(plain + d[2], d, s, 1.0 - s * d[1], []) is None
 
 
 @pytest.mark.parametrize("throttle", [(0.4, 0.9), (0.6, 0.9)], ids=["floor too low to hover", "floor that can"])

@@ -20,7 +20,7 @@ from problems.singular import nearest_to_zero
 
 pytest.importorskip("flint")
 import prover_checks
-from perilune.rigorous.verified import with_theorem
+from perilune.rigorous.verified import add_theorem_checks
 
 
 @pytest.mark.parametrize("check", prover_checks.CHECKS, ids=lambda check: check.__name__)
@@ -47,7 +47,7 @@ def test_what_is_not_proved_is_named_and_lowers_nothing() -> None:
             "no theorem: beside the answer only another extremal is proved",
         ),
     ):
-        found = with_theorem(Verification(checks=(check,)), solution)
+        found = add_theorem_checks(Verification(checks=(check,)), solution)
         assert found.level == 1 and found.passed and found.certificate is None
         assert found.notes[0].startswith(note)
 

@@ -21,10 +21,16 @@ from flint import arb, arb_series, ctx
 import prover_checks
 from perilune.problem.variables import Given, Variable
 from perilune.problem.verification import Verification
-from perilune.rigorous.certified.equations import Equations
-from perilune.rigorous.certified.expressions import Expression, Failed, Program, gradient, symbol
-from perilune.rigorous.check_certificate import confirm, sentence
-from perilune.rigorous.verified import with_theorem
+from perilune.rigorous.certified.equations import CertifiedEquations
+from perilune.rigorous.certified.expressions import (
+    CertifiedExpression,
+    CertifiedProgram,
+    Failed,
+    backward_gradient,
+    symbol,
+)
+from perilune.rigorous.check_certificate import checked_sentence, confirm
+from perilune.rigorous.verified import add_theorem_checks
 
 Told = dict[str, Any]
 
@@ -47,7 +53,7 @@ def rolled() -> pl.Problem:
 
 @cache
 def _written(make: Callable[[], pl.Problem]) -> str:
-    return json.dumps(with_theorem(Verification(checks=()), prover_checks.solved(make)).certificate)
+    return json.dumps(add_theorem_checks(Verification(checks=()), prover_checks.solved(make)).certificate)
 
 
 def certificate(make: Callable[[], pl.Problem]) -> Told:
@@ -270,7 +276,7 @@ def _at_rest(told: Told) -> None:
 def test_a_right_certificate_is_confirmed(change: Callable[[Told], Any]) -> None:
     told = certificate(rolled)
     change(told)
-    told["theorem"] = sentence(told)
+    told["theorem"] = checked_sentence(told)
     confirm(told, lambda _: None)
 
 
@@ -300,7 +306,7 @@ def test_no_other_is_in_the_box_about_a_centre_that_is_no_double() -> None:
         "only_one_within": [1e-3, 1e-32, 2.0**208],
     }  # fmt: skip
     with pytest.raises(Failed, match="leaves the box"):
-        confirm(told | {"theorem": sentence(told)}, lambda _: None)
+        confirm(told | {"theorem": checked_sentence(told)}, lambda _: None)
 
 
 @pytest.mark.parametrize(
@@ -315,7 +321,7 @@ def test_a_false_certificate_is_refused(
 ) -> None:
     told = certificate(make)
     change(told)
-    told["theorem"] = sentence(told)
+    told["theorem"] = checked_sentence(told)
     with pytest.raises(Failed, match=why):
         confirm(told, lambda _: None)
 
@@ -344,7 +350,7 @@ def test_the_least_is_told_from_the_greatest_however_small(make: Callable[[], pl
             told["only_one_within"][i] *= 2.0**-44
     told["weights"] = [[2.0**-44 * weight for weight in own] for own in told["weights"]]
     told["objective"] = "[0 +/- 1000]"
-    told["theorem"] = sentence(told)
+    told["theorem"] = checked_sentence(told)
     if sign > 0:
         confirm(told, lambda _: None)
     else:
@@ -359,11 +365,11 @@ def test_derivatives_of_the_checker_are_those_of_its_series(word: str) -> None:
     two = [["const", 2.0], ["sub", 1, 0]]
     other = two if word in ("add", "sub", "mul", "div", "atan2") else [["const", 1.75]] if word == "pow" else []
     a, f = symbol(), traced(["x", "a"], *other, [word, 0, *[len(other)] * bool(other)])
-    (slope,) = gradient(f(a), [a])
-    program = Program([[a]], [f(a), slope, *gradient(slope, [a])])
+    (slope,) = backward_gradient(f(a), [a])
+    program = CertifiedProgram([[a]], [f(a), slope, *backward_gradient(slope, [a])])
     before, ctx.cap = ctx.cap, 3
     try:
-        (series,) = Program([[a]], [f(a)])([arb_series([arb("0.3"), 1], 3)])
+        (series,) = CertifiedProgram([[a]], [f(a)])([arb_series([arb("0.3"), 1], 3)])
     finally:
         ctx.cap = before
     value, first, second = program([arb("0.3")])
@@ -371,9 +377,9 @@ def test_derivatives_of_the_checker_are_those_of_its_series(word: str) -> None:
     assert all(a.overlaps(b) and b.rad() < 1e-10 for a, b in zip((value, first, second / 2), truth, strict=True))
 
 
-def traced(*instructions: list[Any]) -> Callable[[Expression], Expression]:
+def traced(*instructions: list[Any]) -> Callable[[CertifiedExpression], CertifiedExpression]:
     """The last of the operations of a tape, as a function of its state a."""
-    equations = object.__new__(Equations)
+    equations = object.__new__(CertifiedEquations)
     equations.given, equations.phases = {}, [{"states": [{"name": "a"}]}]
     equations.problem = {"tapes": {"f": {"instructions": instructions, "outputs": [len(instructions) - 1]}}}
     return lambda a: equations.traced("f", 0, [a], {}, {})[0]
@@ -385,9 +391,11 @@ def test_derivatives_of_the_checker_round_nothing() -> None:
     a, f = symbol(), traced(["x", "a"], *doublings, ["add", 60, 0], ["sub", 61, 60])
     zero = traced(["x", "a"], ["const", 0.0], ["pow", 0, 1])
     with ctx.workprec(192):
-        found = Program([[a]], [*gradient(f(a), [a]), zero(a), *gradient(zero(a), [a])])([arb(3)])
+        found = CertifiedProgram([[a]], [*backward_gradient(f(a), [a]), zero(a), *backward_gradient(zero(a), [a])])(
+            [arb(3)]
+        )
         assert all(value.contains(truth) and value.rad() < 1e-30 for value, truth in zip(found, (1, 1, 0), strict=True))
-    assert not Program([[a]], [traced(["x", "a"], ["div", 0, 0])(a)])([arb(0, 1)])[0].is_finite()
+    assert not CertifiedProgram([[a]], [traced(["x", "a"], ["div", 0, 0])(a)])([arb(0, 1)])[0].is_finite()
 
 
 def fastest() -> pl.Problem:

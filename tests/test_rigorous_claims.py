@@ -37,14 +37,14 @@ def proved(
 ) -> tuple[Any, list[str]]:
     """The root, and what is not proved of it; of one arc in these regimes, or of these pieces."""
     rough, root = settings(24, 1e-36), room("root")
-    one = room("boundary").Piece
+    one = room("boundary").ArcPiece
     with ctx.workprec(rough.bits):
         boundary = room("boundary").boundary_problem(
             stated, [one(phase=0, regimes=pieces)] if isinstance(pieces, dict) else pieces, sides
         )
-        refined = root.refine(boundary, [arb(value) for value in guess], rough, lambda _: None)
+        refined = root.refine_root(boundary, [arb(value) for value in guess], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
-        statements = room("limits").Limits(boundary, found).all()
+        statements = room("limits").FlightLimits(boundary, found).all()
         return found, [statement.words for statement in statements if not statement.proved]
 
 
@@ -115,14 +115,16 @@ def test_an_arc_begins_with_no_control_of_the_one_before_but_by_a_formula() -> N
         controls=tuple(pl.Bounded(name=name, lower=-1.0, upper=1.0) for name in "ab"), duration="T",
         dynamics=lambda x, u, p, m: (1 / p.T, ((u.a - x.s) ** 2 + u.a**4 * u.b**4 + u.b**2) / p.T),
     )  # fmt: skip
-    stated, one = problem(phase, lambda x, p, m: x.c, {"T": (2.0, "s")}, unit="1"), room("boundary").Piece
+    stated, one = problem(phase, lambda x, p, m: x.c, {"T": (2.0, "s")}, unit="1"), room("boundary").ArcPiece
     pieces = [one(phase=0, regimes={"a": "interior", "b": "interior"}, switched="a"),
               one(phase=0, regimes={"a": "upper", "b": "interior"})]  # fmt: skip
     boundary = room("boundary").boundary_problem(stated, pieces)
     flight = SimpleNamespace(steps=[], ends=[])
-    limits = room("limits").Limits(boundary, SimpleNamespace(flight=flight, y=[]))
+    limits = room("limits").FlightLimits(boundary, SimpleNamespace(flight=flight, y=[]))
     a, b = boundary.arcs[0].scalars[0], boundary.arcs[1].scalars[1]
-    room_of = [room("signs").Quantity(arc, 1 - one.value, []) for arc, one in zip(boundary.arcs, (a, b), strict=True)]
+    room_of = [
+        room("signs").SignedQuantity(arc, 1 - one.value, []) for arc, one in zip(boundary.arcs, (a, b), strict=True)
+    ]
     assert limits._zeros(0, room_of[0], 0) == 1 and limits._zeros(1, room_of[1], -1) == 0
 
 
@@ -228,7 +230,7 @@ def test_a_bound_that_holds_an_end_keeps_a_local_optimum(gain: float, J: float, 
         dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
     )  # fmt: skip
     stated = problem(phase, lambda x, p, m: x.c - p.k * x.x, {"T": (1.0, "s"), "k": (gain, "m/s")}, unit="m^2/s")
-    found = room("theorem").attempt(pl.solve(stated, pl.Pseudospectral(), level=0), lambda _: None).proved
+    found = room("theorem").attempt_proof(pl.solve(stated, pl.Pseudospectral(), level=0), lambda _: None).proved
     assert found.boundary.sides.states == sides and not found.missing and found.optimum.proved
     assert found.objective.contains(J) and found.objective.rad() < 1e-25
 
@@ -329,7 +331,7 @@ def test_an_arc_of_negative_length_is_seen() -> None:
     )  # fmt: skip
     stated = problem(phase, lambda x, p, m: p.w * p.t_f, {"w": (1.0, "m/s"), "d": (0.0625, "m")},
                      free=(pl.Free(name="t_f", unit="s", lower=0.0, upper=10.0, typical=1.0),))  # fmt: skip
-    one = room("boundary").Piece
+    one = room("boundary").ArcPiece
     pieces = [one(phase=0, regimes={"u": "upper"}, switched="u"), one(phase=0, regimes={"u": "lower"})]
     _, missing = proved(stated, pieces, [-4 / 3, 1 / 3, 0.5, -4 / 3, 1.0, -0.25])
     assert "arc 1 lasts longer than 0 s" in missing and "arc 2 lasts longer than 0 s" not in missing
@@ -379,10 +381,10 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
     told = [0.0, 0.0, *([np.pi * half_turns, -speed, 0.0] if at_start else [-speed / (2 * side)])]
     rough, root = settings(24, 1e-36), room("root")
     with ctx.workprec(rough.bits):
-        boundary = room("boundary").boundary_problem(stated, [room("boundary").Piece(phase=0, regimes=FREE)])
-        refined = root.refine(boundary, [arb(v) for v in (-speed, 0.0, 1.0, *told)], rough, lambda _: None)
+        boundary = room("boundary").boundary_problem(stated, [room("boundary").ArcPiece(phase=0, regimes=FREE)])
+        refined = root.refine_root(boundary, [arb(v) for v in (-speed, 0.0, 1.0, *told)], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
-        statement = room("second_order").local_optimum(boundary, found, rough.order, lambda _: None)
+        statement = room("second_order").prove_local_optimum(boundary, found, rough.order, lambda _: None)
     assert statement.proved == (not half_turns)
 
 

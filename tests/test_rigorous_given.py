@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import perilune as pl
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from problems.landings import constant_mass, meditch
 
 pytest.importorskip("flint")
@@ -21,9 +21,9 @@ from flint import arb, ctx
 from perilune.rigorous import flight, root
 from perilune.rigorous.certified.expressions import Failed
 from perilune.rigorous.check_certificate import confirm
-from perilune.rigorous.root import NotProved, prove_root, refine
-from perilune.rigorous.theorem import Proved, attempt
-from perilune.rigorous.verified import with_theorem
+from perilune.rigorous.root import NotProved, prove_root, refine_root
+from perilune.rigorous.theorem import ProvedExtremal, attempt_proof
+from perilune.rigorous.verified import add_theorem_checks
 
 
 def test_a_theorem_says_which_numbers_it_is_about() -> None:
@@ -32,7 +32,7 @@ def test_a_theorem_says_which_numbers_it_is_about() -> None:
     given = dict(problem.given)
     given["g"] = replace(given["g"], stated="1.62 m/s^2")
     stated = replace(solution, problem=problem.changed(given=MappingProxyType(given)))
-    found = with_theorem(stated.verification, stated)
+    found = add_theorem_checks(stated.verification, stated)
     assert "the decimals of the scenario taken exactly (1 of" in found.notes[0]
     told = dict(found.certificate or {})
     assert told["problem"]["given"]["g"]["number"] == str(Fraction("1.62"))
@@ -43,9 +43,9 @@ def test_a_theorem_says_which_numbers_it_is_about() -> None:
 
 
 @cache
-def theorem() -> Proved:
+def theorem() -> ProvedExtremal:
     """A lander that is proved."""
-    found = attempt(pl.solve(meditch(), level=0), silent).proved
+    found = attempt_proof(pl.solve(meditch(), level=0), ignore_events).proved
     assert found is not None
     return found
 
@@ -59,7 +59,7 @@ def test_no_root_is_proved_where_there_is_none(away: float, proved: bool) -> Non
         place = [c + arb(away * size) for c, size in zip(found.refined.y, sizes, strict=True)]
         radii = [1e-12 * size for size in sizes]
         with nullcontext() if proved else pytest.raises(NotProved):
-            prove_root(found.boundary, replace(found.refined, y=place), found.settings, silent, radii)
+            prove_root(found.boundary, replace(found.refined, y=place), found.settings, ignore_events, radii)
 
 
 @pytest.mark.parametrize(("off", "refused"), [(0.0, False), (1e-5, True)])
@@ -74,4 +74,4 @@ def test_newton_has_to_be_quadratic(off: float, refused: bool, monkeypatch: pyte
     monkeypatch.setattr(root, "slopes", slopes)
     told = pytest.raises(NotProved, match="quadratically") if refused else nullcontext()
     with ctx.workprec(found.settings.bits), told:
-        refine(found.boundary, [c * arb(1 + 1e-9) for c in found.refined.y], found.settings, silent)
+        refine_root(found.boundary, [c * arb(1 + 1e-9) for c in found.refined.y], found.settings, ignore_events)

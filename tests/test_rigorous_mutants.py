@@ -90,7 +90,8 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
             "rates off by a factor": ("taylor", "following / (k + 1)", "following / (k + 2)"),
         }),
         (checks.tangents_are_enclosed, {
-            "remainder along a step dropped": ("flow", "_over(c, since) + last * since**order", "_over(c, since)"),
+            "remainder along a step dropped":
+                ("flow", "_enclose_over(c, since) + last * since**order", "_enclose_over(c, since)"),
         }),
         (checks.a_step_over_a_pole_is_refused, {
             "inclusion unchecked": ("flow", "if all(inside) and all(tangent_inside):", "if all(tangent_inside):"),
@@ -111,7 +112,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
             "tangents by the transposed slopes": ("flow", "A[place] = c[k]", "A[place[::-1]] = c[k]"),
             "mean value about the centre alone": ("flight", "self._S * aside + self._r", "self._r"),
             "mean value over half of the box":
-                ("flight", "column([value - value.mid()", "column([(value - value.mid()) / 2"),
+                ("flight", "ball_column([value - value.mid()", "ball_column([(value - value.mid()) / 2"),
             "mean value over half of the box at the end":
                 ("flight", "+ more * aside", "+ more * aside * arb(0)"),
             "mean value over half of the box before it":
@@ -121,7 +122,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (checks.a_frame_turns_with_the_flow, {
             "rounding forgotten": ("flight", "M * self._r + back *", "M * self._r * arb(0) + back *"),
-            "rounding not turned": ("flight", "+ back * column", "+ column"),
+            "rounding not turned": ("flight", "+ back * ball_column", "+ ball_column"),
             "frame of the step before forgotten": ("flight", "together = moved * self._B", "together = moved"),
         }),
         (checks.frames_keep_remainders, {
@@ -165,7 +166,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (checks.signs_are_seen, {
             "sign at the end ignored": ("signs", "(-1) ** at_end * ", ""),
-            "sign at the deepest halving taken": ("signs", "Seen(proved=False", "Seen(proved=True"),
+            "sign at the deepest halving taken": ("signs", "SignResult(proved=False", "SignResult(proved=True"),
             "sign at one point": ("signs", "z = step.at(span)", "z = step.at(span.mid())"),
             "half of a step unseen": ("signs", ", (middle, b, depth + 1)]", "]"),
         }),
@@ -175,11 +176,14 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         (checks.conjugate_points_are_seen, {
             "Riccati's equation past a conjugate point":
                 ("regular", "return proved.begin + middle", "continue"),
-            "W left where a step began": ("second_order", "            W = above(", "            above("),
+            "W left where a step began":
+                ("second_order", "            W = upper_bound_matrix(", "            upper_bound_matrix("),
             "tangents of higher order unseen": ("regular", "own * inverse * away**k", "own * inverse * 0"),
             "form at the end unseen": ("second_order", '"" if positive_definite(C) else', '"" if True else'),
-            "second variation with the wrong sign": ("junctions", "above(M * -1, weights)", "above(M, weights)"),
-            "second variation from nothing": ("junctions", "above(M * -1, weights)", "above(M * 0, weights)"),
+            "second variation with the wrong sign":
+                ("junctions", "upper_bound_matrix(M * -1, weights)", "upper_bound_matrix(M, weights)"),
+            "second variation from nothing":
+                ("junctions", "upper_bound_matrix(M * -1, weights)", "upper_bound_matrix(M * 0, weights)"),
             "end conditions left out": ("junctions", "if not normals.nrows():", "if True:"),
             "duration left out of time": ("equations", "[lasting * rate for", "[1 * rate for"),
         }),

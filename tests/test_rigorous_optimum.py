@@ -18,7 +18,7 @@ from flint import arb, ctx
 
 from perilune.problem.variables import Given, Variable
 from perilune.rigorous.certified.expressions import Failed
-from perilune.rigorous.check_certificate import confirm, sentence
+from perilune.rigorous.check_certificate import checked_sentence, confirm
 from prover_checks import room, settings
 
 AGAIN = False  # whether the checker is asked, too
@@ -29,12 +29,12 @@ def optimum(stated: pl.Problem, pieces: Sequence[tuple[int, dict[str, str], str]
             sides: Any = None) -> Any:  # fmt: skip
     """What is said of the extremal of these pieces (phase, regimes, switched)."""
     rough, root = settings(24, 1e-36), room("root")
-    own = [room("boundary").Piece(phase=k, regimes=regimes, switched=name) for k, regimes, name in pieces]
+    own = [room("boundary").ArcPiece(phase=k, regimes=regimes, switched=name) for k, regimes, name in pieces]
     with ctx.workprec(rough.bits):
         boundary = room("boundary").boundary_problem(stated, own, sides)
-        refined = root.refine(boundary, [arb(value) for value in guess], rough, lambda _: None)
+        refined = root.refine_root(boundary, [arb(value) for value in guess], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
-        said = room("second_order").local_optimum(boundary, found, rough.order, lambda _: None)
+        said = room("second_order").prove_local_optimum(boundary, found, rough.order, lambda _: None)
         if AGAIN:
             assert seen_again(boundary, refined, found, rough, said) == said.proved, said.where
         return said
@@ -43,20 +43,20 @@ def optimum(stated: pl.Problem, pieces: Sequence[tuple[int, dict[str, str], str]
 def seen_again(boundary: Any, refined: Any, found: Any, rough: Any, said: Any) -> bool:
     """Whether the checker sees a strict local optimum too; that it is an extremal it has to see, and sees before."""
     second_order = room("second_order")
-    weights = said.weights or second_order._Form(boundary, found).weights_of_moving(1e4)
-    proved = room("theorem").Proved(
+    weights = said.weights or second_order._SecondVariationForm(boundary, found).weights_of_moving(1e4)
+    proved = room("theorem").ProvedExtremal(
         boundary=boundary, refined=refined, settings=rough, root=found,
-        alone=room("root").alone(boundary, refined, found, rough, lambda _: None),
+        alone=room("root").enlarge_uniqueness_box(boundary, refined, found, rough, lambda _: None),
         objective=boundary.objective.values(found.y, found.flight.ends[-1])[0],
-        statements=(), optimum=second_order.Optimum(proved=False), distance=0.0, reached=True,
+        statements=(), optimum=second_order.OptimumStatement(proved=False), distance=0.0, reached=True,
     )  # fmt: skip
-    told = room("told").certificate(proved, "")
+    told = room("told").certificate_document(proved, "")
     told["weights"] = weights
     steered = {regime for arc in told["arcs"] for name, regime in arc["regimes"].items() if name == "u"} == {"interior"}
     steered &= not any(arc.joint for arc in boundary.arcs)
     for control in (c for phase in told["problem"]["phases"] for c in phase["controls"] if c["names"] == ["u"]):
         control.update({"lower": None, "upper": None} if steered else {})  # some are steered beyond, and none on them
-    told["theorem"] = sentence(told)
+    told["theorem"] = checked_sentence(told)
     try:
         confirm(told, lambda _: None)
     except Failed as refused:
@@ -394,11 +394,11 @@ def test_what_is_not_covered_is_named() -> None:
     )  # fmt: skip
     stated = phases("idle", phase, start=lambda p, m: (0.0, 0.0))
     for begin, end, word in (("lower", "upper", "nothing may multiply"), ("upper", "lower", "v does not switch alone")):
-        one = room("boundary").Piece
+        one = room("boundary").ArcPiece
         pieces = [one(phase=0, regimes={"u": begin, "v": "upper"}, switched="v"),
                   one(phase=0, regimes={"u": end, "v": "lower"})]  # fmt: skip
         boundary = room("boundary").boundary_problem(stated, pieces)
-        assert word in next(room("second_order")._not_covered(boundary, None))
+        assert word in next(room("second_order")._unsupported_cases(boundary, None))
 
 
 # -- parameters on bounds ----------------------------------------------------------------------------------------------

@@ -15,8 +15,8 @@ import pytest
 
 import perilune as pl
 from command_line import read_json
-from perilune.cli import run
-from perilune.io.made import made_document, read_made
+from perilune.cli import run_command_line
+from perilune.io.made import model_document, read_model
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -103,18 +103,18 @@ def test_every_kind_is_made_again(example: str, change: tuple[str, ...]) -> None
     problem = load_file(EXAMPLES / f"{example}.toml", change).problem
     heavier = problem.with_given(vehicle_mass=1.01 * problem.given["vehicle_mass"].value)
     for one in (problem, heavier, problem.with_given(**{problem.free_names[0]: problem.free[0].typical})):
-        made = made_document(one)
+        made = model_document(one)
         assert made is not None
-        again = read_made(json.loads(json.dumps(made)), one.given)
+        again = read_model(json.loads(json.dumps(made)), one.given)
         assert again == one and again.preflight is not None
 
 
 def test_what_no_model_makes_is_saved_as_expressions(hybrid: Solution, hop: Solution) -> None:
     """A model's problem that was changed, and one that only has the name of a kind."""
-    assert made_document(replace(hybrid.problem, objective=lambda x, p, m: -2.0 * x.m)) is None
-    assert made_document(replace(hybrid.problem, scales=pl.Scales(mass=7.0))) is None
-    assert made_document(replace(hop.problem, name="hybrid_landing")) is None
-    assert made_document(replace(hop.problem, name="hybrid_landing", declared=hybrid.problem.declared)) is None
+    assert model_document(replace(hybrid.problem, objective=lambda x, p, m: -2.0 * x.m)) is None
+    assert model_document(replace(hybrid.problem, scales=pl.Scales(mass=7.0))) is None
+    assert model_document(replace(hop.problem, name="hybrid_landing")) is None
+    assert model_document(replace(hop.problem, name="hybrid_landing", declared=hybrid.problem.declared)) is None
 
 
 @pytest.mark.parametrize(
@@ -153,10 +153,10 @@ def test_where_no_package_brings_the_kind_the_expressions_are_the_problem(hybrid
 def test_another_choice_of_the_model_is_refused(tmp_path: Path) -> None:
     """The digest is another: what was solved aims at the site."""
     problem = load_file(EXAMPLES / "polar_descent.toml").problem
-    made = made_document(problem)
+    made = model_document(problem)
     assert made is not None and made["sections"]["problem"]["target"] == "site"
     made["sections"]["problem"]["target"] = "anywhere"
-    assert read_made(made, problem.given).form != problem.form
+    assert read_model(made, problem.given).form != problem.form
 
 
 def test_an_own_problem_proves_again(hop: Solution, tmp_path: Path) -> None:
@@ -175,9 +175,9 @@ def test_the_command_line_verifies_what_python_saved(
 ) -> None:
     """And says which text it flew."""
     pl.save(hop, tmp_path / "hop")
-    assert run(["verify", str(tmp_path / "hop")]) == 0
+    assert run_command_line(["verify", str(tmp_path / "hop")]) == 0
     assert "flown: expressions from a file" in capsys.readouterr().out
-    assert run(["verify", str(tmp_path / "hop"), "--json"]) == 0
+    assert run_command_line(["verify", str(tmp_path / "hop"), "--json"]) == 0
     assert read_json(capsys.readouterr().out)["verification"]["text"] == "expressions from a file"
 
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from perilune.models.bodies import MOON
-from perilune.problem.preflight import possible, preflight, refuse_impossible
+from perilune.problem.preflight import is_possible, preflight, refuse_impossible
 from perilune.problem.variables import Given
 from perilune.scenario import KINDS, load_file, load_text, quantities_of, template, values_of
 from perilune.scenario.reader import names_of
@@ -86,7 +86,7 @@ def test_the_template_names_every_key() -> None:
 def test_a_template_states_its_problem(kind: str, tmp_path: Path) -> None:
     problem = load_text(template(kind))
     assert problem.name == kind
-    assert possible(preflight(problem))
+    assert is_possible(preflight(problem))
     advised = re.findall(r'--set "(.+)"', template(kind))  # of its own keys
     assert len(advised) == 1
     path = tmp_path / "new.toml"

@@ -12,9 +12,9 @@ import pytest
 
 import perilune as pl
 from command_line import ROOT, read_json
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.cli.methods import NAMES, method_of
-from perilune.reproductions.peng2012.case import CASE, problem
+from perilune.reproductions.peng2012.case import CASE, peng_descent
 from perilune.scenario import KINDS, load_file, load_text
 from perilune.solve import solve
 from perilune.words.outcome import InfeasibleError, PeriluneError
@@ -29,7 +29,7 @@ PRECISION = ROOT / "examples" / "precision_landing.toml"
 
 def test_the_example_is_the_papers_descent() -> None:
     """Number for number the case that the report solves."""
-    stated, ours = load_file(POLAR).problem, problem(steering=CASE.steering)
+    stated, ours = load_file(POLAR).problem, peng_descent(steering=CASE.steering)
     said, meant = ({name: g.value for name, g in p.given.items()} for p in (stated, ours))
     assert said == pytest.approx(meant, rel=1e-12, abs=1e-15)
     assert stated.objective_unit == "kg"
@@ -140,7 +140,7 @@ def test_the_impossible_is_infeasible(file: Path, change: str, what: str, capsys
     with pytest.raises(InfeasibleError, match=what) as caught:
         solve(load_file(file, [change]).problem)
     assert caught.value.reason == "cannot be flown"
-    assert run(["check", str(file), "--set", change, "--json"]) == 3
+    assert run_command_line(["check", str(file), "--set", change, "--json"]) == 3
     assert read_json(capsys.readouterr().out)["error"]["what"] == caught.value.what
 
 
@@ -167,7 +167,7 @@ def test_an_example_is_solved_proved_and_written(
 ) -> None:
     """At level 3; what is written is proved again from its file alone; the throttle's switches do not prevent it."""
     out = tmp_path / "out"
-    assert run(["solve", str(file), "--out", str(out), "--json"]) == 0
+    assert run_command_line(["solve", str(file), "--out", str(out), "--json"]) == 0
     document = read_json(capsys.readouterr().out)
     assert document["outcome"] == "PROVED"
     assert document["verification"]["level"] == 3
@@ -179,12 +179,12 @@ def test_an_example_is_solved_proved_and_written(
     figures = {path.stem for path in (out / "figures").glob("*.png")}
     assert {"track", "velocities", "steering", "hamiltonian", drawn} <= figures
     assert all(f"(figures/{name}.png)" in (out / "report.md").read_text(encoding="utf-8") for name in figures)
-    assert run(["verify", str(out), "--level", "2"]) == 0
+    assert run_command_line(["verify", str(out), "--level", "2"]) == 0
     assert "PROVED" in capsys.readouterr().out
 
 
 def test_check_answers_without_solving(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["check", str(POLAR), "--json"]) == 0
+    assert run_command_line(["check", str(POLAR), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["outcome"] == "POSSIBLE"
     value = {f["name"]: f["value"] for f in document["findings"]}
@@ -216,21 +216,21 @@ def test_settings_of_methods_by_name(name: str, typed: dict[str, Any], made: Any
 def test_settings_reach_the_method(capsys: pytest.CaptureFixture[str]) -> None:
     """Four points are refined to the tolerance that is asked for, and one family is solved on as few."""
     told = [str(POLAR), "--method", "direct", "--no-polish", "--nodes", "4", "--level", "0"]
-    assert run(["solve", *told, "--tolerance", "1e-3", "--json"]) == 5  # as no proof is asked for
+    assert run_command_line(["solve", *told, "--tolerance", "1e-3", "--json"]) == 5  # as no proof is asked for
     loose = read_json(capsys.readouterr().out)
-    assert run(["solve", *told, "--json"]) == 5
+    assert run_command_line(["solve", *told, "--json"]) == 5
     tight = read_json(capsys.readouterr().out)
     assert "4 nodes" in loose["statistics"]["rung"]
     assert 1e-6 < loose["statistics"]["residual"] < 1e-3
     assert tight["statistics"]["residual"] <= 1e-6
-    assert run(["sweep", *told, "--tolerance", "1e-3", "--vary", "site.longitude=0:3:3 deg"]) == 0
+    assert run_command_line(["sweep", *told, "--tolerance", "1e-3", "--vary", "site.longitude=0:3:3 deg"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 3
 
 
 def test_the_direct_method_starts_at_the_pole_of_the_papers_coordinates(capsys: pytest.CaptureFixture[str]) -> None:
     """Bounded angles in the paper's coordinates, singular at the start; the same flight time."""
     spherical = ["solve", str(POLAR), "--set", "problem.coordinates=spherical", "--json"]
-    run([*spherical, "--method", "direct", "--level", "0"])
+    run_command_line([*spherical, "--method", "direct", "--level", "0"])
     document = read_json(capsys.readouterr().out)
     assert document["method"] == "pseudospectral"
     assert document["results"]["flight_time"]["value"] == pytest.approx(472.79556231, abs=1e-6)
@@ -256,13 +256,13 @@ def test_the_direct_method_starts_at_the_pole_of_the_papers_coordinates(capsys: 
     ],
 )
 def test_commands_refuse_by_name(arguments: list[str], what: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(arguments) == 2
+    assert run_command_line(arguments) == 2
     assert what in capsys.readouterr().err
 
 
 def test_a_sweep_over_the_site(capsys: pytest.CaptureFixture[str]) -> None:
     """Degrees in, degrees out; a site further aside costs more."""
-    assert run(["sweep", str(POLAR), "--vary", "site.longitude=0:6:3 deg", "--level", "0"]) == 0
+    assert run_command_line(["sweep", str(POLAR), "--vary", "site.longitude=0:6:3 deg", "--level", "0"]) == 0
     rows = [line.split(",") for line in capsys.readouterr().out.splitlines()]
     assert rows[0][0] == "site_longitude [deg]"
     assert [float(row[0]) for row in rows[1:]] == pytest.approx([0.0, 3.0, 6.0])

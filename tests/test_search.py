@@ -20,7 +20,7 @@ from perilune.problem.extremal import Nature
 from perilune.shooting.continuum import open_directions
 from perilune.shooting.function import Roots, Shooting
 from perilune.words.types import Matrix
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from problems.circles import meeting, to_circle
 from problems.constrained import brachistochrone, bryson_denham, bryson_denham_truth, speed_limit, speed_limit_truth
 
@@ -59,7 +59,7 @@ def test_a_mesh_that_has_followed_a_flight_is_made_finer_where_newton_fails_from
     assert known is not None
     for error, wavers, blurred in ((5e-4, False, True), (5e-4, True, False), (2e-3, True, True), (2e-5, False, False)):
         coarse.solution = replace(known, statistics=replace(known.statistics, residual=error))
-        monkeypatch.setattr("perilune.methods.coarse.wavering", lambda _, wavers=wavers: wavers)
+        monkeypatch.setattr("perilune.methods.coarse.stays_between_bounds", lambda _, wavers=wavers: wavers)
         assert coarse.blurred is blurred
 
 
@@ -84,7 +84,7 @@ def test_more_time_is_no_loss_on_the_way_to_a_circle() -> None:
 def test_smoothed_extremals_lead_to_a_better_one() -> None:
     """50 s with 0.03 N: 0.879549 of the mass by switched extremals alone, 0.879997 known from many trials by hand."""
     problem = to_circle(50.0, radius=3.0, exhaust_speed=2.0, eccentricity=0.3, thrust=0.03)
-    found = Smoothing(trials=Trials(problem, silent), segments=1).carried(24, 0)
+    found = Smoothing(trials=Trials(problem, ignore_events), segments=1).carried(24, 0)
     masses = sorted((-root.cost for root in found), reverse=True)
     assert masses[0] == pytest.approx(0.880026989, abs=1e-8)
     assert any(mass == pytest.approx(0.879996864, abs=1e-8) for mass in masses)
@@ -117,8 +117,8 @@ def test_where_none_is_reached_it_is_said_that_they_are_not_isolated(monkeypatch
     def isolated(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
         return roots.failed(np.array([open_directions(root) > 0 for root in roots]))
 
-    monkeypatch.setattr("perilune.methods.trials.completed", isolated)
-    monkeypatch.setattr("perilune.methods.durations.Lengthened.extremals", lambda self: [])
+    monkeypatch.setattr("perilune.methods.trials.complete_open_roots", isolated)
+    monkeypatch.setattr("perilune.methods.durations.FinalTimeContinuation.extremals", lambda self: [])
     monkeypatch.setattr("perilune.methods.smoothing.Smoothing.root", lambda self, choice: None)
     with pytest.raises(pl.NotConvergedError, match=r"(?s)nearest approach.*not isolated.*a condition more at the end"):
         pl.solve(to_circle(12.0, radius=2.0, exhaust_speed=1.0, eccentricity=0.0), pl.Indirect(starts=48), level=0)

@@ -19,8 +19,8 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting import plan as planning
 from perilune.shooting.continuation import Member
-from perilune.shooting.extremals import HeldFamily, _chain, _dips, distinct, same
-from perilune.shooting.flyer import Code, FewLanes, Flight, fleet
+from perilune.shooting.extremals import HeldFamily, _connected_members, _extremal_pairs, distinct_roots, same_vector
+from perilune.shooting.flyer import Code, FewLanes, PlanIntegrator, fleet
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST
 from perilune.shooting.plan import plan
@@ -109,7 +109,7 @@ def test_the_step_compiled_is_the_step_of_lapack(kind: Kind, monkeypatch: pytest
         own = plan(shooting.conditions, kind.segments)
         assert own.compiled == (limit > 0)
         code = Code(own)
-        found.append(Flight(code, np.tile(Y, (3, 1)), nothing, p, np.full(3, FINEST), np.tile(old, (3, 1)))())
+        found.append(PlanIntegrator(code, np.tile(Y, (3, 1)), nothing, p, np.full(3, FINEST), np.tile(old, (3, 1)))())
         alone = FewLanes(code, 1)(Y, nothing, p[:1], np.full(1, FINEST), old)
         np.testing.assert_array_equal(alone, found[-1][:1])
     assert found[1] == pytest.approx(found[0], rel=1e-8, abs=1e-9)
@@ -225,23 +225,23 @@ def test_two_roots_are_looked_for_where_slopes_come_near_zero(slopes: tuple[floa
 
     family = cast("HeldFamily", SimpleNamespace(released=released))
     members = [Member(value=value, root=root_at(10 * value)) for value in (-2.0, -1.0, 0.0, 1.0)[-len(slopes) :]]
-    assert _dips(family, members, list(slopes)) == []
+    assert _extremal_pairs(family, members, list(slopes)) == []
     assert [Y.tolist() for Y in asked] == ([[[-5.0], [5.0]]] if near else [])
 
 
 def test_unknowns_are_the_same_by_their_size() -> None:
     """Of costates of a thousand the sixth digit is a thousandth."""
     large = np.array([1e3, 0.0])
-    assert same(large, large + 9e-4, 1e-6) and not same(large, large + 2e-3, 1e-6)
-    assert not same(0.0 * large, 0.0 * large + 2e-6, 1e-6)
+    assert same_vector(large, large + 9e-4, 1e-6) and not same_vector(large, large + 2e-3, 1e-6)
+    assert not same_vector(0.0 * large, 0.0 * large + 2e-6, 1e-6)
 
 
 def test_an_isolated_extremal_met_twice_is_one_and_those_of_equal_j_are_two() -> None:
     """Mirror images have the same J; only where both are of a continuum does that make them one."""
     left, right = root_at(-1.0, 2.0), root_at(1.0, 2.0)
-    assert distinct([left, right, left]) == [left, right]
+    assert distinct_roots([left, right, left]) == [left, right]
     flat = np.diag([1e20, 1.0])
-    assert len(distinct([root_at(-1.0, 2.0, inverse=flat), root_at(1.0, 2.0, inverse=flat)])) == 1
+    assert len(distinct_roots([root_at(-1.0, 2.0, inverse=flat), root_at(1.0, 2.0, inverse=flat)])) == 1
 
 
 def test_large_unknowns_may_change_faster_along_a_family() -> None:
@@ -249,5 +249,5 @@ def test_large_unknowns_may_change_faster_along_a_family() -> None:
     walked: list[float] = []
     family = cast("HeldFamily", SimpleNamespace(reach=lambda here, value: walked.append(value)))
     lanes = [(1.0, root_at(100.5)), (2.0, root_at(104.0)), (3.0, root_at(200.0))]
-    members = _chain(family, Member(value=0.0, root=root_at(100.0)), lanes)
+    members = _connected_members(family, Member(value=0.0, root=root_at(100.0)), lanes)
     assert [member.value for member in members] == [1.0, 2.0] and walked == [3.0]

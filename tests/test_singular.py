@@ -13,12 +13,12 @@ import perilune as pl
 from perilune.conditions.singular import singular_control
 from perilune.methods.search import Search
 from perilune.problem.solution import Solution
-from perilune.structures.carry import joined
-from perilune.structures.read import readings
+from perilune.structures.carry import join_solution
+from perilune.structures.read import detect_structures
 from perilune.structures.regimes import EXACT, Stay, _between_breaks, read_stays, revised_stays
 from perilune.structures.restate import restate
 from perilune.structures.structure import Arc, Structure
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from problems.goddard import FOOT, goddard
 from problems.singular import aly, aly_switch, aly_truth, following, fuller, nearest_to_zero, planar_goddard
 
@@ -77,7 +77,7 @@ def test_goddards_rocket_climbs_as_in_the_literature() -> None:
     ],
 )
 def test_the_arcs_are_read_off_any_mesh(mesh: pl.Pseudospectral) -> None:
-    found, *_ = readings(goddard(), mesh.run(goddard()))
+    found, *_ = detect_structures(goddard(), mesh.run(goddard()))
     assert [dict(arc.regimes)["thrust"] for arc in found.phases[0]] == list(THREE)
 
 
@@ -179,10 +179,10 @@ def forced(durations: dict[str, float], *arcs: tuple[str, float]) -> Solution:
     free = tuple(f for f in restated.free if f.name not in durations)
     fixed = restated.changed(given={**restated.given, **given}, free=free, form=None)
     near = pl.Pseudospectral(nodes=10, segments=2, refine=0).run(fixed)
-    found = Search(pl.Indirect(), fixed, silent).solve(near)
+    found = Search(pl.Indirect(), fixed, ignore_events).solve(near)
     every = {**found.free, **durations}
     whole = replace(found, problem=restated, free={name: every[name] for name in restated.free_names}, extremals=())
-    return joined(problem, whole, structure)
+    return join_solution(problem, whole, structure)
 
 
 @pytest.mark.parametrize("longer", [1.0, 1e-3])

@@ -15,8 +15,8 @@ from perilune.models.atmosphere import exponential
 from perilune.models.bodies import EARTH
 from perilune.models.deorbit.fall import fall
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Orbit, Returner, Transition
-from perilune.models.deorbit.skip import risen_again
+from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
+from perilune.models.deorbit.skip import rebound_height
 from perilune.problem.preflight import preflight
 from perilune.solve import verify
 from perilune.words.outcome import InfeasibleError
@@ -28,7 +28,7 @@ def returning(degrees: float, *, dry_mass: float = 350.0, speed: float | None = 
     """From 500 km, to anywhere."""
     return deorbit_entry(
         Returner(mass=500.0, thrust=500.0, exhaust_velocity=3000.0, dry_mass=dry_mass, ballistic_coefficient=345.0),
-        Orbit(radius=6878.14e3, inclination=math.radians(50)),
+        ReturnOrbit(radius=6878.14e3, inclination=math.radians(50)),
         Interface(altitude=120e3, angle=math.radians(degrees), speed=speed),
         EARTH,
         manoeuvre=Manoeuvre(longitude=math.radians(16), latitude=math.radians(39.5), going="descending"),
@@ -91,8 +91,8 @@ def test_what_rises_again_without_air_is_keplers_ellipse() -> None:
         | {"body_rotation_rate": 0.0, "vehicle_ballistic_coefficient": 1e12}
     )
     fallen = fall(p, exponential(1.225, 7200.0), angle, speed, 4001)
-    assert risen_again(fallen, 120e3) == pytest.approx(apogee - gate, rel=1e-4)
-    assert risen_again(fall(p, exponential(1.225, 7200.0), math.radians(-30), 3000.0), 120e3) == -math.inf
+    assert rebound_height(fallen, 120e3) == pytest.approx(apogee - gate, rel=1e-4)
+    assert rebound_height(fall(p, exponential(1.225, 7200.0), math.radians(-30), 3000.0), 120e3) == -math.inf
 
 
 def found(problem: pl.Problem) -> list[tuple[bool, bool]]:

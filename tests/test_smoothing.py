@@ -12,17 +12,17 @@ from perilune.conditions.pontryagin import derive
 from perilune.methods.smoothing import Smoothing
 from perilune.methods.trials import Trials
 from perilune.problem.problem import Problem
-from perilune.structures.smoothed import RATE, smoothed
+from perilune.structures.smoothed import RATE, smooth_problem
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 from problems.circles import meeting
 from problems.constrained import brachistochrone
 from problems.landings import meditch
 
 
 def smooth(problem: Problem, share: float = 0.3) -> Problem:
-    found = smoothed(problem, share)
+    found = smooth_problem(problem, share)
     assert found is not None
     return found
 
@@ -51,7 +51,7 @@ def test_a_smoothed_way_to_a_known_answer(size: float | None) -> None:
     What is called the size of J may be far from what the throttle can change of it.
     """
     problem = replace(meditch(), objective_scale=size)
-    trials = Trials(problem, silent)
+    trials = Trials(problem, ignore_events)
     root = Smoothing(trials=trials, segments=6).root(trials.shooting.holding({}))
     assert root is not None
     assert root.cost * problem.objective_size == pytest.approx(1.42031259905, abs=1e-10)
@@ -93,7 +93,7 @@ def test_several_phases_hand_on_what_is_gained() -> None:
     handed = both.phases[0].state_record(**values)
     assert list(both.links[0](handed, p, NUMERIC)) == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert both.objective(handed, p, NUMERIC) == 4.0 - 5.0
-    trials = Trials(problem, silent)
+    trials = Trials(problem, ignore_events)
     root = Smoothing(trials=trials, segments=2).root(trials.shooting.holding({}))
     assert root is not None
     assert root.cost * problem.objective_size == pytest.approx(1.42031259905, abs=1e-10)
@@ -101,8 +101,8 @@ def test_several_phases_hand_on_what_is_gained() -> None:
 
 def test_what_does_not_jump_is_not_smoothed() -> None:
     """An angle, in which the Hamiltonian bends."""
-    assert smoothed(brachistochrone(), 0.3) is None
-    trials = Trials(brachistochrone(), silent)
+    assert smooth_problem(brachistochrone(), 0.3) is None
+    trials = Trials(brachistochrone(), ignore_events)
     assert Smoothing(trials=trials, segments=6).root(trials.shooting.holding({})) is None
 
 

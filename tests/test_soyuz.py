@@ -18,7 +18,15 @@ from scipy.optimize import brentq
 from perilune.models import ellipsoid
 from perilune.models.bodies import EARTH
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Orbit, Returner, Separation, Transition
+from perilune.models.deorbit.records import (
+    Atmosphere,
+    Interface,
+    Landing,
+    Returner,
+    ReturnOrbit,
+    Separation,
+    Transition,
+)
 from perilune.words.maths import NUMERIC
 from perilune.words.units import STANDARD_GRAVITY
 from return_by_scipy import backwards, fly
@@ -35,7 +43,7 @@ def soyuz(eccentricity: float, perigee: float) -> tuple[float, float, float, flo
     ground = SimpleNamespace(body_radius=EARTH.radius, body_flattening=EARTH.flattening)
     radius = brentq(lambda r: ellipsoid.altitude([r * c for c in up], ground, NUMERIC) - ALTITUDE, 6.6e6, 7e6)
     semi = radius * (1 + eccentricity * math.cos(BEGIN - perigee)) / (1 - eccentricity**2)  # type: ignore[operator]
-    orbit = Orbit(
+    orbit = ReturnOrbit(
         perigee_altitude=semi * (1 - eccentricity) - EARTH.radius,
         apogee_altitude=semi * (1 + eccentricity) - EARTH.radius,
         argument_of_perigee=perigee, inclination=INCLINATION, node_longitude=0.0, argument_of_latitude=BEGIN,

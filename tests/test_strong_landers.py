@@ -15,23 +15,23 @@ from perilune.methods.flown import ends_well
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
 from perilune.models.bodies import EUROPA, MERCURY, Body
-from perilune.models.burn_search import burning_once_more, burning_sooner, two_burns
+from perilune.models.burn_search import add_brief_burn, advance_second_burn, two_burns
 from perilune.models.descent import Ignition, Site, powered_descent
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.landing_preflight import coasting_first, one_burn
+from perilune.models.landing_preflight import one_burn_velocity_change, two_impulse_velocity_change
 from perilune.models.one_burn import SPENDS
 from perilune.models.rough_landing import rough_landing
 from perilune.models.two_burns import Burning, TwoBurns
-from perilune.models.two_impulses import Around, around_body, fallen, two_impulses
+from perilune.models.two_impulses import LandingStart, landing_start_of, propagate_kepler, two_impulses
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
-from perilune.proof.ended import ended
-from perilune.proof.resolved import neighbours
-from perilune.proof.touched import cut
+from perilune.proof.ended import with_end_bounds
+from perilune.proof.resolved import check_neighbours
+from perilune.proof.touched import restate_with_contacts
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 
 MU, RADIUS, ALTITUDE, SPEED = 4902.8e9, 1737.4e3, 94e3, 1635.9
 STILL = Body(name="moon", gravitational_parameter=MU, radius=RADIUS, rotation_rate=0.0)
@@ -55,10 +55,10 @@ def strong(
     )  # fmt: skip
 
 
-def around(problem: Problem) -> Around:
+def around(problem: Problem) -> LandingStart:
     """Return where a descent begins."""
     p = problem.parameters({})
-    return around_body(p, problem.start(p, NUMERIC))
+    return landing_start_of(p, problem.start(p, NUMERIC))
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def test_a_root_whose_exported_flight_misses_its_ends_is_moved_by_its_last_digit
     of, exact = (curves.problem, curves.conditions), curves.root
     off = replace(exact, y=exact.y * (1 + 1e-10), residual=0.0 * exact.residual)
     assert ends_well(*of, exact) and not ends_well(*of, off)
-    moved = Search(Indirect(), curves.problem, silent)._to_last_digits(off)
+    moved = Search(Indirect(), curves.problem, ignore_events)._to_last_digits(off)
     assert ends_well(*of, moved)
     assert np.abs(moved.y - exact.y).max() < 1e-10
 
@@ -123,7 +123,7 @@ def test_free_fall_is_that_of_an_integrator() -> None:
         there = solve_ivp(
             rates, (0.0, time), np.concatenate([position, velocity]), method="DOP853", rtol=1e-13, atol=1e-7
         ).y[:, -1]
-        found = fallen(position, velocity, MU, time)
+        found = propagate_kepler(position, velocity, MU, time)
         assert found[0] == pytest.approx(there[:3], abs=1e-2)
         assert found[1] == pytest.approx(there[3:], abs=1e-5)
 
@@ -146,11 +146,11 @@ def test_two_impulses_from_an_ellipse_begin_at_its_apocentre() -> None:
     assert found.wait == pytest.approx(math.pi * math.sqrt(semi**3 / MU), rel=1e-3)
 
 
-def turning(rate: float = 3e-4) -> Around:
+def turning(rate: float = 3e-4) -> LandingStart:
     """Return a start at 12 km over a body like the Moon that turns fast, inclined by half a radian."""
     r = RADIUS + 12e3
     speed, tilt = 1.001 * math.sqrt(MU / r), 0.5
-    return Around(
+    return LandingStart(
         position=np.array([r, 0.0, 0.0]), velocity=speed * np.array([0.0, math.cos(tilt), math.sin(tilt)]),
         mu=MU, radius=RADIUS, turning=np.array([0.0, 0.0, rate]),
     )  # fmt: skip
@@ -166,9 +166,9 @@ def test_over_a_body_that_turns_every_wait_that_is_least_is_found() -> None:
         assert min(beside) > one.velocity_change
 
 
-def _impulses_after(start: Around, wait: float) -> float:
+def _impulses_after(start: LandingStart, wait: float) -> float:
     """Return the velocity change [m/s] of two impulses by vis-viva and the eccentricity vector."""
-    r, v = fallen(start.position, start.velocity, start.mu, wait)
+    r, v = propagate_kepler(start.position, start.velocity, start.mu, wait)
     distance, normal = float(np.linalg.norm(r)), np.cross(r, v) / np.linalg.norm(np.cross(r, v))
     ahead, up = float(np.cross(normal, r) @ v) / distance, float(r @ v) / distance
     square = 2 * MU * (1 / RADIUS - 1 / distance) / ((ahead * distance / RADIUS) ** 2 - ahead**2 - up**2)
@@ -183,7 +183,7 @@ def _impulses_after(start: Around, wait: float) -> float:
 BURNING = Burning(mass=1e4, force=160e3, exhaust=320.0 * 9.80665)
 
 
-def landed_by_two_burns(start: Around, *, at_once: bool = False) -> TwoBurns:
+def landed_by_two_burns(start: LandingStart, *, at_once: bool = False) -> TwoBurns:
     """Return the best of them."""
     found = (two_burns(start, one, BURNING, at_once=at_once) for one in two_impulses(start))
     return max(filter(None, found), key=lambda one: one.landed)
@@ -201,7 +201,7 @@ def test_a_burn_that_grazes_the_ground_is_that_of_a_collocation() -> None:
     start, burning = still_minmus(), Burning(mass=1e4, force=8e3, exhaust=370.0 * 9.80665)
     known = two_burns(start, two_impulses(start)[0], burning, at_once=True)
     assert known is not None
-    found = burning_sooner(known, at_once=True)
+    found = advance_second_burn(known, at_once=True)
     speed = float(np.linalg.norm(start.velocity))
     mass, lengths = landed_mass(MINMUS.gravitational_parameter, 60e3, 1e4, 8e3, 370.0, 60e3, speed, grazing="burn")
     assert found.touch > 0
@@ -212,16 +212,16 @@ def test_a_burn_that_grazes_the_ground_is_that_of_a_collocation() -> None:
 def test_a_third_burn_pays_where_the_switching_function_says_so() -> None:
     """Down from a low circle across a small body that turns: what it lands changes with the start by its costates."""
     rate, tilt, speed = 1.5552e-4, 1.3, math.sqrt(MINMUS.gravitational_parameter / 66.7e3)
-    start = Around(
+    start = LandingStart(
         position=np.array([66.7e3, 0.0, 0.0]), velocity=speed * np.array([0.0, math.cos(tilt), math.sin(tilt)]),
         mu=MINMUS.gravitational_parameter, radius=60e3, turning=np.array([0.0, 0.0, rate]),
     )  # fmt: skip
     burning, landing = Burning(mass=170.0, force=650.0, exhaust=271.0 * 9.80665), two_impulses(start)[0]
 
-    def landed(start: Around) -> tuple[TwoBurns, TwoBurns]:
+    def landed(start: LandingStart) -> tuple[TwoBurns, TwoBurns]:
         known = two_burns(start, landing, burning, at_once=False)
         assert known is not None
-        return known, burning_once_more(known, at_once=False)
+        return known, add_brief_burn(known, at_once=False)
 
     two, three = landed(start)
     assert (two.brief, three.brief) == (1, 2)
@@ -243,10 +243,10 @@ def test_the_last_burn_is_parted_where_it_does_not_pay_beside_the_ground(weights
     force = 1e3 * weights * MINMUS.gravitational_parameter / 60e3**2
     known = two_burns(start, two_impulses(start)[0], Burning(mass=1e3, force=force, exhaust=3200.0), at_once=False)
     assert known is not None
-    grazing = burning_sooner(known, at_once=False)
+    grazing = advance_second_burn(known, at_once=False)
     assert grazing.early
     assert min(float(leg.worth().min()) for leg in grazing.legs((50, 4, 50, 20, 20)) if leg.burns) < -1e-6
-    parted = burning_once_more(grazing, at_once=False)
+    parted = add_brief_burn(grazing, at_once=False)
     assert (parted.brief, parted.early) == (2, False)
     assert parted.landed > grazing.landed + 5e-5
     assert 10.0 < parted.lengths[4] < 30.0  # a fall to the ground
@@ -256,10 +256,10 @@ def test_the_last_burn_is_parted_where_it_does_not_pay_beside_the_ground(weights
         assert leg.worth().min() > -1e-6 or not leg.burns
 
 
-def still_minmus() -> Around:
+def still_minmus() -> LandingStart:
     """Return a start on a circle at 60 km."""
     speed = math.sqrt(MINMUS.gravitational_parameter / 120e3)
-    return Around(
+    return LandingStart(
         position=np.array([120e3, 0.0, 0.0]), velocity=np.array([0.0, speed, 0.0]),
         mu=MINMUS.gravitational_parameter, radius=60e3, turning=np.zeros(3),
     )  # fmt: skip
@@ -337,8 +337,8 @@ def test_one_burn_that_wastes_is_warned_of(
     assert not found.passed
     assert not found.binding
     assert found.value == pytest.approx(impulses, abs=0.1)
-    assert one_burn(p, NUMERIC) == pytest.approx(flown, rel=0.01)
-    assert coasting_first(p, NUMERIC) == found.value
+    assert one_burn_velocity_change(p, NUMERIC) == pytest.approx(flown, rel=0.01)
+    assert two_impulse_velocity_change(p, NUMERIC) == found.value
 
 
 @pytest.mark.parametrize(("speed", "up"), [(SPEED, 0.0), (1700.0, 0.0), (300.0, -200.0)])
@@ -420,8 +420,8 @@ def test_where_every_wait_is_about_as_good_neighbours_are_met() -> None:
         MERCURY,
         target="anywhere", throttle=(0.0, 1.0),
     ), level=2)  # fmt: skip
-    parts, _ = cut(ended(landed))
-    costates = [*neighbours(parts, lambda problem, guess: Indirect().run(problem, guess))]
+    parts, _ = restate_with_contacts(with_end_bounds(landed))
+    costates = [*check_neighbours(parts, lambda problem, guess: Indirect().run(problem, guess))]
     assert len(costates) == 7 and max(check.value for check in costates) < 1e-9  # 1e-6 is allowed
 
 

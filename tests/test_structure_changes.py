@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.breaches import Breach, breaches_of
+from perilune.methods.breaches import ConstraintViolation, solution_violations
 from perilune.methods.coarse import Coarse
 from perilune.methods.indirect import Indirect
-from perilune.methods.refusals import better_within, refusal
+from perilune.methods.refusals import bound_unreachable_objective, explain_refusal
 from perilune.methods.search import Search
 from perilune.models.bodies import EUROPA, MARS, MOON
 from perilune.models.descent import Site
@@ -27,9 +27,9 @@ from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Vehicle
 from perilune.problem.verification import Check
 from perilune.proof import levels
-from perilune.proof.variations import Kept
+from perilune.proof.variations import KeptConditions
 from perilune.scenario import load_file
-from perilune.structures.read import CLOSEST, closer
+from perilune.structures.read import CLOSEST, refine_minima
 from perilune.structures.restate import restate
 from perilune.structures.structure import Arc, Structure
 from problems.constrained import bryson_denham, bryson_denham_truth
@@ -89,7 +89,7 @@ def on_europa(dry: float) -> pl.Problem:
 
 def kept(solution: pl.Solution) -> bool:
     """Whether its tables keep every limit to the accuracy of the proof's first level."""
-    return not any(breaches_of(solution, 1e-9)) and solution.verification.level >= 1
+    return not any(solution_violations(solution, 1e-9)) and solution.verification.level >= 1
 
 
 def test_a_slope_that_is_broken_by_a_quarter_of_a_millimetre_is_touched() -> None:
@@ -110,14 +110,14 @@ def test_a_touch_of_no_multiplier_is_excused_by_what_is_positive_without_it(
 ) -> None:
     """And by nothing else: where the second variation is positive for flights that touch alone, its sign is missing."""
     strict = [Check(name="strict_touch", level=3, value=-1e-9, limit=-1e-6, unit="1", meaning="multiplier: negative")]
-    kept, idle = {0: Kept(rides=("kept",))}, {0: Kept()}
+    kept, idle = {0: KeptConditions(rides=("kept",))}, {0: KeptConditions()}
 
-    def second_variation(_: Any, by: dict[int, Kept]) -> list[Check]:
+    def second_variation(_: Any, by: dict[int, KeptConditions]) -> list[Check]:
         value = 0.5 if by is kept else without
         return [Check(name="conjugate_point", level=3, value=value, limit=1.0, unit="1", meaning="")]
 
-    monkeypatch.setattr(levels, "local_optimality", second_variation)
-    found = list(levels._optimality(pl.solve(bryson_denham(0.3), level=0), kept, idle, strict))
+    monkeypatch.setattr(levels, "check_local_optimality", second_variation)
+    found = list(levels._local_optimality_checks(pl.solve(bryson_denham(0.3), level=0), kept, idle, strict))
     assert [check.value for check in found] == [-1e-9, 0.5]
     assert [check.passed for check in found] == [without < 1.0, True]
 
@@ -189,7 +189,7 @@ def test_a_flight_that_finer_meshes_bear_out_is_no_error_of_a_mesh(monkeypatch: 
     """Then a better extremal is missing, and that nothing can be flown is not said."""
     free = pl.solve(heavy(None), level=0)
     bound = -free.objective + 1.0
-    missed = Breach(
+    missed = ConstraintViolation(
         name="m", text="mass falls", miss=1.0, unit="kg", canonical=1e-4, limit="vehicle.dry_mass",
     )  # fmt: skip
 
@@ -198,14 +198,14 @@ def test_a_flight_that_finer_meshes_bear_out_is_no_error_of_a_mesh(monkeypatch: 
         vars(coarse)["flight"] = replace(free, objective=-(bound + 30.0))
         found = None if finer is None else replace(free, objective=-(bound + finer))
         monkeypatch.setattr(Coarse, "without_bounds", lambda *_: found)
-        return refusal(coarse, [missed])
+        return explain_refusal(coarse, [missed])
 
     assert isinstance(refused(-1.0), pl.InfeasibleError)  # lands less than is asked for
     assert isinstance(refused(1.0), pl.InfeasibleError)  # more, by less than it changed
     assert isinstance(refused(29.0), pl.NotConvergedError)
     assert isinstance(refused(None), pl.NotConvergedError)
-    assert better_within(heavy(bound), replace(missed, limit="the upper bound of m")) is None
-    assert better_within(heavy(bound), replace(missed, name="up")) is None
+    assert bound_unreachable_objective(heavy(bound), replace(missed, limit="the upper bound of m")) is None
+    assert bound_unreachable_objective(heavy(bound), replace(missed, name="up")) is None
 
 
 def test_what_is_told_of_a_flight_whose_phases_have_parts_names_none_of_them() -> None:
@@ -239,7 +239,7 @@ def test_closer_looks_find_what_lies_between(depth: float, seen: bool) -> None:
 
     t = np.linspace(0.0, 1.0, 201)
     for _ in range(CLOSEST):
-        t = np.union1d(t, closer(t, room(t), 1e-9))
+        t = np.union1d(t, refine_minima(t, room(t), 1e-9))
     assert bool(room(t).min() < -1e-9) is seen
     assert len(t) < 201 + 33 * CLOSEST
 
@@ -254,18 +254,20 @@ def test_closer_looks_go_on_behind_a_time_that_rounding_doubles() -> None:
     t = np.union1d(np.linspace(0.0, 1.0, 201), [doubled])
     assert {doubled, 0.9} <= {*t.tolist()}
     for _ in range(CLOSEST):
-        t = np.union1d(t, closer(t, room(t), 1e-10))
+        t = np.union1d(t, refine_minima(t, room(t), 1e-10))
     assert room(t).min() < -0.9e-9
 
 
 def test_closer_looks_end_where_there_is_nothing_to_see() -> None:
     t = np.linspace(0.0, 1.0, 201)
-    assert not len(closer(t, 1.0 + (t - 0.3) ** 2, 1e-9))  # far above its limit
-    assert not len(closer(t, np.zeros(201), 1e-9))  # on it all along
-    assert not len(closer(t[:1], np.zeros(1), 1e-9))  # one look
-    both = closer(t, (t - 0.2012) ** 2 * (t - 0.7013) ** 2, 1e-12)
+    assert not len(refine_minima(t, 1.0 + (t - 0.3) ** 2, 1e-9))  # far above its limit
+    assert not len(refine_minima(t, np.zeros(201), 1e-9))  # on it all along
+    assert not len(refine_minima(t[:1], np.zeros(1), 1e-9))  # one look
+    both = refine_minima(t, (t - 0.2012) ** 2 * (t - 0.7013) ** 2, 1e-12)
     assert np.ptp(both) > 0.4 and len(both) == 66  # two places, each its own looks
-    assert len(closer(t, t * (t - 1e-3), 1e-12)) == 33  # from the limit down and up again between the first two looks
+    assert (
+        len(refine_minima(t, t * (t - 1e-3), 1e-12)) == 33
+    )  # from the limit down and up again between the first two looks
 
 
 def test_an_atlas_answers_where_a_tilt_begins_to_bind_beside_a_touch(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.problem.solution import Curve, Solution
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file
-from perilune.structures.read import broken
+from perilune.structures.read import broken_intervals
 from problems.constrained import (
     brachistochrone,
     brachistochrone_truth,
@@ -189,12 +189,12 @@ def jumped(solution: Solution, amount: float) -> Solution:
 @pytest.mark.parametrize("rounding", [0.0, 5e-13, -5e-13])
 def test_rounding_in_a_sum_of_durations_is_not_its_size(touching: Solution, rounding: float) -> None:
     """Taken for one it drowned all other end conditions: what a flight of several phases may vary was not known."""
-    from perilune.proof.arc import Arc
-    from perilune.proof.touched import cut
+    from perilune.proof.arc import PhaseData
+    from perilune.proof.touched import restate_with_contacts
 
-    parts, _ = cut(touching)
+    parts, _ = restate_with_contacts(touching)
     parts = replace(parts, free={**parts.free, "T-1": parts.free["T-1"] + rounding})
-    last = Arc(solution=parts, index=1)
+    last = PhaseData(solution=parts, index=1)
     size = dict(zip((c.name for c in last.phase.end_conditions), last.end_scale.tolist(), strict=True))
     assert size["T"] > 9e-5
 
@@ -212,7 +212,7 @@ def test_another_jump_of_the_costates_is_none(touching: Solution, amount: float)
 
 def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
     """Forced to touch a ceiling that the best flight stays below, J would fall by leaving it: the sign says so."""
-    from perilune.structures.carry import joined
+    from perilune.structures.carry import join_solution
     from perilune.structures.restate import restate
     from perilune.structures.structure import Arc, Structure
 
@@ -220,7 +220,7 @@ def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
     structure = Structure(((Arc(touches=("room",)), Arc()),))
     restated = restate(problem, structure)
     forced = pl.Indirect().run(restated, pl.solve(restated, pl.Pseudospectral(refine=0), level=0))
-    whole = joined(problem, forced, structure)
+    whole = join_solution(problem, forced, structure)
     assert pl.verify(whole, level=1).passed
     failed = {c.name for c in pl.verify(whole, level=2).failed}
     assert "swing-1_touch" in failed
@@ -228,16 +228,16 @@ def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
 
 def at_the_maximum() -> Solution:
     """Along h = 0 by u = 0, where H = -u^2 has its maximum: a sawtooth lands J = -0.475."""
-    from perilune.models.descent_frames import variables
+    from perilune.models.descent_frames import variables_of_unit
 
     phase = pl.Phase(
         name="go",
-        states=(*variables("m", "h"), *variables("m^2/s", "c")),
+        states=(*variables_of_unit("m", "h"), *variables_of_unit("m^2/s", "c")),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, m: (u.u, -0.5 * u.u * u.u),
         duration="T",
         path=lambda x, u, p, m: (x.h,),
-        path_conditions=variables("m", "above"),
+        path_conditions=variables_of_unit("m", "above"),
     )
     problem = pl.Problem(
         name="at_the_maximum", phases=(phase,), start=lambda p, m: (0 * p.T * p.v, 0 * p.T * p.v * p.v),
@@ -270,9 +270,9 @@ def test_a_ceiling_that_is_missed_by_little_is_not_touched() -> None:
 def test_a_phase_of_no_length_breaks_nothing_by_rounding() -> None:
     """In a millisecond before its end at a limit a height falls by 20 cm, and ends some micrometres below it."""
     t = np.linspace(0.0, 1e-3, 50)
-    assert not list(broken(t, 0.2 * (1 - t / 1e-3) - 3e-6, 6.4e6))
-    assert list(broken(t, 0.2 * (1 - t / 1e-3) - 0.1, 6.4e6)) == [(t[27], 1e-3, 1e-3)]
-    assert len(list(broken(t, 0.2 * (1 - t / 1e-3) - 3e-6, 1.0))) == 1
+    assert not list(broken_intervals(t, 0.2 * (1 - t / 1e-3) - 3e-6, 6.4e6))
+    assert list(broken_intervals(t, 0.2 * (1 - t / 1e-3) - 0.1, 6.4e6)) == [(t[27], 1e-3, 1e-3)]
+    assert len(list(broken_intervals(t, 0.2 * (1 - t / 1e-3) - 3e-6, 1.0))) == 1
 
 
 def test_what_is_broken_just_before_its_touch_is_ridden() -> None:

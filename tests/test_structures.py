@@ -13,11 +13,11 @@ import pytest
 
 import perilune as pl
 from perilune.io.export import solution_document
-from perilune.problem.named_arcs import told
+from perilune.problem.named_arcs import format_arcs
 from perilune.problem.solution import Solution
-from perilune.structures.carry import joined, split
-from perilune.structures.read import read
-from perilune.structures.regimes import Stay, _closed
+from perilune.structures.carry import join_solution, split_solution
+from perilune.structures.read import detect_structure
+from perilune.structures.regimes import Stay, _close_gaps
 from perilune.structures.restate import restate
 from perilune.structures.structure import Arc, Structure
 from perilune.words.outcome import PeriluneError
@@ -78,7 +78,7 @@ def test_the_direct_method_finds_the_closed_form_from_a_straight_line(
     slope = -4 / (9 * ceiling**2) if rides else -48 * (1 - 4 * ceiling)
     first = next(nu for key, nu in solution.multipliers.items() if "_rate" not in key)
     assert first == pytest.approx(slope, rel=1e-3)  # S >= 0 beside it takes its part
-    whole = joined(problem, solution, structure)
+    whole = join_solution(problem, solution, structure)
     assert whole.problem is problem and not whole.free
     assert whole.trajectories[0].duration == pytest.approx(1.0, abs=1e-12)
     ends = np.cumsum([t.duration for t in solution.trajectories])[:-1]
@@ -94,7 +94,7 @@ def test_a_boundary_arc_by_the_indirect_method() -> None:
     assert solution.objective == pytest.approx(4.0, abs=1e-12)
     assert [t.duration for t in solution.trajectories] == pytest.approx([1 / 3] * 3, abs=1e-12)
     assert solution.multipliers["swing-1.enter_x_upper"] == pytest.approx(-36.0, abs=1e-10)
-    whole = joined(problem, solution, structure)
+    whole = join_solution(problem, solution, structure)
     assert pl.verify(whole, level=1).passed
     assert [arc.text for arc in whole.structure] == ["along the upper bound of x 0.3333 to 0.6667 s"]
 
@@ -108,7 +108,7 @@ def test_a_touch_by_the_indirect_method() -> None:
     assert solution.multipliers["swing-1.touch_room"] == pytest.approx(-9.6, abs=1e-11)
     proof = pl.verify(solution, level=3)  # the condition on the durations, 1 s together, stands in no costate
     assert proof.passed and "multipliers" in {c.name for c in proof.checks}
-    whole = joined(problem, solution, structure)
+    whole = join_solution(problem, solution, structure)
     assert pl.verify(whole, level=1).passed
     costate = whole.trajectories[0].costate
     assert costate is not None
@@ -123,11 +123,11 @@ def test_the_constrained_brachistochrone() -> None:
     problem = brachistochrone()
     entered, left, least = brachistochrone_truth()
     coarse = pl.solve(problem, COARSE, level=0)
-    structure = read(problem, coarse)
+    structure = detect_structure(problem, coarse)
     assert structure is not None
-    guess = split(coarse, structure)
+    guess = split_solution(coarse, structure)
     solution = pl.solve(guess.problem, ONE_MESH, guess=guess, level=0)
-    whole = joined(problem, solution, structure)
+    whole = join_solution(problem, solution, structure)
     assert whole.objective == pytest.approx(least, abs=1e-9)
     assert whole.free == pytest.approx({"T": least}, abs=1e-9)
     ends = np.cumsum([t.duration for t in solution.trajectories])
@@ -150,10 +150,10 @@ def test_a_touch_at_a_wrong_time_is_no_extremal() -> None:
 def test_the_range_of_a_duration_is_one_of_the_sum() -> None:
     problem = brachistochrone()
     slow = replace(problem, free=(replace(problem.free[0], lower=2.0),))
-    guess = split(pl.solve(slow, COARSE, level=0), riding("above"))
+    guess = split_solution(pl.solve(slow, COARSE, level=0), riding("above"))
     solution = pl.solve(guess.problem, ONE_MESH, guess=guess, level=0)
     assert solution.objective == pytest.approx(2.0, abs=1e-9)
-    whole = joined(slow, solution, riding("above"))
+    whole = join_solution(slow, solution, riding("above"))
     assert whole.free == pytest.approx({"T": 2.0}, abs=1e-9)
     assert whole.multipliers.keys() == {"slide.across"}
 
@@ -166,12 +166,12 @@ def glide() -> Solution:
 
 def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path: Path) -> None:
     problem = mars_glide_slope()
-    structure = read(problem, glide)
+    structure = detect_structure(problem, glide)
     assert structure is not None and structure.text == "free and touches glide, free"
-    guess = split(glide, structure)
+    guess = split_solution(glide, structure)
     assert sum(guess.free[name] for name in guess.problem.duration_names) == pytest.approx(glide.free["flight_time"])
     rough = pl.solve(guess.problem, ONE_MESH, guess=guess, level=0)
-    solution = joined(problem, pl.Indirect().run(guess.problem, rough), structure)
+    solution = join_solution(problem, pl.Indirect().run(guess.problem, rough), structure)
     proof = pl.verify(solution, level=1)
     assert proof.passed
     assert solution.results["propellant"].value == pytest.approx(398.069674, abs=1e-5)
@@ -181,7 +181,7 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path:
     assert {arc.words for arc in powers} == {"T at its upper bound", "T at its lower bound"}
     assert powers[0].begin == 0.0 and powers[-1].end == pytest.approx(solution.free["flight_time"])
     assert all(a.end == b.begin and a.words != b.words for a, b in itertools.pairwise(powers))
-    assert told(solution.structure).count("glide touched at 32.83 s") == 1
+    assert format_arcs(solution.structure).count("glide touched at 32.83 s") == 1
     kept = solution.structure
     for k in range(2):  # saved, and for programs
         pl.save(solution, tmp_path / str(k))
@@ -197,12 +197,12 @@ def test_a_return_touches_its_shell_in_a_leg_of_a_shared_duration() -> None:
     """The legs stay equal, whatever the first is made of. The touch lasts no time; its time is free."""
     problem = deorbit()
     coarse = pl.solve(problem, pl.Pseudospectral(refine=0, segments=4, nodes=6, polish=False), level=0)
-    structure = read(problem, coarse)
+    structure = detect_structure(problem, coarse)
     assert structure is not None and structure.text == "free and touches above, free; free; free"
-    guess = split(coarse, structure)
+    guess = split_solution(coarse, structure)
     assert guess.problem.duration_names == ("leg.leg1-1", "leg.leg1-2", "leg", "fall")
     solution = pl.Indirect().run(guess.problem, pl.solve(guess.problem, ONE_MESH, guess=guess, level=0))
-    whole = joined(problem, solution, structure)
+    whole = join_solution(problem, solution, structure)
     assert pl.verify(whole, level=1).passed
     assert whole.objective == pytest.approx(2 * whole.free["leg"] + whole.free["fall"], abs=1e-9)
     assert whole.trajectories[0].duration == pytest.approx(whole.trajectories[1].duration, abs=1e-7)
@@ -216,10 +216,10 @@ def test_a_return_touches_its_shell_in_a_leg_of_a_shared_duration() -> None:
 
 def test_cut_and_joined_again_nothing_is_lost(glide: Solution) -> None:
     structure = Structure(((Arc(until=20.0), Arc(until=32.0), Arc(until=glide.free["flight_time"])),))
-    pieces = split(glide, structure)
+    pieces = split_solution(glide, structure)
     assert [t.duration for t in pieces.trajectories][:2] == [20.0, pytest.approx(12.0)]
     assert pieces.multipliers["descent-3.down"] == glide.multipliers["descent.down"]
-    whole = joined(glide.problem, pieces, structure)
+    whole = join_solution(glide.problem, pieces, structure)
     assert whole.free == pytest.approx(dict(glide.free)) and whole.multipliers == glide.multipliers
     t = np.linspace(0.0, glide.free["flight_time"], 777)
     for name in ("state", "control", "costate"):
@@ -245,7 +245,7 @@ MESHES = [{"segments": 4, "nodes": 8}, {"segments": 8, "nodes": 5}, {"nodes": 20
 def test_structures_are_read_off_coarse_meshes(make: Any, text: str | None, mesh: Any) -> None:
     """What falls below its limit between the points of a mesh, and bulges above it."""
     problem = make()
-    structure = read(problem, pl.solve(problem, pl.Pseudospectral(refine=0, polish=False, **mesh), level=0))
+    structure = detect_structure(problem, pl.solve(problem, pl.Pseudospectral(refine=0, polish=False, **mesh), level=0))
     assert (structure and structure.text) == text
 
 
@@ -259,13 +259,15 @@ def test_what_cannot_be_restated_is_named() -> None:
     with pytest.raises(PeriluneError, match="at least one arc for each phase"):
         restate(problem, Structure(((Arc(),), (Arc(),))))
     with pytest.raises(PeriluneError, match="an arc of slide has no length"):
-        split(pl.solve(problem, COARSE, level=0), Structure(((Arc(until=1.0), Arc(until=1.0), Arc(until=1.0)),)))
+        split_solution(
+            pl.solve(problem, COARSE, level=0), Structure(((Arc(until=1.0), Arc(until=1.0), Arc(until=1.0)),))
+        )
 
 
 def test_neighbours_of_one_regime_are_one_and_no_time_is_left_between() -> None:
     """Wherever they stand among the others."""
     kinds = ["lower", "upper", "upper", "singular", "singular", "singular"]
     stays = [Stay(control="u", regime=kind, begin=i + 0.1, end=i + 0.9) for i, kind in enumerate(kinds)]
-    found = [(stay.regime, stay.begin, stay.end) for stay in _closed(stays, 7.0)]
+    found = [(stay.regime, stay.begin, stay.end) for stay in _close_gaps(stays, 7.0)]
     assert found == [("lower", 0.0, 0.9), ("upper", 0.9, 2.9), ("singular", 2.9, 7.0)]
-    assert _closed([], 7.0) == []
+    assert _close_gaps([], 7.0) == []

@@ -10,7 +10,7 @@ import pytest
 from perilune.families.sweep import sweep
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.shooting.continuation import Member, follow
+from perilune.shooting.continuation import Member, follow_family
 from perilune.shooting.function import Root
 from perilune.solve import solve
 from perilune.words.outcome import Outcome, PeriluneError
@@ -57,7 +57,7 @@ def walked(
         y = base + value**power
         return root(y, abs(predicted[0] - y) <= reach)
 
-    (end,) = follow(Member(value=0.0, root=root(base, True)), [1.0], correct, tangent, halvings)
+    (end,) = follow_family(Member(value=0.0, root=root(base, True)), [1.0], correct, tangent, halvings)
     return tried, end
 
 

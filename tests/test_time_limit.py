@@ -14,12 +14,12 @@ import pytest
 
 import perilune as pl
 from cho import cho_landing
-from perilune.cli import progress as shown, run
+from perilune.cli import progress as shown, run_command_line
 from perilune.cli.progress import progress
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.solve import TIME_LIMIT
 from perilune.words.outcome import NotConvergedError, PeriluneError
-from perilune.words.watch import TimeLimitReached, at_work, best_so_far, progressing
+from perilune.words.watch import TimeLimitReached, enter_computation, remember_best, sign_of_life
 from problems.ascents import tangent_steering
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -39,44 +39,44 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_signs_of_life_are_told_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     now, lines = [0.0], list[object]()
     monkeypatch.setattr("perilune.words.watch.time", SimpleNamespace(monotonic=lambda: now[0]))
-    with progressing(lines.append):
+    with enter_computation(lines.append):
         for now[0] in (0.5, 0.9, 1.5, 2.0, 2.6, 9.0):
-            at_work(f"at {now[0]}")
+            sign_of_life(f"at {now[0]}")
     assert lines == ["at 1.5", "at 2.6", "at 9.0"]
 
 
 def test_without_a_computation_there_is_nobody_to_tell() -> None:
-    at_work("nothing")
-    best_so_far(None, 0.0, lambda: pytest.fail("words that nobody reads"), lambda: None, extremal=True)
+    sign_of_life("nothing")
+    remember_best(None, 0.0, lambda: pytest.fail("words that nobody reads"), lambda: None, extremal=True)
 
 
 @pytest.mark.usefixtures("steps")
 def test_the_end_comes_once_and_is_no_error_that_a_method_would_mend() -> None:
-    with progressing(None, limit=3.0) as work, pytest.raises(TimeLimitReached) as caught:
+    with enter_computation(None, limit=3.0) as work, pytest.raises(TimeLimitReached) as caught:
         for _ in range(9):
-            at_work("")
+            sign_of_life("")
     assert not isinstance(caught.value, Exception)
     work("what is said of the end takes time as well")
 
 
 @pytest.mark.usefixtures("steps")
 def test_the_limit_of_the_whole_holds_for_its_parts() -> None:
-    with progressing(None, limit=4.0), progressing(None, limit=1e9), pytest.raises(TimeLimitReached):
+    with enter_computation(None, limit=4.0), enter_computation(None, limit=1e9), pytest.raises(TimeLimitReached):
         for _ in range(9):
-            at_work("")
+            sign_of_life("")
 
 
 def test_of_two_flights_the_better_is_kept_and_an_extremal_before_a_rough_one() -> None:
     problem, other, lines = object(), object(), list[object]()
-    with progressing(lines.append, problem) as work:
+    with enter_computation(lines.append, problem) as work:
         work("start")
         assert work.flight() is None
-        best_so_far(other, -9.0, lambda: "another problem", lambda: "other", extremal=True)
-        best_so_far(problem, -1.0, lambda: "rough", lambda: "rough", extremal=False)
-        best_so_far(problem, -0.5, lambda: "rougher", lambda: "rougher", extremal=False)
+        remember_best(other, -9.0, lambda: "another problem", lambda: "other", extremal=True)
+        remember_best(problem, -1.0, lambda: "rough", lambda: "rough", extremal=False)
+        remember_best(problem, -0.5, lambda: "rougher", lambda: "rougher", extremal=False)
         assert work.flight() == ("rough", False)
-        best_so_far(problem, 2.0, lambda: "exact", lambda: "exact", extremal=True)
-        best_so_far(problem, -3.0, lambda: "rough again", lambda: "rough again", extremal=False)
+        remember_best(problem, 2.0, lambda: "exact", lambda: "exact", extremal=True)
+        remember_best(problem, -3.0, lambda: "rough again", lambda: "rough again", extremal=False)
         assert work.flight() == ("exact", True)
         assert work.stage == "start"
     assert lines == ["start", "best so far: rough", "best so far: exact"]
@@ -124,7 +124,7 @@ def test_a_limit_that_is_not_met_changes_nothing() -> None:
 def test_the_end_passes_through_ipopt_and_the_next_solve_is_as_ever() -> None:
     direct = Pseudospectral(nodes=40, polish=False)  # of so many states that IPOPT solves it
     usual = direct.run(tangent_steering())
-    with progressing(None, limit=6.0), pytest.raises(TimeLimitReached):
+    with enter_computation(None, limit=6.0), pytest.raises(TimeLimitReached):
         direct.run(tangent_steering())
     assert direct.run(tangent_steering()).objective == usual.objective
 
@@ -183,7 +183,7 @@ def test_the_command_line_ends_with_exit_4_and_keeps_the_flight(
         now[0] += 3600.0 * line.startswith(begins)
 
     monkeypatch.setattr(shown.WorkClock, "hear", hear)
-    code = run(["solve", PRECISION, "--time-limit", "20 min", "--json", "--out", str(tmp_path / "out")])
+    code = run_command_line(["solve", PRECISION, "--time-limit", "20 min", "--json", "--out", str(tmp_path / "out")])
     document = json.loads(capsys.readouterr().out)
     assert (code, document["outcome"]) == (4, "NOT_CONVERGED")
     assert document["error"]["what"] == "the time limit of 1200 s is over"
@@ -199,7 +199,7 @@ def test_the_command_line_ends_with_exit_4_and_keeps_the_flight(
 def test_a_time_limit_of_the_command_line_has_a_unit_of_time(
     command: list[str], limit: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run([*command, "--time-limit", limit]) == 2
+    assert run_command_line([*command, "--time-limit", limit]) == 2
     said = capsys.readouterr().err
     assert "time" in said
     assert said.count("\n") >= 2

@@ -20,11 +20,11 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 import perilune as pl
 from command_line import HYBRID, ROOT, read_json
 from many_problems import transfer
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.io.export import save, solution_document, whole_document
 from perilune.io.format import SOLUTION_FILE
 from perilune.problem.solution import Solution
-from perilune.problem.tolerance import quantity_in, told
+from perilune.problem.tolerance import format_tolerance, quantity_in
 from perilune.report.family import family_csv, family_document
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import KINDS, load_file, load_text, template
@@ -319,7 +319,7 @@ def test_a_value_is_told_in_one_way() -> None:
         for text in texts:
             assert scenario(f'[proof]\n{name} = "{text}"\n').told() == f"{name} {text}"
     assert scenario('[proof]\nposition = "1e-6 km"\n').told() == pl.Tolerance(position=1e-3).told() == "position 1 mm"
-    assert told("angle", math.radians(1e-3)) == "0.001 deg"
+    assert format_tolerance("angle", math.radians(1e-3)) == "0.001 deg"
 
 
 # --- where it is stated
@@ -545,23 +545,23 @@ NEEDED = "within the stated tolerance (optimality 0.0001)"
 def test_the_command_line_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "out")
     arguments = ["solve", HYBRID, "--method", "direct", "--no-polish", *STATED, "--out", out]
-    assert run(arguments) == 0
+    assert run_command_line(arguments) == 0
     assert f"PROVED, level 3: locally optimal, {NEEDED}" in capsys.readouterr().out
     assert f"**PROVED, level 3: locally optimal, {NEEDED}.**" in (tmp_path / "out" / "report.md").read_text("utf-8")
-    assert run(["verify", out]) == 0
+    assert run_command_line(["verify", out]) == 0
     assert f"PROVED, level 3: locally optimal, {NEEDED}" in capsys.readouterr().out
-    assert run(["verify", out, "--json", "--level", "2"]) == 0
+    assert run_command_line(["verify", out, "--json", "--level", "2"]) == 0
     document = read_json(capsys.readouterr().out)
     assert document["outcome"] == "PROVED" and document["within"] == NEEDED
     assert set(document["verification"]["tolerance"]) == {"position", "optimality"}
 
 
 def test_the_command_line_refuses_what_is_no_tolerance(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["solve", HYBRID, "--set", "proof.position=1 kg", "--json"]) == 2
+    assert run_command_line(["solve", HYBRID, "--set", "proof.position=1 kg", "--json"]) == 2
     assert "wrong dimension" in read_json(capsys.readouterr().out)["error"]["what"]
-    assert run(["solve", PRECISION, "--set", "proof.position=1 km", "--level", "1"]) == 5
+    assert run_command_line(["solve", PRECISION, "--set", "proof.position=1 km", "--level", "1"]) == 5
     assert "no tolerance but no proof" in capsys.readouterr().out
-    assert run(["sweep", HYBRID, "--vary", "proof.position=1:2:1 mm"]) == 2
+    assert run_command_line(["sweep", HYBRID, "--vary", "proof.position=1:2:1 mm"]) == 2
     assert "key with a quantity" in capsys.readouterr().err
 
 
@@ -577,8 +577,8 @@ def test_a_sweep_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         "--vary",
         "retro.delta_v=1000:1000:1 m/s",
     ]
-    assert run([*arguments, *STATED]) == 0
+    assert run_command_line([*arguments, *STATED]) == 0
     assert capsys.readouterr().out.rstrip().endswith(f"PROVED,2,{NEEDED}")
-    assert run([*arguments, *STATED, "--json"]) == 0
+    assert run_command_line([*arguments, *STATED, "--json"]) == 0
     (point,) = read_json(capsys.readouterr().out)["points"]
     assert point["outcome"] == "PROVED" and point["within"] == NEEDED

@@ -12,9 +12,9 @@ from scipy.linalg import get_lapack_funcs
 
 from perilune.direct import blocks, errors, interior, nlp
 from perilune.direct.collocation import Mesh, Polynomial, rule
-from perilune.direct.mesh import refined
-from perilune.direct.nlp import Program
-from perilune.direct.reduced import Reduced, Weighed, negative
+from perilune.direct.mesh import refine_mesh
+from perilune.direct.nlp import TranscribedProgram
+from perilune.direct.reduced import AddedWeights, ReducedEquations, count_negative_eigenvalues
 from perilune.direct.segments import Segment
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.phase import Phase
@@ -35,8 +35,8 @@ UNEVEN = Mesh(degrees=(4, 3), joints=(0.0, 0.4, 1.0), free=(0.1,))
 @pytest.mark.parametrize("scheme", ["gauss", "radau"])
 @pytest.mark.parametrize("problem", [staged_burns(), meditch(), least_energy(0.1), tangent_steering(), aly()])
 def test_what_is_put_together_has_the_derivatives_of_the_whole(problem, scheme, nearest):
-    program = Program(problem=problem, scheme=scheme, meshes=(UNEVEN,) * len(problem.phases))
-    made = nlp._assembled(Unnumbered(problem), program.layouts, nearest)
+    program = TranscribedProgram(problem=problem, scheme=scheme, meshes=(UNEVEN,) * len(problem.phases))
+    made = nlp._assemble_blocks(Unnumbered(problem), program.layouts, nearest)
     w, p, of_J = (ca.MX.sym("a", made.hessian.size_in(i)) for i in range(3))
     of_g = ca.MX.sym("b", made.hessian.size_in(3))
     J, g = made.value(w, p)
@@ -62,7 +62,7 @@ def test_what_is_put_together_has_the_derivatives_of_the_whole(problem, scheme, 
 def test_rows_vanish_on_the_closed_form(scheme):
     """x = t - t^2, v = 1 - 2 t, cost = 2 t under u = -2: a polynomial, which collocation holds exactly on any mesh."""
     problem = least_energy()
-    program = Program(problem=problem, scheme=scheme, meshes=(UNEVEN,))
+    program = TranscribedProgram(problem=problem, scheme=scheme, meshes=(UNEVEN,))
     (layout,) = program.layouts
     ends = [(0.0, 0.4), (0.4, 1.0)]
     t = np.concatenate([
@@ -71,7 +71,7 @@ def test_rows_vanish_on_the_closed_form(scheme):
     ] + [[1.0]])  # fmt: skip
     states = np.column_stack([t - t * t, 1 - 2 * t, 2 * t])
     w = np.concatenate([np.zeros(len(problem.free)), [0.4], states.ravel(), np.full(layout.nodes, -2.0)])
-    made = nlp._assembled(Unnumbered(problem), program.layouts, False)
+    made = nlp._assemble_blocks(Unnumbered(problem), program.layouts, False)
     J, g = made.value(w, canonical_given(problem))
     assert float(J) == pytest.approx(2.0, abs=1e-14)
     assert np.abs(np.array(g)).max() < 1e-13
@@ -81,13 +81,13 @@ def test_a_second_solve_builds_nothing():
     problem = meditch()
     method = Pseudospectral(refine=0)
     method.run(problem)
-    differentiated, built = blocks.blocks.cache_info().misses, nlp._assembled.cache_info().misses
+    differentiated, built = blocks.phase_blocks.cache_info().misses, nlp._assemble_blocks.cache_info().misses
     other = problem.with_given(g=1.1 * problem.given["g"].value)
     assert method.run(other).objective != method.run(problem).objective
-    assert nlp._assembled.cache_info().misses == built
+    assert nlp._assemble_blocks.cache_info().misses == built
     Pseudospectral(refine=0, nodes=7, segments=3).run(other)
-    assert blocks.blocks.cache_info().misses == differentiated
-    assert nlp._assembled.cache_info().misses == built + 1
+    assert blocks.phase_blocks.cache_info().misses == differentiated
+    assert nlp._assemble_blocks.cache_info().misses == built + 1
 
 
 # our own search
@@ -116,14 +116,14 @@ def test_our_search_and_ipopt_find_the_same(make, scheme, monkeypatch):
 
 def counted(monkeypatch) -> list[bool]:
     """Whether each search that is made finds something."""
-    found, search = list[bool](), nlp.optimum
+    found, search = list[bool](), nlp.find_local_optimum
 
     def counting(*arguments):
         answer = search(*arguments)
         found.append(answer is not None)
         return answer
 
-    monkeypatch.setattr(nlp, "optimum", counting)
+    monkeypatch.setattr(nlp, "find_local_optimum", counting)
     return found
 
 
@@ -140,7 +140,7 @@ def test_a_user_may_stop_our_search(monkeypatch):
     def stopped(self, point):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(interior._Search, "directions", stopped)
+    monkeypatch.setattr(interior._InteriorPointSearch, "directions", stopped)
     with pytest.raises(KeyboardInterrupt):
         Pseudospectral().run(meditch())
 
@@ -165,9 +165,9 @@ def test_a_step_solves_the_whole_system(least: float, added: float | None):
     n, m, rows, ranges = 11, 7, 9, 3
     A, c, right = random.normal(size=(rows + ranges, n)), random.normal(size=rows), random.normal(size=(n, 2))
     A[:3, 3:7] = 0.0  # the first three states are determined without the others
-    H, weighed = least * np.eye(n), Weighed(random.uniform(0.1, 1.0, n), random.uniform(0.1, 1.0, ranges))
+    H, weighed = least * np.eye(n), AddedWeights(random.uniform(0.1, 1.0, n), random.uniform(0.1, 1.0, ranges))
     sizes = 10.0 ** random.uniform(-3, 3, m)
-    found = Reduced(A, c, sizes, [slice(0, 3), slice(3, 7)]).step(H, weighed, right)
+    found = ReducedEquations(A, c, sizes, [slice(0, 3), slice(3, 7)]).step(H, weighed, right)
     if added is None:
         assert found is None
         return
@@ -190,7 +190,7 @@ def test_negative_eigenvalues_are_counted():
             matrix = matrix + matrix.T
             matrix[: size // 2, : size // 2] = 0.0  # so that rows are pivoted in pairs
             factor, places, _ = sytrf(matrix)
-            assert negative(factor, places) == (np.linalg.eigvalsh(matrix) < 0).sum()
+            assert count_negative_eigenvalues(factor, places) == (np.linalg.eigvalsh(matrix) < 0).sum()
 
 
 # errors of a mesh
@@ -249,4 +249,4 @@ def test_a_phase_without_length_keeps_its_mesh() -> None:
     """An optimum may do without a phase; shares of no time are no numbers, and no mesh."""
     flat, mesh = Polynomial(points=np.array([-0.5, 0.5]), values=np.zeros((2, 1))), Mesh.uniform(2, 2)
     gone = [Segment(begin=0.0, end=0.0, state=flat, control=flat, costate=flat)] * 2
-    assert refined(meditch().phases[0], mesh, gone, np.ones((2, 3)), 1e-6, meditch().parameters({})) is mesh
+    assert refine_mesh(meditch().phases[0], mesh, gone, np.ones((2, 3)), 1e-6, meditch().parameters({})) is mesh

@@ -5,9 +5,9 @@ from __future__ import annotations
 import perilune as pl
 from perilune.conditions.pontryagin import derive
 from perilune.methods.coarse import Coarse
-from perilune.methods.ladder import Ladder
-from perilune.methods.refusals import not_converged
-from perilune.methods.undetermined import undetermined
+from perilune.methods.ladder import SearchSettings
+from perilune.methods.refusals import no_start_converged_error
+from perilune.methods.undetermined import undetermined_controls
 from perilune.problem.problem import Problem
 from perilune.scenario import load_text, template
 
@@ -26,9 +26,9 @@ def direct(problem: Problem) -> pl.Solution:
 def test_a_lift_that_only_has_to_arrive_is_named() -> None:
     """Least propellant within reach; 6 degrees east of it each degree of lift counts."""
     problem = returning("propellant", 0.3)
-    coarse = Coarse(Ladder(), problem, [])
+    coarse = Coarse(SearchSettings(), problem, [])
     coarse.solution = direct(problem)
-    assert undetermined(coarse.solution) == ("entry.lift_up, lift_right",)
-    error = not_converged(derive(problem), coarse, 0, None)
+    assert undetermined_controls(coarse.solution) == ("entry.lift_up, lift_right",)
+    error = no_start_converged_error(derive(problem), coarse, 0, None)
     assert "nothing determines entry.lift_up, lift_right" in error.got and "time of flight" in error.advice
-    assert undetermined(direct(returning("propellant", 6.0))) == ()
+    assert undetermined_controls(direct(returning("propellant", 6.0))) == ()

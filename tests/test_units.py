@@ -10,7 +10,15 @@ import pytest
 from hypothesis import given, strategies as st
 
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import _UNITS, Scales, dimension_text, exact_quantity, parse_quantity, told, unit
+from perilune.words.units import (
+    _UNITS,
+    Scales,
+    dimension_text,
+    exact_quantity,
+    format_quantity,
+    parse_quantity,
+    parse_unit,
+)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +64,7 @@ EACH = {
 
 @pytest.mark.parametrize("name", _UNITS)
 def test_each_unit_has_the_size_of_its_definition(name: str) -> None:
-    assert unit(name)[0] == pytest.approx(EACH[name], rel=1e-15)
+    assert parse_unit(name)[0] == pytest.approx(EACH[name], rel=1e-15)
 
 
 def test_a_slug_is_exactly_that_of_its_definition() -> None:
@@ -123,7 +131,7 @@ def test_a_written_number_is_read_back(value: float, length: tuple[str, float]) 
 
 @given(*[st.integers(-9, 9).map(lambda k: k / 2)] * 4)
 def test_a_dimension_is_written_so_that_it_can_be_read(a: float, b: float, c: float, d: float) -> None:
-    assert unit(dimension_text((a, b, c, d))) == (1.0, (a, b, c, d))
+    assert parse_unit(dimension_text((a, b, c, d))) == (1.0, (a, b, c, d))
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf"), 1e16, 1e-16, "3"])
@@ -141,9 +149,9 @@ def test_scales_divide_what_has_their_dimension() -> None:
 
 
 def test_a_value_is_told_as_people_say_it() -> None:
-    assert told(math.radians(30.0), "rad") == "30 deg"
-    assert told(-0.6, "1") == "-0.6"
-    assert told(1234.5678, "m", 4) == "1235 m"
+    assert format_quantity(math.radians(30.0), "rad") == "30 deg"
+    assert format_quantity(-0.6, "1") == "-0.6"
+    assert format_quantity(1234.5678, "m", 4) == "1235 m"
 
 
 def test_a_decimal_comma_is_called_by_its_name() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import perilune as pl
 from command_line import ORDINARY, read_json, snapshot
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.families.family import Family, FamilyPoint
 from perilune.io import export
 from perilune.io.files import NotWrittenError, fresh_directory
@@ -45,7 +45,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         for ending in ("png", "svg"):
             (directory / f"{name}.{ending}").write_text("<dc:title>perilune</dc:title>")
 
-    monkeypatch.setattr("perilune.report.figures.save", save)
+    monkeypatch.setattr("perilune.report.figures.save_figure", save)
 
 
 @pytest.fixture
@@ -62,13 +62,13 @@ def solved(monkeypatch: pytest.MonkeyPatch, ordinary: Solution) -> None:
     ("broken", "error", "lost", "said"),
     [
         (
-            "perilune.report.figures.costates",
+            "perilune.report.figures.costate_figure",
             AttributeError("_asdict"),
             {"figures/costates"},
             "AttributeError: _asdict",
         ),
         ("perilune.report.figures.path_over_limb", pl.PeriluneError("no way"), {"figures/path"}, "no way"),
-        ("perilune.report.figures.save", FULL, {*FIGURES}, "No space left"),
+        ("perilune.report.figures.save_figure", FULL, {*FIGURES}, "No space left"),
         ("perilune.report.summary.solution_markdown", KeyError("x"), {"report.md"}, "report it with solution.json"),
         ("perilune.io.export.trajectory_csv", ZeroDivisionError("x"), {"trajectory.csv"}, "ZeroDivisionError: x"),
     ],
@@ -87,7 +87,7 @@ def test_one_writer_that_fails_is_told_and_all_others_write(
     """The exit code is that of the flight, which is printed; the report shows no figure that is not there."""
     monkeypatch.setattr(broken, failing(error))
     out, gone = tmp_path / "out", {name for name in WHOLE if any(name.startswith(part) for part in lost)}
-    assert run(["solve", ORDINARY, "--out", str(out)]) == 5  # of SOLVED, as without --out
+    assert run_command_line(["solve", ORDINARY, "--out", str(out)]) == 5  # of SOLVED, as without --out
     told = capsys.readouterr()
     assert "154.541347 kg" in told.out and f"written to {out}, but for" in told.out
     assert (
@@ -99,7 +99,7 @@ def test_one_writer_that_fails_is_told_and_all_others_write(
     if "report.md" not in gone:
         report = (out / "report.md").read_text(encoding="utf-8")
         assert {f"figures/{name}" in report for name in ("costates.png",)} == {"figures/costates.png" not in gone}
-    assert run(["solve", ORDINARY, "--out", str(out), "--force", "--json"]) == 5
+    assert run_command_line(["solve", ORDINARY, "--out", str(out), "--force", "--json"]) == 5
     document = read_json(capsys.readouterr().out)
     assert document["outcome"] == "SOLVED" and said in json.dumps(document["not_written"])
     assert pl.load(out).objective == ordinary.objective
@@ -126,7 +126,7 @@ def test_the_answer_is_printed_where_nothing_can_be_written(
 ) -> None:
     monkeypatch.setattr(export, "whole_document", failing(error))
     out = tmp_path / "out"
-    assert run(["solve", ORDINARY, "--out", str(out)]) == code
+    assert run_command_line(["solve", ORDINARY, "--out", str(out)]) == code
     told = capsys.readouterr()
     assert "154.541347 kg" in told.out and "written to" not in told.out and (error.args[-1] in told.err)
     assert "report.md" in snapshot(out) and "solution.json" not in snapshot(out)
@@ -139,12 +139,12 @@ def test_a_proved_answer_whose_solution_is_not_kept_is_no_success(
     """Whoever asked for files and looks at the exit code alone has to learn of it; of a figure it need not."""
     proved = importlib.import_module("perilune.solve").prove(ordinary, 1)
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", lambda *_, **__: proved)
-    monkeypatch.setattr("perilune.report.figures.costates", failing(TypeError("x")))
-    assert run(["solve", ORDINARY, "--out", str(tmp_path / "whole")]) == 0
+    monkeypatch.setattr("perilune.report.figures.costate_figure", failing(TypeError("x")))
+    assert run_command_line(["solve", ORDINARY, "--out", str(tmp_path / "whole")]) == 0
     monkeypatch.setattr(export, "whole_document", failing(FULL))
-    assert run(["solve", ORDINARY, "--out", str(tmp_path / "out")]) == 2
+    assert run_command_line(["solve", ORDINARY, "--out", str(tmp_path / "out")]) == 2
     monkeypatch.setattr(export, "whole_document", failing(TypeError("x")))
-    assert run(["solve", ORDINARY, "--out", str(tmp_path / "other")]) == 1
+    assert run_command_line(["solve", ORDINARY, "--out", str(tmp_path / "other")]) == 1
     assert capsys.readouterr().out.count("154.541347 kg") >= 3
 
 
@@ -153,10 +153,10 @@ def test_a_flight_whose_results_cannot_be_told_is_told_by_what_was_chosen(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], ordinary: Solution
 ) -> None:
     monkeypatch.setattr(export, "extremals_document", failing(AttributeError("_asdict")))
-    assert run(["solve", ORDINARY]) == 1
+    assert run_command_line(["solve", ORDINARY]) == 1
     told = capsys.readouterr()
     assert "SOLVED" in told.out and "flight_time: 1005.35" in told.out and "fault of the program" in told.err
-    assert run(["solve", ORDINARY, "--json"]) == 1
+    assert run_command_line(["solve", ORDINARY, "--json"]) == 1
     document = read_json(capsys.readouterr().out)
     assert document["values"]["flight_time"] == ordinary.free["flight_time"] and "_asdict" in json.dumps(document)
 
@@ -172,7 +172,7 @@ def test_a_family_is_printed_where_its_figure_is_not_drawn(
     assert snapshot(tmp_path / "f").keys() == {"family.json", "family.csv"}
     monkeypatch.setattr("perilune.families.sweep.sweep", lambda *_, **__: family)
     vary = ["--vary", "vehicle.thrust=440:440:1 N", "--out", str(tmp_path / "out")]
-    assert run(["sweep", ORDINARY, *vary]) == 5
+    assert run_command_line(["sweep", ORDINARY, *vary]) == 5
     told = capsys.readouterr()
     assert "1005.3507046" in told.out and "no axis" in told.err
 
@@ -184,8 +184,8 @@ def test_a_refusal_is_told_where_its_record_cannot_be_written(
         raise pl.InfeasibleError("too weak an engine")
 
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", refused)
-    monkeypatch.setattr(export, "versions", failing(TypeError("no version")))
-    assert run(["solve", ORDINARY, "--out", str(tmp_path / "out")]) == 3
+    monkeypatch.setattr(export, "program_versions", failing(TypeError("no version")))
+    assert run_command_line(["solve", ORDINARY, "--out", str(tmp_path / "out")]) == 3
     told = capsys.readouterr().err
     assert "too weak an engine" in told and "no version" in told
 
@@ -195,8 +195,8 @@ def test_who_writes_the_program_is_shown_what_failed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setenv("PERILUNE_TRACEBACK", "1")
-    monkeypatch.setattr("perilune.report.figures.costates", failing(TypeError("x")))
-    assert run(["solve", ORDINARY, "--out", str(tmp_path / "out")]) == 5
+    monkeypatch.setattr("perilune.report.figures.costate_figure", failing(TypeError("x")))
+    assert run_command_line(["solve", ORDINARY, "--out", str(tmp_path / "out")]) == 5
     told = capsys.readouterr()
     assert "Traceback" in told.err and "154.541347 kg" in told.out
 
@@ -206,7 +206,12 @@ def test_a_certificate_that_is_there_already_is_refused_before_the_proof(
 ) -> None:
     pl.save(ordinary, tmp_path / "flight")
     (tmp_path / "c.json").write_text("mine")
-    assert run(["verify", str(tmp_path / "flight"), "--level", "1", "--certificate", str(tmp_path / "c.json")]) == 2
+    assert (
+        run_command_line(
+            ["verify", str(tmp_path / "flight"), "--level", "1", "--certificate", str(tmp_path / "c.json")]
+        )
+        == 2
+    )
     assert "there already" in capsys.readouterr().err and (tmp_path / "c.json").read_text() == "mine"
 
 

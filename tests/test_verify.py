@@ -12,14 +12,14 @@ import pytest
 
 from landing_by_scipy import cho_problem, resolve, shoot, solution_of
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.landing import Retro, bookkeeping
+from perilune.models.landing import Retro, mass_consistency_checks
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Verification
-from perilune.proof.resolved import neighbours
+from perilune.proof.resolved import check_neighbours
 from perilune.solve import verify
 from perilune.words.outcome import Outcome, PeriluneError
 from problems.constrained import mars_glide_slope
@@ -197,7 +197,7 @@ def test_the_control_that_maximises_the_hamiltonian_fails(scipy_hybrid: Solution
 def test_a_mass_that_was_tampered_with_fails(scipy_hybrid: Solution, grams: float) -> None:
     tampered = with_curve(scipy_hybrid, "state", shifted_values(4, grams * 1e-3))
     assert "state_m" in failed(verify(tampered, level=1))
-    assert "retro_mass" in {c.name for c in bookkeeping(tampered) if not c.passed}
+    assert "retro_mass" in {c.name for c in mass_consistency_checks(tampered) if not c.passed}
 
 
 def test_a_landed_mass_that_was_not_flown_fails(scipy_hybrid: Solution) -> None:
@@ -268,7 +268,7 @@ def test_missing_trajectories_are_refused(scipy_hybrid: Solution) -> None:
 
 def test_the_bookkeeping_of_good_answers_closes(scipy_hybrid: Solution, scipy_ordinary: Solution) -> None:
     for solution in (scipy_hybrid, scipy_ordinary):
-        checks = bookkeeping(solution)
+        checks = mass_consistency_checks(solution)
         assert [c.name for c in checks] == ["retro_mass", "propellant", "rocket_equation"]
         assert all(c.passed for c in checks), checks
 
@@ -279,7 +279,7 @@ def test_the_bookkeeping_sees_propellant_that_was_not_burnt(scipy_hybrid: Soluti
         values[:, 4] += 1e-6 * curve.time / curve.time[-1]
         return replace(curve, values=values)
 
-    names = {c.name for c in bookkeeping(with_curve(scipy_hybrid, "state", thinner)) if not c.passed}
+    names = {c.name for c in mass_consistency_checks(with_curve(scipy_hybrid, "state", thinner)) if not c.passed}
     assert "propellant" in names
 
 
@@ -527,7 +527,7 @@ def test_a_cubic_bend_of_the_optimum_is_extrapolated_away(bend: float, slips: se
         lam = {name: value + 1e-4 * (name in slips) for name, value in slopes.items()}
         return replace(guess, objective=sum(lam[name] * s + bend * s**3 for name, s in moved.items()))
 
-    checks = list(neighbours(solution, resolve))
+    checks = list(check_neighbours(solution, resolve))
     assert {c.name for c in checks if not c.passed} == {f"initial_costate_{name}" for name in slips}
 
 

@@ -9,12 +9,12 @@ import pytest
 
 from perilune.methods.indirect import Indirect
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.methods.structured import Polish
+from perilune.methods.structured import StructureRefinement
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution
 from perilune.problem.verification import Check, Verification
-from perilune.proof.crossed import agreement
+from perilune.proof.crossed import check_agreement
 from perilune.solve import prove, solve, verify
 from perilune.words.outcome import Outcome, PeriluneError
 from problems.integrators import CEILING, least_energy
@@ -38,7 +38,7 @@ class Refuses:
 
 
 def crossed(solution: Solution, other: object = None) -> dict[str, Check]:
-    return {c.name: c for c in agreement(solution, other)}  # type: ignore[arg-type]
+    return {c.name: c for c in check_agreement(solution, other)}  # type: ignore[arg-type]
 
 
 def disagreements(solution: Solution, other: object = None) -> set[str]:
@@ -157,7 +157,7 @@ def test_a_flight_along_a_ceiling_is_crossed_in_states_and_objective() -> None:
 
 def test_an_extremal_that_breaks_the_path_confirms_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Riding along a ceiling, a direct answer is better than what the indirect method does without a structure."""
-    monkeypatch.setattr(Polish, "run", lambda self, rough: None)
+    monkeypatch.setattr(StructureRefinement, "run", lambda self, rough: None)
     (check,) = crossed(Pseudospectral(tolerance=1e-4).run(least_energy(CEILING)), Indirect()).values()
     assert not check.passed
     assert "does not" in check.meaning

@@ -13,9 +13,9 @@ from scipy.integrate import solve_ivp
 
 import perilune as pl
 from perilune.problem.solution import Curve, Solution, Trajectory
-from perilune.proof.arc import Arc
+from perilune.proof.arc import PhaseData
 from perilune.proof.crossings import Guarded
-from perilune.proof.extremal import end_multipliers, parameter_gradient
+from perilune.proof.extremal import parameter_gradient, phase_end_multipliers
 from perilune.proof.guards import watched_rates
 from perilune.words.maths import NUMERIC
 from test_control_law import given, variables
@@ -64,8 +64,8 @@ def jump() -> Solution:
     return pl.solve(push(SLOPES["jump"]))
 
 
-def arc_of(solution: Solution) -> Arc:
-    return Arc(solution=solution, index=0)
+def arc_of(solution: Solution) -> PhaseData:
+    return PhaseData(solution=solution, index=0)
 
 
 # --- right answers
@@ -164,7 +164,7 @@ def test_a_deviation_crosses_by_the_saltation_matrix(jump: Solution) -> None:
 def test_the_optimum_changes_with_the_place_of_the_jump_as_the_multiplier_says(jump: Solution) -> None:
     """dJ/dxs through the guard alone, against problems solved with the slope a little further on."""
     arc = arc_of(jump)
-    slope = parameter_gradient([arc], [end_multipliers(arc)[0]], "xs")
+    slope = parameter_gradient([arc], [phase_end_multipliers(arc)[0]], "xs")
     ahead, behind = (pl.solve(push(SLOPES["jump"]).with_given(xs=30.0 + h), level=0).objective for h in (0.01, -0.01))
     assert slope == pytest.approx((ahead - behind) / 0.02, rel=1e-5)
     assert abs(slope) > 1e-2

@@ -12,9 +12,9 @@ import pytest
 
 import perilune as pl
 from perilune.methods.indirect import Indirect
-from perilune.problem.neighbours import held
+from perilune.problem.neighbours import fix_free_parameters
 from perilune.problem.solution import Curve
-from perilune.proof.arc import Arc
+from perilune.proof.arc import PhaseData
 from problems.ascents import lunar_ascent
 from problems.landings import meditch, ordinary
 from problems.orbit_raising import orbit_raising
@@ -94,7 +94,7 @@ def test_a_state_beyond_its_limit_is_seen(make: Callable[[], pl.Problem]) -> Non
 @pytest.mark.parametrize("make", PROBLEMS)
 def test_a_costate_beyond_its_limit_is_seen(make: Callable[[], pl.Problem]) -> None:
     solution = solved(make)
-    arc = Arc(solution=solution, index=0)
+    arc = PhaseData(solution=solution, index=0)
     assert solution.trajectories[0].costate is not None
     for row, state in enumerate(solution.problem.phases[0].states):
         size = BEYOND * limit_of(solution, f"costate_{state.name}") * float(arc.costate_scale[row])
@@ -119,7 +119,7 @@ def test_a_claimed_multiplier_beyond_its_limit_is_seen(make: Callable[[], pl.Pro
     from perilune.proof.extremal import _multiplier_sizes
 
     solution = solved(make)
-    arc = Arc(solution=solution, index=0)
+    arc = PhaseData(solution=solution, index=0)
     sizes = _multiplier_sizes(arc, 1.0) * arc.objective_scale / arc.end_scale
     for condition, size in zip(arc.phase.end_conditions, sizes.tolist(), strict=True):
         name = f"{arc.phase.name}.{condition.name}"
@@ -140,7 +140,7 @@ def test_a_claimed_objective_beyond_its_limit_is_seen(make: Callable[[], pl.Prob
 def test_a_duration_beside_its_optimum_is_seen(beside: float) -> None:
     """An extremal of the same problem with the duration held beside its optimum: feasible, and nothing else."""
     problem, best = apollo(), solved(apollo)
-    found = Indirect().run(held(problem, time=best.free["time"] * (1 + beside)), guess=best)
+    found = Indirect().run(fix_free_parameters(problem, time=best.free["time"] * (1 + beside)), guess=best)
     wrong = pl.verify(replace(found, problem=problem), level=2)
     assert wrong.level == 1, str(wrong)
     assert "stationary_time" in {c.name for c in wrong.failed}

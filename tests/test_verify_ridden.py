@@ -13,10 +13,10 @@ import pytest
 
 import perilune as pl
 from perilune.problem.solution import Curve, Solution
-from perilune.proof.crossed import agreement
-from perilune.proof.rides import Rides
-from perilune.proof.touched import cut
-from perilune.structures.carry import split
+from perilune.proof.crossed import check_agreement
+from perilune.proof.rides import BoundaryArcs
+from perilune.proof.touched import restate_with_contacts
+from perilune.structures.carry import split_solution
 from problems.by_hand import by_hand, parted
 from problems.constrained import (
     OFFSET,
@@ -253,10 +253,10 @@ def test_another_method_does_not_agree_with_other_curves(curve: str) -> None:
     solution = bryson_denham_ridden(1 / 9, 1 / 3)
     wrong = changed_along(solution, curve, 1e-3)
     for answer, agrees in ((solution, True), (wrong, False)):
-        parts, structure = cut(solution)
+        parts, structure = restate_with_contacts(solution)
         if answer is wrong:
-            parts = split(wrong, structure)
-        checks = {check.name: check for check in agreement(answer, None, (parts, structure))}
+            parts = split_solution(wrong, structure)
+        checks = {check.name: check for check in check_agreement(answer, None, (parts, structure))}
         assert checks[f"swing-2_cross_{curve}_x"].passed is agrees
         assert checks["cross_objective"].passed
 
@@ -317,4 +317,4 @@ def test_an_end_condition_that_no_state_moves_explains_no_jump(slope: float, lef
         along=[(), (ridden,)], _back=lambda joint: np.eye(2), entered=lambda ridden: {},
         _explained=lambda joint: [np.zeros(2), np.array([2.0, 0.0])],
     )  # fmt: skip
-    assert Rides.jump(cast("Rides", rides), 1) == pytest.approx(left, abs=1e-12)
+    assert BoundaryArcs.jump(cast("BoundaryArcs", rides), 1) == pytest.approx(left, abs=1e-12)

@@ -10,7 +10,7 @@ import pytest
 import perilune as pl
 from perilune.models.bodies import Body
 from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.proof.flight import MOST_GROWTH, _growth, flights
+from perilune.proof.flight import MOST_GROWTH, _error_growth, reintegrate
 
 PHOBOS = Body(name="phobos", gravitational_parameter=7.087e5, radius=11.1e3, rotation_rate=2.28e-4)
 
@@ -61,7 +61,7 @@ def test_growth_is_that_of_the_closed_form() -> None:
     """An error of x grows by e^rate; in e it shows through nothing, as u is read from the table."""
     solution = pl.solve(runaway(3.0), level=0)
     assert solution.objective == pytest.approx(3.0 / (1 - np.exp(-6.0)), rel=1e-9)  # rate x0^2 / (1 - e^(-2 rate T))
-    (_, flight) = flights(solution)[0]
+    (_, flight) = reintegrate(solution)[0]
     assert flight.growth == pytest.approx([np.exp(3.0), 1.0], rel=1e-6)
 
 
@@ -75,7 +75,7 @@ def test_a_phase_inherits_the_growth_of_those_before() -> None:
         links=(lambda x, p, m: (x.x, x.e),),
         given={**whole.given, "T": pl.Given(value=0.5, unit="s")},
     )
-    (_, early), (_, late) = flights(pl.solve(problem, level=0))
+    (_, early), (_, late) = reintegrate(pl.solve(problem, level=0))
     assert early.growth == pytest.approx([np.exp(1.5), 1.0], rel=1e-6)
     assert late.growth == pytest.approx([np.exp(3.0), 1.0], rel=1e-6)
 
@@ -92,7 +92,7 @@ def test_growth_is_the_most_of_all_stretches_from_the_start_or_to_the_end(peak: 
     stretches = [links[:k] for k in range(1, 6)] + [links[k:] for k in range(5)]
     products = [np.linalg.multi_dot([np.eye(3), *stretch[::-1]]) for stretch in stretches]
     most = np.max([np.abs(product).sum(axis=1) for product in products], axis=0)
-    assert _growth(past, over)[0] == pytest.approx(np.clip(most, 1.0, MOST_GROWTH), rel=1e-12)
+    assert _error_growth(past, over)[0] == pytest.approx(np.clip(most, 1.0, MOST_GROWTH), rel=1e-12)
     assert (most > 1).all() and (most < MOST_GROWTH).all()
 
 

@@ -18,11 +18,20 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Given, Variable
-from perilune.proof.arc import Arc
+from perilune.proof.arc import PhaseData
 from perilune.proof.extremal import COSTATE_LIMIT
 from perilune.proof.feasible import STATE_LIMIT
-from perilune.proof.flight import flights, state_deviation
-from perilune.proof.pieces import POINTS, UP_TO, WEIGHTS, Pieces, extremes, polynomial, through, turns
+from perilune.proof.flight import reintegrate, state_deviation
+from perilune.proof.pieces import (
+    POINTS,
+    UP_TO,
+    WEIGHTS,
+    Pieces,
+    cubic_turning_points,
+    extreme_values,
+    interpolating_cubics,
+    polynomial,
+)
 from perilune.solve import solve, verify
 from perilune.words.outcome import Outcome
 from problems.landings import meditch
@@ -48,7 +57,7 @@ def with_nodes(curve: Curve, times: Any) -> Curve:
     h = pieces.width[:, None]
     s = (new[:, None] - curve.time[i, None]) / h
     values = pieces.read(curve, s)[:, :, 0].T
-    c = through(pieces.read(curve))
+    c = interpolating_cubics(pieces.read(curve))
     rates = ((c[..., 1] + s.T * (2 * c[..., 2] + 3 * s.T * c[..., 3])) / h.T).T
     at = np.searchsorted(curve.time, new, side="right")
     return Curve(
@@ -90,12 +99,12 @@ def test_four_points_integrate_and_bound_a_cubic() -> None:
     c = rng.normal(size=(50, 4))
     s = np.linspace(0.0, 1.0, 20001)
     values = polynomial(c[:, None], POINTS[None, :])
-    assert through(values) == pytest.approx(c, abs=1e-12)
+    assert interpolating_cubics(values) == pytest.approx(c, abs=1e-12)
     assert values @ WEIGHTS == pytest.approx(c @ (1 / np.arange(1, 5)), abs=1e-13)
     up_to = polynomial(np.column_stack([np.zeros(50), c[:, 0], c[:, 1] / 2, c[:, 2] / 3])[:, None], POINTS[None])
     assert values @ UP_TO.T == pytest.approx(up_to + c[:, 3:] / 4 * POINTS**4, abs=1e-13)
     dense = polynomial(c[:, None], s[None, :])
-    shares = np.column_stack([np.zeros(50), np.ones(50), turns(c)])
+    shares = np.column_stack([np.zeros(50), np.ones(50), cubic_turning_points(c)])
     found = polynomial(c[:, None], shares)
     assert found.min(axis=1) == pytest.approx(dense.min(axis=1), abs=1e-8)
     assert found.max(axis=1) == pytest.approx(dense.max(axis=1), abs=1e-8)
@@ -107,8 +116,8 @@ def test_the_extremes_of_a_table_are_those_of_its_cubics() -> None:
     curve = Curve(time=t - t[0], values=rng.normal(size=(30, 2)), rates=rng.normal(size=(30, 2)) * 3)
     spline = CubicHermiteSpline(curve.time, curve.values, curve.rates)
     dense = spline(np.linspace(0, curve.time[-1], 300_001))
-    assert extremes(curve).min(axis=(1, 2)) == pytest.approx(dense.min(axis=0), abs=1e-6)
-    assert extremes(curve).max(axis=(1, 2)) == pytest.approx(dense.max(axis=0), abs=1e-6)
+    assert extreme_values(curve).min(axis=(1, 2)) == pytest.approx(dense.min(axis=0), abs=1e-6)
+    assert extreme_values(curve).max(axis=(1, 2)) == pytest.approx(dense.max(axis=0), abs=1e-6)
 
 
 def test_more_nodes_on_the_same_curves_change_nothing(hybrid: Solution) -> None:
@@ -325,7 +334,7 @@ def test_many_gaps_each_too_small_to_see_add_up(hybrid: Solution) -> None:
         return curve
 
     wrong = with_table(hybrid, "control", off)
-    (_, flight), (_, sound) = *flights(wrong), *flights(hybrid)
+    (_, flight), (_, sound) = *reintegrate(wrong), *reintegrate(hybrid)
     assert flight.difference.max() > 20 * sound.difference.max()
     assert {"touchdown_altitude"} & failed(wrong, level=1)
 
@@ -382,7 +391,7 @@ def drift(rate: Any, cost: float) -> Solution:
 def test_a_rate_that_vanishes_at_the_points_of_a_piece_is_found_by_its_halves() -> None:
     """Legendre's P4, whose zeros are Gauss's points: y rises to its integral, -s (1 - s)(1 - 2 s)(1 - 7 s (1 - s))."""
     solution = drift(lambda c, m: 1e-6 * (1 - 20 * c + 90 * c**2 - 140 * c**3 + 70 * c**4), 0.0)
-    arc = Arc(solution=solution, index=0)
+    arc = PhaseData(solution=solution, index=0)
     assert len(arc.looked_at[0]) > 1
     s = np.linspace(0.0, 1.0, 10_001)
     largest = 1e-6 * np.abs(s * (1 - s) * (1 - 2 * s) * (1 - 7 * s * (1 - s))).max()
@@ -390,7 +399,7 @@ def test_a_rate_that_vanishes_at_the_points_of_a_piece_is_found_by_its_halves() 
 
 
 def test_what_quadrature_leaves_open_counts() -> None:
-    arc = Arc(solution=drift(lambda c, m: 1e-3 * m.sin(1e9 * c), 0.0), index=0)
+    arc = PhaseData(solution=drift(lambda c, m: 1e-3 * m.sin(1e9 * c), 0.0), index=0)
     still = arc.looked_at[2][1]
     found = state_deviation(arc, np.zeros(2))
     assert still > STATE_LIMIT
@@ -453,7 +462,7 @@ def falsifications(draw: st.DrawFn) -> tuple[str, Change]:
     return which, change
 
 
-def deviation(arc: Arc, which: str, wrong: Curve) -> float:
+def deviation(arc: PhaseData, which: str, wrong: Curve) -> float:
     """Largest difference of two tables inside the pieces of both, canonical."""
     right = getattr(arc.trajectory, which)
     pieces = Pieces.between([right.time, wrong.time], arc.duration)
@@ -480,5 +489,5 @@ BELOW = {"state": 10 * STATE_LIMIT, "costate": 10 * COSTATE_LIMIT, "control": 1e
 def test_no_falsified_table_passes(hybrid: Solution, falsification: tuple[str, Change]) -> None:
     which, change = falsification
     wrong = with_table(hybrid, which, change)
-    small = deviation(Arc(solution=hybrid, index=0), which, getattr(wrong.trajectories[0], which)) <= BELOW[which]
+    small = deviation(PhaseData(solution=hybrid, index=0), which, getattr(wrong.trajectories[0], which)) <= BELOW[which]
     assert small or not verify(wrong, level=1 if which == "state" else 2).passed

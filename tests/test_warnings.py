@@ -13,14 +13,14 @@ import pytest
 
 import perilune as pl
 from command_line import ROOT
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.models.atmosphere import exponential, standard
 from perilune.models.bodies import UniformGravity
-from perilune.models.deorbit.told import meant_for
+from perilune.models.deorbit.told import validity_ranges
 from perilune.models.precision import Approach, precision_landing
 from perilune.models.standard_atmosphere import HIGHEST
 from perilune.models.vehicle import Vehicle
-from perilune.problem.cautions import _contact
+from perilune.problem.cautions import _warn_of_contact
 from perilune.problem.wording import free_name
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
@@ -180,14 +180,14 @@ def test_flat_ground_is_for_the_last_kilometres() -> None:
 
 def test_the_air_and_its_heat_are_known_in_their_ranges() -> None:
     """Of the standard atmosphere up to its last row; of a vehicle without a nose radius no heat."""
-    hot, cold = meant_for(standard(), heat=True), meant_for(exponential(1.2, 7e3), heat=False)
+    hot, cold = validity_ranges(standard(), heat=True), validity_ranges(exponential(1.2, 7e3), heat=False)
     assert [valid.quantity for valid in hot] == ["altitude", "heat_rate", "speed"] and cold == ()
     assert hot[0].upper == HIGHEST and hot[1].upper == 1e6 and "Sutton" in hot[1].because
-    assert meant_for(None, heat=True) == ()
+    assert validity_ranges(None, heat=True) == ()
 
 
 def test_json_lists_them(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["solve", str(EXAMPLES / "mars_pinpoint.toml"), "--level", "1", "--json"]) == 0
+    assert run_command_line(["solve", str(EXAMPLES / "mars_pinpoint.toml"), "--level", "1", "--json"]) == 0
     (said,) = json.loads(capsys.readouterr().out)["warnings"]
     assert said.startswith("height above glide slope is at its limit")
 
@@ -225,5 +225,5 @@ def test_a_limit_that_is_left_and_reached_again_is_told_so(room: Callable[[Any],
     """Two touches are no ride; what flutters along a limit by the error of a mesh is one."""
     t = np.linspace(0.005, 0.995, 199) * 8.0
     t = np.sort(np.concatenate([t, [2.0, 6.0, 7.0]]))
-    (text,) = _contact("room", t, room(t), room, 10.0)
+    (text,) = _warn_of_contact("room", t, room(t), room, 10.0)
     assert text.startswith(f"room is at its limit {said}") and text.count("between") == said.count("between")

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import perilune as pl
 from command_line import ROOT
-from perilune.io.columns import columns, nodes, sides
+from perilune.io.columns import node_times, phase_columns, times_around_switches
 from perilune.io.exports.epochs import TICK
-from perilune.io.exports.path import JUMP, apart, legs
+from perilune.io.exports.path import JUMP, legs, separate_jumps
 from perilune.models.orientation import axes_in_space
 from perilune.problem.solution import Solution
 from perilune.scenario import load_file, load_text
@@ -52,7 +52,7 @@ def gated() -> Solution:
 
 def expected(solution: Solution) -> dict[str, np.ndarray]:
     """Each column over all phases, NaN where a phase has none."""
-    parts = [columns(solution, k) for k in range(len(solution.trajectories))]
+    parts = [phase_columns(solution, k) for k in range(len(solution.trajectories))]
     names = dict.fromkeys(name for part in parts for name in part)
     return {
         name: np.concatenate([part[name].values if name in part else np.nan * part["time"].values for part in parts])
@@ -133,25 +133,25 @@ def test_xarray_looks_between_and_beside_the_times_of_a_file(
             begin = 0.0
             for k, trajectory in enumerate(solution.trajectories):
                 t = trajectory.time[0] + trajectory.duration * np.linspace(0.01, 0.99, 50)
-                known = columns(solution, k, t)[name].values
+                known = phase_columns(solution, k, t)[name].values
                 off = found[name].interp(time=at(begin + t)).values - known
                 assert np.abs(off).max() < 1e-3 * np.ptp(known)  # it is linear between the nodes
                 near = found[name].sel(time=at(begin + t), method="nearest").values
                 assert np.abs(near - known).max() < 0.05 * np.ptp(known)
                 begin += trajectory.duration
-    steps = np.concatenate([sides(trajectory)[1] for trajectory in gated.trajectories[:1]])
+    steps = np.concatenate([times_around_switches(trajectory)[1] for trajectory in gated.trajectories[:1]])
     jumps: list[float] = []
     with xarray.open_dataset(tmp_path / "m.nc", engine="scipy") as found:
         for step in steps:
             before, behind = (float(found["throttle"].interp(time=step + d)) for d in (-2 * JUMP, 0.0))
-            values = columns(gated, 0, np.array([step - 2 * JUMP, step]))["throttle"].values
+            values = phase_columns(gated, 0, np.array([step - 2 * JUMP, step]))["throttle"].values
             assert [before, behind] == pytest.approx(values.tolist(), abs=1e-6)
             jumps.append(abs(behind - before))
     assert max(jumps) > 0.5  # others are of costates
 
 
 def test_phases_without_length_have_no_rows_of_a_file_with_a_time_each() -> None:
-    told, kept = apart(np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0 + 1e-7, 2.0, 2.0]))
+    told, kept = separate_jumps(np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0 + 1e-7, 2.0, 2.0]))
     assert told[kept] == pytest.approx([0.0, 1.0 + 1e-7 - JUMP, 1.0 + 1e-7, 2.0 - JUMP, 2.0], abs=1e-12)
     assert (np.diff(told[kept]) > 0).all()
 
@@ -224,7 +224,7 @@ def test_a_longitude_goes_on_over_the_meridian_of_the_date(returned: Solution, t
         np.testing.assert_allclose(east, frame["longitude"], rtol=1e-14)
     assert (np.diff(east) >= 0).all() and np.diff(east).max() < 2 and east[[0, -1]] == pytest.approx([16.0, 262.0])
     for k, trajectory in enumerate(returned.trajectories):
-        fixed = body_fixed(returned, k, nodes(trajectory))
+        fixed = body_fixed(returned, k, node_times(trajectory))
         here = frame[frame["phase"] == returned.problem.phases[k].name]
         turned = np.exp(1j * np.radians(here["longitude"])) * np.hypot(fixed[:, 0], fixed[:, 1])
         np.testing.assert_allclose(turned, fixed[:, 0] + 1j * fixed[:, 1], rtol=1e-9)
@@ -385,7 +385,7 @@ def test_between_its_samples_cesium_turns_and_thrusts_as_it_is_flown(
     attitude = Slerp(turns[:, 0], Rotation.from_quat(turns[:, 1:]))
     begin, scale = 0.0, []
     for k, trajectory in enumerate(solution.trajectories):
-        jumps = np.unique([0.0, trajectory.duration, *sides(trajectory)[1]])
+        jumps = np.unique([0.0, trajectory.duration, *times_around_switches(trajectory)[1]])
         t = np.linspace(0.0, trajectory.duration, 5001)
         t = np.concatenate(
             [t[np.abs(t[:, None] - jumps).min(axis=1) > JUMP], jumps[:-1] + 2 * JUMP, jumps[1:] - 2 * JUMP]

@@ -22,8 +22,8 @@ from perilune.atlas.exporting import export
 from perilune.atlas.merging import merge
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.store import MANIFEST
-from perilune.atlas.table import Table
-from perilune.cli import run
+from perilune.atlas.table import NodeTable
+from perilune.cli import run_command_line
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.scenario import load_file
@@ -42,13 +42,13 @@ def atlas(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
 @pytest.fixture(scope="module")
 def expected(atlas: Atlas) -> dict[str, np.ndarray]:
     """All columns, brick after brick."""
-    parts = list(Table(atlas).parts())
+    parts = list(NodeTable(atlas).parts())
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def test_the_table_says_what_a_solve_from_nothing_says(atlas: Atlas, expected: dict[str, np.ndarray]) -> None:
     rows = sum(len(np.load(atlas.store.directory / line["nodes"]["file"])) for line in atlas.said.values())
-    assert {len(values) for values in expected.values()} == {rows} == {Table(atlas).rows}
+    assert {len(values) for values in expected.values()} == {rows} == {NodeTable(atlas).rows}
     thrust, isp = expected["vehicle_thrust"], expected["retro_specific_impulse"]
     at = (thrust == 435.0) & (isp == 300.0) & (expected["answer"] == 1)
     best = np.nonzero(at)[0][expected["objective"][at].argmin()]
@@ -63,8 +63,8 @@ def test_the_table_says_what_a_solve_from_nothing_says(atlas: Atlas, expected: d
     ]
     slope = (ends[1].objective - ends[0].objective) / (2 * step)
     assert expected["slope_vehicle_thrust"][best] == pytest.approx(slope, rel=1e-6)
-    assert "at its lower bound" in Table(atlas).sheets[int(expected["sheet"][expected["retro_delta_v"] == 0.0][0])]
-    assert {column.name: column.unit for column in Table(atlas).columns}["slope_vehicle_thrust"] == "s^2/m"
+    assert "at its lower bound" in NodeTable(atlas).sheets[int(expected["sheet"][expected["retro_delta_v"] == 0.0][0])]
+    assert {column.name: column.unit for column in NodeTable(atlas).columns}["slope_vehicle_thrust"] == "s^2/m"
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of a library compiled for another NumPy
@@ -80,7 +80,7 @@ def test_netcdf_is_read_by_another_library(atlas: Atlas, expected: dict[str, np.
         assert found["objective"].units == "kg" and found["vehicle_thrust"].units == "N"
         assert "perilune" in found.source and "lander" in found.title and "2 of 2" in found.proofs
         assert json.loads(found.axes)["vehicle_thrust"] == [430.0, 440.0, "N"]
-        assert json.loads(found.sheets) == Table(atlas).sheets
+        assert json.loads(found.sheets) == NodeTable(atlas).sheets
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::DeprecationWarning")
@@ -102,13 +102,13 @@ def test_parquet_is_read_by_another_library(atlas: Atlas, expected: dict[str, np
         np.testing.assert_array_equal(np.array(found, dtype=values.dtype), values, err_msg=name)
     about = duckdb.sql(f"SELECT key, value FROM parquet_kv_metadata('{file}')").fetchall()
     told = json.loads({bytes(key): bytes(value) for key, value in about}[b"perilune"])
-    assert json.loads(told["sheets"]) == Table(atlas).sheets and told["tolerance"] == "1e-09"
+    assert json.loads(told["sheets"]) == NodeTable(atlas).sheets and told["tolerance"] == "1e-09"
 
 
 def test_charts_of_another_making_stand_beside_each_other(atlas: Atlas, tmp_path: Path) -> None:
     high = build(cho_landing(), {**AXES, "vehicle.thrust": (440.0, 445.0)}, tmp_path / "high", sample=0)
     both = open_atlas(merge(atlas.store.directory, high, tmp_path / "both"))
-    parts = list(Table(both).parts())
+    parts = list(NodeTable(both).parts())
     sheet, chart = (np.concatenate([part[name] for part in parts]) for name in ("sheet", "chart"))
     assert set(chart) == {0, 1} and sheet[chart == 1].min() == len(both.charted[0].sheets)
 
@@ -157,13 +157,13 @@ def test_damage_is_named_and_nothing_is_written(atlas: Atlas, tmp_path: Path) ->
 
 def test_the_command_line_exports(atlas: Atlas, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place, file = str(atlas.store.directory), tmp_path / "nodes.nc"
-    assert run(["atlas", "export", place, "--out", str(file), "--json"]) == 0
+    assert run_command_line(["atlas", "export", place, "--out", str(file), "--json"]) == 0
     assert read_json(capsys.readouterr().out)["bytes"] == file.stat().st_size
-    assert run(["atlas", "export", place, "--out", str(file)]) == 2
-    assert run(["atlas", "export", place, "--out", str(file), "--force"]) == 0
-    assert run(["atlas", "export", place, "--out", str(file), "--force", "--format", "zarr"]) == 2
-    assert run(["atlas", "export", place]) == 2
-    assert run(["atlas", "export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
+    assert run_command_line(["atlas", "export", place, "--out", str(file)]) == 2
+    assert run_command_line(["atlas", "export", place, "--out", str(file), "--force"]) == 0
+    assert run_command_line(["atlas", "export", place, "--out", str(file), "--force", "--format", "zarr"]) == 2
+    assert run_command_line(["atlas", "export", place]) == 2
+    assert run_command_line(["atlas", "export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
 
 
 def test_a_family_is_a_data_set_over_its_parameters(tmp_path: Path) -> None:

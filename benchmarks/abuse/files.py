@@ -13,7 +13,7 @@ import numpy as np
 from abused import EXAMPLES, OURS, Fault, Material, demand, falsified, replaced
 
 import perilune as pl
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.problem.preflight import preflight
 from perilune.scenario import load_text
 
@@ -105,7 +105,7 @@ def atlas(rng: np.random.Generator, material: Material, at: Path) -> str:
 def _told(*words: str) -> tuple[int, str]:
     """What a command ends with, in this process; a `Fault` where it is one of the program."""
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as err:
-        code = run([*words])
+        code = run_command_line([*words])
     said = err.getvalue()
     demand(code != 1 and not any(word in said for word in OURS), said[-500:])
     return code, said[-200:]

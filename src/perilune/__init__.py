@@ -179,11 +179,11 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    from perilune.words.face import listed
+    from perilune.words.face import public_names
 
-    return listed((*__all__, "__version__"))
+    return public_names((*__all__, "__version__"))
 
 
-def _method(name: str) -> Callable[..., Any]:
+def _import_method_function(name: str) -> Callable[..., Any]:
     """Return the function that does the work of a method, by its name."""
     return getattr(importlib.import_module(_METHODS[name]), name)

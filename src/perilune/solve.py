@@ -18,10 +18,25 @@ from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, THEOREM, Verification
 from perilune.problem.wording import objective_text
 from perilune.structures.budgets import with_budgets
-from perilune.words.asked import called_in_words, demand, demand_callable, demand_level, demand_si, refused
+from perilune.words.asked import (
+    check_call,
+    require_callable,
+    require_level,
+    require_si_number,
+    require_type,
+    wrong_type_error,
+)
 from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
-from perilune.words.units import told
-from perilune.words.watch import Iteration, Progress, TimeLimitReached, Watch, at_work, best_so_far, progressing
+from perilune.words.units import format_quantity
+from perilune.words.watch import (
+    Iteration,
+    Progress,
+    TimeLimitReached,
+    Watch,
+    enter_computation,
+    remember_best,
+    sign_of_life,
+)
 
 TIME_LIMIT = 600.0  # s, where none is stated: the hardest answers take a minute or two
 SECOND_VARIATION = ("conjugate_point", "second_variation", "nothing_gained")  # checks of level 3
@@ -31,7 +46,7 @@ if TYPE_CHECKING:
     from perilune.proof.resolved import Resolve
 
 
-@called_in_words
+@check_call
 def solve(
     problem: Problem,
     method: Method | None = None,
@@ -75,19 +90,19 @@ def solve(
     NotConvergedError
         As the method says, or where the time limit is over.
     """
-    demand(
+    require_type(
         problem, Problem, "a problem to solve", "a scenario file is read by perilune.scenario.load_file(FILE).problem"
     )
-    demand_level(level, (0, *LEVELS))
+    require_level(level, (0, *LEVELS))
     if level == THEOREM:
         _theorem()  # what is not installed is said before the work
-    demand_callable(watch, "a watch")
-    demand_tolerance(tolerance)
-    with ended_in_time(problem, watch, demand_limit(time_limit, level)) as work:
+    require_callable(watch, "a watch")
+    require_tolerance(tolerance)
+    with ended_in_time(problem, watch, require_time_limit(time_limit, level)) as work:
         refuse_impossible(preflight(problem))
         try:
             stated = with_budgets(problem, linear=False)
-            return _solved_and_proved(usable(method), stated, guess, level, tolerance, work)
+            return _solved_and_proved(method_or_default(method), stated, guess, level, tolerance, work)
         except NotConvergedError as error:
             from perilune.methods.infeasibility import with_binding_limit
 
@@ -98,7 +113,7 @@ def solve(
 @contextmanager
 def ended_in_time(problem: Problem, watch: Watch | None, limit: float) -> Iterator[Progress]:
     """Enter the search for a problem, which ends with `NotConvergedError` where its time [s] is over."""
-    with progressing(watch, problem, limit) as work:
+    with enter_computation(watch, problem, limit) as work:
         try:
             yield work
         except TimeLimitReached as end:
@@ -109,12 +124,12 @@ def _solved_and_proved(
     method: Method, problem: Problem, guess: Solution | None, level: int, tolerance: Tolerance | None, work: Progress
 ) -> Solution:
     """Return the answer of a method with its proof; if that is no minimum, a better answer beyond it."""
-    solution = _answered(method, problem, guess, work)
+    solution = _run_method(method, problem, guess, work)
 
     def told_of() -> str:
         return f"{objective_text(solution, 9)}, which is not proved yet"
 
-    best_so_far(problem, solution.objective, told_of, lambda: solution, extremal=True)
+    remember_best(problem, solution.objective, told_of, lambda: solution, extremal=True)
     solution = prove(solution, level, tolerance, work)
     if guess is None and isinstance(method, Indirect) and _no_minimum(solution):
         further = method.beyond(problem, solution, work)
@@ -123,11 +138,11 @@ def _solved_and_proved(
     return solution
 
 
-def demand_limit(stated: float | None, level: int) -> float:
+def require_time_limit(stated: float | None, level: int) -> float:
     """Return the time limit [s] that holds."""
     if stated is None:
         return math.inf if level == THEOREM else TIME_LIMIT
-    demand_si(stated, "a time limit", 'time_limit=60.0; --time-limit "60 s" on the command line')
+    require_si_number(stated, "a time limit", 'time_limit=60.0; --time-limit "60 s" on the command line')
     if not stated > 0:
         raise PeriluneError("a time limit is a positive time", got=f"{stated:g} s", expected="more than 0 s")
     return float(stated)
@@ -141,7 +156,7 @@ def _out_of_time(problem: Problem, work: Progress, limit: float, end: TimeLimitR
         kind = "an extremal" if extremal else "a rough flight of the direct method"
         known = f"best so far: {kind} with {objective_text(flight, 9)}, which is not proved"
     return NotConvergedError(
-        f"the time limit of {told(limit, 's')} is over",
+        f"the time limit of {format_quantity(limit, 's')} is over",
         got=f"{known}; at work on: {work.stage or 'the start'}",
         expected="an answer and its proof",
         advice='more time (--time-limit "20 min", or time_limit=1200.0), a guess, or a lower --level; with --out DIR '
@@ -156,21 +171,21 @@ def _no_minimum(solution: Solution) -> bool:
     return solution.verification.level == 2 and any(c.name in SECOND_VARIATION for c in solution.verification.failed)
 
 
-def _answered(method: Method, problem: Problem, guess: Solution | None, watch: Watch | None) -> Solution:
+def _run_method(method: Method, problem: Problem, guess: Solution | None, watch: Watch | None) -> Solution:
     """Return the solution of a method, polished if the method asks for it."""
     try:
         if not getattr(method, "polish", False):
             return method.run(problem, guess, watch)
-        from perilune.methods.polished import polished  # and with it the direct method, and much of SciPy
+        from perilune.methods.polished import solve_and_polish  # and with it the direct method, and much of SciPy
 
-        return polished(cast("Pseudospectral", method), problem, guess, watch)
+        return solve_and_polish(cast("Pseudospectral", method), problem, guess, watch)
     except NotConvergedError:
         if (stated := with_budgets(problem, linear=True)) is not problem:
-            return _answered(method, stated, guess, watch)
+            return _run_method(method, stated, guess, watch)
         raise
 
 
-def usable(method: Method | None) -> Method:
+def method_or_default(method: Method | None) -> Method:
     """Return the method that was asked for, ``Indirect()`` for none.
 
     Raises
@@ -181,17 +196,17 @@ def usable(method: Method | None) -> Method:
     if method is None:
         return Indirect()
     if isinstance(method, type) or not callable(getattr(method, "run", None)):
-        raise refused(method, "Indirect(), Pseudospectral(), Hybrid(...) or None", "a method")
+        raise wrong_type_error(method, "Indirect(), Pseudospectral(), Hybrid(...) or None", "a method")
     return method
 
 
-def demand_tolerance(tolerance: Tolerance | None) -> None:
+def require_tolerance(tolerance: Tolerance | None) -> None:
     """Refuse anything but a `Tolerance`."""
     if tolerance is not None:
-        demand(tolerance, Tolerance, "a tolerance of the proof", "Tolerance(position=0.001), numbers in SI")
+        require_type(tolerance, Tolerance, "a tolerance of the proof", "Tolerance(position=0.001), numbers in SI")
 
 
-@called_in_words
+@check_call
 def prove(
     solution: Solution, level: int = 3, tolerance: Tolerance | None = None, watch: Watch | None = None
 ) -> Solution:
@@ -215,25 +230,25 @@ def prove(
         its file lists are found again by Newton's method, or left out (`perilune.proof.listed`). Where a check fails,
         its own extremal is called an optimum no longer.
     """
-    demand(solution, Solution, "a solution to prove")
-    demand_level(level, (0, *LEVELS))
-    demand_tolerance(tolerance)
+    require_type(solution, Solution, "a solution to prove")
+    require_level(level, (0, *LEVELS))
+    require_tolerance(tolerance)
     if tolerance is not None:
         solution = replace(solution, verification=Verification(tolerance=tolerance))
     if level == 0:
         return solution
-    solution, notes = _found_again(solution)
+    solution, notes = _keep_confirmed_extremals(solution)
     if solution.statistics.claimed:
         solution = replace(solution, structure=())  # a file's words, which nothing here has read off the tables
     verification = verify(solution, level=level, watch=watch)
     if not verification.passed and solution.extremals:
         first, *others = solution.extremals
-        named = replace(first, nature=as_far_as(first.nature, verification.level))
+        named = replace(first, nature=nature_up_to_level(first.nature, verification.level))
         solution = replace(solution, extremals=(named, *others))
-    return judged(solution, replace(verification, notes=(*notes, *verification.notes)), level)
+    return with_verification(solution, replace(verification, notes=(*notes, *verification.notes)), level)
 
 
-def as_far_as(nature: Nature, level: int) -> Nature:
+def nature_up_to_level(nature: Nature, level: int) -> Nature:
     """Return the nature that a proof up to a level confirms; an optimum is then only a local one.
 
     Parameters
@@ -248,7 +263,7 @@ def as_far_as(nature: Nature, level: int) -> Nature:
     return local if level >= (3 if optimum else 2) else Nature.UNPROVED
 
 
-def judged(solution: Solution, verification: Verification, level: int) -> Solution:
+def with_verification(solution: Solution, verification: Verification, level: int) -> Solution:
     """Return the solution with a verification, and the outcome that follows for the level that was asked for.
 
     Parameters
@@ -262,17 +277,17 @@ def judged(solution: Solution, verification: Verification, level: int) -> Soluti
     return replace(solution, verification=verification, outcome=Outcome.PROVED if proved else Outcome.NOT_PROVED)
 
 
-def _found_again(solution: Solution) -> tuple[Solution, tuple[str, ...]]:
+def _keep_confirmed_extremals(solution: Solution) -> tuple[Solution, tuple[str, ...]]:
     """Return the solution with the confirmed ones of its listed extremals, and notes on the others."""
     if not solution.listed:
         return solution, ()
-    from perilune.proof.listed import found_again
+    from perilune.proof.listed import confirm_listed_extremals
 
-    extremals, notes = found_again(solution, _solve_again)
+    extremals, notes = confirm_listed_extremals(solution, _solve_again)
     return replace(solution, extremals=extremals, listed=()), notes
 
 
-@called_in_words
+@check_call
 def verify(
     solution: Solution,
     level: int = 3,
@@ -298,15 +313,15 @@ def verify(
     """
     from perilune.proof.levels import examine
 
-    demand(solution, Solution, "a solution to verify")
-    demand_callable(resolve, "what solves again")
-    demand_tolerance(tolerance)
-    demand_callable(watch, "a watch")
-    demand_level(level, LEVELS)
+    require_type(solution, Solution, "a solution to verify")
+    require_callable(resolve, "what solves again")
+    require_tolerance(tolerance)
+    require_callable(watch, "a watch")
+    require_level(level, LEVELS)
     add_theorem = _theorem() if level == THEOREM else None
     usual = level if add_theorem is None else THEOREM - 2
-    another = other if other is None else usable(other)
-    with progressing(watch) as work:
+    another = other if other is None else method_or_default(other)
+    with enter_computation(watch) as work:
         work.at_work("proof: the flight is flown again")
         found = examine(solution, usual, resolve or _solve_again, another, tolerance)
         if add_theorem is not None and found.level < usual:
@@ -324,18 +339,18 @@ def _theorem() -> Callable[[Verification, Solution, Watch | None], Verification]
         If ball arithmetic is not installed.
     """
     try:
-        from perilune.rigorous.verified import with_theorem
+        from perilune.rigorous.verified import add_theorem_checks
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "flint":
             raise
         raise PeriluneError(
             "a theorem needs python-flint, which is not installed", advice="pip install 'perilune[rigorous]'"
         ) from None
-    return with_theorem
+    return add_theorem_checks
 
 
 def _solve_again(problem: Problem, guess: Solution) -> Solution:
     def work(_: Iteration | str) -> None:
-        at_work("proof: neighbouring problems are solved again")
+        sign_of_life("proof: neighbouring problems are solved again")
 
     return Indirect().run(problem, guess, work)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from golden.answers import EXAMPLES, Record
-from perilune.cli import run
+from perilune.cli import run_command_line
 
 #: Clocks and versions, by key; in texts, by the words about them.
 PASSING = {"wall_time", "processor_time", "latency", "versions"}
@@ -95,7 +95,7 @@ def _said(line: str) -> Record:
     words = [re.sub(r"(?<=[\d])_(?=\w+$)", " ", word) for word in line.split()]
     before, out = set(_written()), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
-        code = run(words)
+        code = run_command_line(words)
     record: Record = {"exit": code}
     if "--json" in words:
         record["document"] = without_clocks(json.loads(out.getvalue()))

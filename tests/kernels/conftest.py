@@ -17,6 +17,6 @@ def _cache_of_the_kernels(tmp_path_factory: pytest.TempPathFactory):
 @pytest.fixture(params=["native", "scipy"])
 def backend(request: pytest.FixtureRequest) -> str:
     """Machine code, where it can be made, and SciPy's."""
-    if request.param == "native" and not native.available():
+    if request.param == "native" and not native.is_available():
         pytest.skip("llvmlite is not installed")
     return request.param

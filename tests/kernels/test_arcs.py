@@ -78,9 +78,9 @@ def test_dispersed_landings_agree_with_heyoka(backend: str) -> None:
 
 def through_heyoka(rhs: ca.Function, names: Any, heyoka: Any) -> list[Any]:
     """Evaluate the traced program on heyoka's expressions."""
-    from perilune.kernels.algebra.program import trace
+    from perilune.kernels.algebra.program import trace_function
 
-    program, values = trace(rhs), []
+    program, values = trace_function(rhs), []
     operations = {
         "add": lambda a, b: a + b,
         "sub": lambda a, b: a - b,

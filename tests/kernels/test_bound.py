@@ -184,7 +184,7 @@ def test_wrong_arguments_of_an_evaluation_are_named(backend: str) -> None:
             evaluate(*arguments)
 
 
-@pytest.mark.skipif(not native.available(), reason="machine code")
+@pytest.mark.skipif(not native.is_available(), reason="machine code")
 def test_a_map_may_be_larger_than_a_stack() -> None:
     """Four lanes of 700 unknowns and their Jacobian are 16 MB."""
     x = ca.SX.sym("x", 700 * 700)

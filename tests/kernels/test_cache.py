@@ -13,7 +13,7 @@ import pytest
 from perilune.kernels import compile_arcs
 from perilune.kernels.code import cache, native
 
-pytestmark = pytest.mark.skipif(not native.available(), reason="llvmlite is not installed")
+pytestmark = pytest.mark.skipif(not native.is_available(), reason="llvmlite is not installed")
 
 
 @pytest.fixture
@@ -50,15 +50,15 @@ def test_a_second_engine_takes_the_file(folder: Path, monkeypatch: pytest.Monkey
     first = fly()
     forbid_compiling(monkeypatch)
     assert fly() == first == pytest.approx(np.exp(-1), rel=1e-12)
-    assert cache.report().files == 1
-    assert cache.report().size == the_file(folder).stat().st_size
-    assert cache.report().path == folder
+    assert cache.report_cache().files == 1
+    assert cache.report_cache().size == the_file(folder).stat().st_size
+    assert cache.report_cache().path == folder
 
 
 def test_another_expression_is_another_file(folder: Path) -> None:
     fly(1.0)
     assert fly(2.0) == pytest.approx(np.exp(-2), rel=1e-12)
-    assert cache.report().files == 2
+    assert cache.report_cache().files == 2
 
 
 @pytest.mark.parametrize("part", ["empty", "cut", "flipped", "garbage"])
@@ -73,7 +73,7 @@ def test_a_corrupted_file_is_made_anew(folder: Path, part: str) -> None:
         "flipped": whole[:-40] + bytes([whole[-40] ^ 1]) + whole[-39:],
     }[part]
     path.write_bytes(damaged)
-    assert cache.load(path.stem) is None
+    assert cache.load_object(path.stem) is None
     assert fly() == pytest.approx(np.exp(-1), rel=1e-12)
     assert path.read_bytes() == whole
 
@@ -93,7 +93,7 @@ def test_a_file_that_others_may_write_is_not_taken(folder: Path) -> None:
     fly()
     path = the_file(folder)
     path.chmod(0o666)
-    assert cache.load(path.stem) is None
+    assert cache.load_object(path.stem) is None
 
 
 def test_a_killed_writer_leaves_nothing_that_is_read(folder: Path) -> None:
@@ -103,18 +103,18 @@ def test_a_killed_writer_leaves_nothing_that_is_read(folder: Path) -> None:
     child.join(30)
     assert child.exitcode == 9
     assert list(folder.glob("*.part"))
-    assert cache.load("key") is None
-    assert cache.report().files == 0
-    assert cache.save("key", b"body")
-    assert cache.load("key") == b"body"
-    cache.clear()
+    assert cache.load_object("key") is None
+    assert cache.report_cache().files == 0
+    assert cache.store_object("key", b"body")
+    assert cache.load_object("key") == b"body"
+    cache.clear_cache()
     assert not list(folder.iterdir())
 
 
 def _write_and_die(folder: str) -> None:
     os.environ["PERILUNE_CACHE"] = folder
     os.replace = lambda *_: os._exit(9)  # the power goes before the file has its name
-    cache.save("key", b"body")
+    cache.store_object("key", b"body")
 
 
 def test_processes_at_once(folder: Path) -> None:
@@ -132,7 +132,7 @@ def _use(folder: str) -> None:
 def test_no_cache_writes_nothing(folder: Path) -> None:
     assert fly(keep=False) == pytest.approx(np.exp(-1), rel=1e-12)
     assert not folder.exists()
-    assert cache.report().files == 0
+    assert cache.report_cache().files == 0
 
 
 @pytest.mark.parametrize("homeless", [False, True])
@@ -145,10 +145,10 @@ def test_without_a_directory_nothing_is_kept_and_all_works(monkeypatch: pytest.M
         monkeypatch.setenv("PERILUNE_CACHE", "off")
     assert cache.directory() is None
     assert fly() == pytest.approx(np.exp(-1), rel=1e-12)
-    assert cache.report() == cache.CacheReport(path=None, files=0, size=0, usable=False)
-    assert not cache.save("key", b"body")
-    assert cache.load("key") is None
-    assert cache.clear() == 0
+    assert cache.report_cache() == cache.CacheReport(path=None, files=0, size=0, usable=False)
+    assert not cache.store_object("key", b"body")
+    assert cache.load_object("key") is None
+    assert cache.clear_cache() == 0
     assert not Path("off").exists()
 
 
@@ -160,22 +160,22 @@ def test_a_directory_that_cannot_be_made_is_no_error(tmp_path: Path, monkeypatch
 
 def test_the_key_depends_on_the_processor(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fly()
-    triple, name, _ = native.processor()
-    monkeypatch.setattr(native, "processor", lambda: (triple, name, ""))
+    triple, name, _ = native.host_processor()
+    monkeypatch.setattr(native, "host_processor", lambda: (triple, name, ""))
     fly()
-    assert cache.report().files == 3  # the loop depends on it as well
+    assert cache.report_cache().files == 3  # the loop depends on it as well
 
 
 def test_what_is_not_used_for_longest_goes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "MOST_BYTES", 3500)
     for k, name in enumerate(("old", "used", "newer")):
-        assert cache.save(name, b"x" * 1000)
+        assert cache.store_object(name, b"x" * 1000)
         os.utime(folder / f"{name}.code", (k, k))
     (folder / "killed.part").write_bytes(b"half")
     os.utime(folder / "killed.part", (0, 0))
     (folder / "writing.part").write_bytes(b"half")
-    assert cache.load("used") == b"x" * 1000
-    assert cache.save("newest", b"x" * 1000)
+    assert cache.load_object("used") == b"x" * 1000
+    assert cache.store_object("newest", b"x" * 1000)
     assert sorted(path.name for path in folder.iterdir()) == ["newer.code", "newest.code", "used.code", "writing.part"]
-    assert cache.save("largest", b"x" * 9000)  # kept or not, nothing fails
-    assert cache.report().size <= 3500
+    assert cache.store_object("largest", b"x" * 9000)  # kept or not, nothing fails
+    assert cache.report_cache().size <= 3500

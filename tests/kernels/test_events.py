@@ -80,7 +80,7 @@ def test_two_crossings_of_what_is_no_cubic_are_found(backend: str, tolerance: fl
     assert np.isnan(arcs.event_time[:, 2:]).all()
 
 
-@pytest.mark.skipif(not native.available(), reason="llvmlite is not installed")
+@pytest.mark.skipif(not native.is_available(), reason="llvmlite is not installed")
 @pytest.mark.parametrize("depth", [1e-14, 1e-15, 0.0, -1e-15])
 @pytest.mark.parametrize("tolerance", [1e-9, 1e-13])
 def test_beside_a_double_zero_an_event_fires_twice_or_not_at_all(tolerance: float, depth: float) -> None:

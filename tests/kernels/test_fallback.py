@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from perilune.cli import run
+from perilune.cli import run_command_line
 from perilune.kernels import compile_arcs
 from perilune.kernels.flight import engine
 from perilune.shooting import flyer, propagate
@@ -27,7 +27,7 @@ def without_llvmlite(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setitem(sys.modules, "llvmlite", None)
     monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
     monkeypatch.setattr(engine, "_told", [])
-    kept = (propagate.engine, flyer.fleet)
+    kept = (propagate.arc_engine, flyer.fleet)
     for cache in kept:
         cache.cache_clear()
     yield
@@ -45,7 +45,7 @@ def test_falls_back_and_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
 
 @pytest.mark.usefixtures("without_llvmlite")
 def test_a_landing_is_solved_and_proved(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["solve", str(Path(__file__).parents[2] / "examples" / "ordinary_lander.toml")]) == 0
+    assert run_command_line(["solve", str(Path(__file__).parents[2] / "examples" / "ordinary_lander.toml")]) == 0
     assert "154.5413" in capsys.readouterr().out  # kg landed, as with machine code
 
 

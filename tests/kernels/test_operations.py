@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from perilune.kernels.algebra.program import hoist, trace
+from perilune.kernels.algebra.program import hoist, trace_function
 from perilune.kernels.code.mapped import compile_map
 from perilune.words.outcome import PeriluneError
 
@@ -124,18 +124,18 @@ def test_constant_powers(power: float) -> None:
 def test_an_unknown_operation_is_named() -> None:
     x = ca.SX.sym("x")
     with pytest.raises(PeriluneError, match="OP_ERF"):
-        trace(ca.Function("f", [x], [ca.erf(x)]))
+        trace_function(ca.Function("f", [x], [ca.erf(x)]))
 
 
 def test_a_function_that_is_not_sx_is_refused() -> None:
     x = ca.MX.sym("x")
     with pytest.raises(PeriluneError, match="only SX"):
-        trace(ca.Function("f", [x], [x]))
+        trace_function(ca.Function("f", [x], [x]))
 
 
 def test_equal_operations_are_done_once_and_divisors_are_shared() -> None:
     x = ca.SX.sym("x", 4)
-    program = trace(
+    program = trace_function(
         ca.Function("f", [x], [ca.vertcat(x[0] / x[3], x[1] / x[3], x[2] / x[3], x[0] * x[1] + x[1] * x[0])])
     )
     assert program.operations["div"] == 1
@@ -144,6 +144,6 @@ def test_equal_operations_are_done_once_and_divisors_are_shared() -> None:
 
 def test_what_depends_on_parameters_alone_is_hoisted() -> None:
     z, p = ca.SX.sym("z"), ca.SX.sym("p", 2)
-    before, during = hoist(trace(ca.Function("f", [z, p], [z * ca.sqrt(p[0] / p[1])])), 1)
+    before, during = hoist(trace_function(ca.Function("f", [z, p], [z * ca.sqrt(p[0] / p[1])])), 1)
     assert dict(before.operations) == {"div": 1, "sqrt": 1}
     assert dict(during.operations) == {"mul": 1}

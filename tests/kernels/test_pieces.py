@@ -6,8 +6,8 @@ import pytest
 
 from perilune.kernels import compile_arcs, compile_map
 from perilune.kernels.algebra import pieces as dividing
-from perilune.kernels.algebra.pieces import pieces
-from perilune.kernels.algebra.program import trace
+from perilune.kernels.algebra.pieces import split_program
+from perilune.kernels.algebra.program import trace_function
 
 X = ca.SX.sym("x", 5)
 
@@ -48,7 +48,7 @@ def test_arcs_fly_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_place_that_a_piece_writes_is_none_that_it_reads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dividing, "MOST", 4)
-    parts, held = pieces(trace(tangled()))
+    parts, held = split_program(trace_function(tangled()))
     assert len(parts) > 10
     for part in parts:
         read = {one[2] for one in part.instructions if one[:2] == ("input", dividing.HELD)}
@@ -58,8 +58,8 @@ def test_a_place_that_a_piece_writes_is_none_that_it_reads(monkeypatch: pytest.M
 
 
 def test_a_short_program_is_one_piece() -> None:
-    program = trace(tangled())
-    (part,), held = pieces(program)
+    program = trace_function(tangled())
+    (part,), held = split_program(program)
     assert (held, part.kept) == (0, {})
     assert len(part.instructions) == len(program.instructions)
     assert sorted(part.results) == list(range(len(program.outputs)))

@@ -30,7 +30,7 @@ print(native._near(), np.allclose(found, np.array(f(x[0])).ravel(), rtol=1e-9, a
 """
 
 
-@pytest.mark.skipif(not native.available() or sys.platform != "linux", reason="machine code on Linux")
+@pytest.mark.skipif(not native.is_available() or sys.platform != "linux", reason="machine code on Linux")
 def test_code_is_loaded_where_small_pieces_lie_far_from_large_ones() -> None:
     run = subprocess.run(
         [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=False, timeout=120, env=dict(os.environ)

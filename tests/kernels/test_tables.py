@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from perilune.kernels import compile_arcs, compile_map
-from perilune.kernels.algebra.program import hoist, trace
+from perilune.kernels.algebra.program import hoist, trace_function
 from perilune.words.maths import Table
 from perilune.words.types import Vector
 
@@ -52,11 +52,11 @@ def test_a_table_is_read_with_the_numbers_of_its_choices(kind: str, knots: int, 
 
 def test_choices_are_made_once_for_all_coefficients() -> None:
     """Two places, of x and of x + p, in place of hundreds of choices."""
-    program = trace(chosen(table(60)))
+    program = trace_function(chosen(table(60)))
     assert program.operations["read"] > 8 and program.operations["if_else_zero"] < 4  # beyond the last knot
     assert len({op[1] for op in program.instructions if op[0] == "read"}) == 2
     assert len(program.instructions) < 200
-    few = trace(chosen(table(3, "linear")))
+    few = trace_function(chosen(table(3, "linear")))
     assert few.operations["if_else_zero"] and not few.operations["read"]
 
 
@@ -69,7 +69,7 @@ def test_choices_that_are_no_table_are_left() -> None:
         mixed = ca.if_else((y if k == 3 else x) >= k, 2.0 + k, mixed)
         moving = ca.if_else(x >= k, 2.0 + k + y, moving)
     function = ca.Function("f", [x, y], [ca.vertcat(falling, mixed, moving)])
-    assert not trace(function).operations["read"]
+    assert not trace_function(function).operations["read"]
     points = np.random.default_rng(2).uniform(-7, 7, (50, 2))
     found = compile_map(function, backend="native")(points[:, :1].copy(), points[:, 1:].copy())[0]
     np.testing.assert_array_equal(found, np.array(function.map(50)(points[:, 0][None], points[:, 1][None])).T)
@@ -78,7 +78,7 @@ def test_choices_that_are_no_table_are_left() -> None:
 def test_a_table_of_a_parameter_is_read_once_for_an_arc() -> None:
     """It is handed over from the program that goes before."""
     x, p, of = ca.SX.sym("x"), ca.SX.sym("p"), table(12)
-    program = trace(ca.Function("f", [x, p], [x * of.chosen(p, ca.if_else)]))
+    program = trace_function(ca.Function("f", [x, p], [x * of.chosen(p, ca.if_else)]))
     before, during = hoist(program, 1)
     assert before.operations["read"] and not during.operations["read"]
     arc = compile_arcs(ca.Function("rhs", [x, p], [x * of.chosen(p, ca.if_else)])).dense(np.ones(1), np.zeros(1), 1.0)

@@ -13,14 +13,14 @@ from perilune.atlas.mapped import Mapped
 from perilune.atlas.query import Atlas
 from perilune.conditions.canonical import extremal_parameters
 from perilune.methods.answer import Curves
-from perilune.methods.breaches import breaches_of
+from perilune.methods.breaches import solution_violations
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Given
 from perilune.shooting.function import Shooting
 from perilune.solve import solve
 from perilune.words.outcome import CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
-from perilune.words.watch import Iteration, Watch, silent
+from perilune.words.watch import Iteration, Watch, ignore_events
 
 _SAME = 1e-12  # relative: a value that was not moved
 _FAMILY = 24  # extremals of a family to either side
@@ -35,7 +35,7 @@ _SLACK = 1e-6  # canonical, that is far above the errors of a flight, and far be
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flown:
+class FlightAnswer:
     """Flight with its origin, and the time that it took.
 
     Parameters
@@ -56,7 +56,7 @@ class Flown:
     latency: float
 
 
-class NoneNear(PeriluneError):
+class NoNearbyFlight(PeriluneError):
     """Failure to follow the flight before; a cold start may find one."""
 
 
@@ -88,7 +88,9 @@ class Answering:
         """Note that a flight known at the start comes from a file."""
         self._saved = self.last is not None
 
-    def at(self, values: Mapping[str, float], watch: Watch = silent, patient: Watch | None = None) -> Flown:
+    def at(
+        self, values: Mapping[str, float], watch: Watch = ignore_events, patient: Watch | None = None
+    ) -> FlightAnswer:
         """Return the flight at values of given parameters [SI]; all others are as the problem has them.
 
         `patient` replaces `watch` while the flight at the first values is found, from which all others are followed.
@@ -112,7 +114,7 @@ class Answering:
             found = near, source, words + why
         self._saved &= found[0] is self.last
         self.last = found[0]
-        return Flown(solution=found[0], source=found[1], words=found[2], latency=time.perf_counter() - began)
+        return FlightAnswer(solution=found[0], source=found[1], words=found[2], latency=time.perf_counter() - began)
 
     def _mapped(self, values: Mapping[str, float]) -> tuple[Solution, str, str] | None:
         atlas = self.atlas
@@ -149,7 +151,7 @@ class Answering:
         if self.last is None:
             return self._begun(problem, watch, patient)
         if self._saved:
-            if _alike(problem, self.last.problem):
+            if _same_given_values(problem, self.last.problem):
                 return self.last, "neighbour", "as it was saved"
             self._saved = False
             with suppress(PeriluneError):  # its arcs, which a file does not hold, are found once for all neighbours
@@ -161,8 +163,8 @@ class Answering:
         why = None
         if self._quick:  # that there is none is told as soon as a solve would
             try:
-                return self._found(problem, _shortly(watch, _QUICK))
-            except _TooLong:
+                return self._found(problem, _limit_cpu_time(watch, _QUICK))
+            except _CpuTimeExceeded:
                 self._quick = False
             except NotConvergedError as error:
                 why = error
@@ -173,24 +175,24 @@ class Answering:
         if why is not None:
             raise why
         try:  # a family that ends here: from nothing there may be another
-            return self._found(problem, _shortly(watch, _LOOK))
-        except _TooLong:
+            return self._found(problem, _limit_cpu_time(watch, _LOOK))
+        except _CpuTimeExceeded:
             what, advice = "there is no extremal near the flight before", "wait: one is looked for from nothing"
-            raise NoneNear(what, advice=advice) from None
+            raise NoNearbyFlight(what, advice=advice) from None
 
     def _begun(self, problem: Problem, watch: Watch, patient: Watch) -> tuple[Solution, str, str]:
         """Find the first flight; a link may hold values that a slider reached, and a cold start does not, or not soon.
 
         Then it is followed from the flight at the first values, which is searched for once.
         """
-        if _alike(problem, self.problem):
+        if _same_given_values(problem, self.problem):
             self._from_first = False
             return self._found(problem, patient)
         if not self._from_first:
             return self._found(problem, watch)
         try:
-            return self._found(problem, _shortly(watch, _FOLLOW))
-        except (NotConvergedError, _TooLong) as error:
+            return self._found(problem, _limit_cpu_time(watch, _FOLLOW))
+        except (NotConvergedError, _CpuTimeExceeded) as error:
             why = error
         self._from_first = False
         with suppress(PeriluneError):
@@ -263,44 +265,44 @@ class Answering:
         """
         began = time.thread_time()
         try:
-            found = solve(problem, guess=last, level=0, watch=_shortly(watch, limit))
-        except (PeriluneError, _TooLong) as error:
+            found = solve(problem, guess=last, level=0, watch=_limit_cpu_time(watch, limit))
+        except (PeriluneError, _CpuTimeExceeded) as error:
             if isinstance(error, InfeasibleError) and error.reason == CANNOT_BE_FLOWN:
                 raise
             return None
-        if not keeps(found):
+        if not meets_path_constraints(found):
             return None
         self.patience = max(_PATIENT[0], _PATIENT[1] * (time.thread_time() - began))
         return found
 
 
-def _alike(problem: Problem, other: Problem) -> bool:
+def _same_given_values(problem: Problem, other: Problem) -> bool:
     """Return True if the given values of two problems are equal, however they were stated."""
     return all(given.value == other.given[name].value for name, given in problem.given.items())
 
 
-def keeps(solution: Solution) -> bool:
+def meets_path_constraints(solution: Solution) -> bool:
     """Return True if a flight keeps the bounds and conditions along its path, which a neighbour of one need not."""
-    return next(breaches_of(solution, _SLACK), None) is None
+    return next(solution_violations(solution, _SLACK), None) is None
 
 
-class _TooLong(BaseException):
+class _CpuTimeExceeded(BaseException):
     """End of the time of a short solve; no `Exception`, which a method would try to recover from."""
 
 
-def _shortly(watch: Watch, seconds: float) -> Watch:
-    """Return the watch with a limit of CPU time [s], after which it raises `_TooLong`."""
+def _limit_cpu_time(watch: Watch, seconds: float) -> Watch:
+    """Return the watch with a limit of CPU time [s], after which it raises `_CpuTimeExceeded`."""
     end = time.thread_time() + seconds
 
     def seen(event: Iteration | str) -> None:
         watch(event)
         if time.thread_time() > end:
-            raise _TooLong
+            raise _CpuTimeExceeded
 
     return seen
 
 
-def family(solution: Solution) -> dict[str, object] | None:
+def cost_along_free_parameter(solution: Solution) -> dict[str, object] | None:
     """Compute J of extremals with the first free parameter held, over the range of those found and a little more.
 
     None if nothing is free, or the answer has several arcs; else {"name", "unit", "values", "objective"}, SI.

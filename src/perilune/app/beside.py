@@ -13,7 +13,7 @@ from multiprocessing import active_children, get_context
 from threading import Thread
 from typing import Any, TypeVar
 
-from perilune.families.elsewhere import deaf, end_with_parent
+from perilune.families.elsewhere import end_with_parent, ignore_interrupt_in_children
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Iteration
 
@@ -22,11 +22,11 @@ _TRIES = 2  # of work whose process is killed
 _T = TypeVar("_T")
 
 
-class Dropped(BaseException):
+class SupersededWork(BaseException):
     """End of work for which nobody waits; no `Exception`, which a method would try to recover from."""
 
 
-class Killed(PeriluneError):
+class WorkerKilled(PeriluneError):
     """Failure of work whose process was killed at each attempt."""
 
 
@@ -51,7 +51,7 @@ async def in_thread(work: Callable[..., _T], *arguments: Any) -> _T:
     return await answer
 
 
-class Beside:
+class WorkerProcess:
     """Process that does one piece of work after the other; a killed one is started again."""
 
     def __init__(self) -> None:
@@ -86,15 +86,15 @@ class Beside:
                 except BrokenExecutor:
                     self.killed += 1
                     self._end()
-            raise Killed("the process that compares and proves was killed whenever it worked on this flight")
+            raise WorkerKilled("the process that compares and proves was killed whenever it worked on this flight")
 
     async def _tried(self, work: Callable[..., _T], *arguments: Any) -> _T:
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, self._context, _begin, (self._wanted,))
+            self._pool = ProcessPoolExecutor(1, self._context, _initialize_worker, (self._wanted,))
         self._wanted.value += 1
-        with deaf():  # the process begins with what is handed to it first
+        with ignore_interrupt_in_children():  # the process begins with what is handed to it first
             number, loop = self._wanted.value, asyncio.get_running_loop()
-            running = loop.run_in_executor(self._pool, _in_process, number, work, *arguments)
+            running = loop.run_in_executor(self._pool, _run_in_worker, number, work, *arguments)
         running.add_done_callback(lambda done: done.cancelled() or done.exception())  # also if nobody asks
         try:
             await asyncio.wait([running])
@@ -119,17 +119,17 @@ class Beside:
 _number: Any = None  # in the process: that of the work that somebody waits for
 
 
-def _begin(wanted: Any) -> None:
+def _initialize_worker(wanted: Any) -> None:
     """Initialise the process: share the number of the wanted work, and end with a killed program."""
     global _number
     _number = wanted
     end_with_parent()
 
 
-def _in_process(number: int, work: Callable[..., _T], *arguments: Any) -> _T:
+def _run_in_worker(number: int, work: Callable[..., _T], *arguments: Any) -> _T:
     def watch(event: Iteration | str) -> None:
         if _number.value != number:
-            raise Dropped
+            raise SupersededWork
 
     watch("")
     return work(*arguments, watch)

@@ -17,10 +17,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from perilune.app.answering import Answering, Flown, NoneNear, family
-from perilune.app.beside import Beside, Dropped, Killed, in_thread
-from perilune.app.frames import extremals, flight, hello, refusal
-from perilune.app.resting import compared, from_nothing, proved
+from perilune.app.answering import Answering, FlightAnswer, NoNearbyFlight, cost_along_free_parameter
+from perilune.app.beside import SupersededWork, WorkerKilled, WorkerProcess, in_thread
+from perilune.app.frames import extremals_message, flight_message, opening_message, refusal_message
+from perilune.app.resting import compare_with_cold_start, prove_timed, solve_without_guess
 from perilune.app.slices import Slices
 from perilune.app.subject import Subject
 from perilune.problem.solution import Solution
@@ -54,7 +54,7 @@ class Client:
         What is explored, the page, and the process for what takes long.
     """
 
-    def __init__(self, subject: Subject, socket: WebSocket, beside: Beside) -> None:
+    def __init__(self, subject: Subject, socket: WebSocket, beside: WorkerProcess) -> None:
         self.subject, self.socket, self.beside = subject, socket, beside
         self.name = secrets.token_urlsafe(9)
         self.answering = Answering(subject.problem, subject.atlas, subject.known)
@@ -67,7 +67,7 @@ class Client:
 
     async def run(self) -> None:
         """Until it has gone."""
-        await self._send({"type": "hello", "client": self.name, **hello(self.subject)})
+        await self._send({"type": "hello", "client": self.name, **opening_message(self.subject)})
         reading, answering = asyncio.create_task(self._read()), asyncio.create_task(self._answer())
         try:
             done, left = await asyncio.wait([reading, answering], return_when=asyncio.FIRST_COMPLETED)
@@ -92,9 +92,9 @@ class Client:
                 await self.socket.close(1008, "too much at once")
                 return
             try:
-                self._newest = asked(text, self.subject)
+                self._newest = parse_request(text, self.subject)
             except PeriluneError as error:
-                await self._send({"type": "fault", **refusal(error)})
+                await self._send({"type": "fault", **refusal_message(error)})
                 continue
             self._new.set()
 
@@ -124,7 +124,7 @@ class Client:
         finally:
             doing.cancel()  # nobody waits for it if the page has gone
 
-    def _flown(self, request: dict[str, Any]) -> Flown | PeriluneError | None:
+    def _flown(self, request: dict[str, Any]) -> FlightAnswer | PeriluneError | None:
         """Return, in a thread, the flight at the newest values, its error, or None if newer values have come."""
         self._doing = "stating the problem"
 
@@ -135,27 +135,27 @@ class Client:
                 if isinstance(event, str):
                     self._doing = event
                 if self._gone or (self._new.is_set() and clock() > end):
-                    raise Dropped
+                    raise SupersededWork
 
             return watch
 
         try:
             watches = watching(time.monotonic, _SLOW), watching(time.thread_time, _FIRST)
             return self.answering.at(request["values"], *watches)
-        except Dropped:
+        except SupersededWork:
             return None
         except Exception as error:
-            return in_words(error)
+            return page_error(error)
 
-    async def _show(self, request: dict[str, Any], found: Flown | PeriluneError) -> None:
+    async def _show(self, request: dict[str, Any], found: FlightAnswer | PeriluneError) -> None:
         number, values = request["number"], request["values"]
         head = {"number": number, "values": values}
-        if isinstance(found, Flown):
+        if isinstance(found, FlightAnswer):
             began = time.perf_counter()
             try:
-                document = await in_thread(flight, found.solution)
+                document = await in_thread(flight_message, found.solution)
             except Exception as error:
-                found = in_words(error)
+                found = page_error(error)
             else:
                 latency = found.latency + time.perf_counter() - began
                 more = {"source": found.source, "words": found.words, "solved": found.latency, "latency": latency}
@@ -163,22 +163,22 @@ class Client:
                 await self._send({"type": "flight", **head, **document, **more})
                 return
         self.shown = Shown(number, values, None)
-        await self._send({"type": "refusal", **head, **refusal(found)})
+        await self._send({"type": "refusal", **head, **refusal_message(found)})
 
     # -- at rest --------------------------------------------------------------------------------------------------
 
-    async def _rested(self, request: dict[str, Any], found: Flown | PeriluneError) -> None:
+    async def _rested(self, request: dict[str, Any], found: FlightAnswer | PeriluneError) -> None:
         """Compute what takes longer than a frame, until newer values come."""
         number, killed, told = request["number"], self.beside.killed, ""
         try:
-            if isinstance(found, Flown) and self.subject.atlas is not None:
+            if isinstance(found, FlightAnswer) and self.subject.atlas is not None:
                 drawn = partial(self.slices.at, request["values"], request["slice"], lambda: not self._stale)
                 await self._beside_it("slice", request, "drawing the map", drawn)
             better = None if self._new.is_set() else await self._compared(request, found)
             if better is not None:
                 words = "following the family of extremals"
-                await self._beside_it("family", request, words, partial(family, better))
-                proof = await self._done(request, "proving", None, proved, better)
+                await self._beside_it("family", request, words, partial(cost_along_free_parameter, better))
+                proof = await self._done(request, "proving", None, prove_timed, better)
                 if proof is not None:
                     if self.shown.number == number:  # what is taken away says it too
                         self.shown = self.shown._replace(solution=proof.of(better))
@@ -186,7 +186,7 @@ class Client:
         except WebSocketDisconnect:
             raise
         except Exception as error:
-            why = in_words(error)
+            why = page_error(error)
             told = f"{why.what} {why.got}".strip()
         if not told and self.beside.killed > killed:
             told = "the process that compares and proves was killed, and begun anew"
@@ -200,27 +200,27 @@ class Client:
         if self._stale:
             return
         self._doing = words
-        known = await self._telling(self._unless_newer(in_thread(_quietly, work)), request)
+        known = await self._telling(self._unless_newer(in_thread(_answer_or_none, work)), request)
         if known is not None:
             await self._send({"type": kind, "number": request["number"], **known})
 
-    async def _compared(self, request: dict[str, Any], found: Flown | PeriluneError) -> Solution | None:
+    async def _compared(self, request: dict[str, Any], found: FlightAnswer | PeriluneError) -> Solution | None:
         """The flight that is to be proved: what was shown, or what is found from nothing, which is shown then."""
-        if isinstance(found, Flown) and found.source != "neighbour":
+        if isinstance(found, FlightAnswer) and found.source != "neighbour":
             return found.solution
-        if isinstance(found, PeriluneError) and not isinstance(found, NoneNear):
+        if isinstance(found, PeriluneError) and not isinstance(found, NoNearbyFlight):
             return None
         began, words = time.perf_counter(), f"looking from nothing for a better one, for {COMPARING:g} s at most"
         try:
-            if isinstance(found, NoneNear):
+            if isinstance(found, NoNearbyFlight):
                 problem = self.answering.problem_at(request["values"])
-                better = await self._done(request, words, COMPARING, from_nothing, problem)
+                better = await self._done(request, words, COMPARING, solve_without_guess, problem)
             else:
-                better = await self._done(request, words, COMPARING, compared, found.solution)
-        except Killed:
+                better = await self._done(request, words, COMPARING, compare_with_cold_start, found.solution)
+        except WorkerKilled:
             raise
         except (TimeoutError, PeriluneError) as error:
-            if isinstance(found, NoneNear):
+            if isinstance(found, NoNearbyFlight):
                 late = PeriluneError(
                     "there is no extremal near the flight before", got=f"none in {COMPARING:g} s from nothing"
                 )
@@ -235,16 +235,18 @@ class Client:
         if better.jumped:
             took = time.perf_counter() - began
             self.answering.last = better.solution
-            jump = Flown(solution=better.solution, source="jumped", words=better.words, latency=took)
+            jump = FlightAnswer(solution=better.solution, source="jumped", words=better.words, latency=took)
             await self._show(request, jump)
         if better.family is not None:
             await self._send({"type": "family", "number": request["number"], **better.family})
         if better.jumped:
             return better.solution
-        assert isinstance(found, Flown), "what jumped was another"
+        assert isinstance(found, FlightAnswer), "what jumped was another"
         known = replace(found.solution, extremals=better.solution.extremals)  # as it was found, with its family
         self.shown = self.shown._replace(solution=known)
-        await self._send({"type": "compared", "number": request["number"], "words": better.words, **extremals(known)})
+        await self._send(
+            {"type": "compared", "number": request["number"], "words": better.words, **extremals_message(known)}
+        )
         return known
 
     async def _done(
@@ -291,7 +293,7 @@ class Client:
         await self.socket.send_text(json.dumps(document, allow_nan=False, separators=(",", ":")))
 
 
-def in_words(error: Exception) -> PeriluneError:
+def page_error(error: Exception) -> PeriluneError:
     """Return an error for a page; one that is no refusal is a fault of the program."""
     if isinstance(error, PeriluneError):
         return error
@@ -299,7 +301,7 @@ def in_words(error: Exception) -> PeriluneError:
     return PeriluneError("perilune failed, which is a fault of the program and not yours", got=got)
 
 
-def asked(text: str, subject: Subject) -> dict[str, Any]:
+def parse_request(text: str, subject: Subject) -> dict[str, Any]:
     """Parse and check a request of a page: finite numbers of ordinary size for existing knobs.
 
     Raises
@@ -326,7 +328,7 @@ def asked(text: str, subject: Subject) -> dict[str, Any]:
     return {"number": number, "values": found, "slice": [name for name in axes if name in known and known[name].mapped]}
 
 
-def _quietly(work: Any) -> Any:
+def _answer_or_none(work: Any) -> Any:
     """Return the result of work; None if the physics or the map refuse it."""
     try:
         return work()

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from perilune.app.subject import Subject
-from perilune.io.columns import columns, seen_at
-from perilune.io.export import extremals_document, results
+from perilune.io.columns import display_times, phase_columns
+from perilune.io.export import extremals_document, results_document
 from perilune.io.files import finite
 from perilune.problem.solution import Solution, full
 from perilune.problem.verification import Verification
@@ -28,7 +28,7 @@ _TENS = np.array([float(f"1e{k}") for k in range(_MOST_PLACES + 1)])
 _FLAT = 1e-9  # of its size: what spans less is rounding
 
 
-def hello(subject: Subject) -> dict[str, Any]:
+def opening_message(subject: Subject) -> dict[str, Any]:
     """Return the first message to a page: the problem, its title, and what can be moved."""
     problem = subject.problem
     return {
@@ -49,7 +49,7 @@ def _coasts() -> list[list[list[float]]]:
     return [line.round(1).tolist() for line in coastline()]
 
 
-def flight(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> dict[str, Any]:
+def flight_message(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> dict[str, Any]:
     """Return the message of a flight with all that is drawn of it; numbers in the units given with them.
 
     It has about `points` points, and at least `digits` significant digits in its columns.
@@ -60,18 +60,18 @@ def flight(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> d
     plane = plane_of_flight(solution) if over_limb else None
     for k, (phase, duration) in enumerate(zip(solution.problem.phases, lasting, strict=True)):
         count = max(_LEAST, round(points * duration / max(sum(lasting), 1e-300)))
-        t = seen_at(solution.trajectories[k], count)
+        t = display_times(solution.trajectories[k], count)
         shown = {
-            name: {"unit": column.unit, "values": drawn(column.values, digits)}
-            for name, column in columns(solution, k, t).items()
+            name: {"unit": column.unit, "values": round_curve(column.values, digits)}
+            for name, column in phase_columns(solution, k, t).items()
             if name != "time"
         }
         phases.append(
             {
                 "name": phase.name,
-                "time": rounded(begin + t, digits),
+                "time": round_to_digits(begin + t, digits),
                 "columns": shown,
-                "way": _way(solution, k, t, plane),
+                "way": _path_message(solution, k, t, plane),
             }
         )
         begin += duration
@@ -79,13 +79,13 @@ def flight(solution: Solution, points: int = POINTS, digits: int = _DIGITS) -> d
         "title": solution.problem.heading,
         "objective": float(solution.objective),
         "unit": solution.problem.objective_unit,
-        "results": finite(results(solution)),
+        "results": finite(results_document(solution)),
         "labels": _labels(solution),
         "free": dict(solution.free),
-        **extremals(solution),
+        **extremals_message(solution),
         "phases": phases,
-        "proof": proof(solution.verification),
-        "views": _views(solution),
+        "proof": proof_message(solution.verification),
+        "views": _views_message(solution),
     }
 
 
@@ -101,13 +101,13 @@ def _labels(solution: Solution) -> dict[str, str]:
     return {name: label for name, label in {**alone, **numbers}.items() if label}
 
 
-def extremals(solution: Solution) -> dict[str, Any]:
+def extremals_message(solution: Solution) -> dict[str, Any]:
     """Return the message of all extremals found, best first: in words, and free parameters and J of each [SI]."""
     found = [{"free": dict(extremal.free), "objective": extremal.objective} for extremal in solution.extremals]
     return finite({"extremals": extremals_document(solution), "roots": found})
 
 
-def _views(solution: Solution) -> dict[str, Any]:
+def _views_message(solution: Solution) -> dict[str, Any]:
     """Return the histories to draw, the coordinates of the ground track, and the names of the controls."""
     views = solution.problem.views
     ground = views.ground or views.space
@@ -119,7 +119,7 @@ def _views(solution: Solution) -> dict[str, Any]:
     }
 
 
-def proof(verification: Verification) -> dict[str, Any]:
+def proof_message(verification: Verification) -> dict[str, Any]:
     """Return the message of the checks: each with its value, its limit and its meaning."""
     return {
         "level": verification.level,
@@ -139,7 +139,7 @@ def proof(verification: Verification) -> dict[str, Any]:
     }
 
 
-def refusal(error: PeriluneError) -> dict[str, Any]:
+def refusal_message(error: PeriluneError) -> dict[str, Any]:
     """Return the message of an error in place of a flight."""
     reason = error.reason if isinstance(error, InfeasibleError) else ""
     return {
@@ -152,7 +152,7 @@ def refusal(error: PeriluneError) -> dict[str, Any]:
     }
 
 
-def rounded(values: Vector | Sequence[float], digits: int = _DIGITS) -> list[float | None]:
+def round_to_digits(values: Vector | Sequence[float], digits: int = _DIGITS) -> list[float | None]:
     """Round numbers to significant digits, None for those not finite; with all digits they stay as they are."""
     told = np.asarray(values, dtype=float)
     good = np.isfinite(told)
@@ -165,18 +165,18 @@ def rounded(values: Vector | Sequence[float], digits: int = _DIGITS) -> list[flo
     return numbers if good.all() else [v if there else None for v, there in zip(numbers, good, strict=True)]
 
 
-def drawn(values: Vector, digits: int = _DIGITS) -> list[float | None]:
+def round_curve(values: Vector, digits: int = _DIGITS) -> list[float | None]:
     """Round a curve; one far from zero relative to its span needs more digits to show its shape."""
     seen = values[np.isfinite(values)]
     span, most = (np.ptp(seen), np.abs(seen).max()) if len(seen) else (0.0, 0.0)
-    return rounded(values, digits + (math.ceil(math.log10(most / span)) if span > most * _FLAT else 0))
+    return round_to_digits(values, digits + (math.ceil(math.log10(most / span)) if span > most * _FLAT else 0))
 
 
 def _short(value: float, digits: int = _DIGITS) -> float | None:
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 
-def _way(solution: Solution, k: int, t: Vector, plane: Matrix | None) -> dict[str, Any] | None:
+def _path_message(solution: Solution, k: int, t: Vector, plane: Matrix | None) -> dict[str, Any] | None:
     """Return the path of a phase: angle and height over the limb, or a track over flat ground; None with neither."""
     phase = solution.problem.phases[k]
     if plane is not None:
@@ -185,13 +185,19 @@ def _way(solution: Solution, k: int, t: Vector, plane: Matrix | None) -> dict[st
         angle, strength = np.unwrap(np.arctan2(ahead, above)), np.linalg.norm(push, axis=0)
         out, on = plane @ push / np.where(strength > 0, strength, 1.0)
         cosine, sine = np.cos(angle), np.sin(angle)
-        thrust = [rounded(out * cosine + on * sine), rounded(on * cosine - out * sine)]
+        thrust = [round_to_digits(out * cosine + on * sine), round_to_digits(on * cosine - out * sine)]
         radius = float(getattr(solution.parameters, solution.problem.views.radius))
         height = np.linalg.norm(r, axis=0) - radius
-        return {"kind": "limb", "radius": radius, "along": rounded(angle), "height": rounded(height), "thrust": thrust}
+        return {
+            "kind": "limb",
+            "radius": radius,
+            "along": round_to_digits(angle),
+            "height": round_to_digits(height),
+            "thrust": thrust,
+        }
     if phase.track is not None:
         x, u = solution.flown(k, t)
         rows = [full(value, t) for value in phase.evaluate("track", x, u, solution.parameters)]
         named = zip(("along", "across", "height", "floor"), rows, strict=False)
-        return {"kind": "flat", **{name: rounded(row) for name, row in named}}
+        return {"kind": "flat", **{name: round_to_digits(row) for name, row in named}}
     return None

@@ -9,7 +9,7 @@ import numpy as np
 
 from perilune.atlas.query import Atlas
 from perilune.models.kinds import KINDS, key_of
-from perilune.problem.preflight import possible, preflight
+from perilune.problem.preflight import is_possible, preflight
 from perilune.problem.problem import Problem
 from perilune.words.declared import Quantity
 from perilune.words.outcome import PeriluneError
@@ -65,7 +65,7 @@ def knobs(problem: Problem, atlas: Atlas | None = None) -> tuple[Knob, ...]:
     found = [_knob(problem, axis.name, float(axis.low), float(axis.high), mapped=True) for axis in axes]
     stated = {name for name in problem.given if key_of(name) != name} or set(problem.given)
     for name in stated - {axis.name for axis in axes}:
-        reach = _reach(problem, name)
+        reach = _slider_range(problem, name)
         if reach is not None:
             found.append(_knob(problem, name, *reach))
     order = {name: place for place, name in enumerate([*(axis.name for axis in axes), *problem.given])}
@@ -75,16 +75,16 @@ def knobs(problem: Problem, atlas: Atlas | None = None) -> tuple[Knob, ...]:
 def _knob(problem: Problem, name: str, low: float, high: float, mapped: bool = False) -> Knob:
     given, key = problem.given.get(name), key_of(name)
     value = 0.5 * (low + high) if given is None else min(max(float(given.value), low), high)
-    unit, size = _shown(problem.unit_of(name), max(abs(low), abs(high)))
+    unit, size = _slider_unit(problem.unit_of(name), max(abs(low), abs(high)))
     natural = key.partition(".")[0] in _NATURE or key.endswith("standard_gravity")
     return Knob(
         name=name, key=key, unit=unit, size=size, low=low, high=high, value=value, mapped=mapped, natural=natural
     )  # fmt: skip
 
 
-def _reach(problem: Problem, name: str) -> tuple[float, float] | None:
+def _slider_range(problem: Problem, name: str) -> tuple[float, float] | None:
     """Return a range around a value within which it can be stated and flown; None if its width is unknown."""
-    value, room = float(problem.given[name].value), _room(problem, name)
+    value, room = float(problem.given[name].value), _half_width_of_range(problem, name)
     if not room:
         return None
     section, _, key = key_of(name).partition(".")
@@ -93,11 +93,11 @@ def _reach(problem: Problem, name: str) -> tuple[float, float] | None:
     least, most = -math.inf, math.inf
     if entry is not None and isinstance(entry.declared, Quantity):
         least, most = entry.declared.low, entry.declared.high
-    low, high = (_end(problem, name, value, min(max(value + way * room, least), most)) for way in (-1, 1))
+    low, high = (_slider_end(problem, name, value, min(max(value + way * room, least), most)) for way in (-1, 1))
     return (low, high) if low < high else None
 
 
-def _room(problem: Problem, name: str) -> float:
+def _half_width_of_range(problem: Problem, name: str) -> float:
     """Return the half-width of a range: by the value's size, else by those of its section, else of its unit."""
     given = problem.given[name]
     if given.value:
@@ -113,28 +113,28 @@ def _room(problem: Problem, name: str) -> float:
     return _WIDE * (beside or max(chosen, default=0.0))
 
 
-def _end(problem: Problem, name: str, value: float, end: float) -> float:
+def _slider_end(problem: Problem, name: str, value: float, end: float) -> float:
     """Return the end of a range: all values up to it can be stated and, if any there can, be flown."""
     values = np.linspace(value, end, _LOOKS + 1)
-    flown = _possible(problem, name, values)
+    flown = _can_be_flown(problem, name, values)
     if not flown[0]:  # nor is the value itself: as far as something can be flown, if it is not much further
         further = value + _FURTHER * (values - value)
-        flown = _possible(problem, name, further)
-        return float(further[-1] if flown.any() and _stated(problem, name, further[-1]) else values[-1])
+        flown = _can_be_flown(problem, name, further)
+        return float(further[-1] if flown.any() and _can_be_stated(problem, name, further[-1]) else values[-1])
     good, bad = value, float(values[-1] if flown.all() else values[np.argmin(flown) - 1])
-    if _stated(problem, name, bad):
+    if _can_be_stated(problem, name, bad):
         return bad
     for _ in range(_HALVINGS):
         middle = 0.5 * (good + bad)
-        good, bad = (middle, bad) if _stated(problem, name, middle) else (good, middle)
+        good, bad = (middle, bad) if _can_be_stated(problem, name, middle) else (good, middle)
     return good
 
 
-def _possible(problem: Problem, name: str, values: Vector) -> Vector:
-    return np.broadcast_to(possible(preflight(problem, over={name: values})), values.shape)
+def _can_be_flown(problem: Problem, name: str, values: Vector) -> Vector:
+    return np.broadcast_to(is_possible(preflight(problem, over={name: values})), values.shape)
 
 
-def _stated(problem: Problem, name: str, value: float) -> bool:
+def _can_be_stated(problem: Problem, name: str, value: float) -> bool:
     try:
         with np.errstate(all="ignore"):  # a model may find out by its numbers
             problem.with_given(**{name: float(value)})
@@ -143,7 +143,7 @@ def _stated(problem: Problem, name: str, value: float) -> bool:
     return True
 
 
-def _shown(unit: str, most: float) -> tuple[str, float]:
+def _slider_unit(unit: str, most: float) -> tuple[str, float]:
     """Return the display unit, and its size in SI."""
     if unit == "rad":
         return "deg", math.pi / 180

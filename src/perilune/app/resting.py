@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from perilune.app.answering import family
-from perilune.app.frames import proof
+from perilune.app.answering import cost_along_free_parameter
+from perilune.app.frames import proof_message
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -26,7 +26,7 @@ _SAME = 1e-7  # of J: far above what Newton's method leaves, far below what anyb
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compared:
+class ColdStartComparison:
     """Better flight of a followed one and a cold start, with the relation between the two.
 
     Parameters
@@ -38,8 +38,8 @@ class Compared:
     words
         The same for people.
     family
-        Of another one, and of one as it was saved: J along its free parameter (`perilune.app.answering.family`), which
-        needs it as it was found.
+        Of another one, and of one as it was saved: J along its free parameter
+        (`perilune.app.answering.cost_along_free_parameter`), which needs it as it was found.
     """
 
     solution: Solution
@@ -49,7 +49,7 @@ class Compared:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Proved:
+class TimedProof:
     """Proof of a solution: outcome, checks, and time that it took [s]."""
 
     outcome: Outcome
@@ -59,7 +59,7 @@ class Proved:
     @property
     def document(self) -> dict[str, Any]:
         """Return the message to a page."""
-        level, shown = self.verification.level, proof(self.verification)
+        level, shown = self.verification.level, proof_message(self.verification)
         return {"outcome": self.outcome.name, "level": level, "proof": shown, "took": self.took}
 
     def of(self, solution: Solution) -> Solution:
@@ -67,7 +67,7 @@ class Proved:
         return replace(solution, outcome=self.outcome, verification=self.verification)
 
 
-def compared(followed: Solution, watch: Watch) -> Compared:
+def compare_with_cold_start(followed: Solution, watch: Watch) -> ColdStartComparison:
     """Solve the problem of a followed flight by a cold start, and take the better of both.
 
     Raises
@@ -77,22 +77,24 @@ def compared(followed: Solution, watch: Watch) -> Compared:
     """
     found = solve(followed.problem, level=0, watch=watch)
     room, best = _SAME * (1.0 + abs(found.objective)), found.extremals
-    own = _own(followed)
+    own = _followed_extremal(followed)
     if found.objective < followed.objective - room:
         if all(abs(own.objective - other.objective) > room for other in best):
-            best = (*best, *_outdone([own]))
-        words = f"the optimum has jumped: {cost(found)}, best of {len(best)} found; {cost(followed)} where it was"
+            best = (*best, *_mark_dominated([own]))
+        words = f"the optimum has jumped: {objective_in_words(found)}, best of {len(best)} found; {objective_in_words(followed)} where it was"
         found = replace(found, extremals=best)
-        return Compared(solution=found, jumped=True, words=words, family=family(found))
+        return ColdStartComparison(solution=found, jumped=True, words=words, family=cost_along_free_parameter(found))
     same = abs(found.objective - followed.objective) <= room
     saved = not followed.extremals  # of which nobody has looked yet what it is: what it was found to be
-    best = (*(best[:1] if same and saved else [own]), *(best[1:] if same else _outdone(best)))
+    best = (*(best[:1] if same and saved else [own]), *(best[1:] if same else _mark_dominated(best)))
     words = f"best of {len(best)} found" + ("" if same else ", the others from nothing")
     shown = replace(followed, extremals=best, listed=())
-    return Compared(solution=shown, jumped=False, words=words, family=family(found) if same and saved else None)
+    return ColdStartComparison(
+        solution=shown, jumped=False, words=words, family=cost_along_free_parameter(found) if same and saved else None
+    )
 
 
-def from_nothing(problem: Problem, watch: Watch) -> Compared:
+def solve_without_guess(problem: Problem, watch: Watch) -> ColdStartComparison:
     """Solve by a cold start where no flight is near.
 
     Raises
@@ -102,27 +104,27 @@ def from_nothing(problem: Problem, watch: Watch) -> Compared:
     """
     found = solve(problem, level=0, watch=watch)
     words = f"found from nothing, where none is near; best of {len(found.extremals)} found"
-    return Compared(solution=found, jumped=True, words=words, family=family(found))
+    return ColdStartComparison(solution=found, jumped=True, words=words, family=cost_along_free_parameter(found))
 
 
-def proved(solution: Solution, watch: Watch) -> Proved:
+def prove_timed(solution: Solution, watch: Watch) -> TimedProof:
     """Prove a solution, and take the time."""
     began = time.perf_counter()
     found = prove(solution, LEVEL)
-    return Proved(outcome=found.outcome, verification=found.verification, took=time.perf_counter() - began)
+    return TimedProof(outcome=found.outcome, verification=found.verification, took=time.perf_counter() - began)
 
 
-def cost(solution: Solution) -> str:
+def objective_in_words(solution: Solution) -> str:
     """Return the objective in words."""
     return objective_text(solution).replace("J = ", "J ")
 
 
-def _own(followed: Solution) -> Extremal:
+def _followed_extremal(followed: Solution) -> Extremal:
     """Return the extremal that was followed; of a saved flight its nature is not proved."""
     if not followed.extremals:
         return Extremal(free=followed.free, objective=followed.objective, nature=Nature.UNPROVED)
     return replace(followed.extremals[0], nature=followed.extremals[0].nature.unguided)
 
 
-def _outdone(extremals: Iterable[Extremal]) -> list[Extremal]:
+def _mark_dominated(extremals: Iterable[Extremal]) -> list[Extremal]:
     return [replace(e, nature=e.nature.outdone) for e in extremals]

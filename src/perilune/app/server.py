@@ -18,7 +18,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from perilune.app.beside import Beside, in_thread
+from perilune.app.beside import WorkerProcess, in_thread
 from perilune.app.client import Client
 from perilune.app.files import page_files
 from perilune.app.subject import Subject
@@ -52,7 +52,7 @@ class Explorer:
         self.subject, self.token = subject, secrets.token_urlsafe(24)
         self._hosts = {f"{host}:{port}" for host in ("127.0.0.1", "localhost")}
         self._files = page_files()
-        self._open, self._beside = dict[str, Client](), Beside()
+        self._open, self._beside = dict[str, Client](), WorkerProcess()
         self._taking = asyncio.Lock()  # figures are drawn one after the other
         self.app = Starlette(
             routes=[

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from threading import Lock
 from typing import Any
 
-from perilune.app.frames import rounded
+from perilune.app.frames import round_to_digits
 from perilune.app.subject import Subject
 from perilune.atlas.slices import Slice, sliced
 
@@ -52,15 +52,15 @@ class Slices:
                 if _GROWS * (time.perf_counter() - began) > _LONGEST:
                     break
             assert shown is not None, "of some grid"
-            self._last = asked, _document(shown, along)
+            self._last = asked, _slice_message(shown, along)
             return self._last[1]
 
 
-def _document(shown: Slice, along: Sequence[str]) -> dict[str, Any]:
+def _slice_message(shown: Slice, along: Sequence[str]) -> dict[str, Any]:
     return {
         "axes": list(along),
-        "along": [rounded(array) for array in shown.values],
-        "objective": rounded(shown.answers.objective),
+        "along": [round_to_digits(array) for array in shown.values],
+        "objective": round_to_digits(shown.answers.objective),
         "sheet": [int(sheet) for sheet in shown.answers.sheet],
         "why": [int(why) for why in shown.why],
         "reasons": list(shown.reasons),

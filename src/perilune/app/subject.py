@@ -11,11 +11,11 @@ from perilune.app.knobs import Knob, knobs
 from perilune.atlas.query import Atlas, open_atlas
 from perilune.atlas.store import HEADER
 from perilune.io.format import SOLUTION_FILE
-from perilune.io.reload import claims_of, opened
+from perilune.io.reload import claims_of, load_with_tree
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.scenario import load_file, load_text, template
-from perilune.scenario.text import apply, parse, written
+from perilune.scenario.text import apply_change, parse, scenario_toml
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import parse_quantity
 
@@ -66,14 +66,15 @@ class Subject:
             del document["body"]  # a known body has the quantities it has: with another it is stated by all of them
             moved = {knob: knob.value for knob in self.knobs if knob.key.startswith("body.")} | moved
         changes = [
-            f"{knob.key}={exact(value, knob.unit, self.problem.unit_of(knob.name))}" for knob, value in moved.items()
+            f"{knob.key}={exact_quantity_text(value, knob.unit, self.problem.unit_of(knob.name))}"
+            for knob, value in moved.items()
         ]
         for change in changes:
-            apply(document, change)
-        return written(document, changes) if changes else self.text
+            apply_change(document, change)
+        return scenario_toml(document, changes) if changes else self.text
 
 
-def exact(value: float, shown: str, unit: str) -> str:
+def exact_quantity_text(value: float, shown: str, unit: str) -> str:
     """Format a value in SI in its display unit if that reads back to the last bit; else in SI."""
     near = value / parse_quantity("1" if shown == "1" else f"1 {shown}", unit)
     below, above = math.nextafter(near, -math.inf), math.nextafter(near, math.inf)
@@ -107,22 +108,24 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
     if target is None or target.is_file():
         if target is None:
             text = template("hybrid_landing")
-            return _stated(load_text(text), text)
+            return _subject_of_scenario(load_text(text), text)
         scenario = load_file(target, changes)
         unwritten = "" if scenario.text else "the scenario names another file beside it"
-        return _stated(scenario.problem, scenario.text or "", unwritten=unwritten)
+        return _subject_of_scenario(scenario.problem, scenario.text or "", unwritten=unwritten)
     if changes:
         raise PeriluneError("--set changes a scenario", got=str(target), expected="a file")
     if (target / HEADER).is_file():
         atlas = open_atlas(target)
         unwritten = "an atlas keeps the problem, and not the scenario that stated it"
         return Subject(problem=atlas.problem, atlas=atlas, knobs=knobs(atlas.problem, atlas), unwritten=unwritten)
-    solution, document = opened(target)
+    solution, document = load_with_tree(target)
     text, _ = claims_of(document)
-    return _stated(solution.problem, text, known=solution, unwritten="the solution was saved without a scenario")
+    return _subject_of_scenario(
+        solution.problem, text, known=solution, unwritten="the solution was saved without a scenario"
+    )
 
 
-def _stated(problem: Problem, text: str, known: Solution | None = None, unwritten: str = "") -> Subject:
+def _subject_of_scenario(problem: Problem, text: str, known: Solution | None = None, unwritten: str = "") -> Subject:
     """Return the subject of a scenario, whose sections decide what can be moved; everything movable without one."""
     sections = parse(text) if text else {}
     movable = [knob for knob in knobs(problem) if not sections or knob.key.partition(".")[0] in sections]

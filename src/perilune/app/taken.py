@@ -12,7 +12,7 @@ from zipfile import ZipFile
 from perilune.app.client import Shown
 from perilune.app.subject import Subject
 from perilune.io.exports.provenance import provenance
-from perilune.io.exports.writing import write
+from perilune.io.exports.writing import write_export
 from perilune.problem.solution import Solution
 from perilune.words.outcome import PeriluneError
 
@@ -21,25 +21,27 @@ def _scenario(subject: Subject, shown: Shown) -> bytes:
     return subject.scenario(shown.values).encode()
 
 
-def _table(subject: Subject, shown: Shown) -> bytes:
+def _flight_csv(subject: Subject, shown: Shown) -> bytes:
     with TemporaryDirectory() as folder:
-        file = write(_flight(shown), Path(folder) / "flight.csv", "csv", provenance(_flight(shown), None))
+        file = write_export(
+            _shown_solution(shown), Path(folder) / "flight.csv", "csv", provenance(_shown_solution(shown), None)
+        )
         return file.read_bytes()
 
 
-def _figures(subject: Subject, shown: Shown) -> bytes:
-    from perilune.report.figures import drawings  # and with it a library that takes a second to load
+def _figures_archive(subject: Subject, shown: Shown) -> bytes:
+    from perilune.report.figures import solution_drawings  # and with it a library that takes a second to load
 
     made = BytesIO()
     with ZipFile(made, "w") as archive:
-        for name, draw in drawings(_flight(shown)).items():
+        for name, draw in solution_drawings(_shown_solution(shown)).items():
             drawn = BytesIO()
             draw().savefig(drawn, format="svg")
             archive.writestr(f"{name}.svg", drawn.getvalue())
     return made.getvalue()
 
 
-def _flight(shown: Shown) -> Solution:
+def _shown_solution(shown: Shown) -> Solution:
     if shown.solution is None:
         raise PeriluneError("there is no flight at these values")
     return shown.solution
@@ -47,5 +49,5 @@ def _flight(shown: Shown) -> Solution:
 
 # By name; each raises PeriluneError if there is no such thing of what is shown.
 TAKEN: Mapping[str, Callable[[Subject, Shown], bytes]] = MappingProxyType(
-    {"scenario.toml": _scenario, "flight.csv": _table, "figures.zip": _figures}
+    {"scenario.toml": _scenario, "flight.csv": _flight_csv, "figures.zip": _figures_archive}
 )

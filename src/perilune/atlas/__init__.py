@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from perilune.words.face import listed
+from perilune.words.face import public_names
 
 if TYPE_CHECKING:
     from perilune.atlas.building import build
@@ -62,4 +62,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return listed(__all__)
+    return public_names(__all__)

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import Cells, Nodes, Status, Whole, some
-from perilune.atlas.hermite import bits, interpolated
+from perilune.atlas.cells import Cells, Nodes, Status, Whole, select_cells
+from perilune.atlas.hermite import binary_digits, interpolated
 from perilune.words.types import Matrix, Vector
 
 _TORN, _SMALL = 0.5, 1e-3  # by how much an edge may differ from a trapezoid: of what its slopes say, and of 1 + |y|
@@ -48,7 +48,7 @@ def torn_edges(nodes: Nodes, corners: Whole, size: Matrix) -> tuple[Whole, Whole
     """
     found = list[tuple[Whole, Whole, Whole]]()
     for axis in range(size.shape[1]):
-        low = np.nonzero(bits(size.shape[1])[:, axis] == 0)[0]
+        low = np.nonzero(binary_digits(size.shape[1])[:, axis] == 0)[0]
         cell, at = np.nonzero((corners[:, low] >= 0) & (corners[:, low | 1 << axis] >= 0))
         one, other = low[at], low[at] | 1 << axis
         ends = [nodes.rows("terms", corners[cell, corner]) for corner in (one, other)]
@@ -85,7 +85,7 @@ def ending_layers(corners: Whole, torn: Iterable[tuple[int, int]], ends: Iterabl
     return found
 
 
-def covered(
+def covered_by_branches(
     cells: Cells, nodes: Nodes, step: Vector, branches: Sequence[int], places: Whole, y: Matrix
 ) -> NDArray[np.bool_]:
     """Return a mask of the extremals that cells of some branches give at places; `step` of the lattice, canonical.
@@ -115,11 +115,11 @@ def covered(
         if not len(cell):
             continue
         cell, here = numbers[cell], start + here
-        found[here[given(some(cells, cell), nodes, step, places[here], y[here])]] = True
+        found[here[cells_reproduce(select_cells(cells, cell), nodes, step, places[here], y[here])]] = True
     return found
 
 
-def given(cells: Cells, nodes: Nodes, step: Vector, places: Whole, y: Matrix) -> NDArray[np.bool_]:
+def cells_reproduce(cells: Cells, nodes: Nodes, step: Vector, places: Whole, y: Matrix) -> NDArray[np.bool_]:
     """Return True for each cell, complete with corners, that gives the extremal at its place (one place a cell).
 
     Parameters
@@ -139,7 +139,7 @@ def given(cells: Cells, nodes: Nodes, step: Vector, places: Whole, y: Matrix) ->
         return np.linalg.norm(there - y, axis=1) <= _ALIKE * (1.0 + np.linalg.norm(y, axis=1))
 
 
-def had(
+def found_in_branches(
     cells: Cells,
     nodes: Nodes,
     step: Vector,
@@ -152,7 +152,7 @@ def had(
     Parameters
     ----------
     cells, nodes, step
-        As of `covered`.
+        As of `covered_by_branches`.
     keys, alike
         Keys of nodes, by branches and places; the branches of which extremals of a sheet may be layers.
     extremals
@@ -165,5 +165,5 @@ def had(
         for branch in branches:
             found[mine] |= nodes.has(keys(np.array(branch), places[mine]), y[mine])
         left = np.nonzero(mine & ~found)[0]
-        found[left] = covered(cells, nodes, step, branches, places[left], y[left])
+        found[left] = covered_by_branches(cells, nodes, step, branches, places[left], y[left])
     return found

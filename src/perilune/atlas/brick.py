@@ -21,7 +21,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import ANSWERING, Extremal, arrays_of, covered, ending_layers, given, torn_edges
+from perilune.atlas.branches import (
+    ANSWERING,
+    Extremal,
+    arrays_of,
+    cells_reproduce,
+    covered_by_branches,
+    ending_layers,
+    torn_edges,
+)
 from perilune.atlas.cells import (
     WHOLE,
     Cells,
@@ -30,26 +38,26 @@ from perilune.atlas.cells import (
     Status,
     Whole,
     clearly_below,
-    ending,
-    joined,
+    concatenate_cells,
     leaves_of,
-    same,
-    some,
+    same_unknowns,
+    select_cells,
+    shortest_ending_edge,
 )
 from perilune.atlas.crossing import Crossings
-from perilune.atlas.hermite import bits
+from perilune.atlas.hermite import binary_digits
 from perilune.atlas.lattice import Lattice
 from perilune.atlas.reflight import SLACK
-from perilune.atlas.trying import FINEST, path_amid, tried
+from perilune.atlas.trying import FINEST, accept_cells, path_amid
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 _KINKED = 2**9  # the shortest edge of a cell where the switches on the way change
 _WORST = 2**8  # the same of sheets that are no minima
 _MOST_BRANCHES = 32  # of all sheets together, beside the first of each
 
 
-class Brick:
+class BrickSubdivision:
     """Subdivision of one box of the region into cells.
 
     Parameters
@@ -62,13 +70,13 @@ class Brick:
         Receives a line of text for each wave.
     """
 
-    def __init__(self, lattice: Lattice, tolerance: float, watch: Watch = silent) -> None:
+    def __init__(self, lattice: Lattice, tolerance: float, watch: Watch = ignore_events) -> None:
         self.lattice: Lattice = lattice
         self.tolerance: float = tolerance
         self.watch: Watch = watch
         self.nodes: Nodes = lattice.nodes
         self.step: Vector = lattice.step
-        self.ending: int = ending(lattice.d)
+        self.ending: int = shortest_ending_edge(lattice.d)
         self.count: int = len(lattice.all_sheets)
         self._left = list[Extremal]()
         self._looked_at = self._cells_looked_at = 0
@@ -104,8 +112,8 @@ class Brick:
                 child = np.where(cut, first + len(cells) + 2 * (np.cumsum(cut) - 1), -1)
                 waves.append(replace(cells, status=status, axis=np.where(cut, axis, -1), child=child))
                 self.watch(f"{self.nodes.count} nodes, {first + len(cells)} cells, {2 * np.count_nonzero(cut)} at work")
-                cells = self._halved(some(cells, cut), axis[cut])
-            done, cells = self._reached(joined(waves))
+                cells = self._halved(select_cells(cells, cut), axis[cut])
+            done, cells = self._reached(concatenate_cells(waves))
             waves = [done]
             if not len(cells):
                 if (branch := self._branched(done)) is not None:
@@ -141,7 +149,7 @@ class Brick:
         here = ((done.low < high) & (done.low + done.size > low)).all(axis=1)
         places, y = self.nodes.rows("place", corners), self.nodes.rows("terms", corners)[:, 0, :-1]
         others = self.lattice.alike(self.lattice.own[int(done.branch[number])])
-        return answers & ~covered(some(done, here), self.nodes, self.step, others, places, y)
+        return answers & ~covered_by_branches(select_cells(done, here), self.nodes, self.step, others, places, y)
 
     # -- branches -------------------------------------------------------------------------------------------------
 
@@ -153,7 +161,7 @@ class Brick:
             here = [(b, self.nodes.at(self.lattice.keys(np.array(b), place[i]))) for b in alike]
             known = [(self.lattice.own[b], known) for b, known in here if known is not None]
             known += [(other, told) for other, there, told in taken if other in alike and there == at]
-            if any(same(told, row) for _, told in known):
+            if any(same_unknowns(told, row) for _, told in known):
                 continue
             if before is not None and self.lattice.had(before, [(number, place[i], row)])[0]:
                 continue
@@ -177,7 +185,7 @@ class Brick:
             if len(lanes):
                 guess, spread = self.nodes.along_slopes(begin, places[lanes], self.step)
                 led, good = self.lattice.led(np.full(len(lanes), branch), places[lanes], guess, spread)
-                lanes = lanes[good & same(y[lanes], led.y)]
+                lanes = lanes[good & same_unknowns(y[lanes], led.y)]
                 lanes = lanes[np.unique(keys[lanes], return_index=True)[1]]
                 self.lattice.solved(np.full(len(lanes), branch), places[lanes], y[lanes], np.full(len(lanes), np.inf))
                 waiting[lanes] = False
@@ -193,7 +201,7 @@ class Brick:
         had = self.lattice.had(done, self._left).tolist()
         self._left = [one for one, known in zip(self._left, had, strict=True) if not known]
         if self._left and self._led_to():
-            return some(done, np.zeros(0, dtype=np.int64))
+            return select_cells(done, np.zeros(0, dtype=np.int64))
         if not self._left or len(self.lattice.own) >= self.count + _MOST_BRANCHES:
             return None
         sheet, place, y = self._left.pop(0)
@@ -212,7 +220,7 @@ class Brick:
         for sheet, place, y in self._entered:
             if not np.isin(done.status[leaves_of(done, sheet, place[None])], ANSWERING).any():
                 kept.append((sheet, place, y))
-            elif not covered(done, self.nodes, self.step, [sheet], place[None], y[None])[0]:
+            elif not covered_by_branches(done, self.nodes, self.step, [sheet], place[None], y[None])[0]:
                 self.nodes.forget(self.lattice.keys(np.array(sheet), place))
                 found.append((sheet, place, y))
         self._entered = kept  # what a cell gives it goes on to give
@@ -243,13 +251,13 @@ class Brick:
                 cell = leaves_of(done, branch, place)
                 none = np.nonzero((cell >= 0) & (done.status[cell] == Status.NO_ANSWER))[0]
                 if len(none):
-                    here = given(some(done, cell[none]), self.nodes, self.step, place[none], y[none])
+                    here = cells_reproduce(select_cells(done, cell[none]), self.nodes, self.step, place[none], y[none])
                     wrong.append(cell[none[here]])
         cut = np.unique(np.concatenate(wrong))
         if not first and not len(cut) and len(self._left) == count:
             return None
-        done = _cut_after_all(joined([done, *first]), cut)
-        return done, self._halved(some(done, cut), done.axis[cut])
+        done = _cut_longest_edges(concatenate_cells([done, *first]), cut)
+        return done, self._halved(select_cells(done, cut), done.axis[cut])
 
     def _with_beginnings(self, cells: Cells) -> NDArray[np.bool_]:
         """Return a mask of the cells in which a sheet began."""
@@ -268,12 +276,12 @@ class Brick:
         cell, begin, end = cell[leads], begin[leads], end[leads]
         if not len(cell):
             return found
-        places, branch = cells.low[cell] + bits(self.lattice.d)[end] * cells.size[cell], cells.branch[cell]
+        places, branch = cells.low[cell] + binary_digits(self.lattice.d)[end] * cells.size[cell], cells.branch[cell]
         led, good = self.lattice.led(
             branch, places, *self.nodes.along_slopes(cells.corners[cell, begin], places, self.step)
         )
         there = self.nodes.rows("terms", cells.corners[cell, end])[:, 0, :-1]
-        differs = good & ~same(there, led.y)
+        differs = good & ~same_unknowns(there, led.y)
         found[cell[differs]] = Status.TORN
         for number in np.unique(cell[differs]).tolist():
             edges, ends = np.column_stack(torn[1:])[torn[0] == number], begin[~good & (cell == number)]
@@ -300,13 +308,13 @@ class Brick:
         status[bare] = np.where(known, Status.ENDS, Status.ABSENT)
         again = known & (done.size[bare].max(axis=1, initial=0) > self.ending)
         cut = bare[again]
-        done = _cut_after_all(replace(done, status=status), cut)
-        halves = self.lattice.halves(some(done, cut), done.axis[cut])
+        done = _cut_longest_edges(replace(done, status=status), cut)
+        halves = self.lattice.halves(select_cells(done, cut), done.axis[cut])
         # Layers that lie near one another are distinguished only in small cells.
         fine = np.nonzero((halves.branch < self.count) | (halves.size.max(axis=1, initial=0) <= 2 * self.ending))[0]
         near = [nodes for nodes, cutting in zip(within, again, strict=True) if cutting]
         corners = np.where(np.isin(np.arange(len(halves)), fine)[:, None], halves.corners, -1)
-        filled = self.lattice.filled(some(halves, fine), near=[near[i // 2] for i in fine.tolist()])
+        filled = self.lattice.filled(select_cells(halves, fine), near=[near[i // 2] for i in fine.tolist()])
         corners[fine] = self._looked_around(filled).corners
         return done, replace(halves, corners=corners)
 
@@ -321,7 +329,7 @@ class Brick:
         for own in np.unique(branch[branch >= self.count]).tolist():
             mine, others = new[branch == own], [b for b in self.lattice.alike(self.lattice.own[own]) if b != own]
             y, places = self.nodes.rows("terms", mine)[:, 0, :-1], self.nodes.rows("place", mine)
-            met = covered(done, self.nodes, self.step, others, places, y)
+            met = covered_by_branches(done, self.nodes, self.step, others, places, y)
             for other in others:  # which may have no cell there, but the very node
                 met |= self.nodes.has(
                     self.lattice.keys(np.array(other), places), y, self.nodes.count if other < own else first
@@ -334,8 +342,8 @@ class Brick:
         complete: NDArray[np.bool_] = np.all(cells.corners >= 0, axis=1)
         status, axis = np.where(complete, Status.CUT, Status.ENDS), cells.size.argmax(axis=1)
         if complete.any():
-            passed, beyond, axis[complete] = tried(
-                self.lattice, some(cells, complete), self.tolerance, self._with_beginnings
+            passed, beyond, axis[complete] = accept_cells(
+                self.lattice, select_cells(cells, complete), self.tolerance, self._with_beginnings
             )
             here = np.nonzero(complete)[0]
             status[here[passed]] = Status.ONE_STEP
@@ -344,7 +352,9 @@ class Brick:
             clear = here[passed | (cells.size[here] < WHOLE).all(axis=1)]
             path = self.nodes.rows("path", cells.corners[clear])
             path, clear = path[below := clearly_below(path, SLACK)], clear[below]
-            amid = path_amid(self.lattice, some(cells, clear))  # it may be kept there, and broken alike at all corners
+            amid = path_amid(
+                self.lattice, select_cells(cells, clear)
+            )  # it may be kept there, and broken alike at all corners
             status[clear[clearly_below(np.column_stack([path, amid]), SLACK)]] = Status.BREAKS
         along = np.take_along_axis(cells.size, axis[:, None], axis=1)[:, 0]
         # Beyond a change of what an extremal goes through its unknowns go on with a kink, which no cell follows.
@@ -354,7 +364,7 @@ class Brick:
         none = (cells.corners < 0).all(axis=1)
         torn = np.full(len(cells), -1)
         small = np.nonzero((along <= self.ending) & ((status == Status.CUT) | (status == Status.ENDS) & ~none))[0]
-        torn[small] = self._torn(some(cells, small))
+        torn[small] = self._torn(select_cells(cells, small))
         status[(status == Status.CUT) & (along <= finest)] = Status.MORE_STEPS
         status[(status == Status.ENDS) & ~none & (along > self.ending)] = Status.CUT
         return np.where(torn >= 0, torn, status), axis
@@ -369,7 +379,7 @@ class Brick:
         A guess from corners on several layers leads to none of these, though none of them ends there.
         """
         before, known = self.nodes.count, -1
-        small = self.lattice.filled(some(cells, cells.size.max(axis=1, initial=0) <= self.ending))
+        small = self.lattice.filled(select_cells(cells, cells.size.max(axis=1, initial=0) <= self.ending))
         while known < self.nodes.count:
             known = self.nodes.count
             small = self.lattice.walked_on(small)
@@ -378,7 +388,7 @@ class Brick:
         return replace(cells, corners=self.lattice.corners(cells.branch, cells.low, cells.size))
 
 
-def _cut_after_all(done: Cells, cut: Whole) -> Cells:
+def _cut_longest_edges(done: Cells, cut: Whole) -> Cells:
     """Cut some cells along their longest edges; their halves follow all others."""
     status, axis, child = done.status.copy(), done.axis.copy(), done.child.copy()
     axis[cut], status[cut] = done.size[cut].argmax(axis=1), Status.CUT

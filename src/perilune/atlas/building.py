@@ -21,21 +21,28 @@ from perilune.atlas.columns import (
 )
 from perilune.atlas.covering import refuse_nowhere
 from perilune.atlas.flooding import Key
-from perilune.atlas.lines import told_of_damage
+from perilune.atlas.lines import damage_text
 from perilune.atlas.region import Region, refuse_moving_ranges, region_of
-from perilune.atlas.sampling import demand_count, sampled, thin_ones
-from perilune.atlas.store import MANIFEST, PATIENCE, Store, clear, digest_of, end_line
-from perilune.atlas.survey import Found, Survey, said_of, seeds
-from perilune.atlas.tasks import Task, computed, first_tasks, prepared, tasks_going_on
-from perilune.families.elsewhere import Call, Submits, answers, begin_processes, here, told_of_loss
-from perilune.io.comparisons import compared_alike, comparisons_document
-from perilune.io.export import problem_document, versions
-from perilune.io.reload import as_read_back
+from perilune.atlas.sampling import draw_sample, numbers_of_thin_nodes, require_count
+from perilune.atlas.store import MANIFEST, PATIENCE, AtlasStore, clear_atlas, digest_of, end_line
+from perilune.atlas.survey import Survey, SurveyedChart, chart_entry, seed_rows
+from perilune.atlas.tasks import Task, compile_for_bricks, compute_brick, first_tasks, tasks_going_on
+from perilune.families.elsewhere import (
+    Call,
+    Submits,
+    begin_processes,
+    report_lost_worker,
+    run_on_executor,
+    run_serially,
+)
+from perilune.io.comparisons import comparisons_document, same_comparisons
+from perilune.io.export import program_versions, stated_problem_document
+from perilune.io.reload import reread_problem
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
-from perilune.words.asked import called_in_words, demand, demand_callable, demand_path
+from perilune.words.asked import check_call, require_callable, require_path, require_type
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives
 _ROUNDS = 8  # of going on from bricks into their neighbours, at most
@@ -43,7 +50,7 @@ _AHEAD = 200  # bricks at work, each with a file that is open
 _LOOSEST, _TIGHTEST = 1e-4, 1e-12
 
 
-@called_in_words
+@check_call
 def build(
     problem: Problem,
     axes: Mapping[str, Any],
@@ -96,34 +103,34 @@ def build(
     NotConvergedError
         If no cell answers, once all that there is to compute is there.
     """
-    demand(problem, Problem, "a problem to map")
-    demand_callable(watch, "a watch")
-    region, say = region_of(problem, axes, bricks), watch or silent
+    require_type(problem, Problem, "a problem to map")
+    require_callable(watch, "a watch")
+    region, say = region_of(problem, axes, bricks), watch or ignore_events
     if not (isinstance(tolerance, float) and _TIGHTEST <= tolerance <= _LOOSEST):
         raise PeriluneError(
             "the tolerance of an atlas is out of range", got=repr(tolerance)[:40],
             expected=f"{_TIGHTEST:g} to {_LOOSEST:g}, relative",
         )  # fmt: skip
-    demand_count(sample)
+    require_count(sample)
     if chosen := {axis.name: axis.low for axis in region.axes if axis.name in problem.free_names}:
         problem = problem.with_given(**chosen)  # an axis is told, not chosen
-    kept = Store(demand_path(store, "the directory of an atlas"))
-    document = problem_document(problem)
-    refuse_moving_ranges(problem, as_kept := as_read_back(document), region)
-    header = {**header_axes(region), "tolerance": tolerance, "versions": versions(), **document}
+    kept = AtlasStore(require_path(store, "the directory of an atlas"))
+    document = stated_problem_document(problem)
+    refuse_moving_ranges(problem, as_kept := reread_problem(document), region)
+    header = {**header_axes(region), "tolerance": tolerance, "versions": program_versions(), **document}
     if problem.ranges is not None and as_kept.ranges is None:
         header[RANGES] = "as they are within the axes; the function that they follow from is not kept"
-    if not compared_alike(problem, as_kept, looks := region.looks):
+    if not same_comparisons(problem, as_kept, looks := region.looks):
         header[COMPARISONS] = comparisons_document(problem, looks)
-    survey = _surveyed(kept, header, problem, region, method or Indirect(), executor, say, force)
-    completed(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
+    survey = _ensure_survey_line(kept, header, problem, region, method or Indirect(), executor, say, force)
+    complete_atlas(kept, problem, survey_region(region, survey), survey, tolerance, executor, say)
     refuse_nowhere(kept, survey, len(region.axes))
-    sampled(kept, sample, executor, say)
+    draw_sample(kept, sample, executor, say)
     return kept.directory
 
 
-def completed(
-    kept: Store,
+def complete_atlas(
+    kept: AtlasStore,
     problem: Problem,
     region: Region,
     survey: Mapping[str, Any],
@@ -132,11 +139,13 @@ def completed(
     say: Watch,
 ) -> None:
     """Compute the missing bricks of a survey, and then those into which a sheet continues from others."""
-    with told_of_damage(MANIFEST):
+    with damage_text(MANIFEST):
         tasks = dict(first_tasks(kept, problem, region, survey, tolerance))
     for number in range(_ROUNDS):
-        _complete(kept, region, survey, tasks, number, executor, say)
-        if number and _shards(kept, region, survey, number) == _shards(kept, region, survey, number - 1):
+        _complete_round(kept, region, survey, tasks, number, executor, say)
+        if number and _shard_checksums(kept, region, survey, number) == _shard_checksums(
+            kept, region, survey, number - 1
+        ):
             break  # neighbours offer what does not lead on
         if not (tasks := dict(tasks_going_on(kept, problem, region, survey, tolerance, number))):
             break
@@ -145,14 +154,14 @@ def completed(
     kept.tidy()
 
 
-def _shards(kept: Store, region: Region, survey: Mapping[str, Any], rounds: int) -> dict[Key, list[str]]:
+def _shard_checksums(kept: AtlasStore, region: Region, survey: Mapping[str, Any], rounds: int) -> dict[Key, list[str]]:
     """Return the checksums of the shards of each brick after so many rounds."""
     lines = kept.latest(survey, len(region.axes), rounds)
     return {key: [line[kind]["sha256"] for kind in ("nodes", "cells")] for key, line in lines.items()}
 
 
-def _complete(
-    kept: Store,
+def _complete_round(
+    kept: AtlasStore,
     region: Region,
     survey: Mapping[str, Any],
     tasks: Mapping[Key, Task],
@@ -162,32 +171,32 @@ def _complete(
 ) -> None:
     """Compute the missing bricks of one round."""
     named = {brick_name(key) + (f"~{number}" if number else ""): key for key in tasks}
-    there = _written(kept, region, survey)
-    say(_told(named, there, number))
+    there = _node_counts(kept, region, survey)
+    say(_progress_text(named, there, number))
     began, work = time.monotonic(), {name: tasks[key].size for name, key in named.items() if name not in there}
     while todo := {name: tasks[key] for name, key in named.items() if name not in there}:
-        for name, arrays in _everywhere(kept, todo, executor, say):
+        for name, arrays in _computed_shards(kept, todo, executor, say):
             prefix = f"brick-{survey['digest'][:8]}-{name}"
             shards = {kind: kept.put(f"{prefix}.{kind}.npy", rows) for kind, rows in arrays.items()}
             group, *brick = key = named[name]
             line = {"kind": "brick", "name": name, "chart": group, "brick": brick, "survey": survey["digest"]}
             line["sheets"] = np.unique(arrays["nodes"]["sheet"]).tolist()
             line |= {"round": number} if number else {}
-            kept.add({**line, "thin": len(thin_ones(arrays["nodes"], tasks[key].sheets)), **shards})
+            kept.add({**line, "thin": len(numbers_of_thin_nodes(arrays["nodes"], tasks[key].sheets)), **shards})
             there[name] = len(arrays["nodes"])
-            say(_told(named, there, number) + _pace(work, there, time.monotonic() - began))
+            say(_progress_text(named, there, number) + _pace(work, there, time.monotonic() - began))
         known = len(there)
-        there = _written(kept, region, survey)
+        there = _node_counts(kept, region, survey)
         if len(there) == known and not there.keys() >= named.keys():
             time.sleep(PATIENCE)  # what is missing is at work elsewhere; who dies there lets go of it
 
 
-def _written(kept: Store, region: Region, survey: Mapping[str, Any]) -> dict[str, int]:
+def _node_counts(kept: AtlasStore, region: Region, survey: Mapping[str, Any]) -> dict[str, int]:
     """Return the number of nodes of each brick on disk, by name."""
     return {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey, len(region.axes))}
 
 
-def _told(named: Mapping[str, Key], there: Mapping[str, int], number: int) -> str:
+def _progress_text(named: Mapping[str, Key], there: Mapping[str, int], number: int) -> str:
     done = [there[name] for name in named if name in there]
     again = f", gone on with from their neighbours ({number})" if number else ""
     return f"{len(done)} of {len(named)} bricks, {sum(done)} nodes{again}"
@@ -202,8 +211,8 @@ def _pace(work: Mapping[str, int], there: Mapping[str, int], seconds: float) -> 
     return f", {rate:.0f} nodes/s" + (f", about {left:.0f} s left" if left else "")
 
 
-def _everywhere(
-    kept: Store, todo: Mapping[str, Task], executor: Submits | None, say: Watch
+def _computed_shards(
+    kept: AtlasStore, todo: Mapping[str, Task], executor: Submits | None, say: Watch
 ) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
     """Yield the shards of the bricks that can be claimed, as soon as they are computed."""
     claims = dict[str, ExitStack]()
@@ -213,13 +222,13 @@ def _everywhere(
             claim = ExitStack()
             if claim.enter_context(kept.claimed(name)) and not kept.there(name):
                 claims[name] = claim
-                yield name, (computed, task) if executor is not None else (computed, task, say)
+                yield name, (compute_brick, task) if executor is not None else (compute_brick, task, say)
             else:
                 claim.close()
 
     try:
-        found = answers(executor, calls(), _AHEAD) if executor is not None else here(calls())
-        for name, (nodes, cells) in told_of_loss(found):
+        found = run_on_executor(executor, calls(), _AHEAD) if executor is not None else run_serially(calls())
+        for name, (nodes, cells) in report_lost_worker(found):
             yield name, {"nodes": nodes, "cells": cells}
             kept.settled(name)  # its line is in the manifest
             claims.pop(name).close()
@@ -228,8 +237,8 @@ def _everywhere(
             claim.close()
 
 
-def _surveyed(
-    kept: Store,
+def _ensure_survey_line(
+    kept: AtlasStore,
     header: Mapping[str, Any],
     problem: Problem,
     region: Region,
@@ -246,28 +255,30 @@ def _surveyed(
                 time.sleep(PATIENCE)
             elif anew or kept.survey() is None:
                 try:
-                    begin_processes(executor, (prepared, problem, region.names, region.high - region.low))
+                    begin_processes(executor, (compile_for_bricks, problem, region.names, region.high - region.low))
                     survey = Survey(problem=problem, region=region, method=method, watch=say)
                     found = survey.run()
                 except BaseException:
                     kept.leave()
                     raise
                 if anew:
-                    clear(kept.directory)
+                    clear_atlas(kept.directory)
                     anew = False
                 kept.begin(header)
-                kept.add(_survey(kept, region, found, survey.notes))
+                kept.add(_survey_line(kept, region, found, survey.notes))
                 kept.settled("survey")
     kept.prepare(header)  # another builder may have begun meanwhile
     return known
 
 
-def _survey(kept: Store, region: Region, found: Sequence[Found], notes: Sequence[str]) -> dict[str, Any]:
+def _survey_line(
+    kept: AtlasStore, region: Region, found: Sequence[SurveyedChart], notes: Sequence[str]
+) -> dict[str, Any]:
     """Write the shards of a survey and return its line."""
     places, _ = region.corners()
     charts, edges = [], [{"first": axis.first, "at": list(axis.edges)} for axis in region.axes]
     for number, one in enumerate(found):
-        rows = seeds(places, one)
-        charts.append({**said_of(one), "seeds": kept.put(f"survey-{number}.npy", rows)})
+        rows = seed_rows(places, one)
+        charts.append({**chart_entry(one), "seeds": kept.put(f"survey-{number}.npy", rows)})
     said = {"edges": edges, "charts": charts, "notes": list(notes)[:MOST_NOTES]}
     return {"kind": "survey", "digest": digest_of([edges, charts]), "header": kept.seal, **said}

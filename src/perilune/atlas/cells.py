@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.hermite import bits, interpolated
+from perilune.atlas.hermite import binary_digits, interpolated
 from perilune.words.types import Matrix, Vector
 
 WHOLE = 2**12  # lattice steps along an edge of a brick
@@ -22,7 +22,7 @@ _ENDING = {1: 2**6, 2: 2**7}  # the shortest edge of a cell in which a sheet end
 Whole = NDArray[np.int64]
 
 
-def ending(d: int) -> int:
+def shortest_ending_edge(d: int) -> int:
     """Return the shortest edge of a cell in which a sheet ends, for d axes; with each the border has more cells."""
     return _ENDING.get(d, 2**8)
 
@@ -95,7 +95,7 @@ class Cut:
     own: tuple[int, ...]
 
 
-def same(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool_]:
+def same_unknowns(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool_]:
     """Return True where unknowns, (n,) or (lanes, n), are those of one extremal to rounding.
 
     Parameters
@@ -161,7 +161,7 @@ class Nodes:
         """
         numbers = self.numbers(keys)
         found = (numbers >= 0) & (numbers < (self.count if before is None else before))
-        found[found] = same(self.rows("terms", numbers[found])[:, 0, :-1], y[found])
+        found[found] = same_unknowns(self.rows("terms", numbers[found])[:, 0, :-1], y[found])
         return found
 
     def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
@@ -198,7 +198,7 @@ class Nodes:
         """
         corners, size = cells.corners[cell], cells.size[cell] * step
         at = (places - cells.low[cell]) / cells.size[cell]
-        away = np.abs(at[:, None] - bits(len(step))[None]).sum(axis=2)
+        away = np.abs(at[:, None] - binary_digits(len(step))[None]).sum(axis=2)
         nearest = np.where(corners >= 0, away, np.inf).argmin(axis=1)
         guess, spread = self.along_slopes(corners[np.arange(len(cell)), nearest], places, step)
         full = (corners >= 0).all(axis=1)
@@ -286,11 +286,11 @@ def leaves_of(cells: Cells, branch: int, places: Whole) -> Whole:
     return leaves(cells.axis, cells.child, split, int(root[0]), places.astype(float))
 
 
-def joined(waves: Sequence[Cells]) -> Cells:
+def concatenate_cells(waves: Sequence[Cells]) -> Cells:
     """Concatenate cells."""
     return Cells(**{f.name: np.concatenate([getattr(w, f.name) for w in waves]) for f in fields(Cells)})
 
 
-def some(cells: Cells, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cells:
+def select_cells(cells: Cells, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cells:
     """Return some of the cells."""
     return Cells(**{f.name: getattr(cells, f.name)[which] for f in fields(Cells)})

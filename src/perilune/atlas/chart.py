@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.course import PLAIN, Course
-from perilune.atlas.hermite import bits
+from perilune.atlas.course import PLAIN, ArcSequence
+from perilune.atlas.hermite import binary_digits
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import Conditions, derive
 from perilune.problem.problem import Problem
-from perilune.problem.varied import sizes_of, varied
+from perilune.problem.varied import parametric_problem, sizes_of
 from perilune.shooting.function import Roots, Shooting
 from perilune.shooting.newton import FINEST
 from perilune.words.types import Matrix, Vector
@@ -117,13 +117,13 @@ class Chart:
         SI size of the canonical unit of each parameter, (d,).
     """
 
-    def __init__(self, problem: Problem, names: Sequence[str], widths: Vector, course: Course = PLAIN) -> None:
+    def __init__(self, problem: Problem, names: Sequence[str], widths: Vector, course: ArcSequence = PLAIN) -> None:
         self.user: Problem = problem
         self.names: tuple[str, ...] = tuple(names)
-        self.course: Course = course
+        self.course: ArcSequence = course
         self.problem: Problem = course.restated(problem, names)
         self._sizes = sizes = sizes_of(self.problem, names, np.asarray(widths, dtype=float).tolist())
-        self.free: Problem = varied(self.problem, names, sizes)
+        self.free: Problem = parametric_problem(self.problem, names, sizes)
         self.conditions: Conditions = derive(self.free, course.keep)
         self.p: Vector = extremal_parameters(self.free)
         self.shooting: Shooting = Shooting(self.conditions)
@@ -133,7 +133,7 @@ class Chart:
     @cached_property
     def user_free(self) -> Problem:
         """Return the user's problem with the parameters free, as in the problem of the chart."""
-        return varied(self.user, self.names, self._sizes)
+        return parametric_problem(self.user, self.names, self._sizes)
 
     @cached_property
     def varied_at(self) -> list[int]:
@@ -290,7 +290,7 @@ class Chart:
         if d == 1:
             return out
         # Slopes at all points a little off along the axes but the first give every mixed derivative.
-        beside, step = np.hstack([np.zeros((2 ** (d - 1), 1)), 2.0 * bits(d - 1) - 1.0]), _BESIDE * self.widths
+        beside, step = np.hstack([np.zeros((2 ** (d - 1), 1)), 2.0 * binary_digits(d - 1) - 1.0]), _BESIDE * self.widths
         values = found.values[:, None] + step * beside
         y = found.y[:, None] + np.einsum("ki,lin->lkn", step * beside, found.slopes)
         values = values.reshape(-1, d)
@@ -299,7 +299,7 @@ class Chart:
             lanes, len(beside), d, n + 1
         )
         for term in range(3, 2**d):
-            axes = np.nonzero(bits(d)[term])[0]
+            axes = np.nonzero(binary_digits(d)[term])[0]
             if len(axes) > 1:
                 first, others = axes[0], axes[1:]
                 signs = beside[:, others].prod(axis=1) / len(beside) / step[others].prod()

@@ -11,35 +11,35 @@ from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import sheets_of, widths_of
-from perilune.atlas.course import course_from
+from perilune.atlas.course import arc_sequence_from
 from perilune.atlas.polish import Polished, Polisher
-from perilune.atlas.reflight import Reflights
+from perilune.atlas.reflight import ChartReintegration
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.methods.answer import composed
+from perilune.methods.answer import compose_solution
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
 from perilune.problem.symbolic import free_scales
-from perilune.shooting.extremals import Found
+from perilune.shooting.extremals import ExtremalRoot
 from perilune.shooting.function import Root
-from perilune.structures.carry import joined
-from perilune.structures.restate import renumbered, sums_of
+from perilune.structures.carry import join_solution
+from perilune.structures.restate import renumber_restated, sums_of
 from perilune.structures.structure import margins
 from perilune.words.types import Matrix, Vector
 
 
-class Charted:
+class OpenChart:
     """One chart of an atlas, as queries need it."""
 
     def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
         self.sheets: tuple[Sheet, ...] = sheets_of(said)
         self.unknowns: int = said["unknowns"]
-        self.chart: Chart = Chart(problem, region.names, widths_of(said, region), course_from(said))
+        self.chart: Chart = Chart(problem, region.names, widths_of(said, region), arc_sequence_from(said))
         if self.unknowns != len(self.chart.places):
             raise ValueError(f"{self.unknowns} unknowns in place of {len(self.chart.places)}")
         self.borders: Borders = Borders(self.chart)
-        reflights = Reflights(self.chart, tuple(map(int, said["times"])))
+        reflights = ChartReintegration(self.chart, tuple(map(int, said["times"])))
         self.polish: Polisher = Polisher(self.chart, self.borders, reflights, self.sheets)
         self._moving: list[bool] = self.polish.moving.tolist()
         self._sizes = free_scales(self.chart.problem.free, self.chart.problem)
@@ -139,13 +139,15 @@ class Charted:
             for name in chart.user.free_names
         )])  # fmt: skip
 
-    def solution(self, problem: Problem, roots: Sequence[Found], statistics: Statistics) -> Solution:
+    def solution(self, problem: Problem, roots: Sequence[ExtremalRoot], statistics: Statistics) -> Solution:
         """Return extremals of the chart as a solution of the user's problem at their values."""
         chart, structure = self.chart, self.chart.course.structure
         if structure is None:
-            return composed(Indirect.name, problem, chart.own, roots, statistics)
-        found = composed(Indirect.name, renumbered(chart.problem, problem, structure), chart.own, roots, statistics)
-        return joined(problem, found, structure)
+            return compose_solution(Indirect.name, problem, chart.own, roots, statistics)
+        found = compose_solution(
+            Indirect.name, renumber_restated(chart.problem, problem, structure), chart.own, roots, statistics
+        )
+        return join_solution(problem, found, structure)
 
     def own_unknowns(self, y: Matrix) -> Matrix:
         """Return the problem's own unknowns, (lanes, n), of all unknowns of the chart."""

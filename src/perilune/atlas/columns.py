@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.hermite import bits
-from perilune.atlas.lines import told_of_damage
+from perilune.atlas.hermite import binary_digits
+from perilune.atlas.lines import damage_text
 from perilune.atlas.region import Region, region_of, stated_region
 from perilune.atlas.sheets import Sheet
 from perilune.atlas.store import HEADER, MANIFEST
@@ -73,13 +73,13 @@ def header_axes(region: Region) -> dict[str, Any]:
 
 def header_region(problem: Problem, header: Mapping[str, Any]) -> Region:
     """Return the region that a header states."""
-    with told_of_damage(HEADER):
+    with damage_text(HEADER):
         return region_of(problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]})
 
 
 def survey_region(region: Region, survey: Mapping[str, Any]) -> Region:
     """Return the region of a survey: that of the header, unless it states its own edges."""
-    with told_of_damage(MANIFEST):
+    with damage_text(MANIFEST):
         return stated_region(region, survey["edges"]) if "edges" in survey else region
 
 
@@ -97,7 +97,7 @@ def places_of(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]
 def seeded_places(region: Region, chart: Mapping[str, Any], seeds: NDArray[Any]) -> set[tuple[int, ...]]:
     """Return the bricks of a chart in which, or at whose corners, its survey has a sheet, by its shard."""
     within = seeds["place"].any(axis=1)
-    beside = (seeds["corner"][~within][:, None] - bits(len(region.axes))[None]).reshape(-1, len(region.axes))
+    beside = (seeds["corner"][~within][:, None] - binary_digits(len(region.axes))[None]).reshape(-1, len(region.axes))
     there = set(map(tuple, np.vstack([beside, seeds["corner"][within]]).tolist()))
     return there.intersection(places_of(region, chart))
 

@@ -15,23 +15,23 @@ from typing import Any
 import numpy as np
 
 from perilune.conditions.held import Held
-from perilune.conditions.pontryagin import derive, keepable_conditions
+from perilune.conditions.pontryagin import attainable_conditions, derive
 from perilune.methods.answer import Curves
 from perilune.problem.controls import Bounded
 from perilune.problem.extremal import Extremal
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.structures.carry import Joined
+from perilune.structures.carry import JoinedTrajectories
 from perilune.structures.regimes import WRONG, gain_along, linear_scalars
 from perilune.structures.restate import part_name, restate
-from perilune.structures.structure import SIDES, Arc, Structure, conditions_of, moved_by
+from perilune.structures.structure import SIDES, Arc, Structure, conditions_of, steering_controls
 from perilune.words.outcome import PeriluneError
 
 _MOST_ORDER = 2  # of a condition whose multiplier is known while it is ridden (`perilune.atlas.riding`)
 
 
 @dataclass(frozen=True)
-class Course:
+class ArcSequence:
     """The arcs of a family of extremals, and the conditions that its control keeps.
 
     Parameters
@@ -75,13 +75,13 @@ class Course:
         return {"keep": list(self.keep), "structure": arcs}
 
 
-PLAIN = Course()
+PLAIN = ArcSequence()
 
 
-def course_from(document: Mapping[str, Any]) -> Course:
-    """Read the course that `Course.document` wrote."""
+def arc_sequence_from(document: Mapping[str, Any]) -> ArcSequence:
+    """Read the course that `ArcSequence.document` wrote."""
     keep, said = tuple(map(str, document["keep"])), document.get("structure")
-    return Course(keep, None if said is None else Structure(tuple(tuple(map(_arc, arcs)) for arcs in said)))
+    return ArcSequence(keep, None if said is None else Structure(tuple(tuple(map(_arc, arcs)) for arcs in said)))
 
 
 def _arc(said: Mapping[str, Any]) -> Arc:
@@ -94,7 +94,7 @@ def _arc(said: Mapping[str, Any]) -> Arc:
     )
 
 
-def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
+def arc_sequence_of(solution: Solution, keep: Held) -> tuple[ArcSequence, list[Extremal]]:
     """Return the arcs of the extremals of a solution, and these with unknowns of the restated problem.
 
     Parameters
@@ -110,24 +110,24 @@ def course_of(solution: Solution, keep: Held) -> tuple[Course, list[Extremal]]:
         If an atlas does not follow it.
     """
     known = solution.trajectories
-    if not isinstance(known, Joined):
-        return Course(keep), list(solution.extremals)
+    if not isinstance(known, JoinedTrajectories):
+        return ArcSequence(keep), list(solution.extremals)
     _refuse_unknown(solution, known.structure)
     restated, curves = known.restated, known.restated.trajectories
     if not isinstance(curves, Curves):
         raise PeriluneError("of this solution nothing but its curves is known")
-    for own in ((), keepable_conditions(restated.problem)):
+    for own in ((), attainable_conditions(restated.problem)):
         if derive(restated.problem, own) is curves.conditions:
             # Behind those of its arcs a solution lists others, without arcs, that break the path.
             natures = [extremal.nature for extremal in solution.extremals[: len(restated.extremals)]]
             extremals = [replace(e, nature=n) for e, n in zip(restated.extremals, natures, strict=True)]
-            settled = _settled(solution, known.structure)
+            settled = _state_bound_regimes(solution, known.structure)
             alike = derive(restate(solution.problem, settled), own).unknowns == curves.conditions.unknowns
-            return Course(own, settled if alike else known.structure), extremals
+            return ArcSequence(own, settled if alike else known.structure), extremals
     raise PeriluneError("the control keeps some of the conditions that it can keep, which an atlas does not follow yet")
 
 
-def _settled(solution: Solution, structure: Structure) -> Structure:
+def _state_bound_regimes(solution: Solution, structure: Structure) -> Structure:
     """State the regime of scalars that keep boundary arcs, and are on one bound along each other arc.
 
     Where such an arc meets the boundary arc the slope of H vanishes, so that rounding decides if there is a switch.
@@ -135,7 +135,7 @@ def _settled(solution: Solution, structure: Structure) -> Structure:
     phases = list(structure.phases)
     for k, arcs in enumerate(structure.phases):
         for at, control in linear_scalars(solution.problem, k):
-            keeps = [control.name in _moved(solution.problem, k, arc) for arc in arcs]
+            keeps = [control.name in _controls_moved_by_arc(solution.problem, k, arc) for arc in arcs]
             if any(keeps) and not any(name == control.name for arc in arcs for name, _ in arc.regimes):
                 regimes = _regimes(solution, k, at, control, arcs, keeps)
                 if None not in regimes:
@@ -144,9 +144,9 @@ def _settled(solution: Solution, structure: Structure) -> Structure:
     return Structure(tuple(phases))
 
 
-def _moved(problem: Problem, k: int, arc: Arc) -> set[str]:
+def _controls_moved_by_arc(problem: Problem, k: int, arc: Arc) -> set[str]:
     """Return the components of the control that keep the conditions of a boundary arc."""
-    return {name for c in conditions_of(problem, k, arc.along).values() for name in moved_by(c)}
+    return {name for c in conditions_of(problem, k, arc.along).values() for name in steering_controls(c)}
 
 
 def _regimes(

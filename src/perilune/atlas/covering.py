@@ -9,22 +9,22 @@ import numpy as np
 
 from perilune.atlas.cells import WHOLE
 from perilune.atlas.columns import cell_type, node_type, sheets_of
-from perilune.atlas.read import SERVING, Reader
+from perilune.atlas.read import SERVING, AtlasReader
 from perilune.atlas.reflight import SLACK
-from perilune.atlas.store import Store
+from perilune.atlas.store import AtlasStore
 from perilune.words.outcome import NotConvergedError, PeriluneError
 
 LOOKED_AT = 1000  # points of a region
 
 
-class Covered(NamedTuple):
+class RegionCoverage(NamedTuple):
     """Shares of a region: where cells answer, and where physics refuses points."""
 
     answered: float
     impossible: float
 
 
-def covered(atlas: Reader, points: int = LOOKED_AT) -> Covered:
+def covered_share(atlas: AtlasReader, points: int = LOOKED_AT) -> RegionCoverage:
     """Compute the share of points of a region that lie in a cell of some sheet which answers; the draw is fixed.
 
     Queries answer only there, and may refuse some of these points: another sheet can cast doubt on their answer.
@@ -46,10 +46,10 @@ def covered(atlas: Reader, points: int = LOOKED_AT) -> Covered:
             if (brick := atlas.brick(number, place)) is not None:
                 for _, root in brick.minima:
                     good[lanes] |= np.isin(brick.arrays[3][brick.leaves(root, inside)], SERVING)
-    return Covered(answered=float((good & allowed).mean()), impossible=float((~allowed).mean()))
+    return RegionCoverage(answered=float((good & allowed).mean()), impossible=float((~allowed).mean()))
 
 
-def refuse_nowhere(kept: Store, survey: Mapping[str, Any], axes: int) -> None:
+def refuse_nowhere(kept: AtlasStore, survey: Mapping[str, Any], axes: int) -> None:
     """Refuse a complete atlas without an answering cell, which would refuse every query."""
     lines, nodes, poor = kept.latest(survey, axes).values(), 0, 0
     for line in lines:

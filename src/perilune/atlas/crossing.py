@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.cells import Cells, Status, Whole
 from perilune.atlas.chart import Chart, Extremals
-from perilune.atlas.hermite import bits
+from perilune.atlas.hermite import binary_digits
 from perilune.atlas.lattice import Lattice
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.problem.extremal import Nature
@@ -26,7 +26,7 @@ from perilune.words.types import Matrix, Vector
 _MOST = 32  # sheets that may go on where one crosses bounds, if they are more than one bound away
 
 
-def beside(borders: Borders, sheet: Sheet, values: Vector, y: Vector) -> Iterator[Sheet]:
+def continuing_sheets(borders: Borders, sheet: Sheet, values: Vector, y: Vector) -> Iterator[Sheet]:
     """Yield the sheets that may continue one across bounds, and across further bounds in turn, nearest first.
 
     Parameters
@@ -65,11 +65,13 @@ def beside(borders: Borders, sheet: Sheet, values: Vector, y: Vector) -> Iterato
             if sheet.nature is Nature.UNPROVED:
                 nature = Nature.UNPROVED
             held, let_go = [k for k, side in way.items() if side], [k for k, side in way.items() if not side]
-            orientation = _orientation(borders.chart, values, y, choice, held, let_go)
+            orientation = _orientation_across_bounds(borders.chart, values, y, choice, held, let_go)
             yield Sheet(holds=holds, orientation=orientation, nature=nature)
 
 
-def _orientation(chart: Chart, values: Vector, y: Vector, choice: Matrix, held: list[int], let_go: list[int]) -> float:
+def _orientation_across_bounds(
+    chart: Chart, values: Vector, y: Vector, choice: Matrix, held: list[int], let_go: list[int]
+) -> float:
     """Return the sign of det(dh/dy) with other active bounds, where J curves upwards along released ones.
 
     J curves upwards along all of them if the determinant of its second derivatives has the sign of a minimum; this is
@@ -94,7 +96,7 @@ def _orientation(chart: Chart, values: Vector, y: Vector, choice: Matrix, held: 
     return sign
 
 
-class _Reached(NamedTuple):
+class _PlacesBeyondBounds(NamedTuple):
     """Places beyond bounds: of which sheet, its unknowns, bounds that it crossed, and sheets that were there before."""
 
     sheet: Whole
@@ -150,7 +152,7 @@ class Crossings:
         sheets, borders = self._lattice.all_sheets, self._lattice.borders
         reached = self._reached(done, *self._borders(done))
         while reached is not None:
-            onward = list[_Reached]()
+            onward = list[_PlacesBeyondBounds]()
             for (sheet, column), others in self._others.items():
                 if not len(here := np.nonzero(reached.crossed[:, column] & (reached.sheet == sheet))[0]):
                     continue
@@ -165,11 +167,11 @@ class Crossings:
                         which, at = np.full(len(on), other), here[on]
                         crossed = borders.crossed(sheets, which, root.of(on))
                         been = reached.been[at] | (np.arange(len(sheets)) == other)
-                        onward.append(_Reached(which, reached.place[at], root.y[on], crossed, been))
+                        onward.append(_PlacesBeyondBounds(which, reached.place[at], root.y[on], crossed, been))
                 if not found.all():
                     self._lost.add((sheet, column))
             rows = zip(*onward, strict=True)
-            reached = _Reached(*(np.concatenate(parts) for parts in rows)) if onward else None
+            reached = _PlacesBeyondBounds(*(np.concatenate(parts) for parts in rows)) if onward else None
 
     def _borders(self, done: Cells) -> tuple[Whole, Whole, Whole]:
         """Return new cells across a border, with a corner within it and one beyond for each."""
@@ -180,14 +182,14 @@ class Crossings:
         with np.errstate(invalid="ignore"):
             within, beyond = margins >= 0, margins < 0
         row, outside = np.nonzero(beyond & within.any(axis=1, keepdims=True))
-        away = (bits(self._lattice.d)[outside][:, None] != bits(self._lattice.d)).sum(axis=2)
+        away = (binary_digits(self._lattice.d)[outside][:, None] != binary_digits(self._lattice.d)).sum(axis=2)
         inside = np.where(within[row], away, corners.shape[1]).argmin(axis=1)
         way, new = np.unique((corners[row, inside] << 32) + corners[row, outside], return_index=True)
         new = new[~np.isin(way, self._seen)]
         self._seen = np.union1d(self._seen, way)
         return cells[row[new]], inside[new], outside[new]
 
-    def _reached(self, done: Cells, cell: Whole, inside: Whole, outside: Whole) -> _Reached | None:
+    def _reached(self, done: Cells, cell: Whole, inside: Whole, outside: Whole) -> _PlacesBeyondBounds | None:
         """Find extremals at the first places beyond bounds on the lines between corners of cells.
 
         Bisects on what cells give there; where Newton's method leads elsewhere, on what it leads to.
@@ -217,13 +219,13 @@ class Crossings:
         if not len(ways):
             return None
         begin, end = near[ways], far[ways]
-        before, beyond = _halved(given, ways, begin, end)
+        before, beyond = _bisect_to_bounds(given, ways, begin, end)
         early, (y, crossed) = met(ways, before)[1].any(axis=1), met(ways, beyond)
         if len(again := np.nonzero(early | ~crossed.any(axis=1))[0]):
-            _, beyond[again] = _halved(met, ways[again], begin[again], end[again])
+            _, beyond[again] = _bisect_to_bounds(met, ways[again], begin[again], end[again])
             y[again], crossed[again] = met(ways[again], beyond[again])
         own = np.array(lattice.own)[branch[ways]]
-        return _Reached(own, beyond, y, crossed, own[:, None] == np.arange(len(lattice.all_sheets)))
+        return _PlacesBeyondBounds(own, beyond, y, crossed, own[:, None] == np.arange(len(lattice.all_sheets)))
 
     def _solved(self, sheet: int, place: Whole, y: Matrix) -> tuple[Extremals, NDArray[np.bool_], NDArray[np.bool_]]:
         """Solve a sheet at places from extremals of others; return extremals, and masks of its own and of answers."""
@@ -241,7 +243,7 @@ class Crossings:
         return cells[np.isin(np.array(self._lattice.own)[done.branch[cells]], lost)]
 
 
-def _halved(
+def _bisect_to_bounds(
     at: Callable[[Whole, Whole], tuple[Matrix, NDArray[np.bool_]]], lanes: Whole, near: Whole, far: Whole
 ) -> tuple[Whole, Whole]:
     """Bisect between places before and beyond bounds; return the last before and the first beyond."""

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.charted import Charted
+from perilune.atlas.charted import OpenChart
 from perilune.atlas.held import BARE, Bounds, HeldFamilies
-from perilune.atlas.keeping import kept
+from perilune.atlas.keeping import correct_active_set
 from perilune.atlas.reflight import SLACK
 from perilune.atlas.sheets import Borders
 from perilune.atlas.walking import Lanes
@@ -30,7 +30,7 @@ _BESIDE = 2.0**-10  # of a range: within that no other well is looked for
 
 
 @dataclass
-class Known:
+class KnownExtremals:
     """Extremal of a chart in each lane: number of the chart, -1 for none, unknowns by charts, and J."""
 
     chart: Lanes
@@ -39,25 +39,25 @@ class Known:
     sheet: Lanes
 
     @classmethod
-    def none(cls, charted: Sequence[Charted], count: int) -> Known:
+    def none(cls, charted: Sequence[OpenChart], count: int) -> KnownExtremals:
         """Return lanes without extremals."""
         y = [np.full((count, one.unknowns), np.nan) for one in charted]
         return cls(np.full(count, -1), y, np.full(count, np.nan), np.full(count, -1))
 
-    def put(self, lanes: Lanes, others: Known, its: Lanes) -> None:
+    def put(self, lanes: Lanes, others: KnownExtremals, its: Lanes) -> None:
         """Take over some lanes of others."""
         for name in ("chart", "cost", "sheet"):
             getattr(self, name)[lanes] = getattr(others, name)[its]
         for own, other in zip(self.y, others.y, strict=True):
             own[lanes] = other[its]
 
-    def of(self, lanes: Lanes) -> Known:
+    def of(self, lanes: Lanes) -> KnownExtremals:
         """Some of the lanes."""
-        return Known(self.chart[lanes], [y[lanes] for y in self.y], self.cost[lanes], self.sheet[lanes])
+        return KnownExtremals(self.chart[lanes], [y[lanes] for y in self.y], self.cost[lanes], self.sheet[lanes])
 
 
 @dataclass
-class _Way:
+class _StraightPaths:
     """Flights on straight lines, (lanes, places): number of the chart, unknowns by charts, J, and dJ along the line."""
 
     chart: Lanes
@@ -79,7 +79,7 @@ class _Way:
         return least.min(axis=1), least.argmin(axis=1)
 
 
-class Descents:
+class MinimumSearch:
     """Search for minima over all charts of an atlas.
 
     Attributes
@@ -90,7 +90,7 @@ class Descents:
         True if nothing else is free; otherwise basins may differ in other parameters, and the search ends no doubt.
     """
 
-    def __init__(self, charted: Sequence[Charted]) -> None:
+    def __init__(self, charted: Sequence[OpenChart]) -> None:
         self._charted = charted
         each = [_bounded(one.borders) for one in charted]
         self.names: list[str] = [name for name in each[0] if all(name in own for own in each)] if each else []
@@ -98,7 +98,7 @@ class Descents:
         self.settles: bool = bool(self.names) and free <= set(self.names)
         self._of = [HeldFamilies(one, self.names) for one in charted]
 
-    def beside(self, points: Matrix, outdoing: Known, best: Known) -> NDArray[np.bool_]:
+    def beside(self, points: Matrix, outdoing: KnownExtremals, best: KnownExtremals) -> NDArray[np.bool_]:
         """Return True where the best answer lies at the extremal that breaks the path: there is no line to follow.
 
         Parameters
@@ -110,9 +110,11 @@ class Descents:
         """
         bounds, none = self._bounds(points), np.zeros((len(points), len(self.names)))
         places = [self._places(points, bounds, known, none) for known in (outdoing, best)]
-        return (best.chart >= 0) & (_far(bounds, *places) <= _BESIDE)
+        return (best.chart >= 0) & (_scaled_distance(bounds, *places) <= _BESIDE)
 
-    def become(self, points: Matrix, outdoing: Known, begins: Sequence[Matrix], best: Known) -> Known:
+    def become(
+        self, points: Matrix, outdoing: KnownExtremals, begins: Sequence[Matrix], best: KnownExtremals
+    ) -> KnownExtremals:
         """Follow inadmissible extremals to the admissible minimum of their basin; of chart -1 where none is found.
 
         Parameters
@@ -127,7 +129,7 @@ class Descents:
             The best answer that is known, if any.
         """
         target = self._places(points, self._bounds(points), outdoing, np.zeros((len(points), len(self.names))))
-        found, held = Known.none(self._charted, len(points)), np.nonzero(outdoing.sheet >= 0)[0]
+        found, held = KnownExtremals.none(self._charted, len(points)), np.nonzero(outdoing.sheet >= 0)[0]
         led = self._settled(points[held], outdoing.of(held))
         if self.names:  # what would be better at a bound, and breaks the path there, is followed as well
             with np.errstate(invalid="ignore"):
@@ -150,7 +152,9 @@ class Descents:
         found.put(lanes[here], candidates, np.nonzero(here)[0])
         return found
 
-    def all_over(self, points: Matrix, begins: Sequence[Matrix], best: Known, outdoing: Known | None = None) -> Known:
+    def all_over(
+        self, points: Matrix, begins: Sequence[Matrix], best: KnownExtremals, outdoing: KnownExtremals | None = None
+    ) -> KnownExtremals:
         """Search along each of the parameters between bounds, beginning at the answers, for lower minima of J.
 
         Returns the answers themselves where there is none, and chart -1 where no flight is known in part of a range or
@@ -170,7 +174,7 @@ class Descents:
         found, known = best.of(np.arange(len(points))), best.chart >= 0
         bounds = self._bounds(points)
         places = self._places(points, bounds, best, np.zeros((len(points), len(self.names))))
-        bottom, least = Known.none(self._charted, len(points)), best.cost.copy()
+        bottom, least = KnownExtremals.none(self._charted, len(points)), best.cost.copy()
         if outdoing is not None:
             places, least = self._places(points, bounds, outdoing, places), np.full(len(points), np.inf)
         for _ in range(1 if len(self.names) == 1 else _ROUNDS):
@@ -199,9 +203,9 @@ class Descents:
         points: Matrix,
         places: Matrix,
         begins: Sequence[Matrix],
-        best: Known,
+        best: KnownExtremals,
         lanes: Lanes,
-        bottom: Known,
+        bottom: KnownExtremals,
         least: Vector,
     ) -> NDArray[np.bool_]:
         """Search for the least J along one parameter, from bound to bound; return True where its whole range is flown.
@@ -227,7 +231,7 @@ class Descents:
         """Return the bounds of the followed parameters, which the user states, so that they hold for each chart."""
         return self._of[0].bounds(points)
 
-    def _places(self, points: Matrix, bounds: Bounds, known: Known, otherwise: Matrix) -> Matrix:
+    def _places(self, points: Matrix, bounds: Bounds, known: KnownExtremals, otherwise: Matrix) -> Matrix:
         """Return values of the searched parameters at extremals, within bounds, (lanes, k); `otherwise` without one."""
         at = otherwise.copy()
         for number, family in enumerate(self._of):
@@ -236,7 +240,9 @@ class Descents:
                 at[lanes] = family.clipped(points[lanes], known.y[number][lanes], own, known.sheet[lanes] < 0)
         return at
 
-    def _confirmed(self, points: Matrix, target: Matrix, begins: Sequence[Matrix], answers: Known) -> NDArray[np.bool_]:
+    def _confirmed(
+        self, points: Matrix, target: Matrix, begins: Sequence[Matrix], answers: KnownExtremals
+    ) -> NDArray[np.bool_]:
         """Return True where the target lies in the basin of the answer, (lanes,)."""
         lanes = np.nonzero(answers.chart >= 0)[0]
         found = np.zeros(len(points), dtype=bool)
@@ -245,20 +251,20 @@ class Descents:
             found[lanes] = self._down(points[lanes], target[lanes], some, answers.of(lanes))[0]
         return found
 
-    def _settled(self, points: Matrix, guesses: Known) -> Known:
+    def _settled(self, points: Matrix, guesses: KnownExtremals) -> KnownExtremals:
         """Solve from guesses by Newton's method with active-set correction of bounds; chart -1 where it fails."""
-        found = Known.none(self._charted, len(points))
+        found = KnownExtremals.none(self._charted, len(points))
         for number, sheet in np.unique(np.column_stack([guesses.chart, guesses.sheet]), axis=0).tolist():
             if number >= 0:
                 one, lanes = self._charted[number], np.nonzero((guesses.chart == number) & (guesses.sheet == sheet))[0]
                 first, values = one.sheets[sheet] if sheet >= 0 else BARE, points[lanes] / one.chart.scale
-                led = kept(one.chart, one.borders, one.sheets, first, values, guesses.y[number][lanes])
+                led = correct_active_set(one.chart, one.borders, one.sheets, first, values, guesses.y[number][lanes])
                 good = led.sheet >= 0
                 found.chart[lanes[good]], found.sheet[lanes[good]] = number, led.sheet[good]
                 found.y[number][lanes[good]], found.cost[lanes[good]] = led.y[good], led.cost[good]
         return found
 
-    def _keep_the_path(self, points: Matrix, known: Known) -> NDArray[np.bool_]:
+    def _keep_the_path(self, points: Matrix, known: KnownExtremals) -> NDArray[np.bool_]:
         """Return True for extremals of sheets that keep the path, (lanes,)."""
         found = np.zeros(len(points), dtype=bool)
         for number, one in enumerate(self._charted):
@@ -270,16 +276,16 @@ class Descents:
         return found
 
     def _down(
-        self, points: Matrix, target: Matrix, begins: Sequence[Matrix], best: Known
-    ) -> tuple[NDArray[np.bool_], Known]:
+        self, points: Matrix, target: Matrix, begins: Sequence[Matrix], best: KnownExtremals
+    ) -> tuple[NDArray[np.bool_], KnownExtremals]:
         """Return True where J falls all along from targets to answers, and elsewhere the first minimum on the way."""
         if not len(points):
-            return np.zeros(0, dtype=bool), Known.none(self._charted, 0)
+            return np.zeros(0, dtype=bool), KnownExtremals.none(self._charted, 0)
         bounds = self._bounds(points)
         starts = self._places(points, bounds, best, target)
-        far = _far(bounds, target, starts)
+        far = _scaled_distance(bounds, target, starts)
         steps = 2 ** np.ceil(np.log2(np.clip(_STEPS * far, 2, _STEPS))).astype(np.int64)  # of a lane, in any company
-        known, turned = (best.chart >= 0) & (far <= _BESIDE), Known.none(self._charted, len(points))
+        known, turned = (best.chart >= 0) & (far <= _BESIDE), KnownExtremals.none(self._charted, len(points))
         for last in np.unique(steps[~known]).tolist():
             lanes = np.nonzero(~known & (steps == last))[0]
             own = points[lanes], starts[lanes], target[lanes], [y[lanes] for y in begins], best.of(lanes)
@@ -297,11 +303,11 @@ class Descents:
         return known, turned
 
     def _way(
-        self, points: Matrix, starts: Matrix, ends: Matrix, begins: Sequence[Matrix], best: Known, steps: int
-    ) -> _Way:
+        self, points: Matrix, starts: Matrix, ends: Matrix, begins: Sequence[Matrix], best: KnownExtremals, steps: int
+    ) -> _StraightPaths:
         """Return the best flights of all charts that keep the path, on straight lines from starts to ends."""
         shape, n = (len(points), steps + 1), range(len(self._charted))
-        way = _Way(
+        way = _StraightPaths(
             np.full(shape, -1), [np.full((*shape, self._charted[i].unknowns), np.nan) for i in n],
             np.full(shape, np.inf), np.full(shape, np.nan),
         )  # fmt: skip
@@ -323,7 +329,7 @@ class Descents:
         starts: Matrix,
         ends: Matrix,
         begins: Matrix,
-        way: _Way,
+        way: _StraightPaths,
     ) -> None:
         """Fill in flights of one chart on some lines where they keep the path and are better than others."""
         if not len(lanes):
@@ -339,7 +345,7 @@ class Descents:
         way.cost[lanes] = np.where(better, cost, way.cost[lanes])
 
 
-def _far(bounds: Bounds, target: Matrix, starts: Matrix) -> Vector:
+def _scaled_distance(bounds: Bounds, target: Matrix, starts: Matrix) -> Vector:
     """Return the largest distance of targets from starts over the parameters, as a share of their ranges."""
     spread = np.maximum(bounds[1] - bounds[0], np.finfo(float).tiny)
     return (np.abs(target - starts) / spread).max(axis=1, initial=0.0)

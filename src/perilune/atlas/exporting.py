@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from perilune.atlas.query import Atlas
-from perilune.atlas.table import Table
+from perilune.atlas.table import NodeTable
 from perilune.io.exports.formats import format_of
 from perilune.io.files import fresh_file, new_file
-from perilune.words.asked import called_in_words, demand
+from perilune.words.asked import check_call, require_type
 from perilune.words.outcome import PeriluneError
 
 _LARGEST = 2**31 - 8  # bytes of a variable of a classic NetCDF file, as SciPy writes it
 
 
-@called_in_words
+@check_call
 def export(atlas: Atlas, file: str | Path, form: str | None = None, *, force: bool = False) -> Path:
     """Write all nodes of an atlas into one file.
 
@@ -49,17 +49,17 @@ def export(atlas: Atlas, file: str | Path, form: str | None = None, *, force: bo
         If the form is not known or not what the file is called, nothing is built yet, a shard is damaged, the file is
         there already or cannot be written, or pyarrow is not installed.
     """
-    demand(atlas, Atlas, "an atlas to export", "perilune.atlas.open(directory)")
+    require_type(atlas, Atlas, "an atlas to export", "perilune.atlas.open(directory)")
     path = new_file(file, "an export", force)
     form = format_of(path, form, list(FORMS))
     if not atlas.said:
         raise PeriluneError("there is nothing to export: no brick is built yet", got=str(atlas.store.directory))
     with fresh_file(path, "the export") as beside:
-        FORMS[form](Table(atlas), beside)
+        FORMS[form](NodeTable(atlas), beside)
     return path
 
 
-def _netcdf(table: Table, path: Path) -> None:
+def _netcdf(table: NodeTable, path: Path) -> None:
     from scipy.io import netcdf_file
 
     rows = table.rows
@@ -89,7 +89,7 @@ def _netcdf(table: Table, path: Path) -> None:
             start = end
 
 
-def _parquet(table: Table, path: Path) -> None:
+def _parquet(table: NodeTable, path: Path) -> None:
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -116,4 +116,4 @@ def _parquet(table: Table, path: Path) -> None:
             writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
 
 
-FORMS: dict[str, Callable[[Table, Path], None]] = {"netcdf": _netcdf, "parquet": _parquet}
+FORMS: dict[str, Callable[[NodeTable, Path], None]] = {"netcdf": _netcdf, "parquet": _parquet}

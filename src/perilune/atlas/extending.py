@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.building import completed
-from perilune.atlas.cells import same
+from perilune.atlas.building import complete_atlas
+from perilune.atlas.cells import same_unknowns
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import (
     MOST_NOTES,
@@ -30,24 +30,24 @@ from perilune.atlas.columns import (
     survey_region,
     widths_of,
 )
-from perilune.atlas.course import course_from
+from perilune.atlas.course import arc_sequence_from
 from perilune.atlas.covering import refuse_nowhere
-from perilune.atlas.lines import told_of_damage
+from perilune.atlas.lines import damage_text
 from perilune.atlas.region import Region, refuse_untaken, wider
-from perilune.atlas.sampling import demand_count, sampled
+from perilune.atlas.sampling import draw_sample, require_count
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.store import HEADER, MANIFEST, Store, digest_of
-from perilune.atlas.survey import Found, Inside, Survey, said_of, seeds
-from perilune.atlas.walking import Corners, carried_on, reached_at
+from perilune.atlas.store import HEADER, MANIFEST, AtlasStore, digest_of
+from perilune.atlas.survey import InteriorSeed, Survey, SurveyedChart, chart_entry, seed_rows
+from perilune.atlas.walking import Corners, continue_between_corners, corners_reached
 from perilune.families.elsewhere import Submits
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
-from perilune.words.asked import called_in_words, demand_callable, demand_path
+from perilune.words.asked import check_call, require_callable, require_path
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 
-@called_in_words
+@check_call
 def extend(
     store: str | Path,
     axes: Mapping[str, tuple[float, float]],
@@ -85,9 +85,9 @@ def extend(
     """
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
-    demand_callable(watch, "a watch")
-    demand_count(sample)
-    kept, say = Store(demand_path(store, "the directory of an atlas")), watch or silent
+    require_callable(watch, "a watch")
+    require_count(sample)
+    kept, say = AtlasStore(require_path(store, "the directory of an atlas")), watch or ignore_events
     header, survey = kept.header(), kept.survey()
     problem = header_problem(header, problem_from_scenario)
     if survey is None:
@@ -108,23 +108,32 @@ def extend(
         with kept.claimed("survey") as ours:
             if not ours or kept.survey() != survey:
                 raise PeriluneError("another builder surveys this atlas at this moment", advice="wait until it is done")
-            with told_of_damage(MANIFEST):
-                survey = _extended(kept, problem, region, wide, survey, method or Indirect(), say)
+            with damage_text(MANIFEST):
+                survey = _wider_survey_line(kept, problem, region, wide, survey, method or Indirect(), say)
             kept.add(survey)
-    with told_of_damage(HEADER):
+    with damage_text(HEADER):
         tolerance = float(header["tolerance"])
-    completed(kept, problem, wide, survey, tolerance, executor, say)
+    complete_atlas(kept, problem, wide, survey, tolerance, executor, say)
     refuse_nowhere(kept, survey, len(wide.axes))
-    sampled(kept, sample, executor, say, problem_from_scenario)
+    draw_sample(kept, sample, executor, say, problem_from_scenario)
     return kept.directory
 
 
-def _extended(
-    kept: Store, problem: Problem, region: Region, wide: Region, survey: Mapping[str, Any], method: Indirect, say: Watch
+def _wider_survey_line(
+    kept: AtlasStore,
+    problem: Problem,
+    region: Region,
+    wide: Region,
+    survey: Mapping[str, Any],
+    method: Indirect,
+    say: Watch,
 ) -> dict[str, Any]:
     """Write the shards of the wider survey and return its line."""
     widths = widths_of(survey["charts"][0], region)
-    surveyed, found = Survey(problem=problem, region=wide, method=method, watch=say, widths=widths), list[Found]()
+    surveyed, found = (
+        Survey(problem=problem, region=wide, method=method, watch=say, widths=widths),
+        list[SurveyedChart](),
+    )
     with suppress(PeriluneError):  # nothing at the points that were tried: what is known is carried on all the same
         found = surveyed.run()
     places, values = wide.corners()
@@ -138,26 +147,26 @@ def _extended(
     for said in survey["charts"]:
         said = {**said, "widths": widths_of(said, region).tolist()}
         rows = kept.shard(said["seeds"], seed_type(len(wide.axes), said["unknowns"]))
-        alike = next((i for i, one in enumerate(found) if _equations(said_of(one)) == _equations(said)), -1)
+        alike = next((i for i, one in enumerate(found) if _equations_key(chart_entry(one)) == _equations_key(said)), -1)
         left = unmet[alike] if alike >= 0 else []
         sheets = sheets_of(said)
         known = [_corners_of(rows, number) for number in range(len(sheets))]
-        chart = Chart(problem, wide.names, np.array(said["widths"]), course_from(said))
+        chart = Chart(problem, wide.names, np.array(said["widths"]), arc_sequence_from(said))
         borders = Borders(chart)
         for number, sheet in enumerate(sheets):
-            same = [n for n in left if _is(found[alike], n, sheet, places, known[number])]
+            same = [n for n in left if _is_known_sheet(found[alike], n, sheet, places, known[number])]
             for n in same:
-                known[number] = {**reached_at(places, found[alike].y[n]), **known[number]}
+                known[number] = {**corners_reached(places, found[alike].y[n]), **known[number]}
                 left.remove(n)
             if not same:
-                known[number] = carried_on(chart, borders, sheet, places, values, known[number])
-        rows = np.concatenate([_rows(known, rows.dtype), rows[rows["place"].any(axis=1)]])
+                known[number] = continue_between_corners(chart, borders, sheet, places, values, known[number])
+        rows = np.concatenate([_corner_rows(known, rows.dtype), rows[rows["place"].any(axis=1)]])
         charts.append(({k: v for k, v in said.items() if k != "seeds"}, rows))
     for one, left, reaches in zip(found, unmet, reach, strict=True):
         if left:
-            said, left = said_of(one), [*left, *np.nonzero(~reaches)[0].tolist()]  # with those behind their bounds
-            some = replace(one, y=one.y[left], small=_renumbered(one.small, left))
-            charts.append(({**said, "sheets": [said["sheets"][n] for n in left]}, seeds(places, some)))
+            said, left = chart_entry(one), [*left, *np.nonzero(~reaches)[0].tolist()]  # with those behind their bounds
+            some = replace(one, y=one.y[left], small=_renumber_sheets(one.small, left))
+            charts.append(({**said, "sheets": [said["sheets"][n] for n in left]}, seed_rows(places, some)))
     before = [*survey.get("before", []), survey["digest"]]
     lines = [
         {**said, "seeds": kept.put(f"survey-{len(before)}-{number}.npy", rows)}
@@ -171,13 +180,13 @@ def _extended(
     }  # fmt: skip
 
 
-def _equations(said: Mapping[str, Any]) -> tuple[Any, ...]:
+def _equations_key(said: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return the entries of a chart's line that decide its equations and their canonical units."""
-    course = course_from(said)
+    course = arc_sequence_from(said)
     return course.keep, course.text, said["unknowns"], said["widths"]
 
 
-def _renumbered(small: Sequence[Inside], left: Sequence[int]) -> tuple[Inside, ...]:
+def _renumber_sheets(small: Sequence[InteriorSeed], left: Sequence[int]) -> tuple[InteriorSeed, ...]:
     """Return the interior extremals of the remaining sheets, with the new numbers of these."""
     return tuple(replace(one, sheet=left.index(one.sheet)) for one in small if one.sheet in left)
 
@@ -187,16 +196,16 @@ def _corners_of(rows: NDArray[Any], sheet: int) -> Corners:
     return {tuple(corner): np.array(y) for corner, y in zip(mine["corner"].tolist(), mine["y"], strict=True)}
 
 
-def _is(found: Found, number: int, sheet: Sheet, places: NDArray[np.int64], known: Corners) -> bool:
+def _is_known_sheet(found: SurveyedChart, number: int, sheet: Sheet, places: NDArray[np.int64], known: Corners) -> bool:
     """Return True if a sheet that was found is a known one: one extremal in common makes them the same."""
     other = found.sheets[number]
     if not other.alike(sheet):
         return False
-    there = reached_at(places, found.y[number])
-    return any(same(y, there[corner]) for corner, y in known.items() if corner in there)
+    there = corners_reached(places, found.y[number])
+    return any(same_unknowns(y, there[corner]) for corner, y in known.items() if corner in there)
 
 
-def _rows(sheets: Sequence[Corners], dtype: np.dtype[Any]) -> NDArray[Any]:
+def _corner_rows(sheets: Sequence[Corners], dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return the rows of a shard of sheets at corners."""
     listed = [(number, corner, y) for number, known in enumerate(sheets) for corner, y in sorted(known.items())]
     rows = np.zeros(len(listed), dtype=dtype)

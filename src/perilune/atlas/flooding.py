@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import WHOLE, Status, ending, same
+from perilune.atlas.cells import WHOLE, Status, same_unknowns, shortest_ending_edge
 from perilune.atlas.sheets import Sheet
 
 Rows = Any  # an array with columns
@@ -25,15 +25,15 @@ _DIGITS = 5  # behind the point, of what is distinguished on sides
 _COARSER = 4  # of the lattice over 4 axes, along a side of which there are three more
 
 
-def _none(_: Key, nodes: Rows) -> NDArray[np.bool_]:
+def _no_seeds(_: Key, nodes: Rows) -> NDArray[np.bool_]:
     return np.zeros(len(nodes), dtype=bool)
 
 
-def spilled(
+def seeds_for_neighbours(
     keys: Sequence[Key],
     shards: Callable[[Key], Shards | None],
     sheets: Callable[[int], Sequence[Sheet]],
-    passed_over: Callable[[Key, Rows], NDArray[np.bool_]] = _none,
+    passed_over: Callable[[Key, Rows], NDArray[np.bool_]] = _no_seeds,
 ) -> Iterator[tuple[Key, Rows]]:
     """Yield nodes on the sides of bricks that continue into them, with their places in these.
 
@@ -60,7 +60,7 @@ def spilled(
             for side, way in ((WHOLE, 1), (0, -1)):
                 here = can & (nodes["place"][:, axis] == side)
                 if here.any():
-                    sides[key, axis, way] = _coarse(np.array(nodes[here]))
+                    sides[key, axis, way] = _nodes_on_coarse_lattice(np.array(nodes[here]))
     for key in keys:
         found = list[Rows]()
         for axis in range(len(key) - 1):
@@ -73,28 +73,30 @@ def spilled(
         if not found:
             continue
         every: Rows = np.concatenate(found)
-        news, had = _news(every, shards(key), sheets(key[0]))
+        news, had = _unknown_to_brick(every, shards(key), sheets(key[0]))
         if (others := np.nonzero(~news & ~had)[0]).size:
             news[others] = passed_over(key, every[others])
         every = every[news]
         if len(every):
-            yield key, every[np.sort(np.unique(_keys(every), axis=0, return_index=True)[1])]
+            yield key, every[np.sort(np.unique(_node_keys(every), axis=0, return_index=True)[1])]
 
 
-def _coarse(nodes: Rows) -> Rows:
+def _nodes_on_coarse_lattice(nodes: Rows) -> Rows:
     """Return the nodes of a side on the lattice of the smallest cells in which a sheet may end; all if none are."""
     d = nodes["place"].shape[1]
-    step = ending(d) * (_COARSER if d > 3 else 1)
+    step = shortest_ending_edge(d) * (_COARSER if d > 3 else 1)
     chosen = nodes[(nodes["place"] % step == 0).all(axis=1)]
     return chosen if len(chosen) else nodes
 
 
-def _keys(nodes: Rows) -> NDArray[Any]:
+def _node_keys(nodes: Rows) -> NDArray[Any]:
     """Return rows that are equal for equal nodes: sheet, place, and rounded unknowns and J."""
     return np.column_stack([nodes["sheet"], nodes["place"], nodes["terms"][:, 0].round(_DIGITS)])
 
 
-def _news(nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _unknown_to_brick(
+    nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks of nodes where a brick lacks their sheet or has only others of it, and of nodes that it has."""
     had = np.zeros(len(nodes), dtype=bool)
     if known is None:
@@ -111,6 +113,6 @@ def _news(nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]) -> tuple[N
         at.setdefault((alike[int(own["sheet"][row])], *own["place"][row].tolist()), []).append(row)
     for i, node in enumerate(nodes):
         there = own[at.get((alike[int(node["sheet"])], *node["place"].tolist()), [])]
-        had[i] = same(node["terms"][0, :-1], there["terms"][:, 0, :-1]).any()
+        had[i] = same_unknowns(node["terms"][0, :-1], there["terms"][:, 0, :-1]).any()
         news[i] = not had[i] and (news[i] or (there["sheet"] == node["sheet"]).any())
     return news, had

@@ -60,7 +60,7 @@ def around_folds(
         return
     every = np.arange(len(start))
     u, share, length = y.copy(), np.zeros(len(start)), np.full(len(start), _FIRST)
-    tangent = _unit(seen(every, share, u)[0] * weight[:, None])
+    tangent = _unit_tangents(seen(every, share, u)[0] * weight[:, None])
     side, turned = np.full(len(start), sheet.orientation), np.full(len(start), np.nan)
     for _ in range(_STEPS):
         lanes = np.nonzero((length >= _SHORTEST) & (share >= -_BACK) & (share <= 1.0))[0]
@@ -81,7 +81,7 @@ def around_folds(
             if (good | ~sound).all():
                 break
         slope, _, orientation = seen(lanes, at, new)
-        onward = _unit(slope * weight[lanes, None])
+        onward = _unit_tangents(slope * weight[lanes, None])
         with np.errstate(invalid="ignore"):
             bend = (onward * tangent[lanes]).sum(axis=1)
         good &= np.abs(bend) >= _BENT
@@ -96,7 +96,7 @@ def around_folds(
                 yield start[lane] + share[lane] * way[lane], u[lane].copy(), now
 
 
-def _unit(slope: Matrix) -> Matrix:
+def _unit_tangents(slope: Matrix) -> Matrix:
     """Return unit tangents of curves with given slopes."""
     with np.errstate(invalid="ignore", over="ignore"):
         tangent = np.column_stack([slope, np.ones(len(slope))])

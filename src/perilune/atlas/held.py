@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Holds
-from perilune.atlas.charted import Charted
+from perilune.atlas.charted import OpenChart
 from perilune.atlas.reflight import SLACK
 from perilune.atlas.sheets import Sheet
-from perilune.atlas.walking import Lanes, Walk, straight
+from perilune.atlas.walking import Lanes, StraightContinuation, line_places
 from perilune.methods.starts import SIGNED
 from perilune.problem.extremal import Nature
 from perilune.structures.structure import margins
@@ -40,7 +40,7 @@ class HeldFamilies:
         Of what is held; all else is free.
     """
 
-    def __init__(self, charted: Charted, names: Sequence[str]) -> None:
+    def __init__(self, charted: OpenChart, names: Sequence[str]) -> None:
         self._charted, self._chart = charted, charted.chart
         self._at = [charted.borders.names.index(name) for name in names]
         user = charted.chart.user
@@ -102,7 +102,7 @@ class HeldFamilies:
         begin = np.hstack([values, self._at_extremals(values, y)])
         back = np.linalg.norm(begin - there, axis=1) < np.linalg.norm(begin - first, axis=1)
         first[back], last[back] = last[back], first[back]
-        walk = Walk(self._chart, self._held, begin, y, at=self._at, near=_NEAR, rough=_ROUGH)
+        walk = StraightContinuation(self._chart, self._held, begin, y, at=self._at, near=_NEAR, rough=_ROUGH)
         if (begin != first).any():
             walk.along(first, max(steps, _STEPS), _SHORTEST)
         found, cost, slopes = walk.along(last, steps, _SHORTEST)
@@ -111,9 +111,9 @@ class HeldFamilies:
         rises = np.einsum("lpk,lk->lp", slopes, ends - starts)
         if not self._plain:
             each, own = np.repeat(points, steps + 1, axis=0), found.reshape(-1, found.shape[2])
-            cost[~self._kept(each, own, straight(starts, ends, steps).reshape(len(each), -1)).reshape(cost.shape)] = (
-                np.nan
-            )
+            cost[
+                ~self._kept(each, own, line_places(starts, ends, steps).reshape(len(each), -1)).reshape(cost.shape)
+            ] = np.nan
         return found, cost, rises
 
     def _held(self, _: Lanes, places: Matrix) -> Holds:

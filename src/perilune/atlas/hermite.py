@@ -22,14 +22,14 @@ from perilune.words.types import Matrix, Vector
 
 
 @lru_cache(maxsize=8)
-def bits(d: int) -> NDArray[np.int64]:
+def binary_digits(d: int) -> NDArray[np.int64]:
     """Return the bits of the numbers below 2^d, (2^d, d): the side of a corner, or the derivatives of a term."""
     digits = np.arange(2**d)[:, None] >> np.arange(d)[None] & 1
     digits.flags.writeable = False
     return digits
 
 
-def weights(at: Matrix, size: Matrix) -> NDArray[np.float64]:
+def hermite_weights(at: Matrix, size: Matrix) -> NDArray[np.float64]:
     """Compute the weights of the terms at points of boxes.
 
     Parameters
@@ -54,7 +54,7 @@ def _products(d: int) -> Map:
     t, s = at, 1.0 - at
     # Along one axis: value and slope at the low side, then at the high one.
     along = ca.horzcat(s**2 * (1 + 2 * t), size * t * s**2, t**2 * (1 + 2 * s), -size * s * t**2)
-    digits, found = 2 * bits(d)[:, None] + bits(d)[None], ca.SX.ones(4**d, 1)
+    digits, found = 2 * binary_digits(d)[:, None] + binary_digits(d)[None], ca.SX.ones(4**d, 1)
     for axis in range(d):
         found *= along[axis, digits[..., axis].ravel().tolist()].T
     return compile_map(ca.Function("weights", [at, size], [ca.cse(found)]))
@@ -73,7 +73,7 @@ def interpolated(terms: NDArray[np.float64], at: Matrix, size: Matrix) -> Matrix
         Lengths of the boxes, (points, d) or (1, d).
     """
     points, k = len(at), terms.shape[-1]
-    flat = weights(at, size).reshape(points, 1, -1)
+    flat = hermite_weights(at, size).reshape(points, 1, -1)
     return np.matmul(flat, terms.reshape(points, -1, k))[:, 0]
 
 
@@ -82,7 +82,7 @@ def interpolated_at(terms: Matrix, at: Vector, size: Vector) -> Vector:
     return _products(len(at))(at[None], size[None])[0][0] @ terms
 
 
-def unlike_quadratics(terms: NDArray[np.float64], size: Matrix) -> NDArray[np.float64]:
+def scaled_third_derivatives(terms: NDArray[np.float64], size: Matrix) -> NDArray[np.float64]:
     """Compute the largest h^3 f''' of the edges of boxes along each axis, (boxes, d, k): zero for quadratics.
 
     For two values and two slopes on an edge it is 12 (f0 - f1) + 6 h (f0' + f1').
@@ -97,7 +97,7 @@ def unlike_quadratics(terms: NDArray[np.float64], size: Matrix) -> NDArray[np.fl
     d = size.shape[1]
     found = np.empty((len(terms), d, terms.shape[-1]))
     for axis in range(d):
-        low = np.nonzero(bits(d)[:, axis] == 0)[0]
+        low = np.nonzero(binary_digits(d)[:, axis] == 0)[0]
         high = low | 1 << axis
         jump = terms[:, low, 0] - terms[:, high, 0]
         slopes = terms[:, low, 1 << axis] + terms[:, high, 1 << axis]

@@ -22,7 +22,7 @@ _TURNS = 8  # times that bounds are taken and let go
 
 
 @dataclass(frozen=True)
-class Kept:
+class CorrectedExtremals:
     """Corrected extremals: number of the sheet, -1 where none is found, unknowns and J, canonical, (lanes,) each."""
 
     sheet: NDArray[np.int64]
@@ -30,7 +30,9 @@ class Kept:
     cost: Vector
 
 
-def kept(chart: Chart, borders: Borders, sheets: Sequence[Sheet], first: Sheet, values: Matrix, y: Matrix) -> Kept:
+def correct_active_set(
+    chart: Chart, borders: Borders, sheets: Sequence[Sheet], first: Sheet, values: Matrix, y: Matrix
+) -> CorrectedExtremals:
     """Correct the active set of bounds of extremals, or of guesses, until no bound is crossed; known maxima excluded.
 
     Parameters
@@ -60,12 +62,14 @@ def kept(chart: Chart, borders: Borders, sheets: Sequence[Sheet], first: Sheet, 
         on = np.nonzero(found.converged & crossed.any(axis=1))[0]
         turns, turn = np.unique(np.column_stack([which[going[on]], crossed[on]]), axis=0, return_inverse=True)
         which[going[on]] = len(own) + turn.reshape(-1)
-        own += [_turned(own[row[0]], [borders.bounds[i] for i in np.nonzero(row[1:])[0]]) for row in turns]
+        own += [
+            _exchange_held_bounds(own[row[0]], [borders.bounds[i] for i in np.nonzero(row[1:])[0]]) for row in turns
+        ]
         going = going[on]
-    return Kept(number, y, cost)
+    return CorrectedExtremals(number, y, cost)
 
 
-def _turned(sheet: Sheet, crossed: Sequence[tuple[str, str]]) -> Sheet:
+def _exchange_held_bounds(sheet: Sheet, crossed: Sequence[tuple[str, str]]) -> Sheet:
     """Return a sheet that also holds the bounds that were crossed, and lets go of crossed ones that it held."""
     held = set(sheet.holds.items())
     more = {name: side for name, side in crossed if (name, side) not in held}

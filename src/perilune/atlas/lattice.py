@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import Extremal, had
+from perilune.atlas.branches import Extremal, found_in_branches
 from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, Whole
 from perilune.atlas.chart import Chart, Extremals
-from perilune.atlas.hermite import bits
-from perilune.atlas.reflight import Reflights
+from perilune.atlas.hermite import binary_digits
+from perilune.atlas.reflight import ChartReintegration
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.walking import walked
+from perilune.atlas.walking import follow_sheets
 from perilune.words.types import Matrix, Vector
 
 _SEEN = ("residual", "path", "minimum", "drift")  # of second flights: columns of nodes
@@ -46,7 +46,7 @@ class Lattice:
         self,
         chart: Chart,
         borders: Borders,
-        reflights: Reflights,
+        reflights: ChartReintegration,
         sheets: Sequence[Sheet],
         low: Vector,
         high: Vector,
@@ -54,7 +54,7 @@ class Lattice:
     ) -> None:
         self.chart: Chart = chart
         self.borders: Borders = borders
-        self.reflights: Reflights = reflights
+        self.reflights: ChartReintegration = reflights
         self.all_sheets: Sequence[Sheet] = sheets
         self.origin: Vector = low
         self.step: Vector = (high - low) / WHOLE
@@ -88,7 +88,7 @@ class Lattice:
 
     def had(self, cells: Cells, some: Sequence[Extremal]) -> NDArray[np.bool_]:
         """Return a mask of the extremals that branches have, as nodes or in their cells."""
-        return had(cells, self.nodes, self.step, self.keys, self.alike, some)
+        return found_in_branches(cells, self.nodes, self.step, self.keys, self.alike, some)
 
     # -- cells ----------------------------------------------------------------------------------------------------
 
@@ -123,7 +123,7 @@ class Lattice:
         cell, corner = np.nonzero(lacking)
         if not len(cell):
             return cells
-        places = cells.low[cell] + bits(self.d)[corner] * cells.size[cell]
+        places = cells.low[cell] + binary_digits(self.d)[corner] * cells.size[cell]
         keys = self.keys(cells.branch[cell], places)
         if wholes is not None or near is not None:
             keys, once = np.unique(keys, return_index=True)
@@ -153,9 +153,11 @@ class Lattice:
         cell, corner = np.nonzero((cells.corners < 0) & sound.any(axis=1, keepdims=True))
         if not len(cell):
             return cells
-        away = np.where(sound[cell], (bits(self.d)[corner][:, None] != bits(self.d)).sum(axis=2), self.d + 1)
+        away = np.where(
+            sound[cell], (binary_digits(self.d)[corner][:, None] != binary_digits(self.d)).sum(axis=2), self.d + 1
+        )
         begin, far = cells.corners[cell, away.argmin(axis=1)], away.min(axis=1)
-        branch, places = cells.branch[cell], cells.low[cell] + bits(self.d)[corner] * cells.size[cell]
+        branch, places = cells.branch[cell], cells.low[cell] + binary_digits(self.d)[corner] * cells.size[cell]
         keys, order = self.keys(branch, places), np.argsort(far, kind="stable")
         once = order[np.unique(keys[order], return_index=True)[1]]
         walks = list(zip(begin[once].tolist(), keys[once].tolist(), strict=True))
@@ -165,7 +167,7 @@ class Lattice:
             return cells
         begin, branch, places = begin[once], branch[once], places[once]
         starts, y = self.values(self.nodes.rows("place", begin)), self.nodes.rows("terms", begin)[:, 0, :-1]
-        here, share = walked(
+        here, share = follow_sheets(
             self.chart, self.borders, self.sheets, branch, starts, y, self.values(places), _STRIDE, _NEAR, _ASTRAY
         )
         there = np.nonzero((share == 1.0) & ~self._of_another(branch, places, here))[0]
@@ -242,7 +244,9 @@ class Lattice:
 
     def corners(self, branch: Whole, low: Whole, size: Whole) -> Whole:
         """Return the nodes at the corners of cells, -1 for missing ones."""
-        return self.nodes.numbers(self.keys(branch[:, None], low[:, None] + bits(self.d)[None] * size[:, None]))
+        return self.nodes.numbers(
+            self.keys(branch[:, None], low[:, None] + binary_digits(self.d)[None] * size[:, None])
+        )
 
     def values(self, places: Whole) -> Matrix:
         """Return the values of the parameters at places, canonical."""

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.cells import WHOLE, Status
-from perilune.atlas.charted import Charted
-from perilune.atlas.descending import Known
+from perilune.atlas.charted import OpenChart
+from perilune.atlas.descending import KnownExtremals
 from perilune.atlas.hermite import interpolated
-from perilune.atlas.offers import doubted, outdoing, unanswered
+from perilune.atlas.offers import casting_doubt, dominates_known, without_admissible_answer
 from perilune.atlas.polish import Polished
-from perilune.atlas.read import SERVING, Brick, Reader
+from perilune.atlas.read import SERVING, AtlasReader, LoadedBrick
 from perilune.atlas.walking import Lanes
-from perilune.words.asked import demand_numbers
+from perilune.words.asked import require_numbers
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -39,7 +39,7 @@ def clearly_worse(cost: Any, best: Any) -> Any:
     return cost > best + _CLEARLY * (1.0 + abs(best))
 
 
-def equal(cost: Any, best: Any) -> Any:
+def equal_cost(cost: Any, best: Any) -> Any:
     """Return True where two J are equal to rounding; numbers or arrays.
 
     Parameters
@@ -101,14 +101,14 @@ class Answers:
         return self.answered == Answered.YES
 
 
-def answers(atlas: Reader, points: Matrix) -> Answers:
+def answer_points(atlas: AtlasReader, points: Matrix) -> Answers:
     """Return the answers of an atlas at points [SI], (points, d)."""
-    points, d = np.asarray(demand_numbers(points, "points of an atlas")), len(atlas.region.axes)
+    points, d = np.asarray(require_numbers(points, "points of an atlas")), len(atlas.region.axes)
     if points.ndim != 2 or points.shape[1] != d:
         raise PeriluneError(
             "points are rows of the values of all axes", got=f"shape {points.shape}", expected=f"(points, {d})"
         )
-    work = _Work(atlas, points)
+    work = _AnswerArrays(atlas, points)
     work.place()
     for start in range(0, len(points), _TOGETHER):
         work.answer(np.arange(start, min(start + _TOGETHER, len(points))))
@@ -116,14 +116,14 @@ def answers(atlas: Reader, points: Matrix) -> Answers:
 
 
 @dataclass(frozen=True)
-class _Offered:
+class _BranchCandidates:
     """J and y that one branch of a sheet gives at points; inf and NaN where none, only J where it `breaks`.
 
     `first` is the number of the first sheet of its chart; `broken` has y where it breaks, and `short` is True where it
     does so by a negative arc duration.
     """
 
-    charted: Charted
+    charted: OpenChart
     sheet: int
     first: int
     y: Matrix
@@ -134,7 +134,7 @@ class _Offered:
 
 
 @dataclass(frozen=True)
-class _Breaking:
+class _InadmissibleExtremals:
     """Inadmissible extremals of an offer: lanes, J, unknowns, and True for those with a negative arc duration."""
 
     number: int
@@ -143,15 +143,15 @@ class _Breaking:
     y: Matrix
     short: NDArray[np.bool_]
 
-    def of(self, its: NDArray[np.bool_]) -> _Breaking:
+    def of(self, its: NDArray[np.bool_]) -> _InadmissibleExtremals:
         """Return some of them."""
-        return _Breaking(self.number, self.lanes[its], self.cost[its], self.y[its], self.short[its])
+        return _InadmissibleExtremals(self.number, self.lanes[its], self.cost[its], self.y[its], self.short[its])
 
 
-class _Work:
+class _AnswerArrays:
     """Arrays of the answers while they are computed."""
 
-    def __init__(self, atlas: Reader, points: Matrix) -> None:
+    def __init__(self, atlas: AtlasReader, points: Matrix) -> None:
         count = len(points)
         self.atlas, self.points = atlas, points
         self.answered = np.full(count, Answered.NONE, dtype=np.int64)
@@ -178,10 +178,10 @@ class _Work:
         cost = np.array([offer.cost for offer in offers]).reshape(len(offers), len(some))
         order = np.argsort(cost, axis=0)
         doubt, going = np.full(len(some), np.inf), np.ones(len(some), dtype=bool)
-        breaking = list[_Breaking]()
+        breaking = list[_InadmissibleExtremals]()
         vouching = [np.isfinite(offer.y[:, 0]) for offer in offers]
         turning = list[tuple[int, NDArray[np.int64], Matrix]]()
-        self.some, self.known = some, Known.none(atlas.charted, len(some))
+        self.some, self.known = some, KnownExtremals.none(atlas.charted, len(some))
         for rank in range(len(offers)):
             chosen = order[rank]
             here = cost[chosen, np.arange(len(some))]
@@ -194,7 +194,7 @@ class _Work:
                 which = lanes[ends & ~breaks]
                 doubt[which] = np.minimum(doubt[which], here[which])
                 at = lanes[breaks]
-                breaking.append(_Breaking(number, at, here[at], offer.broken[at], offer.short[at]))
+                breaking.append(_InadmissibleExtremals(number, at, here[at], offer.broken[at], offer.short[at]))
                 if len(lanes := lanes[~ends]):
                     active = offer.charted.chart.active
                     polished = self._polished(some[lanes], offer, offer.y[lanes])
@@ -205,7 +205,7 @@ class _Work:
                         turning.append((number, lanes[turns], polished.y[turns][:, active]))
                     which = lanes[polished.doubtful]
                     doubt[which] = np.minimum(doubt[which], here[which])
-                    own = _Breaking(number, lanes, here[lanes], polished.y[:, active], polished.short)
+                    own = _InadmissibleExtremals(number, lanes, here[lanes], polished.y[:, active], polished.short)
                     breaking.append(own.of(polished.breaking | polished.short))
                     vouching[number][lanes] = polished.answers
         left, followed = self._doubted(breaking, offers, vouching)
@@ -214,19 +214,19 @@ class _Work:
         best = self.known.of(np.arange(len(some)))
         for number, lanes, y in turning:
             self._become(doubt, offers[number], lanes, cost[number, lanes], y, best, turns=True)
-        standing = list[_Breaking]()
+        standing = list[_InadmissibleExtremals]()
         for one, which in followed:
             stands = self._become(left, offers[one.number], one.lanes, one.cost, one.y, best, turns=False)
             standing.append(one.of(which | stands))
         best = self.known.of(np.arange(len(some)))
         with np.errstate(invalid="ignore"):
-            lanes = np.nonzero((left < best.cost) & ~equal(left, best.cost))[0]
+            lanes = np.nonzero((left < best.cost) & ~equal_cost(left, best.cost))[0]
         if atlas.descents.names and len(lanes):
             left[lanes] = self._looked_over(lanes, best.of(lanes), left[lanes], offers, standing)
         doubt = np.minimum(doubt, left)
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
         with np.errstate(invalid="ignore"):
-            doubtful &= ~(found & equal(doubt, self.cost[some]))
+            doubtful &= ~(found & equal_cost(doubt, self.cost[some]))
         # What is damaged might have held a better one.
         damaged = self._where(some, lambda place: bool(atlas.damage(place)))
         self.answered[some[found]] = Answered.YES
@@ -235,8 +235,11 @@ class _Work:
         self.answered[some[~self.allowed[some]]] = Answered.IMPOSSIBLE
 
     def _doubted(
-        self, breaking: Sequence[_Breaking], offers: Sequence[_Offered], vouching: Sequence[NDArray[np.bool_]]
-    ) -> tuple[Vector, list[tuple[_Breaking, NDArray[np.bool_]]]]:
+        self,
+        breaking: Sequence[_InadmissibleExtremals],
+        offers: Sequence[_BranchCandidates],
+        vouching: Sequence[NDArray[np.bool_]],
+    ) -> tuple[Vector, list[tuple[_InadmissibleExtremals, NDArray[np.bool_]]]]:
         """Return the least J, or inf, of better inadmissible extremals that cast doubt, (lanes,), and those to follow.
 
         The latter come with a mask of those that cast doubt in any case.
@@ -244,24 +247,32 @@ class _Work:
         doubt, of = np.full(len(self.some), np.inf), [offer.charted for offer in offers]
         better = [self._outdoing(one, offers[one.number]) for one in breaking]
         told, answers = [(of[one.number], one.lanes, one.short) for one in better], list(zip(of, vouching, strict=True))
-        followed, follows = list[tuple[_Breaking, NDArray[np.bool_]]](), bool(self.atlas.descents.names)
-        for one, left in zip(better, unanswered(told, answers, self.of_arcs[self.some]), strict=True):
-            which, its = doubted(one.short, left, follows=follows, settles=self.atlas.descents.settles)
+        followed, follows = list[tuple[_InadmissibleExtremals, NDArray[np.bool_]]](), bool(self.atlas.descents.names)
+        for one, left in zip(better, without_admissible_answer(told, answers, self.of_arcs[self.some]), strict=True):
+            which, its = casting_doubt(one.short, left, follows=follows, settles=self.atlas.descents.settles)
             doubt[one.lanes[which]] = np.minimum(doubt[one.lanes[which]], one.cost[which])
             followed.append((one.of(its), which[its]))
         return doubt, followed
 
-    def _outdoing(self, one: _Breaking, offer: _Offered) -> _Breaking:
+    def _outdoing(self, one: _InadmissibleExtremals, offer: _BranchCandidates) -> _InadmissibleExtremals:
         """Return the extremals that are better than the known answers, by J as Newton's method reaches it."""
         known, charted = self.cost[self.some], offer.charted
-        one = one.of(outdoing(charted, one.cost, known[one.lanes]))
+        one = one.of(dominates_known(charted, one.cost, known[one.lanes]))
         its = np.nonzero(~one.short)[0]
         values = self.points[self.some[one.lanes[its]]] / charted.chart.scale
         one.cost[its] = charted.met(offer.sheet, values, one.y[its], one.cost[its])
-        return one.of(outdoing(charted, one.cost, known[one.lanes]))
+        return one.of(dominates_known(charted, one.cost, known[one.lanes]))
 
     def _become(
-        self, doubt: Vector, offer: _Offered, lanes: Lanes, cost: Vector, y: Matrix, best: Known, *, turns: bool
+        self,
+        doubt: Vector,
+        offer: _BranchCandidates,
+        lanes: Lanes,
+        cost: Vector,
+        y: Matrix,
+        best: KnownExtremals,
+        *,
+        turns: bool,
     ) -> NDArray[np.bool_]:
         """Let inadmissible extremals cast doubt, or their minima answer; return a mask of those that leave doubt."""
         if not len(lanes):
@@ -272,10 +283,15 @@ class _Work:
         becomes = atlas.descents.become(points, extremals, atlas.begins(points), best.of(lanes))
         cost, best = self._settled(lanes, becomes, cost), self.known.of(lanes)
         doubt[lanes] = np.minimum(doubt[lanes], cost)
-        return (cost < best.cost) & ~equal(cost, best.cost)
+        return (cost < best.cost) & ~equal_cost(cost, best.cost)
 
     def _looked_over(
-        self, lanes: Lanes, best: Known, cost: Vector, offers: Sequence[_Offered], standing: Sequence[_Breaking]
+        self,
+        lanes: Lanes,
+        best: KnownExtremals,
+        cost: Vector,
+        offers: Sequence[_BranchCandidates],
+        standing: Sequence[_InadmissibleExtremals],
     ) -> Vector:
         """Search along all parameters between bounds; return the J that still casts doubt, inf for none, (lanes,)."""
         atlas, points = self.atlas, self.points[self.some[lanes]]
@@ -292,20 +308,20 @@ class _Work:
             known[here] = better.chart >= 0
         return doubt
 
-    def _extremals(self, offer: _Offered, y: Matrix, cost: Vector) -> Known:
+    def _extremals(self, offer: _BranchCandidates, y: Matrix, cost: Vector) -> KnownExtremals:
         """Return extremals of an offer in the form that the search for minima takes."""
-        number, found = self.atlas.charted.index(offer.charted), Known.none(self.atlas.charted, len(y))
+        number, found = self.atlas.charted.index(offer.charted), KnownExtremals.none(self.atlas.charted, len(y))
         found.chart[:], found.y[number][:], found.cost[:] = number, y, cost
         return found
 
-    def _settled(self, lanes: NDArray[np.int64], becomes: Known, cost: Vector) -> Vector:
+    def _settled(self, lanes: NDArray[np.int64], becomes: KnownExtremals, cost: Vector) -> Vector:
         """Polish better minima as answers; return the J that casts doubt, `cost` where no minimum was reached."""
         atlas, found, known = self.atlas, becomes.chart >= 0, self.cost[self.some[lanes]]
-        better = found & (becomes.cost < known) & ~(np.isfinite(known) & equal(becomes.cost, known))
+        better = found & (becomes.cost < known) & ~(np.isfinite(known) & equal_cost(becomes.cost, known))
         for chart, sheet in np.unique(np.column_stack([becomes.chart, becomes.sheet])[better], axis=0).tolist():
             charted, its = atlas.charted[chart], better & (becomes.chart == chart) & (becomes.sheet == sheet)
             first = sum(len(other.sheets) for other in atlas.charted[:chart])
-            self._polished(self.some[lanes[its]], _no_offer(charted, sheet, first, 0), becomes.y[chart][its])
+            self._polished(self.some[lanes[its]], _no_candidate(charted, sheet, first, 0), becomes.y[chart][its])
         return np.where(found, becomes.cost, cost)
 
     def _where(self, some: NDArray[np.int64], says: Callable[[tuple[int, ...]], bool]) -> NDArray[np.bool_]:
@@ -313,13 +329,13 @@ class _Work:
         rows, which = np.unique(self.bricks[some], axis=0, return_inverse=True)
         return np.array([says(tuple(row)) for row in rows.tolist()], dtype=bool)[which.reshape(-1)]
 
-    def _polished(self, points: NDArray[np.int64], offer: _Offered, y: Matrix) -> Polished:
+    def _polished(self, points: NDArray[np.int64], offer: _BranchCandidates, y: Matrix) -> Polished:
         """Polish unknowns of an offer, and keep answers that are better than known ones."""
         atlas, charted, chart = self.atlas, offer.charted, offer.charted.chart
         polished = charted.polish(self.points[points] / chart.scale, np.full(len(points), offer.sheet), y)
         known, rank, of_arcs = self.cost[points], self.charts.index(charted), charted.of_arcs
         with np.errstate(invalid="ignore"):
-            alike = polished.answers & equal(polished.cost, known)
+            alike = polished.answers & equal_cost(polished.cost, known)
         self.of_arcs[points[alike]] |= of_arcs
         better = polished.answers & np.where(alike, rank < self.rank[points], polished.cost < known)
         kept, problem = points[better], atlas.problem
@@ -334,12 +350,14 @@ class _Work:
         self.known.y[number][lanes], self.known.cost[lanes] = polished.y[better][:, chart.active], self.cost[kept]
         return polished
 
-    def _offers(self, some: NDArray[np.int64]) -> list[_Offered]:
+    def _offers(self, some: NDArray[np.int64]) -> list[_BranchCandidates]:
         """Return the candidates of all sheets at some points."""
-        atlas, found, first, count = self.atlas, list[_Offered](), 0, len(some)
+        atlas, found, first, count = self.atlas, list[_BranchCandidates](), 0, len(some)
         bricks = np.unique(self.bricks[some], axis=0)
         for number, charted in enumerate(atlas.charted):
-            offers = dict[tuple[int, int], _Offered]()  # by sheets, and how many branches of it there are already
+            offers = dict[
+                tuple[int, int], _BranchCandidates
+            ]()  # by sheets, and how many branches of it there are already
             for row in bricks:
                 lanes = np.nonzero((self.bricks[some] == row).all(axis=1))[0]
                 place = tuple(row.tolist())
@@ -351,8 +369,8 @@ class _Work:
                 met = Counter[int]()
                 for sheet, root in brick.minima:
                     met[sheet] += 1
-                    offer = offers.setdefault((sheet, met[sheet]), _no_offer(charted, sheet, first, count))
-                    _fill(offer, brick, root, lanes, self.points[some[lanes]] / charted.chart.scale, inside)
+                    offer = offers.setdefault((sheet, met[sheet]), _no_candidate(charted, sheet, first, count))
+                    _fill_candidates(offer, brick, root, lanes, self.points[some[lanes]] / charted.chart.scale, inside)
             for offer in offers.values():
                 given = np.nonzero(np.isfinite(offer.y[:, 0]))[0]
                 values = self.points[some[given]] / charted.chart.scale
@@ -379,13 +397,15 @@ class _Work:
         )
 
 
-def _no_offer(charted: Charted, sheet: int, first: int, count: int) -> _Offered:
+def _no_candidate(charted: OpenChart, sheet: int, first: int, count: int) -> _BranchCandidates:
     y, cost = np.full((count, charted.unknowns), np.nan), np.full(count, np.inf)
     no = np.zeros(count, dtype=bool)
-    return _Offered(charted, sheet, first, y, cost, no, y.copy(), no.copy())
+    return _BranchCandidates(charted, sheet, first, y, cost, no, y.copy(), no.copy())
 
 
-def _fill(offer: _Offered, brick: Brick, root: int, lanes: Lanes, values: Matrix, inside: Matrix) -> None:
+def _fill_candidates(
+    offer: _BranchCandidates, brick: LoadedBrick, root: int, lanes: Lanes, values: Matrix, inside: Matrix
+) -> None:
     """Fill in what the cells of a branch give at points of a brick.
 
     Parameters

@@ -28,7 +28,7 @@ class Query:
     error_bound
         How far the unknowns can be from those of the extremal, relative; see `perilune.atlas.polish`.
     residual, path, minimum, drift
-        What the second flight shows (`perilune.atlas.reflight.Reflown`), canonical.
+        What the second flight shows (`perilune.atlas.reflight.ReintegratedExtremals`), canonical.
     inherited
         Level that all answers at nodes reached which were drawn for a proof of this atlas; 0 where none was.
     slopes

@@ -18,14 +18,14 @@ import casadi as ca
 import numpy as np
 
 from perilune.atlas import singular
-from perilune.atlas.riding import NOTHING, Rides
-from perilune.atlas.standing import SLACK, all_of
+from perilune.atlas.riding import NOTHING, ChartBoundaryArcs
+from perilune.atlas.standing import SLACK, conjunction
 from perilune.conditions.canonical import hamiltonian_at, limit_symbols
 from perilune.conditions.pontryagin import Conditions
-from perilune.problem.controls import Bounded, placed, scalars
+from perilune.problem.controls import Bounded, control_slices, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import SYMBOLIC, column, elements, trace_parameters
-from perilune.shooting.settling import settling
+from perilune.shooting.settling import settling_equations
 
 FAR = 1e30  # stands for infinity: nothing was looked at yet
 # The least condition, the least gain of another control, the least and most H, the least multiplier of what is ridden.
@@ -36,7 +36,7 @@ _KEPT = 1e-9  # canonical: by so little a control may miss what is held
 _NEAR = 0.1  # how far from the control that is flown an unbounded one is tried, canonical
 
 
-class Seen(NamedTuple):
+class MarchedMargins(NamedTuple):
     """Margins and errors of a second flight, canonical: symbols, or columns of numbers.
 
     Attributes
@@ -69,32 +69,32 @@ class Seen(NamedTuple):
     nearly: Any
 
 
-def begun(conditions: Conditions, k: int) -> ca.Function:
+def start_function(conditions: Conditions, k: int) -> ca.Function:
     """Build the function (y, numbers, end state of the phase before) -> marched state, all of z, and duration."""
     y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
     extremal = conditions.phases[k]
-    before = _state(conditions, k - 1) if k else ca.SX(0, 1)
-    z, duration = conditions.starts[k](y, _end(conditions, k - 1, before) if k else before, p)
-    flown = settling(extremal).start(z[: extremal.half]) if extremal.settles else z
+    before = _march_symbols(conditions, k - 1) if k else ca.SX(0, 1)
+    z, duration = conditions.starts[k](y, _phase_end_state(conditions, k - 1, before) if k else before, p)
+    flown = settling_equations(extremal).start(z[: extremal.half]) if extremal.settles else z
     state = ca.vertcat(flown, ca.DM(NOTHING_SEEN))
     return ca.Function("begun", [y, p, before], [ca.cse(ca.densify(each)) for each in (state, z, duration)])
 
 
-def _state(conditions: Conditions, k: int) -> ca.SX:
+def _march_symbols(conditions: Conditions, k: int) -> ca.SX:
     """Return symbols for the marched state of a phase: z, or x and the moving part of Phi; and the margins so far."""
     extremal = conditions.phases[k]
-    size = settling(extremal).flown.modes[0].size1_in(0) if extremal.settles else 2 * extremal.half
+    size = settling_equations(extremal).flown.modes[0].size1_in(0) if extremal.settles else 2 * extremal.half
     return ca.SX.sym(f"state{k}", size + len(NOTHING_SEEN))
 
 
-def _end(conditions: Conditions, k: int, state: ca.SX) -> ca.SX:
+def _phase_end_state(conditions: Conditions, k: int, state: ca.SX) -> ca.SX:
     """Return z at the end of a phase; for one that settles x, and zeros."""
     extremal = conditions.phases[k]
     n = extremal.half
     return ca.vertcat(state[:n], ca.SX.zeros(n, 1)) if extremal.settles else state[: 2 * n]
 
 
-def ended(conditions: Conditions, rides: Rides) -> ca.Function:
+def end_function(conditions: Conditions, rides: ChartBoundaryArcs) -> ca.Function:
     """Build the function (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
 
     Choice and results are those of `perilune.atlas.reflight`.
@@ -102,8 +102,8 @@ def ended(conditions: Conditions, rides: Rides) -> ca.Function:
     y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
     free = conditions.free_at.stop - conditions.free_at.start
     held, told = (ca.SX.sym(name, free + len(conditions.ranges)) for name in ("held", "told"))
-    states = [_state(conditions, k) for k in range(len(conditions.phases))]
-    ends = [_end(conditions, k, state) for k, state in enumerate(states)]
+    states = [_march_symbols(conditions, k) for k in range(len(conditions.phases))]
+    ends = [_phase_end_state(conditions, k, state) for k, state in enumerate(states)]
     plain, cost = conditions.residual(y, ca.vertcat(*ends), p)
     settled = [k for k, extremal in enumerate(conditions.phases) if extremal.settles]
     rows = dict[int, slice]()
@@ -114,7 +114,7 @@ def ended(conditions: Conditions, rides: Rides) -> ca.Function:
     residual, cost = conditions.residual(y, ca.vertcat(*ends), p)
     path, minimum, drift, pays = ca.SX(FAR), ca.SX(FAR), ca.SX(0.0), ca.SX(FAR)
     begins = [
-        conditions.starts[k](y, _end(conditions, k - 1, states[k - 1]) if k else ca.SX(0, 1), p)[0]
+        conditions.starts[k](y, _phase_end_state(conditions, k - 1, states[k - 1]) if k else ca.SX(0, 1), p)[0]
         for k in range(len(states))
     ]
     for k, (extremal, state) in enumerate(zip(conditions.phases, states, strict=True)):
@@ -124,7 +124,7 @@ def ended(conditions: Conditions, rides: Rides) -> ca.Function:
         if extremal.settles:
             n, lam = extremal.half, y[conditions.costate_at[k]]
             residual[rows[k]] = lam - ca.mtimes(
-                settling(extremal).transition(state[: -len(NOTHING_SEEN)]).T, ends[k][n:]
+                settling_equations(extremal).transition(state[: -len(NOTHING_SEEN)]).T, ends[k][n:]
             )
             values = [hamiltonian_at(extremal, z, p) for z in (ca.vertcat(begins[k][:n], lam), ends[k])]
             change = ca.fabs(values[1] - values[0])
@@ -138,14 +138,14 @@ def ended(conditions: Conditions, rides: Rides) -> ca.Function:
     path = ca.mmin(ca.vertcat(path, rides.turns(y, begins, ends, p)))
     pays, minimum = ca.fmin(pays, jumps) + NOTHING, ca.fmin(minimum, -aside)
     missed = ca.vertcat(ca.fabs(residual), -path, -minimum)
-    good = all_of(*ca.vertsplit(ca.vertcat(missed, drift) <= SLACK))
-    nearly = all_of(*ca.vertsplit(missed <= _NEARLY), ca.logic_not(good))
-    seen = Seen(path, minimum, drift, cost, pays, ca.mmax(ca.fabs(residual)), good, nearly)
+    good = conjunction(*ca.vertsplit(ca.vertcat(missed, drift) <= SLACK))
+    nearly = conjunction(*ca.vertsplit(missed <= _NEARLY), ca.logic_not(good))
+    seen = MarchedMargins(path, minimum, drift, cost, pays, ca.mmax(ca.fabs(residual)), good, nearly)
     found = [residual, ca.vertcat(*seen), rates, ranges]
     return ca.Function("ended", [y, p, ca.vertcat(held, told), *states], [ca.cse(ca.densify(each)) for each in found])
 
 
-def step_along(rides: Rides, k: int, mode: int) -> ca.Function:
+def step_along(rides: ChartBoundaryArcs, k: int, mode: int) -> ca.Function:
     """Build one step: (z and margins so far, numbers, free parameters, length) -> the same behind it."""
     extremal = rides.conditions.phases[k]
     size = 2 * extremal.half
@@ -153,10 +153,10 @@ def step_along(rides: Rides, k: int, mode: int) -> ca.Function:
     free, h = ca.SX.sym("free", len(rides.stated.free)), ca.SX.sym("h")
     state = ca.SX.sym("state", size + len(NOTHING_SEEN))
     z = state[:size]
-    after = extrapolated(lambda point: extremal.modes[mode](point, numbers), z, h)
-    path, minimum, value, smooth = _seen(rides, k, mode, z, numbers, free)
-    dip = _between(smooth, lambda point: extremal.modes[mode](point, numbers), z, after, h)
-    bent = singular.bent(rides.stated, rides.stated.phases[k], extremal, mode, z, numbers, free)
+    after = extrapolated_step(lambda point: extremal.modes[mode](point, numbers), z, h)
+    path, minimum, value, smooth = _margins_at(rides, k, mode, z, numbers, free)
+    dip = _minimum_inside_step(smooth, lambda point: extremal.modes[mode](point, numbers), z, after, h)
+    bent = singular.kelley_terms(rides.stated, rides.stated.phases[k], extremal, mode, z, numbers, free)
     seen = [
         ca.mmin(ca.vertcat(state[size], path, dip)),
         ca.fmin(state[size + 1], minimum),
@@ -168,24 +168,24 @@ def step_along(rides: Rides, k: int, mode: int) -> ca.Function:
     return ca.Function("step", [state, numbers, free, h], [ca.cse(out)])
 
 
-def step_settling(rides: Rides, k: int, mode: int) -> ca.Function:
+def step_settling(rides: ChartBoundaryArcs, k: int, mode: int) -> ca.Function:
     """Build one step of a phase that settles, with (x, Phi) in place of z, and no control."""
     extremal = rides.conditions.phases[k]
-    made = settling(extremal)
+    made = settling_equations(extremal)
     flown, known = made.flown.modes[mode], made.flown.numbers.tolist()
     numbers = ca.SX.sym("numbers", extremal.modes[mode].size1_in(1))
     free, h = ca.SX.sym("free", len(rides.stated.free)), ca.SX.sym("h")
     size = flown.size1_in(0)
     state = ca.SX.sym("state", size + len(NOTHING_SEEN))
-    after = extrapolated(lambda point: flown(point, numbers[known]), state[:size], h)
+    after = extrapolated_step(lambda point: flown(point, numbers[known]), state[:size], h)
     still = ca.vertcat(state[: extremal.half], ca.SX.zeros(extremal.half, 1))
-    path, _, _, smooth = _seen(rides, k, mode, still, numbers, free)
-    dip = _between(smooth, lambda point: flown(point, numbers[known]), state[:size], after, h)
+    path, _, _, smooth = _margins_at(rides, k, mode, still, numbers, free)
+    dip = _minimum_inside_step(smooth, lambda point: flown(point, numbers[known]), state[:size], after, h)
     seen = ca.vertcat(ca.mmin(ca.vertcat(state[size], path, dip)), state[size + 1 :])
     return ca.Function("step", [state, numbers, free, h], [ca.cse(ca.vertcat(after, seen))])
 
 
-def extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
+def extrapolated_step(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
     """Return a step of order 8: midpoint rules of 2, 4, 6 and 8 parts, extrapolated in the square of their length.
 
     Extrapolated are increments of z, which are small: so a step rounds z once, and not some ten times.
@@ -204,7 +204,7 @@ def extrapolated(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
     return z + table[-1]
 
 
-def _between(smooth: tuple[ca.SX, ca.SX], rate: Any, before: ca.SX, after: ca.SX, h: ca.SX) -> ca.SX:
+def _minimum_inside_step(smooth: tuple[ca.SX, ca.SX], rate: Any, before: ca.SX, after: ca.SX, h: ca.SX) -> ca.SX:
     """Return the least of conditions on states inside a step, by the cubic of values and rates at both ends."""
     x, conditions = smooth
     if not conditions.numel():
@@ -220,8 +220,8 @@ def _between(smooth: tuple[ca.SX, ca.SX], rate: Any, before: ca.SX, after: ca.SX
     return ca.mmin(a + s * (b + s * (c + s * d)))
 
 
-def _seen(
-    rides: Rides, k: int, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
+def _margins_at(
+    rides: ChartBoundaryArcs, k: int, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
 ) -> tuple[ca.SX, ca.SX, ca.SX, tuple[ca.SX, ca.SX]]:
     """Return the least condition at a point, the least excess of H of other controls, and H of the flown one.
 
@@ -265,7 +265,7 @@ def _seen(
     )
     eta, always = rides.multipliers(k, mode, z, numbers), rides.always(k)
     others = []
-    for other in _samples(phase, control, of_limits(given, free, plain)):
+    for other in _admissible_controls(phase, control, of_limits(given, free, plain)):
         there, allowed, told = value(where, other, costate, given, free, plain)
         gain = there - best - ca.dot(eta, told)
         if allowed.numel() and ca.depends_on(path, u):
@@ -279,10 +279,10 @@ def _seen(
     return ca.mmin(kept) if kept.numel() else ca.SX(FAR), least, best, (x, alone)
 
 
-def _samples(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
+def _admissible_controls(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
     """Yield admissible controls all over the set of each phase."""
     choices, at = list[list[ca.SX]](), 0
-    for here, kind in placed(phase.controls):
+    for here, kind in control_slices(phase.controls):
         flown = control[here.start : here.stop]
         if isinstance(kind, Bounded):
             low, high = limits[2 * at], limits[2 * at + 1]
@@ -292,14 +292,14 @@ def _samples(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterator[ca.SX]:
             else:
                 choices.append([flown, *(ca.fmin(ca.fmax(flown + way * _NEAR, low), high) for way in (-1, 1))])
         else:
-            choices.append([flown, *(ca.SX(ca.DM(v)) for v in _directions(len(kind.names)))])
+            choices.append([flown, *(ca.SX(ca.DM(v)) for v in _sampled_directions(len(kind.names)))])
     for number, parts in enumerate(product(*choices)):
         if number:  # the first is the control itself
             yield ca.vertcat(*parts)
 
 
 @lru_cache(maxsize=4)
-def _directions(components: int) -> tuple[tuple[float, ...], ...]:
+def _sampled_directions(components: int) -> tuple[tuple[float, ...], ...]:
     """Return unit vectors all around: eight in the plane, the faces and corners of a cube in space."""
     if components == 2:
         return tuple((float(np.cos(a)), float(np.sin(a))) for a in np.arange(8) * np.pi / 4)

@@ -31,16 +31,16 @@ from perilune.atlas.columns import (
     survey_region,
     widths_of,
 )
-from perilune.atlas.lines import told_of_damage
+from perilune.atlas.lines import damage_text
 from perilune.atlas.region import Axis, Region
 from perilune.atlas.sampling import LEVEL
-from perilune.atlas.store import HEADER, Store, clear, digest_of, end_line, seal_of
+from perilune.atlas.store import HEADER, AtlasStore, clear_atlas, digest_of, end_line, seal_of
 from perilune.io.files import fresh_directory
 from perilune.problem.problem import Problem
-from perilune.words.asked import called_in_words, demand_path
+from perilune.words.asked import check_call, require_path
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import told
-from perilune.words.watch import Watch, silent
+from perilune.words.units import format_quantity
+from perilune.words.watch import Watch, ignore_events
 
 _BY_HAND = ("axes", "versions", "format")  # of a header: compared otherwise, or not at all
 
@@ -52,7 +52,7 @@ Place = tuple[int, ...]  # numbers of a brick, with its chart before them or wit
 class _Part:
     """One of the two atlases: store, header, survey, region, bricks by chart and numbers, and proofs."""
 
-    kept: Store
+    kept: AtlasStore
     header: Mapping[str, Any]
     survey: Mapping[str, Any]
     region: Region
@@ -87,14 +87,14 @@ class _Part:
         return found
 
 
-@called_in_words
+@check_call
 def merge(
     first: str | Path,
     second: str | Path,
     out: str | Path,
     *,
     force: bool = False,
-    watch: Watch = silent,
+    watch: Watch = ignore_events,
     problem_from_scenario: Callable[[str], Problem] | None = None,
 ) -> Path:
     """Make one atlas of two.
@@ -126,10 +126,12 @@ def merge(
     """
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
-    one, other = (_read(demand_path(place, "an atlas to merge"), problem_from_scenario) for place in (first, second))
+    one, other = (
+        _read_part(require_path(place, "an atlas to merge"), problem_from_scenario) for place in (first, second)
+    )
     _refuse_unlike(one, other)
-    one, other, region = _together(one, other)
-    kept = Store(demand_path(out, "the directory of an atlas"))
+    one, other, region = _ordered_parts(one, other)
+    kept = AtlasStore(require_path(out, "the directory of an atlas"))
     if (kept.directory / HEADER).exists() and not force:
         raise PeriluneError(
             "the output directory holds an atlas already", got=str(out), expected="a new or empty directory",
@@ -140,8 +142,8 @@ def merge(
     header = {**one.header, **header_axes(region), "versions": _versions_of(one.header, other.header)}
     kept.prepare(None)
 
-    def write(into: Store) -> None:
-        lines = list(_lines(into, one, other, region, seal_of(header), watch))
+    def write(into: AtlasStore) -> None:
+        lines = list(_merged_manifest_lines(into, one, other, region, seal_of(header), watch))
         if one.ended and other.ended:
             survey = next(line for line in lines if line["kind"] == "survey")
             lines.append(end_line(survey, (line for line in lines if line["kind"] == "brick")))
@@ -150,32 +152,32 @@ def merge(
 
     if (kept.directory / HEADER).exists():  # it stays until the whole of the new one lies beside it
         with fresh_directory(kept.directory.resolve(), force=True) as work:
-            write(Store(work))
-            clear(kept.directory)
+            write(AtlasStore(work))
+            clear_atlas(kept.directory)
     else:
         write(kept)
     return kept.directory
 
 
-def _read(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _Part:
-    kept = Store(directory)
+def _read_part(directory: Path, problem_from_scenario: Callable[[str], Problem]) -> _Part:
+    kept = AtlasStore(directory)
     header, survey = kept.header(), kept.survey()
     if survey is None:
         raise PeriluneError("this atlas has no survey yet", got=str(directory), advice="build it first")
     region = survey_region(header_region(header_problem(header, problem_from_scenario), header), survey)
     bricks = kept.latest(survey, len(region.axes))
-    samples = kept.samples(survey["digest"], _nodes(bricks.values()), len(region.axes))
+    samples = kept.samples(survey["digest"], _total_nodes(bricks.values()), len(region.axes))
     return _Part(kept, header, survey, region, bricks, samples, kept.ended(survey, len(region.axes)))
 
 
-def _nodes(lines: Iterable[Mapping[str, Any]]) -> int:
+def _total_nodes(lines: Iterable[Mapping[str, Any]]) -> int:
     """Return the number of nodes of bricks, given their lines."""
     return sum(line["nodes"]["rows"] for line in lines)
 
 
 def _versions_of(*headers: Mapping[str, Any]) -> dict[str, str]:
     """Return the versions of the programs that computed the parts; both where they differ."""
-    with told_of_damage(HEADER):
+    with damage_text(HEADER):
         found = [dict[str, str](header["versions"]) for header in headers]
         names = list(dict.fromkeys(name for one in found for name in one))
         return {n: " and ".join(dict.fromkeys(str(one[n]) for one in found if n in one)) for n in names}
@@ -195,7 +197,7 @@ def _refuse_unlike(one: _Part, other: _Part) -> None:
         )
 
 
-def _together(one: _Part, other: _Part) -> tuple[_Part, _Part, Region]:
+def _ordered_parts(one: _Part, other: _Part) -> tuple[_Part, _Part, Region]:
     """Return both parts, the lower first, and their joint region; the second's bricks keep their own numbers."""
     apart = [i for i, (a, b) in enumerate(zip(one.region.axes, other.region.axes, strict=True)) if a.edges != b.edges]
     if len(apart) == 1:
@@ -207,7 +209,7 @@ def _together(one: _Part, other: _Part) -> tuple[_Part, _Part, Region]:
             axes = tuple(joined if i == apart[0] else axis for i, axis in enumerate(one.region.axes))
             return one, other, Region(axes)
     if apart:
-        told = "; ".join(_told(one.region.axes[i], other.region.axes[i]) for i in apart)
+        told = "; ".join(_axis_difference_text(one.region.axes[i], other.region.axes[i]) for i in apart)
         raise PeriluneError(
             "these two regions do not make one", got=told,
             expected="the same ranges, but along one axis, along which one ends where the other begins",
@@ -216,14 +218,16 @@ def _together(one: _Part, other: _Part) -> tuple[_Part, _Part, Region]:
     return one, other, one.region
 
 
-def _told(a: Axis, b: Axis) -> str:
+def _axis_difference_text(a: Axis, b: Axis) -> str:
     if (a.low, a.high) == (b.low, b.high):
         return f"{a.key} is divided at other values"
-    ranges = (f"{told(axis.low, axis.unit)} to {told(axis.high, axis.unit)}" for axis in (a, b))
+    ranges = (f"{format_quantity(axis.low, axis.unit)} to {format_quantity(axis.high, axis.unit)}" for axis in (a, b))
     return f"{a.key} {' and '.join(ranges)}"
 
 
-def _lines(kept: Store, one: _Part, other: _Part, region: Region, seal: str, watch: Watch) -> Iterator[dict[str, Any]]:
+def _merged_manifest_lines(
+    kept: AtlasStore, one: _Part, other: _Part, region: Region, seal: str, watch: Watch
+) -> Iterator[dict[str, Any]]:
     """Yield the lines of the manifest, after the shards that they name are written."""
     d, same = len(region.axes), one.survey["digest"] == other.survey["digest"]
     shift = np.array([_shift(a, b, c) for a, b, c in zip(one.region.axes, other.region.axes, region.axes, strict=True)])
@@ -249,20 +253,20 @@ def _lines(kept: Store, one: _Part, other: _Part, region: Region, seal: str, wat
     edges = [{"first": axis.first, "at": list(axis.edges)} for axis in region.axes]
     notes = list(dict.fromkeys([*one.survey.get("notes", []), *other.survey.get("notes", [])]))[:MOST_NOTES]
     digest = digest_of([edges, lines])
-    proofs, lost = _proofs((one, other), region, taken)
+    proofs, lost = _valid_proofs((one, other), region, taken)
     if lost:
         watch(said := f"{lost} of the proofs of the merged atlases are dropped: what answers at their nodes is of both")
         notes = [*notes, said][-MOST_NOTES:]
     yield {"kind": "survey", "digest": digest, "header": seal, "edges": edges, "charts": lines, "notes": notes}
     for count, (key, (part, line)) in enumerate(sorted(taken.items(), key=lambda item: item[0]), 1):
         watch(f"{count} of {len(taken)} bricks")
-        yield _copied(kept, part, line, key, digest, lines[key[0]]["unknowns"])
+        yield _copied_brick_line(kept, part, line, key, digest, lines[key[0]]["unknowns"])
     if any(proofs.values()):  # nothing was asked of the whole
-        nodes = _nodes(line for _, line in taken.values())
+        nodes = _total_nodes(line for _, line in taken.values())
         yield {"kind": "sample", "survey": digest, "nodes": nodes, "asked": 0, "level": LEVEL, **proofs}
 
 
-def _proofs(
+def _valid_proofs(
     parts: Sequence[_Part], region: Region, taken: Mapping[Place, tuple[_Part, Mapping[str, Any]]]
 ) -> tuple[dict[str, list[Any]], int]:
     """Return the proofs at places where only their own atlas answers, and the number of other proofs."""
@@ -288,8 +292,8 @@ def _shift(a: Axis, b: Axis, joined: Axis) -> int:
     return joined.first + begins - b.first
 
 
-def _copied(
-    kept: Store, part: _Part, line: Mapping[str, Any], key: tuple[int, ...], digest: str, unknowns: int
+def _copied_brick_line(
+    kept: AtlasStore, part: _Part, line: Mapping[str, Any], key: tuple[int, ...], digest: str, unknowns: int
 ) -> dict[str, Any]:
     """Copy the shards of a brick of one of the two, and return its line in the new manifest."""
     name, d = brick_name(key), len(key) - 1

@@ -7,20 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from perilune.atlas.charted import Charted
+from perilune.atlas.charted import OpenChart
 from perilune.atlas.region import Region
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Statistics
-from perilune.proof.second_order import local_optimality
-from perilune.shooting.extremals import Found
+from perilune.proof.second_order import check_local_optimality
+from perilune.shooting.extremals import ExtremalRoot
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 _TOLD_BY = ("conjugate_point", "second_variation")  # checks of the proof
 
 
-def nature_behind_folds(problem: Problem, region: Region, said: Mapping[str, Any], values: Vector, y: Vector) -> Nature:
+def classify_behind_folds(
+    problem: Problem, region: Region, said: Mapping[str, Any], values: Vector, y: Vector
+) -> Nature:
     """Classify an extremal behind a fold, at which no solve has been, by its second variation.
 
     Parameters
@@ -37,15 +39,15 @@ def nature_behind_folds(problem: Problem, region: Region, said: Mapping[str, Any
     Nature
         A local optimum or locally worst; `UNPROVED` where its second variation does not tell.
     """
-    charted = Charted(problem, region, said)
+    charted = OpenChart(problem, region, said)
     polished = charted.polish(values[None], np.zeros(1, dtype=np.int64), y[None])
     if not polished.reached[0]:
         return Nature.UNPROVED
     at = dict(zip(region.names, (values * charted.chart.scale).tolist(), strict=True))
-    root = Found(root=charted.root(polished), minimum=True)
+    root = ExtremalRoot(root=charted.root(polished), minimum=True)
     try:
         solution = charted.solution(problem.with_given(**at), [root], Statistics(rung="atlas"))
-        told = [check for check in local_optimality(solution) if check.name in _TOLD_BY]
+        told = [check for check in check_local_optimality(solution) if check.name in _TOLD_BY]
     except (PeriluneError, ArithmeticError):
         return Nature.UNPROVED
     if any(check.value > check.limit for check in told):

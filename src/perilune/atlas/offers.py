@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.charted import Charted
+from perilune.atlas.charted import OpenChart
 from perilune.atlas.polish import Polished
 from perilune.atlas.reflight import SLACK
 from perilune.atlas.walking import Lanes
@@ -19,13 +19,13 @@ _HERE = np.zeros(1, dtype=np.int64)  # one point is one lane
 
 
 @dataclass(slots=True)
-class Offer:
+class Candidate:
     """Candidate of one sheet at a point, as its cell gives it: unknowns (None with nothing to polish) and J, canonical.
 
     J is exact once it was `polished` and is an answer.
     """
 
-    charted: Charted
+    charted: OpenChart
     number: int
     y: Vector | None
     cost: float
@@ -74,7 +74,7 @@ class Offer:
         return f"the second flight does not bear out the extremal of {sheet}: {polished.flown.told}"
 
 
-def outdoing(charted: Charted, cost: Any, best: Any) -> Any:
+def dominates_known(charted: OpenChart, cost: Any, best: Any) -> Any:
     """Return True where inadmissible extremals of a chart have less J than the best answer, inf for none.
 
     Parameters
@@ -87,9 +87,9 @@ def outdoing(charted: Charted, cost: Any, best: Any) -> Any:
     return np.isinf(best) | ((cost < best) & (not charted.breaks_controls_alone))
 
 
-def unanswered(
-    better: Sequence[tuple[Charted, Lanes, NDArray[np.bool_]]],
-    vouching: Sequence[tuple[Charted, NDArray[np.bool_]]],
+def without_admissible_answer(
+    better: Sequence[tuple[OpenChart, Lanes, NDArray[np.bool_]]],
+    vouching: Sequence[tuple[OpenChart, NDArray[np.bool_]]],
     of_arcs: NDArray[np.bool_],
 ) -> list[NDArray[np.bool_]]:
     """Return masks of the better, inadmissible extremals whose basin may have no answer among those known.
@@ -119,7 +119,7 @@ def unanswered(
     return [np.where(its, of[lanes], to[lanes]) for (_, lanes, its), (of, to) in zip(better, left, strict=True)]
 
 
-def doubted(short: Any, left: Any, *, follows: bool, settles: bool) -> tuple[Any, Any]:
+def casting_doubt(short: Any, left: Any, *, follows: bool, settles: bool) -> tuple[Any, Any]:
     """Return masks of the extremals that cast doubt, and of those that are followed to the minimum of their basin.
 
     An extremal that breaks the path is always followed: it may lead to another basin than the one of the known answer.
@@ -139,10 +139,15 @@ def doubted(short: Any, left: Any, *, follows: bool, settles: bool) -> tuple[Any
     return cast, each & follows
 
 
-def doubted_of(
-    better: Sequence[Offer], alike: Sequence[Offer], offers: Sequence[Offer], *, follows: bool, settles: bool
-) -> tuple[list[Offer], list[Offer]]:
-    """Return the candidates at one point that cast doubt, and those to follow, as `doubted`.
+def candidates_in_doubt(
+    better: Sequence[Candidate],
+    alike: Sequence[Candidate],
+    offers: Sequence[Candidate],
+    *,
+    follows: bool,
+    settles: bool,
+) -> tuple[list[Candidate], list[Candidate]]:
+    """Return the candidates at one point that cast doubt, and those to follow, as `casting_doubt`.
 
     Parameters
     ----------
@@ -153,15 +158,15 @@ def doubted_of(
     offers
         All candidates at the point.
     follows, settles
-        As of `doubted`.
+        As of `casting_doubt`.
     """
     if not better:
         return [], []
     short = [np.array([one.short]) for one in better]
-    left = unanswered(
+    left = without_admissible_answer(
         [(one.charted, _HERE, its) for one, its in zip(better, short, strict=True)],
         [(one.charted, np.array([one.vouches])) for one in offers],
         np.array([any(one.charted.of_arcs for one in alike)]),
     )
-    told = [doubted(its, own, follows=follows, settles=settles) for its, own in zip(short, left, strict=True)]
+    told = [casting_doubt(its, own, follows=follows, settles=settles) for its, own in zip(short, left, strict=True)]
     return tuple([one for one, both in zip(better, told, strict=True) if both[k][0]] for k in (0, 1))  # pyright: ignore

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.kernels import compile_map
-from perilune.problem.preflight import between_bounds, possible, preflight
+from perilune.problem.preflight import between_bounds, is_possible, preflight
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import SYMBOLIC
 from perilune.problem.tape import Expression, Recorder
@@ -24,7 +24,7 @@ Allowed = Callable[[Matrix], NDArray[np.bool_]]
 _LEAVING = {"p", "div", "pow", "sqrt", "log", "exp", "asin", "acos", "tan", "sinh", "cosh"}  # the numbers, from numbers
 
 
-def allowed(problem: Problem, names: Sequence[str]) -> Allowed:
+def point_feasibility(problem: Problem, names: Sequence[str]) -> Allowed:
     """Build the test, (points, d) -> (points,), if all binding comparisons of a problem hold at parameter values [SI].
 
     Extremals may exist where it fails: the equations know nothing of a parking orbit below its perilune.
@@ -39,25 +39,25 @@ def allowed(problem: Problem, names: Sequence[str]) -> Allowed:
     if problem.preflight is None and not between_bounds(problem, problem.parameters({})):
         return lambda points: np.ones(len(points), dtype=bool)
     try:
-        traced = _traced(problem, names)
+        traced = _traced_comparisons(problem, names)
     except Exception:  # whatever a user's own comparisons, which may use NumPy alone, make of symbols
-        return lambda points: _compared(problem, names, points)
+        return lambda points: _compare_at_points(problem, names, points)
     mapped, given = compile_map(traced), np.array([[own.value for own in problem.given.values()]])
 
     def asked(points: Matrix) -> NDArray[np.bool_]:
         found = mapped(points, given)[0][:, 0] > 0.0
         if not found.all():
-            found[~found] = _compared(problem, names, points[~found])
+            found[~found] = _compare_at_points(problem, names, points[~found])
         return found
 
     return asked
 
 
-def _compared(problem: Problem, names: Sequence[str], points: Matrix) -> NDArray[np.bool_]:
-    return np.broadcast_to(possible(preflight(problem, dict(zip(names, points.T, strict=True)))), len(points))
+def _compare_at_points(problem: Problem, names: Sequence[str], points: Matrix) -> NDArray[np.bool_]:
+    return np.broadcast_to(is_possible(preflight(problem, dict(zip(names, points.T, strict=True)))), len(points))
 
 
-def _traced(problem: Problem, names: Sequence[str]) -> ca.Function:
+def _traced_comparisons(problem: Problem, names: Sequence[str]) -> ca.Function:
     """Build (values of the parameters, all given) -> 1 where physics surely allows it; other points have to be asked.
 
     CasADi takes 0 times anything for 0, x/x for 1 and the square of a root for its argument, where the stated formula

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart, orientation
-from perilune.atlas.march import Seen
-from perilune.atlas.reflight import Reflight, Reflights, Reflown
+from perilune.atlas.march import MarchedMargins
+from perilune.atlas.reflight import BoundReintegration, ChartReintegration, ReintegratedExtremals
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.standing import SLACK, all_of
+from perilune.atlas.standing import SLACK, conjunction
 from perilune.kernels import Map, compile_map
 from perilune.words.types import Matrix, Vector
 
@@ -36,7 +36,7 @@ _FLOWN = 1e-6  # canonical, by which the second flight of what breaks the path m
 _LENGTH, _SHRINKING, _GOING, _STEPS = range(4)
 # What is told of an extremal: see `Polished`; whether to fly once more.
 _ANSWERS, _DOUBTFUL, _BREAKING, _SHORT, _GAINS, _POOR, _BOUND, _AWAY = range(8)
-_COST = Seen._fields.index("cost")
+_COST = MarchedMargins._fields.index("cost")
 _LOST = 0.5  # of 1 + |y|: a longer step is of no use
 _AGAIN, _NEAR = 2, 1e-2  # times that it is tried from where it stopped, and relative steps up to which it is near
 
@@ -72,7 +72,7 @@ class Polished:
     passed: Matrix
     slopes: Matrix
     reached: NDArray[np.bool_]
-    flown: Reflown
+    flown: ReintegratedExtremals
 
     @property
     def rough(self) -> NDArray[np.int64]:
@@ -162,16 +162,16 @@ class Polished:
 class Polisher:
     """Newton's method from guesses, for one chart."""
 
-    def __init__(self, chart: Chart, borders: Borders, reflights: Reflights, sheets: Sequence[Sheet]) -> None:
+    def __init__(self, chart: Chart, borders: Borders, reflights: ChartReintegration, sheets: Sequence[Sheet]) -> None:
         self.chart: Chart = chart
         self.borders: Borders = borders
-        self.reflights: Reflights = reflights
+        self.reflights: ChartReintegration = reflights
         self.sheets: Sequence[Sheet] = sheets
         self.orientations: Vector = np.array([sheet.orientation for sheet in sheets])
         self.sides: Matrix = borders.sides(sheets)
         self.moving: NDArray[np.bool_] = borders.moving(self.sides)
         self.multipliers: list[int] = [nu for _, nu in chart.conditions.ranges]
-        self._idle = list[_Polish]()
+        self._idle = list[_BoundPolisher]()
 
     def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
         """Polish guesses.
@@ -198,11 +198,11 @@ class Polisher:
 
     def _polished(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
         if len(values) != 1:
-            return _Polish(self, len(values))(values, which, guess)
+            return _BoundPolisher(self, len(values))(values, which, guess)
         try:
             one = self._idle.pop()  # of one lane, which is asked again and again; pop and append are atomic
         except IndexError:
-            one = _Polish(self, 1)
+            one = _BoundPolisher(self, 1)
         polished = one(values, which, guess).copy()
         self._idle.append(one)
         return polished
@@ -238,7 +238,7 @@ class Polisher:
         length, shrinking, going, steps = ca.vertsplit(course)
         now = row[2] / (1.0 + row[3])
         shrinks = ca.logic_and(shrinking, ca.logic_or(ca.logic_not(going), now <= _SHRINKS * length))
-        goes = all_of(going, shrinks, now > _DONE)
+        goes = conjunction(going, shrinks, now > _DONE)
         close = ca.logic_and(shrinks, now <= _DONE)
         stepped = self._exactly(y + row[plan.columns.step], choice)
         whole = ca.SX.zeros(plan.size)
@@ -258,16 +258,16 @@ class Polisher:
     def told(self) -> Map:
         """Compile the judgement of lanes by their second flights and inverse Jacobians.
 
-        (y, choice, rows of `Reflown`, J^-1, guess, reached, sides, lower and upper bounds) -> y behind a step of what
-        is left, `Polished.told`, and `Polished.passed`.
+        (y, choice, rows of `ReintegratedExtremals`, J^-1, guess, reached, sides, lower and upper bounds) -> y behind a
+        step of what is left, `Polished.told`, and `Polished.passed`.
         """
         chart, plan, borders, s = self.chart, self.chart.shooting.plan, self.borders, self.borders.symbols
         n = len(plan.active)
         y, choice = ca.SX.sym("y", plan.size), ca.SX.sym("choice", 2 * plan.held)
-        sizes = {"residuals": len(chart.conditions.residuals), "shown": len(Seen._fields)}
+        sizes = {"residuals": len(chart.conditions.residuals), "shown": len(MarchedMargins._fields)}
         sizes |= {"rates": plan.free, "ranges": len(self.multipliers)}
         rows = [ca.SX.sym(name, size) for name, size in sizes.items()]
-        residuals, seen, rates, ranges = rows[0], Seen(*ca.vertsplit(rows[1])), *rows[2:]
+        residuals, seen, rates, ranges = rows[0], MarchedMargins(*ca.vertsplit(rows[1])), *rows[2:]
         inverse, guess = ca.SX.sym("inverse", n * n), ca.SX.sym("guess", len(chart.active))
         reached = ca.SX.sym("reached")
         left, mended = ca.mtimes(ca.reshape(inverse, n, n).T, residuals[plan.rows.tolist()]), ca.SX.zeros(plan.size)
@@ -282,20 +282,20 @@ class Polisher:
         paying, kept = seen.pays >= -SLACK, seen.path >= -SLACK
         inside = ca.logic_and(s.margin >= -SLACK, paying)
         own, outside = ca.logic_and(reached, inside), ca.logic_and(reached, ca.logic_not(inside))
-        answers = all_of(own, seen.good, bound <= SLACK)
-        breaking = all_of(own, seen.path < -SLACK, sound)
+        answers = conjunction(own, seen.good, bound <= SLACK)
+        breaking = conjunction(own, seen.path < -SLACK, sound)
         none = ca.logic_not(ca.logic_or(answers, ca.logic_or(outside, breaking)))
-        gains = all_of(outside, ca.logic_not(s.free_outside), kept, sound)
+        gains = conjunction(outside, ca.logic_not(s.free_outside), kept, sound)
         short = ca.logic_and(reached, s.short(borders.users)) if borders.of_arcs else ca.SX(0)
         poor = ca.logic_and(reached, ca.logic_or(seen.nearly, bound > _CLOSE))
-        flies = all_of(outside, sound, paying, seen.minimum >= -SLACK, s.within().margin >= -SLACK)
+        flies = conjunction(outside, sound, paying, seen.minimum >= -SLACK, s.within().margin >= -SLACK)
         beyond = ca.logic_and(flies, s.beyond(borders.users))
         told = ca.vertcat(answers, none, breaking, short, gains, poor, bound, away)
         given = [y, choice, *rows, inverse, guess, reached, s.side, s.lower, s.upper]
         return compile_map(ca.Function("told", given, [ca.cse(ca.densify(x)) for x in (mended, told, beyond)]))
 
 
-class _Polish:
+class _BoundPolisher:
     """Polish of a fixed number of lanes, bound to arrays."""
 
     def __init__(self, own: Polisher, lanes: int) -> None:
@@ -310,7 +310,7 @@ class _Polish:
         self._flight = chart.shooting.bind(self._y, p, self._choice)
         self._advance = own.advance.bind(row, self._y, self._choice, self._course)
         whole, self._inverse = self._advance.outputs[2], row[:, plan.columns.inverse]
-        self._reflight = Reflight(own.reflights, whole, p, self._choice, own.reflights.times)
+        self._reflight = BoundReintegration(own.reflights, whole, p, self._choice, own.reflights.times)
         known = self._inverse, guess, reached, sides, *limits
         self._told = own.told.bind(whole, self._choice, *self._reflight.rows, *known)
         self._going, self._close = self._advance.outputs[1][:, _GOING], self._advance.outputs[3][:, 0]

@@ -16,18 +16,18 @@ from pathlib import Path
 import numpy as np
 
 from perilune.atlas.cells import WHOLE, Status
-from perilune.atlas.descending import Known
-from perilune.atlas.many import Answers, answers, clearly_worse, equal
+from perilune.atlas.descending import KnownExtremals
+from perilune.atlas.many import Answers, answer_points, clearly_worse, equal_cost
 from perilune.atlas.mapped import Mapped, Query
-from perilune.atlas.march import Seen
-from perilune.atlas.offers import Offer, doubted_of, outdoing
-from perilune.atlas.read import SERVING, Reader, may_be_answers
-from perilune.problem.neighbours import placed
+from perilune.atlas.march import MarchedMargins
+from perilune.atlas.offers import Candidate, candidates_in_doubt, dominates_known
+from perilune.atlas.read import SERVING, AtlasReader, are_possible_answers
+from perilune.problem.neighbours import with_given_unchecked
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
-from perilune.shooting.extremals import Found
-from perilune.words.asked import called_in_words, demand_path
+from perilune.shooting.extremals import ExtremalRoot
+from perilune.words.asked import check_call, require_path
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import NotConvergedError, PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
@@ -35,10 +35,10 @@ from perilune.words.types import Matrix, Vector
 _NEAREST = 64  # nodes that are asked where there is an answer
 
 
-class Atlas(Reader):
+class Atlas(AtlasReader):
     """Atlas that answers queries. Use `perilune.atlas.open`."""
 
-    @called_in_words
+    @check_call
     def query(self, **values: float) -> Mapped:
         """Return the answer at values of the axes.
 
@@ -66,7 +66,7 @@ class Atlas(Reader):
         if not self.allowed(at[None])[0]:
             self._refuse_impossible(at)
         offers = self._offers(at)
-        tried, doubts, breaking, outside, gaining = (list[Offer]() for _ in range(5))
+        tried, doubts, breaking, outside, gaining = (list[Candidate]() for _ in range(5))
         best = None
         for offer in offers:
             # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
@@ -100,16 +100,18 @@ class Atlas(Reader):
             doubts += self._doubts(at, offers, tried, turns, breaking)
         best = min(tried, key=lambda one: one.cost, default=None)
         if len(tried) > 1 and best is not None:
-            alike = [one for one in tried if equal(one.cost, best.cost)]
+            alike = [one for one in tried if equal_cost(one.cost, best.cost)]
             best = min(alike, key=lambda one: (one.charted.rank, one.cost))
         doubt = min(doubts, key=lambda one: one.cost, default=None)
         damaged = bool(self.damaged) and bool(self.damage(self.region.brick_of(at)))  # it might have held a better one
-        in_doubt = best is None or (doubt is not None and doubt.cost < best.cost and not equal(doubt.cost, best.cost))
+        in_doubt = best is None or (
+            doubt is not None and doubt.cost < best.cost and not equal_cost(doubt.cost, best.cost)
+        )
         if best is None or damaged or in_doubt or (self.unbuilt and self.missing(self.region.brick_of(at))):
             raise self._nothing(at, doubt)
         return self._answer(at, best, sorted(tried, key=lambda one: one.cost), offers, began)
 
-    @called_in_words
+    @check_call
     def query_many(self, points: Matrix) -> Answers:
         """Return the answers at many points at once.
 
@@ -123,7 +125,7 @@ class Atlas(Reader):
         Answers
             As arrays; what has no answer says so.
         """
-        return answers(self, points)
+        return answer_points(self, points)
 
     # -- where it is ----------------------------------------------------------------------------------------------
 
@@ -159,9 +161,9 @@ class Atlas(Reader):
             )  # fmt: skip
         return at
 
-    def _offers(self, at: Vector) -> list[Offer]:
+    def _offers(self, at: Vector) -> list[Candidate]:
         """Return the candidates of the cells around a point, of sheets that can answer, the least J first."""
-        place, offers = self.region.brick_of(at), list[Offer]()
+        place, offers = self.region.brick_of(at), list[Candidate]()
         low, width, part = self._extents(place)
         inside = (at - low) / width * WHOLE
         where = inside.tolist()
@@ -176,16 +178,18 @@ class Atlas(Reader):
                     given = brick.given(cell, inside)
                     y, missed = charted.at_bounds(sheet, canonical, given[None, :-1])
                     cost = -np.inf if missed[0] else float(given[-1])  # then it is polished in any case
-                    offers.append(Offer(charted, sheet, y[0], cost, brick.cell(cell).size * part))
+                    offers.append(Candidate(charted, sheet, y[0], cost, brick.cell(cell).size * part))
                 elif status in (Status.BREAKS, Status.ENDS):
                     breaks = status == Status.BREAKS
                     y = brick.given(cell, inside)[:-1] if breaks else None
                     least = brick.least(np.array([cell]), inside[None]).item()
-                    offers.append(Offer(charted, sheet, y, least, low, breaks=breaks))
+                    offers.append(Candidate(charted, sheet, y, least, low, breaks=breaks))
                 elif status == Status.NO_ANSWER and charted.borders.of_arcs:
                     given = brick.given(cell, inside)
                     if charted.short(canonical, given[None, :-1])[0]:
-                        offers.append(Offer(charted, sheet, given[:-1], float(given[-1]), low, breaks=True, short=True))
+                        offers.append(
+                            Candidate(charted, sheet, given[:-1], float(given[-1]), low, breaks=True, short=True)
+                        )
         return sorted(offers, key=lambda offer: offer.cost)
 
     def _extents(self, place: tuple[int, ...]) -> tuple[Vector, Vector, Vector]:
@@ -196,45 +200,55 @@ class Atlas(Reader):
         return self._boxes[place]
 
     def _doubts(
-        self, at: Vector, offers: Sequence[Offer], tried: list[Offer], turns: Sequence[Offer], breaking: list[Offer]
-    ) -> list[Offer]:
+        self,
+        at: Vector,
+        offers: Sequence[Candidate],
+        tried: list[Candidate],
+        turns: Sequence[Candidate],
+        breaking: list[Candidate],
+    ) -> list[Candidate]:
         """Return the extremals beyond bounds, and those that break the path, which leave the answer in doubt."""
         best, settles = min(tried, key=lambda one: one.cost, default=None), self.descents.settles
-        alike = [] if best is None else [one for one in tried if equal(one.cost, best.cost)]
+        alike = [] if best is None else [one for one in tried if equal_cost(one.cost, best.cost)]
         ways = {"follows": bool(self.descents.names), "settles": settles}
-        left, followed = doubted_of(breaking, alike, offers, **ways)
+        left, followed = candidates_in_doubt(breaking, alike, offers, **ways)
         if not left and self._beside(at, followed, best):
             followed = []
         else:
             outdoes = np.inf if best is None else best.cost
-            breaking = [one for one in breaking if outdoing(one.charted, self._met(at, one), outdoes)]
-            left, followed = doubted_of(breaking, alike, offers, **ways)
+            breaking = [one for one in breaking if dominates_known(one.charted, self._met(at, one), outdoes)]
+            left, followed = candidates_in_doubt(breaking, alike, offers, **ways)
         doubts = self._become(at, best, turns, [], tried)
         if not settles:
             doubts, left = doubts + left, []
         left += self._become(at, best, [], followed, tried)
         return doubts + self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), left, tried)
 
-    def _met(self, at: Vector, one: Offer) -> float:
+    def _met(self, at: Vector, one: Candidate) -> float:
         """Return J, reached by Newton's method, of a candidate that breaks the path all over its cell."""
         if one.breaks and not one.short and one.y is not None:
             values = (at / one.charted.chart.scale)[None]
             one.cost = float(one.charted.met(one.number, values, one.y[None], np.array([one.cost]))[0])
         return one.cost
 
-    def _beside(self, at: Vector, followed: Sequence[Offer], best: Offer | None) -> bool:
+    def _beside(self, at: Vector, followed: Sequence[Candidate], best: Candidate | None) -> bool:
         """Return True if the best answer lies at each extremal that would be followed, so that none need be."""
         return all(self.descents.beside(at[None], self._known(one, -1), self._known(best, -1))[0] for one in followed)
 
     def _become(
-        self, at: Vector, best: Offer | None, turns: Sequence[Offer], breaking: Sequence[Offer], tried: list[Offer]
-    ) -> list[Offer]:
+        self,
+        at: Vector,
+        best: Candidate | None,
+        turns: Sequence[Candidate],
+        breaking: Sequence[Candidate],
+        tried: list[Candidate],
+    ) -> list[Candidate]:
         """Follow inadmissible extremals to the minima of their basins; return those that cast doubt.
 
         An extremal beyond a bound, one that gains by leaving a bound, and one that breaks the path lead to a minimum
         that does not. A known or worse minimum settles it; a better one joins `tried`.
         """
-        doubts = list[Offer]()
+        doubts = list[Candidate]()
         if not (turns or breaking):
             return doubts
         known, begins = self._known(best, -1), self.begins(at[None])
@@ -244,7 +258,9 @@ class Atlas(Reader):
                 doubts.append(one)
         return doubts
 
-    def _unanswered(self, at: Vector, best: Offer | None, doubts: list[Offer], tried: list[Offer]) -> list[Offer]:
+    def _unanswered(
+        self, at: Vector, best: Candidate | None, doubts: list[Candidate], tried: list[Candidate]
+    ) -> list[Candidate]:
         """Return the extremals that cast doubt after a search along all parameters between bounds."""
         if not doubts or best is None or not self.descents.names:
             return doubts
@@ -256,22 +272,24 @@ class Atlas(Reader):
                 return doubts
         return []
 
-    def _settled(self, at: Vector, becomes: Known, best: Offer | None, one: Offer, tried: list[Offer]) -> bool:
+    def _settled(
+        self, at: Vector, becomes: KnownExtremals, best: Candidate | None, one: Candidate, tried: list[Candidate]
+    ) -> bool:
         """Return True if the minimum reached is no better, or joins `tried` as an answer; else set the J of `one`."""
         if (number := int(becomes.chart[0])) < 0:
             return False
-        if best is None or (becomes.cost[0] < best.cost and not equal(becomes.cost[0], best.cost)):
+        if best is None or (becomes.cost[0] < best.cost and not equal_cost(becomes.cost[0], best.cost)):
             charted, other, y = self.charted[number], int(becomes.sheet[0]), becomes.y[number]
             polished = charted.polish((at / charted.chart.scale)[None], np.array([other]), y)
             if not polished.answers[0]:
                 one.cost = float(becomes.cost[0])
                 return False
-            tried.append(Offer(charted, other, y[0], float(polished.cost[0]), one.cell, polished=polished))
+            tried.append(Candidate(charted, other, y[0], float(polished.cost[0]), one.cell, polished=polished))
         return True
 
-    def _known(self, one: Offer | None, sheet: int) -> Known:
+    def _known(self, one: Candidate | None, sheet: int) -> KnownExtremals:
         """Return a candidate in the form that the search for minima takes."""
-        known = Known.none(self.charted, 1)
+        known = KnownExtremals.none(self.charted, 1)
         if one is not None:
             number = self.charted.index(one.charted)
             known.chart[0], known.sheet[0], known.cost[0] = number, sheet, one.cost
@@ -280,7 +298,9 @@ class Atlas(Reader):
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
-    def _answer(self, at: Vector, best: Offer, tried: list[Offer], offers: list[Offer], began: float) -> Mapped:
+    def _answer(
+        self, at: Vector, best: Candidate, tried: list[Candidate], offers: list[Candidate], began: float
+    ) -> Mapped:
         polished = best.polished
         assert polished is not None
         values = dict(zip(self.region.names, at.tolist(), strict=True))
@@ -288,12 +308,12 @@ class Atlas(Reader):
         problem, beside = self.problem, [o.polished for o in tried if o.charted is charted and o.polished is not None]
 
         def solution() -> Solution:
-            roots = [Found(root=charted.root(own), minimum=True) for own in beside]
+            roots = [ExtremalRoot(root=charted.root(own), minimum=True) for own in beside]
             statistics = Statistics(rung="atlas", iterations=steps, arcs=steps + 1)
-            return charted.solution(placed(problem, values), roots, statistics)
+            return charted.solution(with_given_unchecked(problem, values), roots, statistics)
 
         slopes = polished.slopes[0] * problem.objective_size / charted.chart.scale
-        shown = Seen(*polished.flown.shown[0].tolist())
+        shown = MarchedMargins(*polished.flown.shown[0].tolist())
         query = Query(
             sheet=best.label,
             met=tuple(offer.label for offer in offers),
@@ -315,7 +335,7 @@ class Atlas(Reader):
         """Refuse a point that physics refuses, as `solve` does, by comparisons that may include whole flights."""
         refuse_impossible(preflight(self.problem, dict(zip(self.region.names, at.tolist(), strict=True))))
 
-    def _nothing(self, at: Vector, doubt: Offer | None) -> PeriluneError:
+    def _nothing(self, at: Vector, doubt: Candidate | None) -> PeriluneError:
         """Return the error for a point of the region without an answer."""
         self._refuse_impossible(at)
         place, got = self.region.brick_of(at), self.region.told(at.tolist())
@@ -342,7 +362,7 @@ class Atlas(Reader):
         place, found = self.region.brick_of(at), list[Matrix]()
         for number, charted in enumerate(self.charted):
             if (brick := self.brick(number, place)) is not None:
-                found.append(np.array(brick.nodes["values"][may_be_answers(brick.nodes, charted.sheets)]))
+                found.append(np.array(brick.nodes["values"][are_possible_answers(brick.nodes, charted.sheets)]))
         values = np.unique(np.concatenate([np.empty((0, len(at))), *found]), axis=0)
         away = np.abs((values - at) / (self.region.high - self.region.low)).max(axis=1)
         near = values[np.argsort(away)[:_NEAREST]]
@@ -350,7 +370,7 @@ class Atlas(Reader):
         return self.region.told(near[good][0].tolist()) if good.any() else ""
 
 
-@called_in_words
+@check_call
 def open_atlas(directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None) -> Atlas:
     """Read an atlas.
 
@@ -368,4 +388,4 @@ def open_atlas(directory: str | Path, problem_from_scenario: Callable[[str], Pro
     """
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
-    return Atlas(demand_path(directory, "the directory of an atlas"), problem_from_scenario)
+    return Atlas(require_path(directory, "the directory of an atlas"), problem_from_scenario)

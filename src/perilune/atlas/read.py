@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.cells import WHOLE, Status, halved_at, leaves
-from perilune.atlas.charted import Charted
+from perilune.atlas.charted import OpenChart
 from perilune.atlas.columns import (
     cell_type,
     header_problem,
@@ -23,16 +23,16 @@ from perilune.atlas.columns import (
     seeded_places,
     survey_region,
 )
-from perilune.atlas.descending import Descents
+from perilune.atlas.descending import MinimumSearch
 from perilune.atlas.hermite import interpolated_at
-from perilune.atlas.lines import told_of_damage
-from perilune.atlas.physics import Allowed, allowed
+from perilune.atlas.lines import damage_text
+from perilune.atlas.physics import Allowed, point_feasibility
 from perilune.atlas.reflight import SLACK
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Sheet
-from perilune.atlas.store import HEADER, MANIFEST, Store
+from perilune.atlas.store import HEADER, MANIFEST, AtlasStore
 from perilune.problem.problem import Problem
-from perilune.words.asked import called_in_words, demand_numbers, refused
+from perilune.words.asked import check_call, require_numbers, wrong_type_error
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -43,7 +43,7 @@ _MOST_SEEN = 4096  # cells of a brick that are kept at hand
 Whole = NDArray[np.int64]
 
 
-class Brick:
+class LoadedBrick:
     """Brick as it is read: cells as lists, which Python reads fastest, and nodes as they lie on disk.
 
     `step` is that of the lattice, canonical.
@@ -60,7 +60,7 @@ class Brick:
         roots = [(int(cells["sheet"][i]), int(i)) for i in first]
         self.minima: list[tuple[int, int]] = [(number, root) for number, root in roots if sheets[number].minimum]
         self.split: list[int] = halved_at(cells["low"], cells["axis"], cells["child"]).tolist()
-        self._seen: dict[int, _Cell] = {}
+        self._seen: dict[int, _LoadedCell] = {}
 
     @cached_property
     def arrays(self) -> tuple[Whole, Whole, Whole, Whole]:
@@ -116,7 +116,7 @@ class Brick:
         low, size, canonical, terms = self.cell(number)
         return interpolated_at(terms, (place - low) / size, canonical)
 
-    def cell(self, number: int) -> _Cell:
+    def cell(self, number: int) -> _LoadedCell:
         """Return one of the cells."""
         found = self._seen.get(number)
         if found is None:
@@ -125,11 +125,11 @@ class Brick:
             said = self.cells[number]
             low, size = said["low"].astype(float), said["size"].astype(float)
             terms = self.nodes["terms"][said["corners"]]
-            found = self._seen[number] = _Cell(low, size, size * self.step, terms.reshape(-1, terms.shape[-1]))
+            found = self._seen[number] = _LoadedCell(low, size, size * self.step, terms.reshape(-1, terms.shape[-1]))
         return found
 
 
-class _Cell(NamedTuple):
+class _LoadedCell(NamedTuple):
     """Cell as it is read: low corner, size, canonical size, and terms at its corners, (corners * terms, k)."""
 
     low: Vector
@@ -138,7 +138,7 @@ class _Cell(NamedTuple):
     terms: Matrix
 
 
-class Reader:
+class AtlasReader:
     """Atlas on disk; it may grow meanwhile.
 
     Parameters
@@ -157,15 +157,15 @@ class Reader:
     """
 
     def __init__(self, directory: Path, problem_from_scenario: Callable[[str], Problem]) -> None:
-        self.store: Store = Store(directory)
+        self.store: AtlasStore = AtlasStore(directory)
         self._problem_from_scenario = problem_from_scenario
         header = self.store.header()
         self.problem: Problem = header_problem(header, problem_from_scenario)
         self._first = header_region(self.problem, header)
-        with told_of_damage(HEADER):
+        with damage_text(HEADER):
             self.tolerance: float = float(header["tolerance"])
         self.damaged: dict[tuple[int, ...], str] = {}
-        self._bricks: dict[tuple[int, ...], Brick] = {}
+        self._bricks: dict[tuple[int, ...], LoadedBrick] = {}
         self.said: dict[tuple[int, ...], dict[str, Any]] = {}
         self.refresh()
 
@@ -199,22 +199,22 @@ class Reader:
         return min((one["level"] for line in lines for one in (*line["drawn"], *line["thin"])), default=0)
 
     @cached_property
-    def charted(self) -> list[Charted]:
+    def charted(self) -> list[OpenChart]:
         """Return its charts."""
-        with told_of_damage(MANIFEST):
-            return [Charted(self.problem, self.region, said) for said in self.survey["charts"]]
+        with damage_text(MANIFEST):
+            return [OpenChart(self.problem, self.region, said) for said in self.survey["charts"]]
 
     @cached_property
-    def descents(self) -> Descents:
+    def descents(self) -> MinimumSearch:
         """Return the search for minima over its charts."""
-        return Descents(self.charted)
+        return MinimumSearch(self.charted)
 
     @cached_property
     def allowed(self) -> Allowed:
         """Return the test, (points, d) -> (points,), if physics allows points of the region [SI]."""
-        return allowed(self.problem, self.region.names)
+        return point_feasibility(self.problem, self.region.names)
 
-    @called_in_words
+    @check_call
     def begins(self, points: Matrix) -> list[Matrix]:
         """Return the node of each chart nearest to points [SI], valid or not: values of the axes, and unknowns there.
 
@@ -226,8 +226,8 @@ class Reader:
             If these are not points, one row each.
         """
         d = len(self.region.axes)
-        if np.shape(points := demand_numbers(points, "points of the region", most=2))[1:] != (d,):
-            raise refused(points, f"an array (points, {d}), its columns {self._axes}", "points of the region")
+        if np.shape(points := require_numbers(points, "points of the region", most=2))[1:] != (d,):
+            raise wrong_type_error(points, f"an array (points, {d}), its columns {self._axes}", "points of the region")
         places = self.region.bricks_of(points)
         found = [np.full((len(points), d + charted.unknowns), np.nan) for charted in self.charted]
         for number, charted in enumerate(self.charted):
@@ -241,13 +241,13 @@ class Reader:
                     found[number][rows] = np.hstack([nodes["values"] / charted.chart.scale, nodes["terms"][:, 0, :-1]])
         return found
 
-    @called_in_words
+    @check_call
     def damage(self, brick: tuple[int, ...]) -> list[str]:
         """Describe the damage at a place, one text for each damaged brick; only bricks that were read are known."""
         keys = [(number, *self._place(brick)) for number in range(len(self.charted))]
         return [self.damaged[key] for key in keys if key in self.damaged]
 
-    @called_in_words
+    @check_call
     def missing(self, brick: tuple[int, ...]) -> bool:
         """Return True if there is no survey, or it has a sheet for a place whose brick is missing.
 
@@ -269,8 +269,8 @@ class Reader:
                 found |= {(number, *place) for place in seeded_places(self.region, chart, seeds)}
         return found - self.said.keys()
 
-    @called_in_words
-    def brick(self, number: int, brick: tuple[int, ...]) -> Brick | None:
+    @check_call
+    def brick(self, number: int, brick: tuple[int, ...]) -> LoadedBrick | None:
         """Return a brick of a chart; None if it is missing or damaged.
 
         Raises
@@ -300,7 +300,7 @@ class Reader:
                 self._bricks.pop(next(iter(self._bricks)))
             low, high = self.region.box(key[1:])
             step = (high - low) / WHOLE / self.charted[number].chart.scale
-            self._bricks[key] = Brick(nodes, cells, self.charted[number].sheets, step)
+            self._bricks[key] = LoadedBrick(nodes, cells, self.charted[number].sheets, step)
         return self._bricks[key]
 
     def _place(self, brick: Any) -> tuple[int, ...]:
@@ -320,7 +320,7 @@ class Reader:
         return PeriluneError("this is no place of a brick", got=f"{number!r}, {brick!r}"[:80], expected=expected)
 
 
-def may_be_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.bool_]:
+def are_possible_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.bool_]:
     """Return a mask of the nodes of a shard that may be answers: within their sheet, and confirmed by a second flight.
 
     Parameters

@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart
-from perilune.atlas.march import NOTHING_SEEN, Seen, begun, ended, step_along, step_settling
-from perilune.atlas.riding import Rides
+from perilune.atlas.march import NOTHING_SEEN, MarchedMargins, end_function, start_function, step_along, step_settling
+from perilune.atlas.riding import ChartBoundaryArcs
 from perilune.atlas.standing import SLACK
 from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import Map, compile_map
 from perilune.shooting.newton import Lanes
-from perilune.shooting.propagate import engine, equations
+from perilune.shooting.propagate import arc_engine, reduced_equations
 from perilune.words.types import Matrix, Vector
 
 STEPS = 48  # of a piece, or a multiple of it
@@ -40,7 +40,7 @@ Arcs = tuple[Lanes, tuple[int, ...]]  # lanes, and the modes that they go throug
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reflown:
+class ReintegratedExtremals:
     """Results of second flights, in lanes; canonical.
 
     Attributes
@@ -69,9 +69,9 @@ class Reflown:
         return self.residuals, self.shown, self.rates, self.ranges
 
     @property
-    def seen(self) -> Seen:
+    def seen(self) -> MarchedMargins:
         """Return margins and errors, (lanes,) each."""
-        return Seen(*self.shown.T)
+        return MarchedMargins(*self.shown.T)
 
     @property
     def sequence(self) -> NDArray[np.int64]:
@@ -86,7 +86,7 @@ class Reflown:
     @property
     def told(self) -> str:
         """Describe the largest violation of the first extremal."""
-        first = Seen(*self.shown[0].tolist())
+        first = MarchedMargins(*self.shown[0].tolist())
         against = {
             "its ends are missed by": first.residual,
             "a condition of the path, or a bound, is broken by": -first.path,
@@ -96,19 +96,19 @@ class Reflown:
         words = max(against, key=lambda name: against[name])
         return f"{words} {against[words]:.1e} (canonical; limit {SLACK:g})"
 
-    def copy(self) -> Reflown:
+    def copy(self) -> ReintegratedExtremals:
         """In arrays of its own."""
         residuals, shown, rates, ranges = (array.copy() for array in self.rows)
-        return Reflown(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=self.arcs)
+        return ReintegratedExtremals(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=self.arcs)
 
-    def replace(self, lanes: Lanes, by: Reflown) -> None:
+    def replace(self, lanes: Lanes, by: ReintegratedExtremals) -> None:
         """Replace some flights by others of the same arcs."""
         for own, other in zip(self.rows, by.rows, strict=True):
             own[lanes] = other
 
 
 @dataclass(frozen=True)
-class _Piece:
+class _ModeInterval:
     """Interval between two switches, of some lanes: mode, lengths, and the map of z across the switch at its end."""
 
     mode: int
@@ -116,7 +116,7 @@ class _Piece:
     jump: Any
 
 
-class Reflights:
+class ChartReintegration:
     """Second flights of extremals of a chart.
 
     Parameters
@@ -131,20 +131,20 @@ class Reflights:
         self.chart: Chart = chart
         self.conditions: Conditions = chart.conditions
         self.times: tuple[int, ...] = tuple(times) or (1,) * len(self.conditions.phases)
-        self._idle: dict[tuple[int, ...], list[tuple[tuple[Matrix, Matrix, Matrix], Reflight]]] = {}
+        self._idle: dict[tuple[int, ...], list[tuple[tuple[Matrix, Matrix, Matrix], BoundReintegration]]] = {}
         self._begun: dict[int, Map] = {}
         self._marches: dict[tuple[int, int], Map] = {}
         self._jumps: dict[tuple[int, int], Map] = {}
 
     @cached_property
-    def _rides(self) -> Rides:
-        return Rides(self.chart)
+    def _rides(self) -> ChartBoundaryArcs:
+        return ChartBoundaryArcs(self.chart)
 
     @cached_property
     def _modes(self) -> list[Map]:
         return [compile_map(extremal.mode) for extremal in self.conditions.phases]
 
-    def __call__(self, y: Matrix, p: Matrix, choice: Matrix) -> Reflown:
+    def __call__(self, y: Matrix, p: Matrix, choice: Matrix) -> ReintegratedExtremals:
         """Integrate extremals again.
 
         Parameters
@@ -158,7 +158,7 @@ class Reflights:
         """
         return self._flown(y, p, choice, self.times)
 
-    def finer(self, y: Matrix, p: Matrix, choice: Matrix) -> Reflown:
+    def finer(self, y: Matrix, p: Matrix, choice: Matrix) -> ReintegratedExtremals:
         """Integrate again, and by finer steps where violations are as small as coarse steps may cause."""
         found = self._flown(y, p, choice, self.times)
         if (poor := np.nonzero(found.seen.nearly)[0]).size:
@@ -168,15 +168,15 @@ class Reflights:
             )
         return found
 
-    def _flown(self, y: Matrix, p: Matrix, choice: Matrix, times: tuple[int, ...]) -> Reflown:
+    def _flown(self, y: Matrix, p: Matrix, choice: Matrix, times: tuple[int, ...]) -> ReintegratedExtremals:
         if len(y) != 1:
-            return Reflight(self, y, p, choice, times)()
+            return BoundReintegration(self, y, p, choice, times)()
         idle = self._idle.setdefault(times, [])  # of one lane; pop and append are atomic
         try:
             given, one = idle.pop()
         except IndexError:
             given = y.copy(), p.copy(), choice.copy()
-            one = Reflight(self, *given, times)
+            one = BoundReintegration(self, *given, times)
         for own, array in zip(given, (y, p, choice), strict=True):
             own[:] = array
         flown = one().copy()
@@ -196,7 +196,7 @@ class Reflights:
         before, found = np.zeros((len(y), 0)), list[int]()
 
         def flown(k: int, times: int) -> Matrix:
-            leg = _Leg(self, k, (y, p, before), times)
+            leg = _MarchedPhase(self, k, (y, p, before), times)
             leg()
             return leg.state
 
@@ -213,15 +213,15 @@ class Reflights:
         return tuple(found)
 
     def begun(self, k: int) -> Map:
-        """Compile `march.begun`."""
+        """Compile `march.start_function`."""
         if k not in self._begun:
-            self._begun[k] = compile_map(begun(self.conditions, k))
+            self._begun[k] = compile_map(start_function(self.conditions, k))
         return self._begun[k]
 
     @cached_property
     def ended(self) -> Map:
-        """Compile `march.ended`."""
-        return compile_map(ended(self.conditions, self._rides))
+        """Compile `march.end_function`."""
+        return compile_map(end_function(self.conditions, self._rides))
 
     def march(self, k: int, mode: int) -> Map:
         """Compile `STEPS` steps of a phase in a mode."""
@@ -247,28 +247,28 @@ class Reflights:
             state[lanes] = here
         return arcs
 
-    def _sequences(self, k: int, z: Matrix, duration: Vector, p: Matrix) -> Iterator[tuple[Lanes, list[_Piece]]]:
+    def _sequences(self, k: int, z: Matrix, duration: Vector, p: Matrix) -> Iterator[tuple[Lanes, list[_ModeInterval]]]:
         """Yield lanes with the same sequence of modes, and their intervals between switches."""
         extremal = self.conditions.phases[k]
         first = self._modes[k](z, p)[0][:, 0]
-        whole = equations(extremal, (), ())
-        flown = engine(whole).propagate(z, p[:, whole.numbers], duration, mode=first)
+        whole = reduced_equations(extremal, (), ())
+        flown = arc_engine(whole).propagate(z, p[:, whole.numbers], duration, mode=first)
         met = flown.event_index
         keys = np.column_stack([first.astype(np.int64), met[:, : max(1, int((met >= 0).sum(axis=1).max()))]])
         for key in np.unique(keys, axis=0):
             lanes = np.nonzero((keys == key).all(axis=1))[0]
-            mode, at, pieces = int(key[0]), np.zeros(len(lanes)), list[_Piece]()
+            mode, at, pieces = int(key[0]), np.zeros(len(lanes)), list[_ModeInterval]()
             for i, number in enumerate(key[1:][key[1:] >= 0].tolist()):
                 event, time = extremal.events[number], flown.event_time[lanes, i]
                 if event.jump is not None and (k, number) not in self._jumps:
                     self._jumps[k, number] = compile_map(event.jump)
                 jump = self._jumps.get((k, number))
-                pieces.append(_Piece(mode, time - at, jump))
+                pieces.append(_ModeInterval(mode, time - at, jump))
                 mode, at = event.switches.get(mode, mode), time
-            yield lanes, [*pieces, _Piece(mode, duration[lanes] - at, None)]
+            yield lanes, [*pieces, _ModeInterval(mode, duration[lanes] - at, None)]
 
 
-class _Leg:
+class _MarchedPhase:
     """Phase of second flights, bound to arrays: (unknowns, numbers, state at the end of the phase before).
 
     Attributes
@@ -277,7 +277,7 @@ class _Leg:
         Marched state at the end.
     """
 
-    def __init__(self, own: Reflights, k: int, given: tuple[Matrix, Matrix, Matrix], times: int) -> None:
+    def __init__(self, own: ChartReintegration, k: int, given: tuple[Matrix, Matrix, Matrix], times: int) -> None:
         self._own, self._k, self._times = own, k, times
         (y, self._p, _), self._steps = given, np.empty((len(given[0]), 1))
         self._free = y[:, own.conditions.free_at]
@@ -305,8 +305,9 @@ class _Leg:
         return self._all
 
 
-class Reflight:
-    """Second flights bound to arrays, which are read at each call: those of `Reflights.__call__`, and its `times`.
+class BoundReintegration:
+    """Second flights bound to arrays, which are read at each call: those of `ChartReintegration.__call__`, and its
+    `times`.
 
     Attributes
     ----------
@@ -314,18 +315,18 @@ class Reflight:
         Arrays of results, overwritten by the next call.
     """
 
-    def __init__(self, own: Reflights, y: Matrix, p: Matrix, choice: Matrix, times: Sequence[int]) -> None:
-        self._legs, before = list[_Leg](), np.zeros((len(y), 0))
+    def __init__(self, own: ChartReintegration, y: Matrix, p: Matrix, choice: Matrix, times: Sequence[int]) -> None:
+        self._legs, before = list[_MarchedPhase](), np.zeros((len(y), 0))
         for k in range(len(own.conditions.phases)):
-            leg = _Leg(own, k, (y, p, before), times[k])
+            leg = _MarchedPhase(own, k, (y, p, before), times[k])
             self._legs.append(leg)
             before = leg.state
         self._ended = own.ended.bind(y, p, choice, *(leg.state for leg in self._legs))
         self.rows: tuple[Matrix, ...] = self._ended.outputs
 
-    def __call__(self) -> Reflown:
+    def __call__(self) -> ReintegratedExtremals:
         """Make the flights."""
         arcs = [(k, *arc) for k, leg in enumerate(self._legs) for arc in leg()]
         self._ended()
         residuals, shown, rates, ranges = self.rows
-        return Reflown(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=tuple(arcs))
+        return ReintegratedExtremals(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=tuple(arcs))

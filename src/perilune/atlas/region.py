@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from perilune.models.kinds import key_of
 from perilune.problem.problem import Problem
-from perilune.words.asked import refused
+from perilune.words.asked import wrong_type_error
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
-from perilune.words.units import told, told_range
+from perilune.words.units import format_quantity, format_value_range
 
 MOST_AXES = 4
 _MOST_BRICKS = 10**6
@@ -65,11 +65,11 @@ class Axis:
     @property
     def extent(self) -> str:
         """Return the range in words: ``vehicle.thrust from 430 N to 450 N``."""
-        return f"{self.key} from {told_range(self.edges, self.unit)}"
+        return f"{self.key} from {format_value_range(self.edges, self.unit)}"
 
     def told(self, value: float) -> str:
         """Format a value of it [SI]."""
-        return f"{self.key} {told(value, self.unit)}"
+        return f"{self.key} {format_quantity(value, self.unit)}"
 
     @property
     def numbers(self) -> range:
@@ -158,8 +158,10 @@ class Region:
         for axis, value in zip(self.axes, values, strict=True):
             if not axis.low <= value <= axis.high:
                 near = axis.low if value < axis.low else axis.high
-                digits = 6 if told(value, axis.unit) != told(near, axis.unit) else 17  # just outside
-                said, low, high = (told(v, axis.unit, digits) for v in (value, axis.low, axis.high))
+                digits = (
+                    6 if format_quantity(value, axis.unit) != format_quantity(near, axis.unit) else 17
+                )  # just outside
+                said, low, high = (format_quantity(v, axis.unit, digits) for v in (value, axis.low, axis.high))
                 return f"{axis.key} {said}, which is mapped from {low} to {high}"
         return None
 
@@ -182,14 +184,14 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
         If a name is no parameter, bounds are none, or there are too many.
     """
     if not isinstance(axes, Mapping) or not axes:
-        raise refused(axes, "{name: (low, high)} of parameters, in SI", "what an atlas is built over")
+        raise wrong_type_error(axes, "{name: (low, high)} of parameters, in SI", "what an atlas is built over")
     if len(axes) > MOST_AXES:
         raise PeriluneError(
             "an atlas has too many axes", got=str(len(axes)), expected=f"at most {MOST_AXES}",
             advice="vary fewer parameters, and build an atlas for each value of the others",
         )  # fmt: skip
     if bricks is not None and (isinstance(bricks, bool) or not isinstance(bricks, int) or bricks < 1):
-        raise refused(bricks, "a whole number from 1, or None", "how many bricks there are along an axis")
+        raise wrong_type_error(bricks, "a whole number from 1, or None", "how many bricks there are along an axis")
     parts = bricks or _PARTS[len(axes)]
     if parts ** len(axes) > _MOST_BRICKS:
         raise PeriluneError(
@@ -206,11 +208,11 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
         try:
             low, high = (float(v) for v in bounds)
         except (TypeError, ValueError, OverflowError):
-            raise refused(bounds, "(low, high), two numbers in SI", f"the range of {key_of(name)}") from None
+            raise wrong_type_error(bounds, "(low, high), two numbers in SI", f"the range of {key_of(name)}") from None
         if not (math.isfinite(high - low) and low < high):
             raise PeriluneError(
                 f"the range of {key_of(name)} is empty",
-                got=f"{told(low, problem.unit_of(name))} to {told(high, problem.unit_of(name))}",
+                got=f"{format_quantity(low, problem.unit_of(name))} to {format_quantity(high, problem.unit_of(name))}",
                 expected="low < high, both finite",
             )  # fmt: skip
         if high - low < max(_NARROWEST * max(abs(low), abs(high)), _LEAST):  # numbers between them would be one
@@ -244,8 +246,10 @@ def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> Non
             if (here.lower, here.upper) != (f.lower, f.upper):
                 raise PeriluneError(
                     f"the range of {key_of(f.name)} follows from what varies, by a function that an atlas cannot keep",
-                    got=f"{told(f.lower, f.unit)} to {told(f.upper, f.unit)} where {region.told(list(at.values()))}",
-                    expected=f"{told(here.lower, here.unit)} to {told(here.upper, here.unit)} there, as it is kept",
+                    got=f"{format_quantity(f.lower, f.unit)} to {format_quantity(f.upper, f.unit)} where "
+                    f"{region.told(list(at.values()))}",
+                    expected=f"{format_quantity(here.lower, here.unit)} to {format_quantity(here.upper, here.unit)} "
+                    f"there, as it is kept",
                     advice="state a range that holds everywhere, and what binds as an end condition whose limit is a "
                     "parameter",
                 )
@@ -279,10 +283,10 @@ def wider(region: Region, axes: Mapping[str, tuple[float, float]]) -> Region:
         if not (math.isfinite(high - low) and low <= axis.low and high >= axis.high):
             raise PeriluneError(
                 f"the range of {axis.key} leaves out some of what is mapped",
-                got=f"{told(low, axis.unit)} to {told(high, axis.unit)}",
-                expected=f"at least {told(axis.low, axis.unit)} to {told(axis.high, axis.unit)}",
+                got=f"{format_quantity(low, axis.unit)} to {format_quantity(high, axis.unit)}",
+                expected=f"at least {format_quantity(axis.low, axis.unit)} to {format_quantity(axis.high, axis.unit)}",
                 advice="extend an atlas beyond its ranges, or build another",
-            )  # fmt: skip
+            )
         below = _parts_of(low, axis.low, axis.edges[1] - axis.edges[0])
         above = _parts_of(axis.high, high, axis.edges[-1] - axis.edges[-2])
         edges = (*below[:-1], *axis.edges, *above[1:])

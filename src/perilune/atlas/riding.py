@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.atlas.chart import Chart
-from perilune.conditions.canonical import PhaseExtremal, control_at, of_mode
+from perilune.conditions.canonical import PhaseExtremal, minimising_control_at, select_by_mode
 from perilune.conditions.pontryagin import Conditions
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
@@ -45,7 +45,7 @@ _VANISHES = 1e-9  # of a slope: what end conditions leave of it is nothing
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ride:
+class BoundaryArcCondition:
     """Condition on a boundary arc along a phase of the restated problem.
 
     Parameters
@@ -71,7 +71,7 @@ class Ride:
         return len(self.rates)
 
 
-class Rides:
+class ChartBoundaryArcs:
     """Boundary arcs of the extremals of a chart.
 
     Parameters
@@ -87,7 +87,7 @@ class Rides:
         self._arcs = (
             () if structure is None else tuple((k, arc) for k, arcs in enumerate(structure.phases) for arc in arcs)
         )
-        self.along: tuple[tuple[Ride, ...], ...] = tuple(
+        self.along: tuple[tuple[BoundaryArcCondition, ...], ...] = tuple(
             tuple(self._of(part)) for part in range(len(self.conditions.phases))
         )
 
@@ -112,7 +112,7 @@ class Rides:
         """Return the numbers of the parts with which the user's phases begin."""
         return {i for i, (k, _) in enumerate(self._arcs) if i == 0 or self._arcs[i - 1][0] != k}
 
-    def _of(self, part: int) -> Iterator[Ride]:
+    def _of(self, part: int) -> Iterator[BoundaryArcCondition]:
         if not self._arcs or not self._arcs[part][1].along:
             return
         k, arc = self._arcs[part]
@@ -125,7 +125,7 @@ class Rides:
             if part > first and name not in self._arcs[part - 1][1].along:
                 before = part_name(self.user.phases[k].name, part - 1 - first, len(structure.phases[k]))
                 entered = tuple(f"{before}.nu_{condition.rated(i, 'enter_', 1.0).name}" for i in range(q))
-            yield Ride(
+            yield BoundaryArcCondition(
                 name=name,
                 row=held.index(condition.rated(q, "", 1.0).name),
                 rates=tuple(with_sums(value, self._sums) for value in condition.values[:-1]),
@@ -159,7 +159,9 @@ class Rides:
         ridden = {ride.row for ride in self.along[part]}
         return [i for i in range(len(self.stated.phases[part].held_conditions)) if i not in ridden]
 
-    def _eta(self, extremal: PhaseExtremal, ride: Ride, mode: int, z: ca.SX, numbers: ca.SX) -> list[ca.SX]:
+    def _eta(
+        self, extremal: PhaseExtremal, ride: BoundaryArcCondition, mode: int, z: ca.SX, numbers: ca.SX
+    ) -> list[ca.SX]:
         """Return eta and its first q derivatives along the flight."""
         symbol = ca.SX.sym("z", z.numel())
         found, rate = [extremal.multipliers[mode](symbol, numbers)[ride.row]], extremal.modes[mode](symbol, numbers)
@@ -194,7 +196,7 @@ class Rides:
         x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
         records = phase.state_record(*elements(x)), phase.control_record(*elements(u))
         value = with_sums(rate, self._sums)(*records, known.record, SYMBOLIC)[0]
-        at = [z[: x.numel()], control_at(self.conditions.phases[part], z, p)]
+        at = [z[: x.numel()], minimising_control_at(self.conditions.phases[part], z, p)]
         return self._at([x, u], at, known, [ca.SX(value)], y, p)[0]
 
     def jumps(self, y: ca.SX, begins: Sequence[ca.SX], ends: Sequence[ca.SX], p: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -243,7 +245,9 @@ class Rides:
                     cones[f"{ride.name} behind" if ride.name in cones else ride.name] = slopes[0]
         share = ca.SX.eye(n) if inner else self._unexplained(joint, x_of[0], y, p)
         columns = [ca.mtimes(share, cone) for cone in cones.values()]
-        columns = _apart([c for c, whole in zip(columns, cones.values(), strict=True) if not _vanishes(c, whole)])
+        columns = _independent_columns(
+            [c for c, whole in zip(columns, cones.values(), strict=True) if not _is_zero_column(c, whole)]
+        )
         fall = ca.mtimes(share, fall)
         if not columns:
             return ca.SX(0, 1), fall
@@ -251,15 +255,15 @@ class Rides:
         nu = ca.solve(ca.mtimes(C.T, C), ca.mtimes(C.T, fall))
         return nu, fall - ca.mtimes(C, nu)
 
-    def _beside(self, part: int, ride: Ride, slopes: Sequence[ca.SX], z: ca.SX, p: ca.SX) -> ca.SX:
+    def _beside(self, part: int, ride: BoundaryArcCondition, slopes: Sequence[ca.SX], z: ca.SX, p: ca.SX) -> ca.SX:
         """Return the terms of the costates of S itself in addition to the others."""
         extremal = self.conditions.phases[part]
         each = [self._eta(extremal, ride, mode, z, p) for mode in range(len(extremal.modes))]
         number = extremal.mode(z, p) if len(each) > 1 else ca.SX(0)
-        rates = [of_mode([rates[i] for rates in each], number) for i in range(ride.order)]
+        rates = [select_by_mode([rates[i] for rates in each], number) for i in range(ride.order)]
         return -rates[0] * slopes[0] if ride.order == 1 else rates[1] * slopes[0] - rates[0] * slopes[1]
 
-    def _slopes(self, part: int, ride: Ride, at: ca.SX, y: ca.SX, p: ca.SX) -> list[ca.SX]:
+    def _slopes(self, part: int, ride: BoundaryArcCondition, at: ca.SX, y: ca.SX, p: ca.SX) -> list[ca.SX]:
         """Return d(S^(i))/dx, i < q, in columns."""
         phase, known = self.stated.phases[part], trace_parameters(self.stated)
         x = ca.SX.sym("x", len(phase.states))
@@ -282,7 +286,7 @@ class Rides:
             start = column(self.stated.start(known.record, SYMBOLIC))
             moved = ca.jacobian(start, ca.vertcat(ca.SX(0, 1), *own))
             moved = moved[:, [j for j in range(moved.size2()) if not moved[:, j].is_zero()]]
-            return _onto(self._at([], [], known, [ca.densify(moved)], y, p)[0])
+            return _projection_onto(self._at([], [], known, [ca.densify(moved)], y, p)[0])
         k = self._arcs[joint - 1][0]
         phase, known = self.user.phases[k], trace_parameters(self.user)
         x = ca.SX.sym("x", len(phase.states))
@@ -295,7 +299,7 @@ class Rides:
         names = list(self.stated.given)
         own = given[[names.index(name) for name in self.user.given]]
         slopes = ca.Function("psi", [x, known.given, known.free], [ca.densify(slopes)])(at, own, free)
-        return ca.SX.eye(at.numel()) - _onto(slopes)
+        return ca.SX.eye(at.numel()) - _projection_onto(slopes)
 
     def _at(
         self,
@@ -321,24 +325,24 @@ class Rides:
         return ca.vertcat(ca.SX(0, 1), *own)
 
 
-def _onto(columns: ca.SX) -> ca.SX:
+def _projection_onto(columns: ca.SX) -> ca.SX:
     """Return the projection onto the space that columns span."""
     if not columns.size2():
         return ca.SX.zeros(columns.size1(), columns.size1())
     return ca.mtimes(columns, ca.solve(ca.mtimes(columns.T, columns), columns.T))
 
 
-def _apart(columns: Sequence[ca.SX]) -> list[ca.SX]:
+def _independent_columns(columns: Sequence[ca.SX]) -> list[ca.SX]:
     """Return the columns parallel to no earlier one, as those of one condition on both sides of a user's joint are."""
     found = list[ca.SX]()
     for one in columns:
         way = one / ca.norm_2(one)
-        if not any(_vanishes(way - other / ca.norm_2(other), way) for other in found):
+        if not any(_is_zero_column(way - other / ca.norm_2(other), way) for other in found):
             found.append(one)
     return found
 
 
-def _vanishes(part: ca.SX, whole: ca.SX) -> bool:
+def _is_zero_column(part: ca.SX, whole: ca.SX) -> bool:
     """Return True if a column is zero relative to another for any values of its symbols, judged at a few points."""
     symbols = ca.symvar(ca.vertcat(part, whole))
     evaluate = ca.Function("left", [ca.vertcat(ca.SX(0, 1), *symbols)], [ca.norm_2(part), ca.norm_2(whole)])

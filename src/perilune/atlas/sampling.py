@@ -21,17 +21,17 @@ from numpy.typing import NDArray
 
 from perilune.atlas.mapped import Mapped
 from perilune.atlas.query import Atlas, open_atlas
-from perilune.atlas.read import may_be_answers
+from perilune.atlas.read import are_possible_answers
 from perilune.atlas.sheets import Sheet
-from perilune.atlas.store import PATIENCE, Store
-from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
+from perilune.atlas.store import PATIENCE, AtlasStore
+from perilune.families.elsewhere import Call, Submits, report_lost_worker, run_on_executor, run_serially
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Verification
 from perilune.solve import prove
-from perilune.words.asked import refused
+from perilune.words.asked import wrong_type_error
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 Drawn = tuple[tuple[float, ...], Mapped]  # values of the axes [SI], and the answer there
 Refused = dict[tuple[float, ...], str]  # values of the axes [SI], and why a query has no answer there
@@ -97,7 +97,7 @@ class Sample:
     @property
     def share(self) -> float:
         """Return a lower bound on the share of provable answers at nodes, at 99 % confidence; 0 if one is not."""
-        return assured(self.proved, len(self.drawn))
+        return assured_share(self.proved, len(self.drawn))
 
     @property
     def unproved(self) -> tuple[Certificate, ...]:
@@ -114,16 +114,16 @@ class Sample:
         if self.kept:
             good = sum(one.proved for one in self.kept)
             lines.append(f"{good} of {len(self.kept)} drawn of the atlases that were merged proved to level {LEVEL}")
-        return [*lines, *(unproved_text(atlas, one) for one in self.unproved)]
+        return [*lines, *(unproved_samples_text(atlas, one) for one in self.unproved)]
 
 
-def demand_count(sample: Any) -> None:
+def require_count(sample: Any) -> None:
     """Refuse anything but a number of proofs."""
     if sample is not None and (isinstance(sample, bool) or not isinstance(sample, int) or sample < 0):
-        raise refused(sample, "a whole number from 0, or None", "how many answers are to be proved")
+        raise wrong_type_error(sample, "a whole number from 0, or None", "how many answers are to be proved")
 
 
-def assured(proved: int, drawn: int) -> float:
+def assured_share(proved: int, drawn: int) -> float:
     """Return a lower bound on the share of all that is provable, at 99 % confidence; 0 if one drawn was not.
 
     Parameters
@@ -136,7 +136,7 @@ def assured(proved: int, drawn: int) -> float:
 
 def proved_text(proved: int, drawn: int) -> str:
     """Describe the result of a draw, with the share of all answers that it assures."""
-    share = assured(proved, drawn)
+    share = assured_share(proved, drawn)
     said = f": at least {100 * share:.1f} % of all, at 99 % confidence" if share else ""
     return f"{proved} of {drawn} answers drawn at random proved to level {LEVEL}{said}"
 
@@ -147,14 +147,14 @@ def refused_text(refused: int, drawn: int) -> list[str]:
     return [told] if refused else []
 
 
-def unproved_text(atlas: Atlas, one: Certificate) -> str:
+def unproved_samples_text(atlas: Atlas, one: Certificate) -> str:
     """Describe an answer that is not proved: its point, level and failed checks."""
     return f"at {atlas.region.told(one.values)}: level {one.level}, not {', '.join(one.failed[:3])}"
 
 
-def thin_ones(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.int64]:
+def numbers_of_thin_nodes(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.int64]:
     """Return the numbers of nodes with a thin margin, the thinnest first."""
-    found = np.nonzero(may_be_answers(nodes, sheets) & (nodes["margin"] < _THIN))[0]
+    found = np.nonzero(are_possible_answers(nodes, sheets) & (nodes["margin"] < _THIN))[0]
     return found[np.argsort(nodes["margin"][found], kind="stable")]
 
 
@@ -174,8 +174,8 @@ def drawn_at_random(atlas: Atlas, count: int, rng: np.random.Generator, refused:
         if (brick := atlas.brick(chart, tuple(place))) is None:
             continue
         row = brick.nodes[number - int(ends[at])]
-        if may_be_answers(row[None], atlas.charted[chart].sheets)[0]:
-            yield from _answered(atlas, row["values"], seen, refused)
+        if are_possible_answers(row[None], atlas.charted[chart].sheets)[0]:
+            yield from _answer_at_new_place(atlas, row["values"], seen, refused)
 
 
 def drawn_thin(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[Drawn]:
@@ -186,13 +186,15 @@ def drawn_thin(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[D
         chart, *place = keys[at]
         if (brick := atlas.brick(chart, tuple(place))) is None:
             continue
-        for row in thin_ones(brick.nodes, atlas.charted[chart].sheets).tolist():
+        for row in numbers_of_thin_nodes(brick.nodes, atlas.charted[chart].sheets).tolist():
             if len(seen) >= count:
                 return
-            yield from _answered(atlas, brick.nodes["values"][row], seen, refused)
+            yield from _answer_at_new_place(atlas, brick.nodes["values"][row], seen, refused)
 
 
-def _answered(atlas: Atlas, values: NDArray[Any], seen: set[tuple[float, ...]], refused: Refused) -> Iterator[Drawn]:
+def _answer_at_new_place(
+    atlas: Atlas, values: NDArray[Any], seen: set[tuple[float, ...]], refused: Refused
+) -> Iterator[Drawn]:
     """Yield the answer at a new place, if there is one."""
     if (told := tuple(values.tolist())) not in seen and told not in refused:
         try:
@@ -204,23 +206,27 @@ def _answered(atlas: Atlas, values: NDArray[Any], seen: set[tuple[float, ...]], 
         yield told, found
 
 
-def certified(solutions: Iterator[Drawn], executor: Submits | None, watch: Watch = silent) -> tuple[Certificate, ...]:
+def certify_solutions(
+    solutions: Iterator[Drawn], executor: Submits | None, watch: Watch = ignore_events
+) -> tuple[Certificate, ...]:
     """Prove solutions, here or elsewhere."""
-    calls: Iterator[tuple[tuple[float, ...], Call]] = ((at, (_proof, solution)) for at, solution in solutions)
+    calls: Iterator[tuple[tuple[float, ...], Call]] = ((at, (_prove_sampled, solution)) for at, solution in solutions)
     found = list[Certificate]()
-    for at, proof in told_of_loss(answers(executor, calls) if executor is not None else here(calls)):
+    for at, proof in report_lost_worker(
+        run_on_executor(executor, calls) if executor is not None else run_serially(calls)
+    ):
         failed = tuple(check.name for check in proof.failed)
         found.append(Certificate(values=at, level=proof.level, failed=failed))
         watch(f"proof {len(found)}")
     return tuple(sorted(found, key=lambda one: one.values))
 
 
-def _proof(solution: Solution) -> Verification:
+def _prove_sampled(solution: Solution) -> Verification:
     return prove(solution, LEVEL).verification
 
 
-def sampled(
-    kept: Store,
+def draw_sample(
+    kept: AtlasStore,
     count: int | None,
     executor: Submits | None,
     watch: Watch,
@@ -242,8 +248,8 @@ def sampled(
             if ours and missing > 0:
                 rng = np.random.default_rng()  # another each time, so that nobody can choose what is looked at
                 refused = Refused()
-                drawn = certified(drawn_at_random(atlas, missing, rng, refused), executor, watch)
-                thin = certified(drawn_thin(atlas, missing, rng), executor, watch)
+                drawn = certify_solutions(drawn_at_random(atlas, missing, rng, refused), executor, watch)
+                thin = certify_solutions(drawn_thin(atlas, missing, rng), executor, watch)
                 said = {"survey": atlas.survey["digest"], "nodes": nodes, "asked": missing, "level": LEVEL}
                 said["refused"] = len(refused)
                 proofs = {"drawn": [vars(one) for one in drawn], "thin": [vars(one) for one in thin]}
@@ -265,15 +271,15 @@ def sample_lines(atlas: Atlas) -> list[dict[str, Any]]:
 def sample_of(atlas: Atlas) -> Sample:
     """Return the sample that was drawn of the atlas in its present state while it was built."""
     lines = sample_lines(atlas)
-    thin = {one.values: one for line in lines for one in map(_certificate, line["thin"])}
+    thin = {one.values: one for line in lines for one in map(_certificate_of_line, line["thin"])}
     return Sample(
-        drawn=tuple(_certificate(said) for line in lines for said in line["drawn"]),
+        drawn=tuple(_certificate_of_line(said) for line in lines for said in line["drawn"]),
         thin=tuple(thin.values()),
         thin_nodes=sum(line.get("thin", 0) for line in atlas.said.values()),
-        kept=tuple(_certificate(said) for line in lines for said in line.get("kept", ())),
+        kept=tuple(_certificate_of_line(said) for line in lines for said in line.get("kept", ())),
         refused=sum(line.get("refused", 0) for line in lines),
     )
 
 
-def _certificate(said: Mapping[str, Any]) -> Certificate:
+def _certificate_of_line(said: Mapping[str, Any]) -> Certificate:
     return Certificate(values=tuple(said["values"]), level=said["level"], failed=tuple(said["failed"]))

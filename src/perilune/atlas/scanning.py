@@ -9,10 +9,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import same
+from perilune.atlas.cells import same_unknowns
 from perilune.atlas.chart import Chart
-from perilune.atlas.charted import Charted
-from perilune.atlas.course import Course
+from perilune.atlas.charted import OpenChart
+from perilune.atlas.course import ArcSequence
 from perilune.atlas.held import HeldFamilies
 from perilune.atlas.region import Region
 from perilune.problem.extremal import Extremal
@@ -63,7 +63,11 @@ class Scan:
         self._known: dict[str, NDArray[np.float64]] = {}  # unknowns of what was met, by what it goes through
 
     def add(
-        self, values: Vector, course: Course, extremals: Sequence[Extremal], place: tuple[int, int, int] | None = None
+        self,
+        values: Vector,
+        course: ArcSequence,
+        extremals: Sequence[Extremal],
+        place: tuple[int, int, int] | None = None,
     ) -> bool:
         """Follow the arcs of an answer where no flight is known; return True if more flights were found.
 
@@ -77,13 +81,13 @@ class Scan:
         known = self._known.setdefault(course.text, np.full((*self._met.shape, len(y)), np.nan))
         before = np.count_nonzero(self._flown)
         said = {**course.document(), "widths": self._widths.tolist(), "times": [], "sheets": []}
-        charted = Charted(self._problem, self._region, {**said, "unknowns": len(chart.places)})
+        charted = OpenChart(self._problem, self._region, {**said, "unknowns": len(chart.places)})
         with np.errstate(invalid="ignore"):  # of several arcs a duration may have no bound that is held
             lower, upper = charted.borders.at(self._points / chart.scale)
             bounded: list[bool] = np.isfinite(upper - lower).min(axis=0).tolist()
         own = [name for name, both in zip(charted.borders.names, bounded, strict=True) if both and name in self.names]
         families = HeldFamilies(charted, own)
-        if place is not None and same(known[place], families.held_there(values[None], y[None])[0]):
+        if place is not None and same_unknowns(known[place], families.held_there(values[None], y[None])[0]):
             return False
         begin = np.concatenate([values / chart.scale, y])
         for at, name in enumerate(own):

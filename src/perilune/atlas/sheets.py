@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.chart import Chart, Extremals, Holds
-from perilune.atlas.standing import SLACK, Standing
+from perilune.atlas.standing import SLACK, BoundStatus
 from perilune.kernels import Map, compile_map
 from perilune.methods.starts import SIGNED
 from perilune.problem.extremal import Nature
@@ -339,13 +339,13 @@ class Borders:
         return self._maps["beyond"](at, choice[:, : self.chart.shooting.plan.held], *limits)[0] > 0.0
 
     @cached_property
-    def symbols(self) -> Standing:
+    def symbols(self) -> BoundStatus:
         """Return symbols for tracing one lane."""
-        return Standing.symbols(self.chart.shooting.plan.held, len(self.touched))
+        return BoundStatus.symbols(self.chart.shooting.plan.held, len(self.touched))
 
     @cached_property
     def _maps(self) -> dict[str, Map]:
-        """Compile the verdicts of `Standing` for lanes."""
+        """Compile the verdicts of `BoundStatus` for lanes."""
         s = self.symbols
         asked = {
             "short": ([s.at, s.lower, s.upper, s.touched], s.short(self.users)),
@@ -393,7 +393,7 @@ class Borders:
         choice: Matrix,
         limits: Limits,
     ) -> Vector:
-        """Evaluate `Standing.margin` of each lane.
+        """Evaluate `BoundStatus.margin` of each lane.
 
         Parameters
         ----------

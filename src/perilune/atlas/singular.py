@@ -17,7 +17,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.symbolic import SYMBOLIC, column, elements, trace_parameters
 
 
-def bent(
+def kelley_terms(
     stated: Problem, phase: Phase, extremal: PhaseExtremal, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
 ) -> list[ca.SX]:
     """Return -B of each singular control of a phase, over 1 + |B|; below zero for a maximum."""
@@ -32,14 +32,14 @@ def bent(
         beside[at] = s
         moving = ca.vertcat(ca.gradient(H, lam), -ca.gradient(H, x))
         slope, rate = (ca.substitute(e, u, beside) for e in (ca.gradient(H, u[at]), moving))
-        B = ca.gradient(_along(_along(slope, x, lam, rate), x, lam, rate), s)
+        B = ca.gradient(_rate_along_flow(_rate_along_flow(slope, x, lam, rate), x, lam, rate), s)
         told = ca.Function("B", [symbol, s, numbers, known.given, known.free], [B])
         value = told(z, extremal.reports[mode](z, numbers)[0][at], numbers, numbers[: known.given.numel()], free)
         found.append(-value / (1 + ca.fabs(value)))
     return found
 
 
-def _along(value: ca.SX, x: ca.SX, lam: ca.SX, rate: ca.SX) -> ca.SX:
+def _rate_along_flow(value: ca.SX, x: ca.SX, lam: ca.SX, rate: ca.SX) -> ca.SX:
     """Return the rate of an expression of state and costate."""
     n = x.numel()
     return ca.dot(ca.gradient(value, x), rate[:n]) + ca.dot(ca.gradient(value, lam), rate[n:])

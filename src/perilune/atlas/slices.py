@@ -20,11 +20,11 @@ from perilune.atlas.region import Axis
 from perilune.models.kinds import key_of
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
-from perilune.words.asked import called_in_words, demand
+from perilune.words.asked import check_call, require_type
 from perilune.words.declared import parameter_name
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
-from perilune.words.units import told_range
+from perilune.words.units import format_value_range
 
 POINTS = 101  # along each axis
 _MOST = 2000
@@ -75,7 +75,7 @@ class Slice:
 
     def __repr__(self) -> str:
         along = ", ".join(axis.extent for axis in self.axes)
-        good, cost = self.answers.good, told_range(self.answers.objective, self.problem.objective_unit)
+        good, cost = self.answers.good, format_value_range(self.answers.objective, self.problem.objective_unit)
         points = f"{np.count_nonzero(good)} of {len(good)} points"
         return f"<Slice of {self.problem.name}, {along}: {points}; J {cost or 'nowhere'}>"
 
@@ -95,7 +95,7 @@ class Slice:
         return {text: count for text, count in found.items() if count}
 
 
-@called_in_words
+@check_call
 def sliced(
     atlas: Atlas, axes: Sequence[str] = (), at: Mapping[str, float] | None = None, *, points: int = POINTS
 ) -> Slice:
@@ -117,9 +117,9 @@ def sliced(
     PeriluneError
         If a name is no axis, a value lies outside of its range, or the points are too few or too many.
     """
-    demand(atlas, Atlas, "an atlas", "atlas.open(DIRECTORY)")
+    require_type(atlas, Atlas, "an atlas", "atlas.open(DIRECTORY)")
     region = atlas.region
-    held = _held(atlas, at or {})
+    held = _held_axis_values(atlas, at or {})
     names = [parameter_name(name) for name in axes] or [name for name in region.names if name not in held][:2]
     for name in names:
         if name not in region.names:
@@ -139,8 +139,8 @@ def sliced(
     grid = {name: rows.ravel() for name, rows in zip(names, np.meshgrid(*values, indexing="ij"), strict=True)}
     whole = np.column_stack([grid.get(name, np.full(points ** len(names), others.get(name))) for name in region.names])
     answers = atlas.query_many(whole)
-    why, reasons = _reasons(atlas.problem, dict(zip(region.names, whole.T, strict=True)), answers)
-    size, nodes = _cells(atlas, whole, answers, [region.names.index(name) for name in names])
+    why, reasons = _refusal_reasons(atlas.problem, dict(zip(region.names, whole.T, strict=True)), answers)
+    size, nodes = _answering_cells(atlas, whole, answers, [region.names.index(name) for name in names])
     sheets = tuple(charted.labels[n] for charted in atlas.charted for n in range(len(charted.sheets)))
     return Slice(
         problem=atlas.problem, axes=along, at=others, values=values, answers=answers, sheets=sheets, why=why,
@@ -148,7 +148,7 @@ def sliced(
     )  # fmt: skip
 
 
-def _held(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]:
+def _held_axis_values(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]:
     """Return the checked values of axes that are held."""
     held, region = dict[str, float](), atlas.region
     for stated, value in at.items():
@@ -167,7 +167,7 @@ def _held(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]:
     return held
 
 
-def _reasons(
+def _refusal_reasons(
     problem: Problem, over: Mapping[str, Vector], answers: Answers
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     """Return the number of each point's reason, and the reasons; a refusal by physics is the comparison's."""
@@ -189,7 +189,7 @@ def _reasons(
     return numbers[why], tuple(texts[number] for number in met)
 
 
-def _cells(atlas: Atlas, points: Matrix, answers: Answers, along: list[int]) -> tuple[Matrix, Matrix]:
+def _answering_cells(atlas: Atlas, points: Matrix, answers: Answers, along: list[int]) -> tuple[Matrix, Matrix]:
     """Return the size of the cells of answers along some axes, as shares of the region, and the nodes at corners."""
     region, first = atlas.region, 0
     size, nodes = np.full((len(points), len(along)), np.nan), [np.empty((0, len(along)))]

@@ -15,13 +15,13 @@ from itertools import combinations
 
 import numpy as np
 
-from perilune.atlas.course import Course, course_of
+from perilune.atlas.course import ArcSequence, arc_sequence_of
 from perilune.atlas.region import Region
 from perilune.atlas.scanning import Scan
 from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
 from perilune.problem.extremal import Extremal
-from perilune.problem.neighbours import narrowed
+from perilune.problem.neighbours import narrow_free_parameters
 from perilune.problem.preflight import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.wording import free_name
@@ -35,17 +35,17 @@ _MOST_HELD, _MOST_FAILED = 16, 3  # solves with a parameter held, and those that
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolvedPoint:
     """Extremals at a point [SI], with their arcs, and a parameter that is held there, if any."""
 
     values: Vector
-    course: Course
+    course: ArcSequence
     extremals: Sequence[Extremal]
     held: bool = False
 
 
 @dataclass
-class Solving:
+class RegionSolver:
     """Solves of a region.
 
     Parameters
@@ -68,13 +68,13 @@ class Solving:
     widths: Vector
     notes: list[str] = field(default_factory=list)
 
-    def run(self) -> list[Solved]:
+    def run(self) -> list[SolvedPoint]:
         """Solve and return all answers."""
         _, corners = self.region.corners()
         low, high = self.region.low, self.region.high
         ends = (corners == low) | (corners == high)
         tried = np.vstack([0.5 * (low + high), corners[ends.all(axis=1)]])
-        solved, failed = list[Solved](), list[Vector]()
+        solved, failed = list[SolvedPoint](), list[Vector]()
         for number, values in enumerate(tried):
             self.watch(f"survey: point {number + 1} of {len(tried)}")
             if (answer := self._solved(values)) is not None:
@@ -84,13 +84,13 @@ class Solving:
         solved += self._between(solved, failed)
         return [*solved, *self._held(solved)]
 
-    def _between(self, solved: Sequence[Solved], failed: Sequence[Vector]) -> list[Solved]:
+    def _between(self, solved: Sequence[SolvedPoint], failed: Sequence[Vector]) -> list[SolvedPoint]:
         """Solve halfway between points whose answers have different arcs, as others may lie between these.
 
         So they may between an answer and a point at which none was found.
         """
         points = [(one.values, one.course.text) for one in solved] + [(values, _NONE) for values in failed]
-        pairs, looked, found = list(combinations(points, 2)), Counter[frozenset[str]](), list[Solved]()
+        pairs, looked, found = list(combinations(points, 2)), Counter[frozenset[str]](), list[SolvedPoint]()
         while pairs:
             (one, kind), (other, its) = pairs.pop(0)
             kinds = frozenset((kind, its))
@@ -105,9 +105,9 @@ class Solving:
             pairs = [((one, kind), middle), (middle, (other, its)), *pairs]
         return found
 
-    def _held(self, solved: Sequence[Solved]) -> list[Solved]:
+    def _held(self, solved: Sequence[SolvedPoint]) -> list[SolvedPoint]:
         """Solve with a parameter held where no flight with known arcs keeps the path."""
-        scan, found, failed = Scan(self.problem, self.region, self.widths), list[Solved](), 0
+        scan, found, failed = Scan(self.problem, self.region, self.widths), list[SolvedPoint](), 0
         if not scan.names:
             return found
         ended = set[str]()  # what goes through this leads to nothing more
@@ -125,7 +125,7 @@ class Solving:
                 failed += 1
         return found
 
-    def _solved(self, values: Vector, name: str | None = None, share: float = 0.0) -> Solved | None:
+    def _solved(self, values: Vector, name: str | None = None, share: float = 0.0) -> SolvedPoint | None:
         """Solve at a point, with a parameter held at a share of its range; None without an answer."""
         at = f"at {self.region.told(values.tolist())}"
         try:
@@ -133,9 +133,11 @@ class Solving:
             refuse_impossible(preflight(problem))
             if name is not None:
                 free = problem.free[problem.free_names.index(name)]
-                problem = narrowed(problem, **{name: free.lower + share * (free.upper - free.lower)})
+                problem = narrow_free_parameters(problem, **{name: free.lower + share * (free.upper - free.lower)})
             search = Search(self.method, problem, self.watch)
-            return Solved(values, *course_of(self.method.answer(search), search.answering.keep), name is not None)
+            return SolvedPoint(
+                values, *arc_sequence_of(self.method.answer(search), search.answering.keep), name is not None
+            )
         except PeriluneError as error:
             if name is None:
                 self.notes.append(f"{at}: {error.what}" + (f"; got {error.got}" if error.got else ""))

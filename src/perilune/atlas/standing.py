@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 SLACK = 1e-9
 
 
-class Standing(NamedTuple):
+class BoundStatus(NamedTuple):
     """Symbols of one extremal, all canonical.
 
     Attributes
@@ -42,10 +42,10 @@ class Standing(NamedTuple):
     touched: ca.SX
 
     @staticmethod
-    def symbols(count: int, touched: int) -> Standing:
+    def symbols(count: int, touched: int) -> BoundStatus:
         """Return symbols for `count` values that can be held, and `touched` contact points."""
-        names = Standing._fields
-        return Standing(*(ca.SX.sym(name, touched if name == "touched" else count) for name in names))
+        names = BoundStatus._fields
+        return BoundStatus(*(ca.SX.sym(name, touched if name == "touched" else count) for name in names))
 
     @property
     def margin(self) -> ca.SX:
@@ -88,11 +88,11 @@ class Standing(NamedTuple):
         arc = ca.mmax(ca.logic_and(below, 1 - stated))
         return ca.logic_and(arc, ca.logic_not(ca.mmax(against)))
 
-    def within(self) -> Standing:
+    def within(self) -> BoundStatus:
         """Return the status with all values within their bounds."""
         return self._replace(at=ca.fmin(ca.fmax(self.at, self.lower), self.upper))
 
 
-def all_of(*conditions: ca.SX) -> ca.SX:
+def conjunction(*conditions: ca.SX) -> ca.SX:
     """Return the logical conjunction of conditions."""
     return reduce(ca.logic_and, conditions)

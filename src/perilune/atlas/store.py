@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.lines import (
-    cut_off,
+    damage_text,
+    is_cut_off,
     read_line,
     refuse_no_brick,
     refuse_no_sample,
     refuse_no_survey,
-    told_of_damage,
     written_line,
 )
 from perilune.io.files import finite, json_text, refuse_name_of_file
@@ -53,7 +53,7 @@ _OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
 _ANEW = "build the atlas anew: perilune atlas build ... --force"
 
 
-class Store:
+class AtlasStore:
     """Directory of one atlas.
 
     Parameters
@@ -82,11 +82,11 @@ class Store:
             self._made = self._made or not self.directory.exists()
             self.directory.mkdir(parents=True, exist_ok=True)
             there = (self.directory / HEADER).exists()
-            if (header is None or not there) and not all(ours(path.name) for path in self.directory.iterdir()):
+            if (header is None or not there) and not all(is_atlas_file(path.name) for path in self.directory.iterdir()):
                 got = "an atlas and other files" if there else "files, and no atlas"
-                raise _unusable(self.directory, got, "a new or empty directory")
+                raise _unusable_atlas(self.directory, got, "a new or empty directory")
         except OSError as error:
-            raise _unusable(self.directory, str(error.strerror), "a directory that you may write") from error
+            raise _unusable_atlas(self.directory, str(error.strerror), "a directory that you may write") from error
         if header is None or not there:
             return
         said, found = json.loads(json.dumps(finite(dict(header)))), self.header()
@@ -95,19 +95,19 @@ class Store:
             got, advice = f"an atlas of other {', '.join(differs)}", "choose another directory"
             if differs == ["axes"]:
                 advice = f"perilune atlas extend makes ranges wider, and completes what was made so; or {advice}"
-            raise _unusable(self.directory, got, "the same atlas", advice)
+            raise _unusable_atlas(self.directory, got, "the same atlas", advice)
 
     def begin(self, header: Mapping[str, Any]) -> None:
         """Write the header, unless another builder did; arguments and errors of `prepare`."""
         if not (self.directory / HEADER).exists():
-            self._put(HEADER, json_text(_whole(header)).encode())
+            self._put(HEADER, json_text(_sealed_header(header)).encode())
         self.prepare(header)
 
     def leave(self) -> None:
         """Leave the directory as it was found, if nothing was begun in it."""
         with contextlib.suppress(OSError):
             if all(path.name.startswith((".claim-", ".writing-")) for path in self.directory.iterdir()):
-                clear(self.directory)
+                clear_atlas(self.directory)
                 if self._made:
                     self.directory.rmdir()
 
@@ -133,7 +133,7 @@ class Store:
                 expected=str(FORMAT),
                 advice=_ANEW,
             )
-        if found != sealed(found):
+        if found != with_checksum(found):
             raise PeriluneError(
                 f"the atlas is damaged: {HEADER} is not as it was written",
                 got="another content than its checksum says",
@@ -167,7 +167,7 @@ class Store:
         except FileNotFoundError:
             return []
         except OSError as error:
-            raise _unreadable(MANIFEST, error) from error
+            raise _unreadable_atlas_file(MANIFEST, error) from error
         whole = content[: content.rfind(b"\n") + 1]
         self._read += len(whole)
         for line in whole.splitlines():
@@ -175,7 +175,7 @@ class Store:
                 self._lines.append(found)
                 if found.get("kind") == "brick":
                     self._names.add(str(found.get("name")))
-            elif line.strip() and not cut_off(line):
+            elif line.strip() and not is_cut_off(line):
                 self.unreadable += 1
         return self._lines
 
@@ -194,7 +194,7 @@ class Store:
         found, others = None, False
         for line in self.lines():
             if line.get("kind") == "survey":
-                with told_of_damage(MANIFEST):
+                with damage_text(MANIFEST):
                     refuse_no_survey(line)
                 if line.get("header") != self.seal:
                     others = True
@@ -212,7 +212,7 @@ class Store:
         """Return the lines of the bricks of a survey of d axes, and of those that it extends; errors of `survey`."""
         mine, charts = {survey["digest"], *survey.get("before", [])}, len(survey["charts"])
         found = [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
-        with told_of_damage(MANIFEST):
+        with damage_text(MANIFEST):
             for line in found:
                 refuse_no_brick(line, d, charts)
         return found
@@ -239,7 +239,7 @@ class Store:
     def samples(self, digest: Any, nodes: int, d: int) -> list[dict[str, Any]]:
         """Return the lines of samples of a survey of d axes with so many nodes; errors of `survey`."""
         found = [line for line in self.lines() if line.get("kind") == "sample"]
-        with told_of_damage(MANIFEST):
+        with damage_text(MANIFEST):
             for line in found:
                 refuse_no_sample(line, d)
         return [line for line in found if line.get("survey") == digest and line.get("nodes") == nodes]
@@ -272,7 +272,7 @@ class Store:
             finally:
                 os.close(handle)
         except OSError as error:
-            raise _unwritable(MANIFEST, error) from error
+            raise _unwritable_atlas(MANIFEST, error) from error
 
     def write_lines(self, lines: Iterable[Mapping[str, Any]]) -> None:
         """Write the whole manifest at once, in place of an existing one."""
@@ -312,18 +312,18 @@ class Store:
         name = str(said.get("file"))
         path = self.directory / name
         if not _OURS.fullmatch(name):
-            raise _damaged(name[:60], "no name of a shard")
+            raise _damaged_atlas(name[:60], "no name of a shard")
         try:
             altered = check and hashlib.sha256(path.read_bytes()).hexdigest() != said.get("sha256")
             found = None if altered else np.load(path, mmap_mode="r", allow_pickle=False)
         except PermissionError as error:
-            raise _unreadable(name, error) from error
+            raise _unreadable_atlas_file(name, error) from error
         except (OSError, ValueError, EOFError) as error:
-            raise _damaged(name, str(error)[:80]) from error
+            raise _damaged_atlas(name, str(error)[:80]) from error
         if found is None:
-            raise _damaged(name, "another content than its checksum says")
+            raise _damaged_atlas(name, "another content than its checksum says")
         if found.dtype != dtype or found.ndim != 1 or len(found) != said.get("rows"):
-            raise _damaged(name, f"{found.dtype} {found.shape}"[:80])
+            raise _damaged_atlas(name, f"{found.dtype} {found.shape}"[:80])
         return found
 
     @contextlib.contextmanager
@@ -336,7 +336,7 @@ class Store:
         try:
             handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
-            raise _unwritable(file.name, error) from error
+            raise _unwritable_atlas(file.name, error) from error
         _claims.add(handle)
         try:
             try:
@@ -373,13 +373,13 @@ class Store:
         except OSError as error:
             with contextlib.suppress(OSError):
                 temporary.unlink()
-            raise _unwritable(name, error) from error
+            raise _unwritable_atlas(name, error) from error
 
 
 _claims = set[int]()  # files by which this process holds what it computes
 
 
-def _let_go() -> None:
+def _release_inherited_locks() -> None:
     """Release inherited locks in a forked worker, which may outlive its builder."""
     for handle in _claims:
         os.close(handle)
@@ -387,7 +387,7 @@ def _let_go() -> None:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_let_go)
+    os.register_at_fork(after_in_child=_release_inherited_locks)
 
 
 def digest_of(said: Any) -> str:
@@ -400,7 +400,7 @@ def end_line(survey: Mapping[str, Any], bricks: Iterable[Mapping[str, Any]]) -> 
     return {"kind": "end", "survey": survey["digest"], "bricks": len({line["name"] for line in bricks})}
 
 
-def sealed(header: Mapping[str, Any]) -> dict[str, Any]:
+def with_checksum(header: Mapping[str, Any]) -> dict[str, Any]:
     """Return a header with the checksum of its content."""
     said = {name: value for name, value in header.items() if name != CHECKSUM}
     return {**said, CHECKSUM: digest_of(said)}
@@ -408,31 +408,31 @@ def sealed(header: Mapping[str, Any]) -> dict[str, Any]:
 
 def seal_of(header: Mapping[str, Any]) -> str:
     """Return the checksum that a header will have."""
-    return _whole(header)[CHECKSUM]
+    return _sealed_header(header)[CHECKSUM]
 
 
-def _whole(header: Mapping[str, Any]) -> dict[str, Any]:
-    return sealed({"format": FORMAT, **finite(dict(header))})
+def _sealed_header(header: Mapping[str, Any]) -> dict[str, Any]:
+    return with_checksum({"format": FORMAT, **finite(dict(header))})
 
 
-def clear(directory: Path) -> None:
+def clear_atlas(directory: Path) -> None:
     """Remove the files of an atlas, and no others."""
     with contextlib.suppress(FileNotFoundError):
         for file in list(directory.iterdir()):
-            if ours(file.name):
+            if is_atlas_file(file.name):
                 file.unlink()
 
 
-def ours(name: str) -> bool:
+def is_atlas_file(name: str) -> bool:
     """Return True if a file of this name belongs to an atlas."""
     return name in (HEADER, MANIFEST) or name.startswith((".claim-", ".writing-")) or bool(_OURS.fullmatch(name))
 
 
-def _unusable(place: Path, got: str, expected: str, advice: str = "choose another directory") -> PeriluneError:
+def _unusable_atlas(place: Path, got: str, expected: str, advice: str = "choose another directory") -> PeriluneError:
     return PeriluneError(f"this atlas cannot be used: {place}", got=got, expected=expected, advice=advice)
 
 
-def _unwritable(name: str, error: OSError) -> PeriluneError:
+def _unwritable_atlas(name: str, error: OSError) -> PeriluneError:
     helps = "look at its rights" if isinstance(error, PermissionError) or error.errno == errno.EROFS else "make space"
     return PeriluneError(
         "the atlas cannot be written", got=f"{name}: {error.strerror}",
@@ -441,14 +441,14 @@ def _unwritable(name: str, error: OSError) -> PeriluneError:
     )  # fmt: skip
 
 
-def _unreadable(name: str, error: OSError) -> PeriluneError:
+def _unreadable_atlas_file(name: str, error: OSError) -> PeriluneError:
     return PeriluneError(
         f"a file of the atlas cannot be read: {name}", got=str(error.strerror), expected="a file that you may read",
         advice="look at its rights",
     )  # fmt: skip
 
 
-def _damaged(name: str, got: str) -> PeriluneError:
+def _damaged_atlas(name: str, got: str) -> PeriluneError:
     again = "the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again"
     if name.startswith("survey-"):  # without its line nobody knows where sheets are
         again = "remove its line from manifest.jsonl, and give the order that built it again: atlas build ... --resume"

@@ -15,21 +15,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import WHOLE, same
+from perilune.atlas.cells import WHOLE, same_unknowns
 from perilune.atlas.chart import Chart, Extremals
 from perilune.atlas.columns import seed_type
-from perilune.atlas.course import Course
-from perilune.atlas.crossing import beside
+from perilune.atlas.course import ArcSequence
+from perilune.atlas.crossing import continuing_sheets
 from perilune.atlas.folding import around_folds
-from perilune.atlas.natures import nature_behind_folds
-from perilune.atlas.reflight import Reflights
+from perilune.atlas.natures import classify_behind_folds
+from perilune.atlas.reflight import ChartReintegration
 from perilune.atlas.region import Region
 from perilune.atlas.scanning import scanned_names, scanned_points
 from perilune.atlas.sheets import Borders, Sheet, held_at
-from perilune.atlas.solving import Solved, Solving
-from perilune.atlas.walking import MOST, carried, carried_on, from_one, reached_at, walked
-from perilune.atlas.wells import other_wells, wells_around
-from perilune.conditions.pontryagin import keepable_conditions
+from perilune.atlas.solving import RegionSolver, SolvedPoint
+from perilune.atlas.walking import (
+    MOST,
+    continue_between_corners,
+    continue_sheet_to,
+    corners_reached,
+    follow_sheets,
+    walks_from_one_extremal,
+)
+from perilune.atlas.wells import minima_around, other_minima
+from perilune.conditions.pontryagin import attainable_conditions
 from perilune.methods.indirect import Indirect
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
@@ -44,7 +51,7 @@ _AGAIN, _ROUNDING = 16, 1e-13  # extremals beside one, and how far, relative, th
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class SurveyedChart:
     """Chart of the region with its sheets, and the corners that they reach.
 
     Attributes
@@ -54,7 +61,7 @@ class Found:
     y
         Unknowns of each at the corners of bricks, NaN where it does not reach, (sheets, corners, n).
     times
-        Multiples of steps in their second flights (`perilune.atlas.reflight.Reflights`).
+        Multiples of steps in their second flights (`perilune.atlas.reflight.ChartReintegration`).
     widths
         Widths of the `Chart` [SI].
     small
@@ -67,11 +74,11 @@ class Found:
     y: NDArray[np.float64]
     widths: Vector
     times: tuple[int, ...] = ()
-    small: tuple[Inside, ...] = ()
+    small: tuple[InteriorSeed, ...] = ()
 
 
 @dataclass(frozen=True)
-class Inside:
+class InteriorSeed:
     """Extremal inside a brick: its sheet, the brick and place in its lattice, parameters there, and unknowns."""
 
     sheet: int
@@ -107,7 +114,7 @@ class Survey:
     widths: Vector | None = None
     notes: list[str] = field(default_factory=list)
 
-    def run(self) -> list[Found]:
+    def run(self) -> list[SurveyedChart]:
         """Find all sheets, by charts.
 
         Raises
@@ -115,9 +122,9 @@ class Survey:
         PeriluneError
             If no point has an extremal that can be followed.
         """
-        solving = Solving(self.problem, self.region, self.method, self.watch, self._widths, self.notes)
+        solving = RegionSolver(self.problem, self.region, self.method, self.watch, self._widths, self.notes)
         solved, (_, corners) = solving.run(), self.region.corners()
-        courses = _courses(self.problem, self.region.names, solved)
+        courses = _arc_sequences(self.problem, self.region.names, solved)
         if not (charts := [found for one in courses if (found := self._found(*one, corners)).sheets]):
             raise PeriluneError(
                 "there is nothing to map",
@@ -130,11 +137,11 @@ class Survey:
     def _widths(self) -> Vector:
         return self.region.high - self.region.low if self.widths is None else self.widths
 
-    def _found(self, course: Course, solved: Sequence[Solved], corners: Matrix) -> Found:
+    def _found(self, course: ArcSequence, solved: Sequence[SolvedPoint], corners: Matrix) -> SurveyedChart:
         """Find the sheets of one chart."""
         chart = Chart(self.problem, self.region.names, self._widths, course)
         empty = np.empty((0, len(corners), len(chart.places)))
-        found = Found(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=self._widths)
+        found = SurveyedChart(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=self._widths)
         for point in solved:
             if not point.held:
                 found = self._with(found, corners, point.values, point.extremals)
@@ -144,13 +151,13 @@ class Survey:
             found = self._with_wells(found, corners)
         if not found.sheets:
             return found
-        found = _with_promised(found, corners / chart.scale)
+        found = _with_expected_sheets(found, corners / chart.scale)
         at = np.nonzero(np.isfinite(found.y[:, :, 0]))
         values = np.vstack([corners[at[1]] / chart.scale, *(one.values for one in found.small)])
         y = chart.whole(values, np.vstack([found.y[at], *(one.y for one in found.small)]))
-        return replace(found, times=Reflights(chart).fine_enough(y, chart.p[None]))
+        return replace(found, times=ChartReintegration(chart).fine_enough(y, chart.p[None]))
 
-    def _with(self, known: Found, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> Found:
+    def _with(self, known: SurveyedChart, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> SurveyedChart:
         """Add the sheets on which extremals at a point lie, and those behind the folds of these."""
         chart, borders, left = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
         for extremal in extremals:
@@ -165,7 +172,7 @@ class Survey:
                 left.append((at / chart.scale, y, Sheet(holds=holds, orientation=0.0, nature=extremal.nature)))
         return self._with_these(known, corners, left)
 
-    def _begun(self, known: Found, solved: Sequence[Solved]) -> Iterator[tuple[Vector, Vector, Sheet]]:
+    def _begun(self, known: SurveyedChart, solved: Sequence[SolvedPoint]) -> Iterator[tuple[Vector, Vector, Sheet]]:
         """Yield minima of J along parameters between bounds, all over the region, from answers with a chart's arcs."""
         chart, borders, names = known.chart, known.borders, scanned_names(self.problem, self.region)
         begins = [
@@ -179,21 +186,23 @@ class Survey:
             points = scanned_points(self.region)
             away = np.abs((points[:, None] - values) / (self.region.high - self.region.low)).sum(axis=2)
             near = away.argmin(axis=1)
-            yield from wells_around(chart, borders, names, points / chart.scale, values[near] / chart.scale, y[near])
+            yield from minima_around(chart, borders, names, points / chart.scale, values[near] / chart.scale, y[near])
 
-    def _with_wells(self, known: Found, corners: Matrix) -> Found:
+    def _with_wells(self, known: SurveyedChart, corners: Matrix) -> SurveyedChart:
         """Add the sheets of other minima of J along parameters between bounds."""
         number = 0
         while number < len(known.sheets):
             reached = np.nonzero(np.isfinite(known.y[number, :, 0]))[0]
             if known.sheets[number].minimum and len(reached):
                 values, y = corners[reached] / known.chart.scale, known.y[number, reached]
-                for one in other_wells(known.chart, known.borders, known.sheets[number], values, y):
+                for one in other_minima(known.chart, known.borders, known.sheets[number], values, y):
                     known = self._with_these(known, corners, [one])
             number += 1
         return known
 
-    def _with_these(self, known: Found, corners: Matrix, left: list[tuple[Vector, Vector, Sheet]]) -> Found:
+    def _with_these(
+        self, known: SurveyedChart, corners: Matrix, left: list[tuple[Vector, Vector, Sheet]]
+    ) -> SurveyedChart:
         """Add the sheets on which extremals, canonical, lie, and those behind the folds of these."""
         chart, borders, around = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
         while left or around:
@@ -215,20 +224,20 @@ class Survey:
                 sheet = replace(sheet, nature=Nature.WORST)
             number = self._known(known, sheet, corners / chart.scale, values, start.y[0])
             if number is not None:
-                known = _offered(known, number, sheet)
+                known = _with_minimum_found(known, number, sheet)
             else:
                 told_by_solve = sheet.nature is not Nature.UNPROVED
                 if not told_by_solve:
-                    said = said_of(replace(known, sheets=(sheet,)))
-                    nature = nature_behind_folds(self.problem, self.region, said, values, start.y[0])
+                    said = chart_entry(replace(known, sheets=(sheet,)))
+                    nature = classify_behind_folds(self.problem, self.region, said, values, start.y[0])
                     sheet = replace(sheet, nature=nature)
-                left += _at_ends(borders, sheet, values, start.y[0], curved)
+                left += _sheets_held_at_ends(borders, sheet, values, start.y[0], curved)
                 y, behind = self._carried(chart, borders, sheet, corners, values, start.y[0])
-                if behind_a_fold and _backwards(borders, corners / chart.scale, y, values, start.y[0]):
+                if behind_a_fold and _has_negative_arc(borders, corners / chart.scale, y, values, start.y[0]):
                     continue
                 count = np.isfinite(y[:, 0]).sum()
                 self.watch(f"{sheet.label}: at {count} corners of bricks")
-                known = _together(known, sheet, y) if count else self._with_small(known, sheet, values, start.y[0])
+                known = _merge_sheet(known, sheet, y) if count else self._with_small(known, sheet, values, start.y[0])
                 # Two that reach no corner, on both sides of a fold, would lead to one another for ever.
                 around += behind if count or told_by_solve else []
         return known
@@ -239,7 +248,7 @@ class Survey:
         if (said := f"{flown}: others, behind folds and at bounds, are not mapped and may be better") not in self.notes:
             self.notes.append(said)
 
-    def _with_small(self, known: Found, sheet: Sheet, values: Vector, y: Vector) -> Found:
+    def _with_small(self, known: SurveyedChart, sheet: Sheet, values: Vector, y: Vector) -> SurveyedChart:
         """Add a sheet that reaches no corner, by an extremal at the nearest place in the lattice of its brick."""
         if not sheet.minimum:
             return known
@@ -248,12 +257,12 @@ class Survey:
         low, high = self.region.box(brick)
         place = np.rint((at - low) / (high - low) * WHOLE).astype(np.int64)
         there = (low + place * ((high - low) / WHOLE)) / chart.scale
-        beside = carried(chart, known.borders, sheet, values, y, there[None])[0]
+        beside = continue_sheet_to(chart, known.borders, sheet, values, y, there[None])[0]
         if not np.isfinite(beside[0]):
             told = self.region.told(at.tolist())
             self.notes.append(f"at {told}: the sheet '{sheet.label}' goes nowhere from there, and is not mapped")
             return known
-        one = Inside(len(known.sheets), brick, place, there, beside)
+        one = InteriorSeed(len(known.sheets), brick, place, there, beside)
         none = np.full((1, *known.y.shape[1:]), np.nan)
         sheets = (*known.sheets, sheet)
         return replace(known, sheets=sheets, y=np.concatenate([known.y, none]), small=(*known.small, one))
@@ -263,7 +272,7 @@ class Survey:
     ) -> tuple[Matrix, list[tuple[Vector, Vector, Sheet]]]:
         """Continue a sheet to all corners of bricks, NaN where it ends; also return extremals behind its folds."""
         targets, (places, _) = corners / chart.scale, self.region.corners()
-        here, share = walked(chart, borders, [sheet], *from_one(values, y, targets))
+        here, share = follow_sheets(chart, borders, [sheet], *walks_from_one_extremal(values, y, targets))
         ended = np.nonzero(share < 1.0)[0]
         ended = ended[np.linspace(0, len(ended) - 1, min(len(ended), _AROUND)).astype(np.int64)]
         starts = values + share[ended, None] * (targets[ended] - values)
@@ -272,32 +281,34 @@ class Survey:
             for at, there, side in around_folds(chart, borders, sheet, starts, here[ended], targets[ended])
         ]
         here[share < 1.0] = np.nan
-        reached = carried_on(chart, borders, sheet, places, corners, reached_at(places, here))
+        reached = continue_between_corners(chart, borders, sheet, places, corners, corners_reached(places, here))
         for i, place in enumerate(places.tolist()):
             here[i] = reached.get(tuple(place), here[i])
         return here, behind
 
     @staticmethod
-    def _known(known: Found, sheet: Sheet, corners: Matrix, values: Vector, y: Vector) -> int | None:
+    def _known(known: SurveyedChart, sheet: Sheet, corners: Matrix, values: Vector, y: Vector) -> int | None:
         """Return the sheet on which an extremal lies, by continuation from nearest corners; None for a new one."""
         away = np.abs(corners - values).sum(axis=1)
         for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
             if not other.alike(sheet):
                 continue
             reached = np.nonzero(np.isfinite(there[:, 0]))[0]
-            if any(away[i] == 0.0 and not same(y, there[i]) for i in reached):
+            if any(away[i] == 0.0 and not same_unknowns(y, there[i]) for i in reached):
                 continue  # it has another layer there
             starts = [(corners[i], there[i]) for i in reached[np.argsort(away[reached])][:_BESIDE]]
             starts += [(one.values, one.y) for one in known.small if one.sheet == number]
             for start, unknowns in starts:
-                if same(y, carried(known.chart, known.borders, other, start, unknowns, values[None])[0]):
+                if same_unknowns(
+                    y, continue_sheet_to(known.chart, known.borders, other, start, unknowns, values[None])[0]
+                ):
                     return number
         return None
 
 
-def _courses(
-    problem: Problem, varied: Sequence[str], solved: Sequence[Solved]
-) -> Iterator[tuple[Course, list[Solved]]]:
+def _arc_sequences(
+    problem: Problem, varied: Sequence[str], solved: Sequence[SolvedPoint]
+) -> Iterator[tuple[ArcSequence, list[SolvedPoint]]]:
     """Yield each course, and the answers that go through it.
 
     A control that keeps a condition equals one that does not wherever the condition is inactive, so that conditions
@@ -306,11 +317,11 @@ def _courses(
     every = dict.fromkeys(name for one in solved for name in one.course.keep)
     for text in dict.fromkeys(one.course.text for one in sorted(solved, key=lambda one: bool(one.course.text))):
         alike = [one for one in solved if one.course.text == text]
-        keepable = keepable_conditions(alike[0].course.restated(problem, varied)) if every else ()
+        keepable = attainable_conditions(alike[0].course.restated(problem, varied)) if every else ()
         yield replace(alike[0].course, keep=tuple(name for name in every if name in keepable)), alike
 
 
-def _backwards(borders: Borders, corners: Matrix, there: Matrix, values: Vector, y: Vector) -> bool:
+def _has_negative_arc(borders: Borders, corners: Matrix, there: Matrix, values: Vector, y: Vector) -> bool:
     """Return True if a sheet has a negative arc duration from the fold behind which it begins to all corners.
 
     Where an arc vanishes the flight continues with other arcs, around folds of their own. This fold lies beyond: no
@@ -320,7 +331,7 @@ def _backwards(borders: Borders, corners: Matrix, there: Matrix, values: Vector,
     return bool(borders.backwards(np.vstack([values, corners[reached]]), np.vstack([y, there[reached]])).all())
 
 
-def _at_ends(
+def _sheets_held_at_ends(
     borders: Borders, sheet: Sheet, values: Vector, y: Vector, ranges: list[int]
 ) -> list[tuple[Vector, Vector, Sheet]]:
     """Return starts of sheets held at the ends of ranges within which J has a maximum: values, unknowns, sheet."""
@@ -342,7 +353,7 @@ def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
     return bool((beside.orientation != found.orientation[0]).any())
 
 
-def _offered(known: Found, number: int, sheet: Sheet) -> Found:
+def _with_minimum_found(known: SurveyedChart, number: int, sheet: Sheet) -> SurveyedChart:
     """Return the chart with one of its sheets marked as a minimum, if that was not known."""
     if known.sheets[number].minimum or not sheet.minimum or sheet.nature is Nature.UNPROVED:
         return known
@@ -351,7 +362,7 @@ def _offered(known: Found, number: int, sheet: Sheet) -> Found:
     return replace(known, sheets=tuple(sheets))
 
 
-def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
+def _merge_sheet(known: SurveyedChart, sheet: Sheet, y: Matrix) -> SurveyedChart:
     """Return the chart with a sheet at corners, (corners, n), added.
 
     With one extremal in common it is a known sheet. If it differs from that elsewhere, as around a cusp, the others are
@@ -359,8 +370,8 @@ def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
     """
     for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
         if other.alike(sheet):
-            if (common := same(y, there)).any():
-                known = _offered(replace(known, y=known.y.copy()), number, sheet)
+            if (common := same_unknowns(y, there)).any():
+                known = _with_minimum_found(replace(known, y=known.y.copy()), number, sheet)
                 known.y[number] = np.where(np.isfinite(there), there, y)
                 y = np.where((common | ~np.isfinite(there[:, 0]))[:, None], np.nan, y)
     if not np.isfinite(y[:, 0]).any():
@@ -368,27 +379,27 @@ def _together(known: Found, sheet: Sheet, y: Matrix) -> Found:
     return replace(known, sheets=(*known.sheets, sheet), y=np.concatenate([known.y, y[None]]))
 
 
-def _with_promised(known: Found, corners: Matrix) -> Found:
+def _with_expected_sheets(known: SurveyedChart, corners: Matrix) -> SurveyedChart:
     """Add the sheets that would continue known ones across bounds; bricks find if there are any."""
     sheets, small = list(known.sheets), {one.sheet: (one.values, one.y) for one in known.small}
     for number, (sheet, y) in enumerate(zip(known.sheets, known.y, strict=True)):
         first = int(np.isfinite(y[:, 0]).argmax())
         at = small.get(number, (corners[first], y[first]))
-        for other in beside(known.borders, sheet, *at) if sheet.minimum else ():
+        for other in continuing_sheets(known.borders, sheet, *at) if sheet.minimum else ():
             if not any(one.minimum and one.alike(other) for one in sheets):
                 sheets.append(other)
     none = np.full((len(sheets) - len(known.sheets), *known.y.shape[1:]), np.nan)
     return replace(known, sheets=tuple(sheets), y=np.concatenate([known.y, none]))
 
 
-def said_of(found: Found) -> dict[str, Any]:
+def chart_entry(found: SurveyedChart) -> dict[str, Any]:
     """Return the entry of a chart in a survey's line."""
     sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
     said = {"widths": found.widths.tolist(), "times": list(found.times), "unknowns": found.y.shape[2]}
     return {**found.chart.course.document(), **said, "sheets": sheets}
 
 
-def seeds(places: NDArray[np.int64], found: Found) -> NDArray[Any]:
+def seed_rows(places: NDArray[np.int64], found: SurveyedChart) -> NDArray[Any]:
     """Return the shard of sheets at corners of bricks, and of sheets that reach none."""
     sheet, corner = np.nonzero(np.isfinite(found.y[:, :, 0]))
     rows = np.zeros(len(sheet) + len(found.small), dtype=seed_type(places.shape[1], found.y.shape[2]))

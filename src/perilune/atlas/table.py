@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.query import Atlas
-from perilune.atlas.read import may_be_answers
+from perilune.atlas.read import are_possible_answers
 from perilune.atlas.sampling import sample_of
-from perilune.io.export import versions
+from perilune.io.export import program_versions
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import quotient
+from perilune.words.units import quotient_unit
 
 _FLOWN = {
     "margin": "by how much the node is an answer of its sheet, canonical; below zero it is beyond its border",
@@ -33,13 +33,13 @@ _FLOWN = {
 _OTHERS = {"objective", "chart", "sheet", "answer", "sequence", "terms", *_FLOWN}
 
 
-def _own(parameter: str) -> str:
+def _parameter_column_name(parameter: str) -> str:
     """Return the name of the column of a parameter, changed if another column has it."""
     return f"parameter_{parameter}" if parameter in _OTHERS or parameter.startswith("slope_") else parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class Column:
+class NodeColumn:
     """Column of the table.
 
     Parameters
@@ -59,7 +59,7 @@ class Column:
     shape: tuple[int, ...] = ()
 
 
-class Table:
+class NodeTable:
     """Table of all nodes of an atlas.
 
     Parameters
@@ -74,27 +74,37 @@ class Table:
         self.unknowns: int = max(charted.unknowns for charted in atlas.charted)
         free = [name for name in problem.free_names if name not in region.names]
         self._free = [problem.free_names.index(name) for name in free]
-        self.columns: tuple[Column, ...] = (
-            *(Column(name=_own(a.name), unit=a.unit, about=f"{a.key}, an axis of the atlas") for a in region.axes),
-            Column(name="objective", unit=problem.objective_unit, about="J"),
+        self.columns: tuple[NodeColumn, ...] = (
             *(
-                Column(
-                    name=f"slope_{a.name}", unit=quotient(problem.objective_unit, a.unit), about=f"dJ by {a.key}",
+                NodeColumn(name=_parameter_column_name(a.name), unit=a.unit, about=f"{a.key}, an axis of the atlas")
+                for a in region.axes
+            ),
+            NodeColumn(name="objective", unit=problem.objective_unit, about="J"),
+            *(
+                NodeColumn(
+                    name=f"slope_{a.name}",
+                    unit=quotient_unit(problem.objective_unit, a.unit),
+                    about=f"dJ by {a.key}",
                 )
                 for a in region.axes
             ),
-            *(Column(name=_own(name), unit=problem.unit_of(name), about="free parameter") for name in free),
-            Column(name="chart", unit="1", about="number of the chart", kind="<i4"),
-            Column(name="sheet", unit="1", about="number of the sheet, counted through all charts", kind="<i4"),
-            Column(name="answer", unit="1", about="1 where the node may be an answer, else 0", kind="<i4"),
-            *(Column(name=name, unit="1", about=about) for name, about in _FLOWN.items()),
-            Column(name="sequence", unit="1", about="number of the modes that the second flight goes through"),
-            Column(
-                name="terms", unit="1", shape=(2 ** len(region.axes), self.unknowns + 1),
+            *(
+                NodeColumn(name=_parameter_column_name(name), unit=problem.unit_of(name), about="free parameter")
+                for name in free
+            ),
+            NodeColumn(name="chart", unit="1", about="number of the chart", kind="<i4"),
+            NodeColumn(name="sheet", unit="1", about="number of the sheet, counted through all charts", kind="<i4"),
+            NodeColumn(name="answer", unit="1", about="1 where the node may be an answer, else 0", kind="<i4"),
+            *(NodeColumn(name=name, unit="1", about=about) for name, about in _FLOWN.items()),
+            NodeColumn(name="sequence", unit="1", about="number of the modes that the second flight goes through"),
+            NodeColumn(
+                name="terms",
+                unit="1",
+                shape=(2 ** len(region.axes), self.unknowns + 1),
                 about="derivatives, canonical: number b is once by each axis whose bit is set in b; of the unknowns of "
                 "its chart, then J; NaN beyond them",
             ),
-        )  # fmt: skip
+        )
 
     @property
     def rows(self) -> int:
@@ -118,7 +128,7 @@ class Table:
         }
         return {
             "title": f"atlas of {atlas.problem.heading}",
-            "source": ", ".join(f"{name} {version}" for name, version in versions().items()),
+            "source": ", ".join(f"{name} {version}" for name, version in program_versions().items()),
             "built_with": json.dumps(header.get("versions", {})),
             "problem": atlas.problem.name,
             "given": json.dumps({name: [g.value, g.unit] for name, g in atlas.problem.given.items()}),
@@ -161,7 +171,7 @@ class Table:
             *free[:, self._free].T,
             np.full(len(nodes), number),
             nodes["sheet"] + first,
-            may_be_answers(nodes, charted.sheets),
+            are_possible_answers(nodes, charted.sheets),
             *(nodes[name] for name in _FLOWN),
             nodes["sequence"],
             terms,

@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches import ANSWERING, covered
-from perilune.atlas.brick import Brick
-from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, leaves_of, some
+from perilune.atlas.branches import ANSWERING, covered_by_branches
+from perilune.atlas.brick import BrickSubdivision
+from perilune.atlas.cells import WHOLE, Cells, Cut, Nodes, leaves_of, select_cells
 from perilune.atlas.chart import Chart
 from perilune.atlas.columns import cell_type, node_type, places_of, seed_type, sheets_of, widths_of
-from perilune.atlas.course import Course, course_from
-from perilune.atlas.flooding import Key, Shards, spilled
-from perilune.atlas.hermite import bits
+from perilune.atlas.course import ArcSequence, arc_sequence_from
+from perilune.atlas.flooding import Key, Shards, seeds_for_neighbours
+from perilune.atlas.hermite import binary_digits
 from perilune.atlas.lattice import Lattice
-from perilune.atlas.reflight import Reflights
+from perilune.atlas.reflight import ChartReintegration
 from perilune.atlas.region import Region
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.store import Store
+from perilune.atlas.store import AtlasStore
 from perilune.problem.problem import Problem
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class Task:
     problem: Problem
     names: tuple[str, ...]
     widths: Vector
-    course: Course
+    course: ArcSequence
     times: tuple[int, ...]
     sheets: tuple[Sheet, ...]
     low: Vector
@@ -71,14 +71,16 @@ class Task:
         return 1 + max(0, len(np.unique(self.sheet)) * 2 ** len(self.low) - len(self.sheet))
 
 
-def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[Any]]:
+def compute_brick(task: Task, watch: Watch = ignore_events) -> tuple[NDArray[Any], NDArray[Any]]:
     """Compute the nodes and cells of a brick, as their shards have them."""
     chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
     low, high = task.low / chart.scale, task.high / chart.scale
-    before = None if task.before is None or not len(task.before[0]) else _cut_of(*task.before, len(task.sheets))
+    before = (
+        None if task.before is None or not len(task.before[0]) else _cut_from_shards(*task.before, len(task.sheets))
+    )
     lattice = Lattice(chart, borders, reflights, task.sheets, low, high, before)
     cells_before = None if before is None else before.cells
-    cut = Brick(lattice, task.tolerance, watch).cut(task.sheet, task.place, task.y, cells_before)
+    cut = BrickSubdivision(lattice, task.tolerance, watch).cut(task.sheet, task.place, task.y, cells_before)
     d, n, own = len(low), task.y.shape[1], np.array(cut.own)
     nodes = np.zeros(len(cut.nodes.get("branch", ())), dtype=node_type(d, n))
     for name, rows in cut.nodes.items():
@@ -93,8 +95,8 @@ def computed(task: Task, watch: Watch = silent) -> tuple[NDArray[Any], NDArray[A
     return nodes, cells
 
 
-def _cut_of(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> Cut:
-    """Build the cut of a brick from its shards, as `computed` makes it."""
+def _cut_from_shards(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> Cut:
+    """Build the cut of a brick from its shards, as `compute_brick` makes it."""
     columns = [name for name in nodes.dtype.names or () if name not in ("values", "sheet")]
     said = {
         name: np.array(nodes[name], dtype=np.float64 if nodes[name].dtype.kind == "f" else np.int64) for name in columns
@@ -104,21 +106,21 @@ def _cut_of(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> Cut:
     return Cut(nodes=said, cells=Cells(**{c.name: cells[c.name].astype(np.int64) for c in fields(Cells)}), own=own)
 
 
-def prepared(problem: Problem, names: tuple[str, ...], widths: Vector) -> None:
+def compile_for_bricks(problem: Problem, names: tuple[str, ...], widths: Vector) -> None:
     """Derive and compile the functions that most bricks need, in advance."""
     Chart(problem, names, widths)
 
 
 @lru_cache(maxsize=4)
 def _tools(
-    problem: Problem, names: tuple[str, ...], widths: tuple[float, ...], course: Course, times: tuple[int, ...]
+    problem: Problem, names: tuple[str, ...], widths: tuple[float, ...], course: ArcSequence, times: tuple[int, ...]
 ) -> Any:
     chart = Chart(problem, names, np.array(widths), course)
-    return chart, Borders(chart), Reflights(chart, times)
+    return chart, Borders(chart), ChartReintegration(chart, times)
 
 
 def first_tasks(
-    kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float
+    kept: AtlasStore, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float
 ) -> Iterator[tuple[Key, Task]]:
     """Yield every brick in which a sheet is known, by chart and numbers."""
     d = len(region.axes)
@@ -129,7 +131,7 @@ def first_tasks(
         for row, corner in enumerate(known["corner"].tolist()):
             (inside if within[row] else at).setdefault(tuple(corner), []).append(row)
         for brick in places_of(region, chart):
-            beside = [tuple((np.array(brick) + side).tolist()) for side in bits(d)]
+            beside = [tuple((np.array(brick) + side).tolist()) for side in binary_digits(d)]
             rows = [row for corner in beside for row in at.get(corner, ())] + inside.get(brick, [])
             here = np.sort(rows).astype(np.int64)
             if len(here):
@@ -139,7 +141,7 @@ def first_tasks(
 
 
 def tasks_going_on(
-    kept: Store, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float, rounds: int
+    kept: AtlasStore, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float, rounds: int
 ) -> Iterator[tuple[Key, Task]]:
     """Yield every brick into which sheets continue from its neighbours, as these were after so many rounds."""
     d, charts = len(region.axes), survey["charts"]
@@ -155,28 +157,30 @@ def tasks_going_on(
         chart, known, (low, high) = charts[key[0]], shards(key), region.box(key[1:])
         assert known is not None
         widths = tuple(widths_of(chart, region).tolist())
-        scale = _tools(problem, region.names, widths, course_from(chart), tuple(chart["times"]))[0].scale
-        return _passed_over(_cut_of(*known, len(chart["sheets"])), (high - low) / scale / WHOLE, sheets[key[0]], nodes)
+        scale = _tools(problem, region.names, widths, arc_sequence_from(chart), tuple(chart["times"]))[0].scale
+        return _already_answered(
+            _cut_from_shards(*known, len(chart["sheets"])), (high - low) / scale / WHOLE, sheets[key[0]], nodes
+        )
 
     keys = [(number, *brick) for number, chart in enumerate(charts) for brick in places_of(region, chart)]
     sheets = [sheets_of(chart) for chart in charts]
-    for key, nodes in spilled(keys, shards, sheets.__getitem__, passed_over):
+    for key, nodes in seeds_for_neighbours(keys, shards, sheets.__getitem__, passed_over):
         seeds = nodes["sheet"].astype(np.int64), nodes["place"].astype(np.int64), nodes["terms"][:, 0, :-1]
         before = None if (known := shards(key)) is None else tuple(map(np.array, known))
         yield key, _task(problem, region, charts[key[0]], key[1:], tolerance, seeds, before)
 
 
-def _passed_over(before: Cut, step: Vector, sheets: Sequence[Sheet], found: Any) -> NDArray[np.bool_]:
+def _already_answered(before: Cut, step: Vector, sheets: Sequence[Sheet], found: Any) -> NDArray[np.bool_]:
     """Return a mask of extremals on the sides of a brick that lie in answering cells, and are given by none."""
     out, cells, nodes = np.zeros(len(found), dtype=bool), before.cells, Nodes()
     nodes.add(np.arange(len(before.nodes["branch"])), **before.nodes)
-    sided = some(cells, ((cells.low == 0) | (cells.low + cells.size == WHOLE)).any(axis=1))
+    sided = select_cells(cells, ((cells.low == 0) | (cells.low + cells.size == WHOLE)).any(axis=1))
     for sheet in np.intersect1d(found["sheet"], cells.branch).tolist():
         place = found["place"].astype(np.int64)
         inside = np.isin(cells.status[leaves_of(cells, sheet, place)], ANSWERING)
         here = np.nonzero((found["sheet"] == sheet) & inside)[0]
         alike = [branch for branch, own in enumerate(before.own) if sheets[own].alike(sheets[sheet])]
-        out[here] = ~covered(sided, nodes, step, alike, place[here], found["terms"][here, 0, :-1])
+        out[here] = ~covered_by_branches(sided, nodes, step, alike, place[here], found["terms"][here, 0, :-1])
     return out
 
 
@@ -195,7 +199,7 @@ def _task(
         problem=problem,
         names=region.names,
         widths=widths_of(chart, region),
-        course=course_from(chart),
+        course=arc_sequence_from(chart),
         times=tuple(chart["times"]),
         sheets=sheets_of(chart),
         low=low,

@@ -14,9 +14,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import WHOLE, Cells, Whole, some
+from perilune.atlas.cells import WHOLE, Cells, Whole, select_cells
 from perilune.atlas.chart import Extremals, Holds
-from perilune.atlas.hermite import interpolated, unlike_quadratics
+from perilune.atlas.hermite import interpolated, scaled_third_derivatives
 from perilune.atlas.lattice import Lattice
 from perilune.words.types import Matrix, Vector
 
@@ -26,7 +26,7 @@ _AFAR, _COST = 0.1, 1e-4  # how far what a cell gives may be from its extremal, 
 _STRAIGHT = 1e-15  # relative, for each lattice step: by so little an edge is bent by rounding
 
 
-def tried(
+def accept_cells(
     lattice: Lattice, cells: Cells, tolerance: float, begun: Callable[[Cells], NDArray[np.bool_]]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Whole]:
     """Test cells: return masks of those where one step is enough and of those without an answer, and axes to cut.
@@ -41,38 +41,38 @@ def tried(
         Returns a mask of the cells in which a sheet began.
     """
     minimum, size = lattice.minimum[cells.branch], cells.size * lattice.step
-    given, stepped, near, margin = _at(lattice, cells, np.full(size.shape, 0.5), tolerance)
+    given, stepped, near, margin = _test_places(lattice, cells, np.full(size.shape, 0.5), tolerance)
     beyond = np.maximum(margin, lattice.nodes.rows("margin", cells.corners).max(axis=1)) < 0.0
-    beyond[beyond] = ~begun(some(cells, beyond))
-    unlike = unlike_quadratics(lattice.nodes.rows("terms", cells.corners), size) / (1.0 + np.abs(given))[:, None]
+    beyond[beyond] = ~begun(select_cells(cells, beyond))
+    unlike = scaled_third_derivatives(lattice.nodes.rows("terms", cells.corners), size) / (1.0 + np.abs(given))[:, None]
     unlike[~stepped, :, -1] = 0.0  # J is looked at where the unknowns are good
     passed = stepped & (near | beyond | ~minimum)
-    lane, share = _around(cells, passed & minimum)
+    lane, share = _test_locations(cells, passed & minimum)
     if len(lane):  # most are told without a step, which takes as long again
-        told = _told(lattice, some(cells, lane), share, beyond[lane])
+        told = _confirmed_places(lattice, select_cells(cells, lane), share, beyond[lane])
         lane, share = lane[~told], share[~told]
     if len(lane):
-        _, stepped, near, margin = _at(lattice, some(cells, lane), share, tolerance)
+        _, stepped, near, margin = _test_places(lattice, select_cells(cells, lane), share, tolerance)
         passed[lane[~(stepped & np.where(beyond[lane], margin < 0.0, near))]] = False
     bent = unlike.max(axis=2) + _STRAIGHT * cells.size  # where none is bent the longest
     return passed, beyond, (bent * (cells.size > FINEST)).argmax(axis=1)
 
 
-def _at(
+def _test_places(
     lattice: Lattice, cells: Cells, share: Matrix, tolerance: float
 ) -> tuple[Matrix, NDArray[np.bool_], NDArray[np.bool_], Vector]:
     """Test places in cells; return what cells give, masks of places where a step is enough and near, and margins."""
-    values, given, holds, first = _given(lattice, cells, share)
+    values, given, holds, first = _interpolated_and_solved(lattice, cells, share)
     flown: NDArray[np.bool_] = np.all(np.isfinite(first.stepped), axis=1)
     second = lattice.chart.at(values, np.where(flown[:, None], first.stepped, given[:, :-1]), holds)
     sided = second.orientation == lattice.orientations[cells.branch]
     # Where the conditions are linear in the unknowns a step is enough from anywhere, and J of the cell still wrong.
-    near = _alike(first.length, second.cost, given[:, -1])
+    near = _agree_in_cost(first.length, second.cost, given[:, -1])
     margin = lattice.borders.margins_of(lattice.sheets, cells.branch, second)
     return given, flown & sided & (second.length <= tolerance), near, margin
 
 
-def _given(lattice: Lattice, cells: Cells, share: Matrix) -> tuple[Matrix, Matrix, Holds, Extremals]:
+def _interpolated_and_solved(lattice: Lattice, cells: Cells, share: Matrix) -> tuple[Matrix, Matrix, Holds, Extremals]:
     """Return parameters, interpolated y and J, held parameters, and evaluated points at places in cells."""
     values = lattice.values(cells.low + share * cells.size)
     given = interpolated(lattice.nodes.rows("terms", cells.corners), share, cells.size * lattice.step)
@@ -85,23 +85,23 @@ def path_amid(lattice: Lattice, cells: Cells) -> Vector:
     if not len(cells):
         return np.empty(0)
     chart = lattice.chart
-    values, _, holds, first = _given(lattice, cells, np.full(cells.size.shape, 0.5))
+    values, _, holds, first = _interpolated_and_solved(lattice, cells, np.full(cells.size.shape, 0.5))
     return lattice.reflights(chart.whole(values, first.stepped), chart.p[None], chart.choice(values, holds)).seen.path
 
 
-def _told(lattice: Lattice, cells: Cells, share: Matrix, beyond: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _confirmed_places(lattice: Lattice, cells: Cells, share: Matrix, beyond: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return True at places where what cells give is near an extremal and its J, or beyond a bound as expected."""
-    _, given, _, here = _given(lattice, cells, share)
+    _, given, _, here = _interpolated_and_solved(lattice, cells, share)
     margin = lattice.borders.margins_of(lattice.sheets, cells.branch, here)
-    return np.where(beyond, margin < 0.0, _alike(here.length, here.cost, given[:, -1]))
+    return np.where(beyond, margin < 0.0, _agree_in_cost(here.length, here.cost, given[:, -1]))
 
 
-def _alike(length: Vector, cost: Vector, given: Vector) -> NDArray[np.bool_]:
+def _agree_in_cost(length: Vector, cost: Vector, given: Vector) -> NDArray[np.bool_]:
     """Return True for extremals that are near, and whose J agrees with the cell's."""
     return (length <= _AFAR) & (np.abs(given - cost) <= _COST * (1.0 + np.abs(cost)))
 
 
-def _around(cells: Cells, which: NDArray[np.bool_]) -> tuple[Whole, Matrix]:
+def _test_locations(cells: Cells, which: NDArray[np.bool_]) -> tuple[Whole, Matrix]:
     """Return where cells are tested in addition to their middle: (lanes,) numbers and (lanes, d) places in them."""
     long = cells.size > _LONG
     lanes, shares = list[Whole](), list[Matrix]()

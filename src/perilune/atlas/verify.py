@@ -11,26 +11,26 @@ import numpy as np
 
 from perilune.atlas.columns import cell_type, node_type, seed_type
 from perilune.atlas.query import Atlas
-from perilune.atlas.read import may_be_answers
+from perilune.atlas.read import are_possible_answers
 from perilune.atlas.sampling import (
     Refused,
-    assured,
-    certified,
+    assured_share,
+    certify_solutions,
     drawn_at_random,
     proved_text,
     refused_text,
-    unproved_text,
+    unproved_samples_text,
 )
 from perilune.atlas.store import MANIFEST
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 _UNENDED = "bricks are missing: the build has not ended, or they were lost; perilune atlas extend DIR builds them"
 _TOLD = 10  # places that a query refuses, in words
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verified:
+class AtlasVerification:
     """Result of the verification of an atlas.
 
     Attributes
@@ -73,7 +73,7 @@ class Verified:
 
         It is 0 if one of those drawn was not proved.
         """
-        return assured(self.proved, self.drawn)
+        return assured_share(self.proved, self.drawn)
 
     def __str__(self) -> str:
         lines = [
@@ -85,7 +85,9 @@ class Verified:
         return "\n".join([*lines, *self.refusals, *self.damaged, *self.unproved])
 
 
-def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, watch: Watch = silent) -> Verified:
+def verify_atlas(
+    atlas: Atlas, sample: int = 50, *, seed: int | None = None, watch: Watch = ignore_events
+) -> AtlasVerification:
     """Check every shard, and prove some of the nodes.
 
     Parameters
@@ -123,7 +125,7 @@ def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, wat
             continue
         if number >= 0:
             nodes += len(rows)
-            good += int(may_be_answers(rows, atlas.charted[number].sheets).sum())
+            good += int(are_possible_answers(rows, atlas.charted[number].sheets).sum())
     if broken := atlas.store.unreadable:
         damaged.append(
             f"{broken} line{'s' * (broken > 1)} of {MANIFEST} cannot be read, and what they told of is missing: remove"
@@ -131,9 +133,9 @@ def verify_atlas(atlas: Atlas, sample: int = 50, *, seed: int | None = None, wat
         )
     ended = not atlas.unbuilt and atlas.store.ended(atlas.survey, d)
     refused = Refused()
-    found = certified(drawn_at_random(atlas, sample, np.random.default_rng(seed), refused), None, watch)
-    unproved = tuple(unproved_text(atlas, one) for one in found if not one.proved)
-    return Verified(
+    found = certify_solutions(drawn_at_random(atlas, sample, np.random.default_rng(seed), refused), None, watch)
+    unproved = tuple(unproved_samples_text(atlas, one) for one in found if not one.proved)
+    return AtlasVerification(
         shards=len(shards), damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),
         drawn=len(found), unproved=unproved, ended=ended, refused=len(refused),
         refusals=tuple(f"at {atlas.region.told(at)}: {why}" for at, why in list(refused.items())[:_TOLD]),

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.cells import same
+from perilune.atlas.cells import same_unknowns
 from perilune.atlas.chart import Chart, Extremals, Holds
 from perilune.atlas.sheets import Borders, Sheet
 from perilune.words.types import Matrix, Vector
@@ -26,7 +26,7 @@ _SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
 _APART, _NEAR = 0.5, 0.02  # how far a root may lie from the tangent plane: of the step there, and of 1 + |y|
 
 
-class Walk:
+class StraightContinuation:
     """Extremals continued along straight lines, in lanes, each at its present place.
 
     Parameters
@@ -115,7 +115,7 @@ class Walk:
         self, targets: Matrix, steps: int, shortest: float
     ) -> tuple[NDArray[np.float64], Matrix, NDArray[np.float64]]:
         """Lead all lanes to other places; return `y`, `cost` and `rises` at all steps, NaN once a lane is lost."""
-        places, lanes = straight(self._places, targets, steps), np.nonzero(self.good)[0]
+        places, lanes = line_places(self._places, targets, steps), np.nonzero(self.good)[0]
         seen = [np.full((len(rows), steps + 1, *rows.shape[1:]), np.nan) for rows in (self.y, self.cost, self.rises)]
         for number in range(steps + 1):
             if number and len(lanes):
@@ -132,7 +132,7 @@ class Walk:
         back = self._places[lanes]
         guess = found.y + np.einsum("lk,lkn->ln", back - there, self._slopes(found))
         again = self._solved(lanes, back, guess)
-        return again.converged & same(self.y[lanes], again.y)
+        return again.converged & same_unknowns(self.y[lanes], again.y)
 
     def _solved(self, lanes: Lanes, places: Matrix, y: Matrix, **settings: Any) -> Extremals:
         found = self._chart.solve(places[:, : self._d], y, self._holds(lanes, places), limit=MOST, **settings)
@@ -158,7 +158,9 @@ class Walk:
             self.rises[lanes] = self._chart.shooting.held_values(found.roots)[1][:, self._at]
 
 
-def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix) -> Matrix:
+def continue_sheet_to(
+    chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix
+) -> Matrix:
     """Continue a sheet to other values of the parameters; return unknowns, (targets, n), NaN where it does not lead.
 
     Parameters
@@ -170,12 +172,12 @@ def carried(chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vect
     targets
         Values of the parameters to reach, canonical, (targets, d).
     """
-    here, share = walked(chart, borders, [sheet], *from_one(start, y, targets))
+    here, share = follow_sheets(chart, borders, [sheet], *walks_from_one_extremal(start, y, targets))
     here[share < 1.0] = np.nan
     return here
 
 
-def walked(
+def follow_sheets(
     chart: Chart,
     borders: Borders,
     sheets: Sequence[Sheet],
@@ -198,7 +200,7 @@ def walked(
     targets
         Values to which the lines lead, (walks, d), canonical.
     shortest, near, astray
-        Of `Walk`.
+        Of `StraightContinuation`.
 
     Returns
     -------
@@ -210,29 +212,31 @@ def walked(
     def holds(lanes: Lanes, values: Matrix) -> Holds:
         return borders.holds(sheets, which[lanes], values)
 
-    walk = Walk(chart, holds, starts, y, sides=sides, near=near, astray=astray)
+    walk = StraightContinuation(chart, holds, starts, y, sides=sides, near=near, astray=astray)
     share = walk.go(np.arange(len(starts)), targets, shortest)
     return walk.y, share
 
 
-def straight(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]:
+def line_places(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]:
     """Return places on straight lines, (lanes, steps + 1, k)."""
     share = np.linspace(0.0, 1.0, steps + 1)[None, :, None]
     return starts[:, None] + share * (ends - starts)[:, None]
 
 
-def from_one(start: Vector, y: Vector, targets: Matrix) -> tuple[NDArray[np.int64], Matrix, Matrix, Matrix]:
-    """Return `which`, `starts`, `y` and `targets` of `walked` from one extremal of one sheet."""
+def walks_from_one_extremal(
+    start: Vector, y: Vector, targets: Matrix
+) -> tuple[NDArray[np.int64], Matrix, Matrix, Matrix]:
+    """Return `which`, `starts`, `y` and `targets` of `follow_sheets` from one extremal of one sheet."""
     count = len(targets)
     return np.zeros(count, dtype=np.int64), np.tile(start, (count, 1)), np.tile(y, (count, 1)), targets
 
 
-def reached_at(places: NDArray[np.int64], y: Matrix) -> Corners:
+def corners_reached(places: NDArray[np.int64], y: Matrix) -> Corners:
     """Return the unknowns of a sheet at the corners that it reaches."""
     return {tuple(corner): row for corner, row in zip(places.tolist(), y, strict=True) if np.isfinite(row[0])}
 
 
-def carried_on(
+def continue_between_corners(
     chart: Chart, borders: Borders, sheet: Sheet, places: NDArray[np.int64], values: Matrix, known: Corners
 ) -> Corners:
     """Continue a sheet to further corners, from corner to neighbouring corner.
@@ -243,7 +247,9 @@ def carried_on(
     reached, canonical = dict(known), values / chart.scale
     numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}
     border = list(known)
-    while border := _within(chart, borders, sheet, canonical, numbers, {corner: reached[corner] for corner in border}):
+    while border := _admissible_corners(
+        chart, borders, sheet, canonical, numbers, {corner: reached[corner] for corner in border}
+    ):
         ways = dict[tuple[int, ...], list[tuple[int, ...]]]()  # to a corner, from those beside it in turn
         for corner, axis, way in product(border, range(len(border[0])), (-1, 1)):
             other = (*corner[:axis], corner[axis] + way, *corner[axis + 1 :])
@@ -254,7 +260,7 @@ def carried_on(
             firsts = [of.pop(0) for of in ways.values()]
             starts, targets = (canonical[[numbers[corner] for corner in some]] for some in (firsts, ways))
             y, own = np.array([reached[corner] for corner in firsts]), np.zeros(len(ways), dtype=np.int64)
-            there, share = walked(chart, borders, [sheet], own, starts, y, targets)
+            there, share = follow_sheets(chart, borders, [sheet], own, starts, y, targets)
             new = {other: row for other, row, all_of_it in zip(ways, there, share == 1.0, strict=True) if all_of_it}
             reached |= new
             border += new
@@ -262,7 +268,7 @@ def carried_on(
     return reached
 
 
-def _within(
+def _admissible_corners(
     chart: Chart,
     borders: Borders,
     sheet: Sheet,

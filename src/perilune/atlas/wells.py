@@ -14,7 +14,7 @@ import numpy as np
 from perilune.atlas.chart import Chart, Holds
 from perilune.atlas.held import BARE
 from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.walking import MOST, Lanes, Walk
+from perilune.atlas.walking import MOST, Lanes, StraightContinuation
 from perilune.problem.extremal import Nature
 from perilune.words.types import Matrix, Vector
 
@@ -23,7 +23,7 @@ _WAY = 8  # steps to another point
 _NOTHING = 1e-12  # of 1 + |J|: a slope that is none
 
 
-def other_wells(
+def other_minima(
     chart: Chart, borders: Borders, sheet: Sheet, values: Matrix, y: Matrix, among: Collection[str] | None = None
 ) -> Iterator[tuple[Vector, Vector, Sheet]]:
     """Yield minima of J along families through extremals of a sheet.
@@ -53,14 +53,14 @@ def other_wells(
             continue
         others = {name: side for name, side in sheet.holds.items() if name != borders.names[k]}
         alone = Sheet(holds=others, orientation=0.0, nature=Nature.UNPROVED)
-        family = _Family(chart, k, values[lanes], borders.holds([alone], which[lanes], values[lanes]))
+        family = _HeldParameterFamily(chart, k, values[lanes], borders.holds([alone], which[lanes], values[lanes]))
         for side, ends in (("lower", low), ("upper", high)):
             at_bound = Sheet(holds={**others, borders.names[k]: side}, orientation=0.0, nature=Nature.UNPROVED)
             for inside, lane, found in family.minima(y[lanes], ends[lanes]):
                 yield values[lanes[lane]], found, alone if inside else at_bound
 
 
-def wells_around(
+def minima_around(
     chart: Chart, borders: Borders, names: Collection[str], points: Matrix, values: Matrix, y: Matrix
 ) -> Iterator[tuple[Vector, Vector, Sheet]]:
     """Yield minima at points (lanes, d) along the parameters `names`, of families through extremals at other points.
@@ -78,13 +78,13 @@ def wells_around(
         choice[:, at], choice[:, [held + k for k in at]] = 1.0, places[:, values.shape[1] :]
         return Holds(choice)
 
-    walk = Walk(chart, holds, np.hstack([values, begins]), y, at=at)
+    walk = StraightContinuation(chart, holds, np.hstack([values, begins]), y, at=at)
     walk.along(np.hstack([points, begins]), _WAY, _SHORTEST)
     there = np.nonzero(walk.good)[0]
-    yield from other_wells(chart, borders, BARE, points[there], walk.y[there], names)
+    yield from other_minima(chart, borders, BARE, points[there], walk.y[there], names)
 
 
-class _Family:
+class _HeldParameterFamily:
     """Extremals with one parameter held, in lanes."""
 
     def __init__(self, chart: Chart, k: int, values: Matrix, holds: Holds) -> None:
@@ -93,7 +93,7 @@ class _Family:
     def minima(self, y: Matrix, ends: Vector) -> Iterator[tuple[bool, int, Vector]]:
         """Yield each minimum on the way to some ends: True if it lies between the bounds, its lane, and unknowns."""
         begins, last = self._at(self._values, y, self._holds), np.column_stack([self._values, ends])
-        walk = Walk(self._chart, self._held, np.column_stack([self._values, begins]), y, at=[self._k])
+        walk = StraightContinuation(self._chart, self._held, np.column_stack([self._values, begins]), y, at=[self._k])
         found, cost, slopes = walk.along(last, _STEPS, _SHORTEST)
         rises = slopes[:, :, 0] * np.sign(ends - begins)[:, None]
         with np.errstate(invalid="ignore"):

@@ -27,23 +27,23 @@ def main() -> NoReturn:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # it ends without a word until there is somebody to say one
     import signal
 
-    from perilune.cli.stopping import stop
+    from perilune.cli.stopping import handle_interrupt
 
     if heeded:
-        signal.signal(signal.SIGINT, stop)
+        signal.signal(signal.SIGINT, handle_interrupt)
     # Before NumPy is loaded: the matrices are tiny, and threads that wait for each other cost more than they give.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports make a hundred thousand objects that stay: looking through them again and again takes long.
     gc.set_threshold(200_000)
     _fill_closed_streams()
-    code = run(sys.argv[1:])
-    if signal.getsignal(signal.SIGINT) is stop:
+    code = run_command_line(sys.argv[1:])
+    if signal.getsignal(signal.SIGINT) is handle_interrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is said, and the exit code is that of what was said
     gc.freeze()  # nor at the end, where all of them go anyway
-    _leave(code)
+    _exit_process(code)
 
 
-def _leave(code: int) -> NoReturn:
+def _exit_process(code: int) -> NoReturn:
     """End the program; at once where a thread still computes, for which nobody waits.
 
     At an ordinary end C++ takes its globals away from below machine code that runs or is made, which crashes. All is
@@ -72,14 +72,14 @@ def _fill_closed_streams() -> None:
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))
 
 
-def run(arguments: Sequence[str]) -> int:
+def run_command_line(arguments: Sequence[str]) -> int:
     """Run one command line; returns the exit code."""
     try:
-        from perilune.cli.commands import obey
+        from perilune.cli.commands import run_command
 
-        return obey(arguments)
+        return run_command(arguments)
     except KeyboardInterrupt:
         # The commands answer for themselves; here is only who was quicker than the imports.
-        from perilune.cli.answer import INTERRUPTED, refusal, say, stopped
+        from perilune.cli.answer import INTERRUPTED, interrupted_error, print_answer, refusal_answer
 
-        return say(refusal(stopped(), INTERRUPTED), as_json="--json" in arguments)
+        return print_answer(refusal_answer(interrupted_error(), INTERRUPTED), as_json="--json" in arguments)

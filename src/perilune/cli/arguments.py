@@ -20,12 +20,12 @@ from perilune.cli.options import (
     SOLVED_WITHIN,
     VERBOSE,
     Option,
-    level,
+    integer_in_range,
+    level_option,
     option,
-    prove,
+    prove_option,
     real,
     switch,
-    whole,
 )
 from perilune.reproductions.papers import PAPERS
 from perilune.words.outcome import PeriluneError, unknown_name
@@ -33,11 +33,11 @@ from perilune.words.outcome import PeriluneError, unknown_name
 _EXIT_CODES = "Exit codes: 0 proved, 2 bad scenario, 3 infeasible, 4 not converged, 5 not proved, 130 stopped."
 
 
-class Told(Exception):
+class HelpShown(Exception):
     """Request for a text, the help or the version, which is printed in place of any work."""
 
 
-def parsed(arguments: Sequence[str]) -> argparse.Namespace:
+def parse_command_line(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the command line into a record, `command` among its fields.
 
     Raises
@@ -66,7 +66,7 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     return typed
 
 
-def settings(typed: argparse.Namespace) -> dict[str, Any]:
+def method_settings(typed: argparse.Namespace) -> dict[str, Any]:
     """Return the settings of the method, by name; None for those not typed."""
     return {name: getattr(typed, name) for name in ("nodes", "tolerance", "polish", "starts", "seed")}
 
@@ -90,7 +90,7 @@ def _unknown_argument(word: str, parser: argparse.ArgumentParser) -> PeriluneErr
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that reports errors by `PeriluneError`, and help by `Told`, so that both are printed as answers are."""
+    """Parser that reports errors by `PeriluneError`, and help by `HelpShown`, so that both are printed as answers are."""
 
     def error(self, message: str) -> NoReturn:
         raise PeriluneError(message, advice=f"{self.prog} --help")
@@ -98,14 +98,14 @@ class _Parser(argparse.ArgumentParser):
 
 class _Help(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        raise Told(parser.format_help())
+        raise HelpShown(parser.format_help())
 
 
 class _Version(argparse.Action):
     def __call__(self, *_: Any) -> NoReturn:
         from perilune import __version__
 
-        raise Told(f"perilune {__version__}")
+        raise HelpShown(f"perilune {__version__}")
 
 
 def _kinds() -> str:
@@ -140,7 +140,7 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
 
     find = (SET, OUT, VERBOSE, FORCE)
     command(
-        "solve", "Find the best landing, without a guess, and prove it.", FILE, *find, level(0, 3), METHOD,
+        "solve", "Find the best landing, without a guess, and prove it.", FILE, *find, level_option(0, 3), METHOD,
         *SETTINGS, SOLVED_WITHIN, NO_CACHE,
     )  # fmt: skip
     command(
@@ -156,14 +156,14 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
             "more than once, the family is the grid.",
         ),
         *find,
-        level(0, 1),
+        level_option(0, 1),
         METHOD,
         *SETTINGS,
         SOLVED_WITHIN,
         option(
             "--workers",
             metavar="N",
-            type=whole(1),
+            type=integer_in_range(1),
             default=1,
             help="Processes that solve members side by side. Usually 1.",
         ),
@@ -182,13 +182,13 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
         switch("--all", "Show passes that are out of reach too.", dest="every"),
         SET,
     )
-    _atlas(command)
+    _add_atlas_command(command)
     command(
         "verify",
         "Prove a saved solution again, from its file alone.",
         option("directory", metavar="DIR", type=Path, help="What `perilune solve --out` wrote."),
         switch("--verbose", "Show every check."),
-        level(1, 3),
+        level_option(1, 3),
         option("--certificate", metavar="FILE", type=Path, help="Where to write the certificate of a theorem."),
         FORCE,
         NO_CACHE,
@@ -211,7 +211,7 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
         ),
         option("--object-name", metavar="TEXT", help="OBJECT_NAME of an oem. Usually the name of the problem."),
         option("--object-id", metavar="TEXT", help="OBJECT_ID of an oem, e.g. 2030-001A. Usually UNKNOWN."),
-        prove("Prove the solution first", "; otherwise the file says what is claimed"),
+        prove_option("Prove the solution first", "; otherwise the file says what is claimed"),
         FORCE,
         NO_CACHE,
     )
@@ -227,7 +227,13 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
             "a landing on the Moon if left out.",
         ),
         SET,
-        option("--port", metavar="N", type=whole(0, 65535), default=0, help="On 127.0.0.1. Usually any that is free."),
+        option(
+            "--port",
+            metavar="N",
+            type=integer_in_range(0, 65535),
+            default=0,
+            help="On 127.0.0.1. Usually any that is free.",
+        ),
         switch("--no-open", "Print the address and open no browser."),
         option(
             "--html",
@@ -250,7 +256,12 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
         "Compute every number and figure of a paper and set them beside the printed ones.",
         option("paper", metavar="PAPER", help=" or ".join(PAPERS)),
         option("--out", metavar="DIR", type=Path, required=True, help="Where the report goes."),
-        option("--seeds", metavar="N", type=whole(1), help="Tries of the paper's random search, where it has one."),
+        option(
+            "--seeds",
+            metavar="N",
+            type=integer_in_range(1),
+            help="Tries of the paper's random search, where it has one.",
+        ),
         VERBOSE,
         FORCE,
         NO_CACHE,
@@ -271,12 +282,14 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
     return parser, known
 
 
-def _atlas(command: Callable[..., _Parser]) -> None:
+def _add_atlas_command(command: Callable[..., _Parser]) -> None:
     """Add the command ``atlas`` and its actions."""
     made = command("atlas", "Map optimal flights over a region of parameters once, and answer from the map at once.")
     actions = made.add_subparsers(dest="action", metavar="ACTION", title="Actions", required=True)
     directory = option("directory", metavar="DIR", type=Path, help="The atlas, as `perilune atlas build` made it.")
-    workers = option("--workers", metavar="N", type=whole(1), default=1, help="Processes side by side. Usually 1.")
+    workers = option(
+        "--workers", metavar="N", type=integer_in_range(1), default=1, help="Processes side by side. Usually 1."
+    )
 
     def at(about: str) -> Option:
         return option("--at", metavar="KEY=VALUE", action="append", default=[], help=about)
@@ -289,7 +302,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
     sample = option(
         "--sample",
         metavar="N",
-        type=whole(0),
+        type=integer_in_range(0),
         help="Answers drawn at random that are proved to level 3. Usually 1 of 100 nodes, at most 10; 459 says most.",
     )
     command(
@@ -315,7 +328,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         option(
             "--bricks",
             metavar="N",
-            type=whole(1),
+            type=integer_in_range(1),
             help="Along each axis, which are computed side by side. Usually 8 of one axis, 4 of two, 2 of more.",
         ),
         workers,
@@ -361,7 +374,7 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         directory,
         at('Of every axis, e.g. "vehicle.thrust=440 N".'),
         OUT,
-        prove("Prove the answer"),
+        prove_option("Prove the answer"),
         VERBOSE,
         FORCE,
         NO_CACHE,
@@ -373,7 +386,9 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         directory,
         option("--axes", metavar="A,B", help="Along which axes, one or two; the first two if left out."),
         at("Of the other axes; in the middle of their ranges if left out."),
-        option("--points", metavar="N", type=whole(2, 2000), default=101, help="Along each axis. Usually 101."),
+        option(
+            "--points", metavar="N", type=integer_in_range(2, 2000), default=101, help="Along each axis. Usually 101."
+        ),
         OUT,
         FORCE,
         NO_CACHE,
@@ -393,8 +408,10 @@ def _atlas(command: Callable[..., _Parser]) -> None:
         "atlas verify",
         "Look at every file of an atlas, and prove nodes that are drawn at random.",
         directory,
-        option("--sample", metavar="N", type=whole(0), default=50, help="How many. Usually 50; 459 says most."),
-        option("--seed", metavar="N", type=whole(0), help="Of the draw; another each time if left out."),
+        option(
+            "--sample", metavar="N", type=integer_in_range(0), default=50, help="How many. Usually 50; 459 says most."
+        ),
+        option("--seed", metavar="N", type=integer_in_range(0), help="Of the draw; another each time if left out."),
         VERBOSE,
         NO_CACHE,
         among=actions,

@@ -6,13 +6,13 @@ import shutil
 from argparse import Namespace
 from pathlib import Path
 
-from perilune.cli.answer import Answer
+from perilune.cli.answer import CommandAnswer
 from perilune.words.outcome import PeriluneError, unknown_name
 
 EXAMPLES = "examples"  # beside the kinds, as a word of `perilune new`
 
 
-def new_answer(typed: Namespace) -> Answer:
+def new_answer(typed: Namespace) -> CommandAnswer:
     """Write a template or the examples; replace nothing unless forced."""
     from perilune.scenario import KINDS, kind_names, template
 
@@ -25,27 +25,27 @@ def new_answer(typed: Namespace) -> Answer:
         kind, file = None, Path(kind)
     text = template(kind or "hybrid_landing")
     if file is None:
-        return Answer(text=text, document={"template": text})
+        return CommandAnswer(text=text, document={"template": text})
     try:
         with file.open("w" if typed.force else "x", encoding="utf-8") as opened:
             opened.write(text)
     except FileExistsError:
-        raise _there_already(file) from None
-    return Answer(text=f"written to {file}\nsolve it: perilune solve {file}", document={"written": str(file)})
+        raise _existing_path_error(file) from None
+    return CommandAnswer(text=f"written to {file}\nsolve it: perilune solve {file}", document={"written": str(file)})
 
 
-def _examples(directory: Path, force: bool) -> Answer:
+def _examples(directory: Path, force: bool) -> CommandAnswer:
     """Copy all examples, which lie inside an installed package, or in a folder of the source archive."""
     here = Path(__file__).parents[1]
     source = next(place for place in (here / EXAMPLES, here.parents[1] / EXAMPLES) if place.is_dir())
     if not force and directory.exists():
-        raise _there_already(directory)
+        raise _existing_path_error(directory)
     shutil.copytree(source, directory, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"), dirs_exist_ok=force)
     files = sorted(path.relative_to(directory).as_posix() for path in directory.rglob("*") if path.is_file())
     text = f"written to {directory}: {', '.join(files)}"
-    return Answer(text=text, document={"written": str(directory), "files": files})
+    return CommandAnswer(text=text, document={"written": str(directory), "files": files})
 
 
-def _there_already(place: Path) -> PeriluneError:
+def _existing_path_error(place: Path) -> PeriluneError:
     what = "directory" if place.is_dir() else "file"
     return PeriluneError(f"the {what} is there already", got=str(place), advice="choose another name, or pass --force")

@@ -10,14 +10,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from perilune.cli.answer import Answer, Files, aside, deliver, failed, refusal, say, tell
-from perilune.cli.arguments import Told, help_text, parsed, settings
+from perilune.cli.answer import (
+    CommandAnswer,
+    WrittenFiles,
+    answer_of_error,
+    emit_answer,
+    print_answer,
+    print_text,
+    print_to_stderr,
+    refusal_answer,
+)
+from perilune.cli.arguments import HelpShown, help_text, method_settings, parse_command_line
 from perilune.cli.doctor import diagnosis
 from perilune.cli.options import time_limit
-from perilune.cli.progress import LONGEST_LOG, WRITING, failure_kept, progress, refuse_used, warn
-from perilune.cli.stopping import advised, heed, put_off
+from perilune.cli.progress import LONGEST_LOG, WRITING, failure_kept, print_warnings, progress, refuse_unusable_target
+from perilune.cli.stopping import advise_on_interrupt, defer_interrupt, raise_pending_interrupt
 from perilune.words.outcome import InfeasibleError, PeriluneError
-from perilune.words.units import told
+from perilune.words.units import format_quantity
 
 if TYPE_CHECKING:
     from perilune.problem.solution import Solution
@@ -25,45 +34,45 @@ if TYPE_CHECKING:
 _MOST_NAMES = 8  # of files in a note
 
 
-def obey(arguments: Sequence[str]) -> int:
+def run_command(arguments: Sequence[str]) -> int:
     """Parse a command line and run its command; returns the exit code."""
     try:
-        typed = parsed(arguments)
-    except Told as asked:
-        return tell(str(asked))
+        typed = parse_command_line(arguments)
+    except HelpShown as asked:
+        return print_text(str(asked))
     except PeriluneError as usage:
-        return say(refusal(usage, usage.exit_code), as_json="--json" in arguments)
+        return print_answer(refusal_answer(usage, usage.exit_code), as_json="--json" in arguments)
     if typed.command is None:
-        aside(help_text())
+        print_to_stderr(help_text())
         return 2
     if getattr(typed, "no_cache", False):
         os.environ["PERILUNE_CACHE"] = "off"  # read by perilune.kernels.code.cache
-    return deliver(typed.as_json, lambda: COMMANDS[typed.command](typed), getattr(typed, "verbose", False))
+    return emit_answer(typed.as_json, lambda: COMMANDS[typed.command](typed), getattr(typed, "verbose", False))
 
 
-def _solve(typed: Namespace) -> Answer:
+def _run_solve_command(typed: Namespace) -> CommandAnswer:
     from perilune.cli.methods import method_of
     from perilune.problem.preflight import preflight
     from perilune.scenario import load_file
 
-    chosen, out, limit = method_of(typed.method, settings(typed)), typed.out, time_limit(typed)
+    chosen, out, limit = method_of(typed.method, method_settings(typed)), typed.out, time_limit(typed)
     log: deque[str] = deque(maxlen=LONGEST_LOG)
     with progress(False, log):
         scenario = load_file(typed.file, typed.changes)
-        refuse_used(out, typed.force)
+        refuse_unusable_target(out, typed.force)
         found = preflight(scenario.problem)
-    warn(found)
+    print_warnings(found)
     from perilune.solve import solve as solve_problem
 
-    kept, files = "", Files()
-    with advised(lambda: kept), progress(typed.verbose, log) as watch:
+    kept, files = "", WrittenFiles()
+    with advise_on_interrupt(lambda: kept), progress(typed.verbose, log) as watch:
         with failure_kept(scenario, out, typed.force, log):
             solution = solve_problem(
                 scenario.problem, chosen, level=typed.level, tolerance=scenario.tolerance, watch=watch,
                 time_limit=limit,
             )  # fmt: skip
             if out is not None:
-                with put_off(), files.written():
+                with defer_interrupt(), files.written():
                     from perilune.io.export import save
 
                     save(solution, out, scenario.text, force=typed.force)
@@ -72,7 +81,7 @@ def _solve(typed: Namespace) -> Answer:
             watch(WRITING)
             ordinary = None
             with files.written():
-                ordinary = _beside(solution)
+                ordinary = _plainer_flight(solution)
             with files.written():
                 from perilune.report import add_report
 
@@ -80,7 +89,7 @@ def _solve(typed: Namespace) -> Answer:
     return files.placed(_solution_answer(solution, typed.verbose), out)
 
 
-def _beside(solution: Solution) -> Solution | None:
+def _plainer_flight(solution: Solution) -> Solution | None:
     """Solve for the plainer flight that the problem's views name, for the figures.
 
     None if the solution is that already, or it has no solution.
@@ -96,37 +105,37 @@ def _beside(solution: Solution) -> Solution | None:
         return None
 
 
-def _solution_answer(solution: Solution, verbose: bool) -> Answer:
+def _solution_answer(solution: Solution, verbose: bool) -> CommandAnswer:
     from perilune.io.export import solution_document
     from perilune.report.summary import solution_summary
 
-    heed()
+    raise_pending_interrupt()
     try:
         text, document = solution_summary(solution, every_check=verbose), solution_document(solution)
     except Exception as error:
-        return _plain_answer(solution, failed(error))
-    return Answer(text=text, document=document, exit_code=solution.outcome.exit_code)
+        return _plain_answer(solution, answer_of_error(error))
+    return CommandAnswer(text=text, document=document, exit_code=solution.outcome.exit_code)
 
 
-def _plain_answer(solution: Solution, fault: Answer) -> Answer:
+def _plain_answer(solution: Solution, fault: CommandAnswer) -> CommandAnswer:
     """Return the answer for a flight whose results cannot be computed by a fault: objective and free parameters."""
     problem = solution.problem
     units = {"objective": problem.objective_unit, **{free.name: free.unit for free in problem.free}}
     values = {"objective": float(solution.objective), **solution.free}
-    aside(fault.text)
+    print_to_stderr(fault.text)
     lines = [f"{problem.heading}: {solution.outcome.name}, and its results cannot be told", ""]
-    lines += [f"  {name}: {told(value, units.get(name, ''))}" for name, value in values.items()]
+    lines += [f"  {name}: {format_quantity(value, units.get(name, ''))}" for name, value in values.items()]
     document = {"problem": problem.name, "outcome": solution.outcome.name, "values": values, "fault": fault.document}
-    return Answer(text="\n".join(lines), document=document, exit_code=fault.exit_code)
+    return CommandAnswer(text="\n".join(lines), document=document, exit_code=fault.exit_code)
 
 
-def _sweep(typed: Namespace) -> Answer:
+def _run_sweep_command(typed: Namespace) -> CommandAnswer:
     from perilune.cli.sweeping import sweep_answer
 
     return sweep_answer(typed)
 
 
-def _check(typed: Namespace) -> Answer:
+def _run_check_command(typed: Namespace) -> CommandAnswer:
     from perilune.problem.preflight import preflight, refuse_impossible
     from perilune.scenario import load_file
 
@@ -154,16 +163,16 @@ def _check(typed: Namespace) -> Answer:
     try:
         refuse_impossible(found)
     except InfeasibleError as error:
-        said = refusal(error, error.exit_code)
+        said = refusal_answer(error, error.exit_code)
         lines.append(str(error))
         return replace(said, text="\n".join(lines), document={**said.document, **inputs, "findings": rows})
     warned = any(f.verdict == "warning" for f in found)
     document = {"problem": problem.name, "outcome": "POSSIBLE", "warnings": warned, **inputs, "findings": rows}
-    return Answer(text="\n".join(lines), document=document)
+    return CommandAnswer(text="\n".join(lines), document=document)
 
 
-def _opportunities(typed: Namespace) -> Answer:
-    from perilune.models.deorbit.opportunities import opportunities, refuse_none
+def _run_opportunities_command(typed: Namespace) -> CommandAnswer:
+    from perilune.models.deorbit.opportunities import opportunities, refuse_no_opportunity
     from perilune.report.opportunities import opportunities_document, opportunities_text
     from perilune.scenario import load_file
 
@@ -173,21 +182,21 @@ def _opportunities(typed: Namespace) -> Answer:
         found = opportunities(problem, typed.days)
     document, text = opportunities_document(found), opportunities_text(found, every=typed.every)
     try:
-        refuse_none(found, typed.days)
+        refuse_no_opportunity(found, typed.days)
     except InfeasibleError as error:
-        said = refusal(error, error.exit_code)
+        said = refusal_answer(error, error.exit_code)
         told = f"{text}\n{error}" if typed.every else str(error)
         return replace(said, text=told, document={**said.document, **document})
-    return Answer(text=text, document=document)
+    return CommandAnswer(text=text, document=document)
 
 
-def _atlas(typed: Namespace) -> Answer:
+def _run_atlas_command(typed: Namespace) -> CommandAnswer:
     from perilune.cli.mapping import ACTIONS
 
     return ACTIONS[typed.action](typed)
 
 
-def _verify(typed: Namespace) -> Answer:
+def _run_verify_command(typed: Namespace) -> CommandAnswer:
     from perilune.io.reload import load
     from perilune.solve import prove
 
@@ -198,11 +207,11 @@ def _verify(typed: Namespace) -> Answer:
         certificate = new_file(certificate, "the certificate", typed.force)  # refused before the work, not after it
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
         solution = _with_unread_files(prove(load(typed.directory), typed.level, watch=watch), typed.directory)
-    answer, files = _solution_answer(solution, typed.verbose), Files()
+    answer, files = _solution_answer(solution, typed.verbose), WrittenFiles()
     if certificate is None:
         return answer
     with files.written():
-        answer = replace(answer, text=f"{answer.text}\n\n{_certified(solution, certificate)}")
+        answer = replace(answer, text=f"{answer.text}\n\n{_write_certificate(solution, certificate)}")
     return files.noted(answer)
 
 
@@ -221,7 +230,7 @@ def _with_unread_files(solution: Solution, directory: Path) -> Solution:
     return replace(solution, verification=replace(verification, notes=(*verification.notes, note)))
 
 
-def _certified(solution: Solution, file: Path) -> str:
+def _write_certificate(solution: Solution, file: Path) -> str:
     """Write the certificate of a theorem; returns a sentence on it."""
     from perilune.io.files import fresh_file, json_text
 
@@ -233,32 +242,32 @@ def _certified(solution: Solution, file: Path) -> str:
     return f"certificate written to {file}"
 
 
-def _export(typed: Namespace) -> Answer:
-    from perilune.io.exports.epochs import epoch_of
+def _run_export_command(typed: Namespace) -> CommandAnswer:
+    from perilune.io.exports.epochs import flight_epoch
     from perilune.io.exports.provenance import provenance
-    from perilune.io.exports.writing import demand_named, placed, write
-    from perilune.io.reload import opened
+    from perilune.io.exports.writing import export_target, require_object, write_export
+    from perilune.io.reload import load_with_tree
     from perilune.solve import prove
 
-    _, form = placed(typed.out, typed.format, typed.force)
-    named = demand_named(form, typed.object_name, typed.object_id)
-    loaded, document = opened(typed.directory)
-    epoch_of(loaded, typed.epoch)  # refused before the proof, which may take long
+    _, form = export_target(typed.out, typed.format, typed.force)
+    named = require_object(form, typed.object_name, typed.object_id)
+    loaded, document = load_with_tree(typed.directory)
+    flight_epoch(loaded, typed.epoch)  # refused before the proof, which may take long
     with progress(False, deque(maxlen=1)) as watch:
         solution = prove(loaded, typed.prove, watch=watch)
-    heed()
+    raise_pending_interrupt()
     about = provenance(solution, document=document)
-    write(solution, typed.out, form, about, epoch=typed.epoch, force=typed.force, **named)
+    write_export(solution, typed.out, form, about, epoch=typed.epoch, force=typed.force, **named)
     size = typed.out.stat().st_size
     told = {"written": str(typed.out), "format": form, "bytes": size, "proof": about["proof"]}
     text = f"written to {typed.out}: {form}, {size / 2**10:.0f} KiB; proof: {about['proof']}"
-    return Answer(text=text, document=told, exit_code=solution.outcome.exit_code if typed.prove else 0)
+    return CommandAnswer(text=text, document=told, exit_code=solution.outcome.exit_code if typed.prove else 0)
 
 
-def _reproduce(typed: Namespace) -> Answer:
-    from perilune.reproductions.papers import reproduce as reproduce_paper
+def _run_reproduce_command(typed: Namespace) -> CommandAnswer:
+    from perilune.reproductions.papers import reproduce_paper as reproduce_paper
 
-    refuse_used(typed.out, typed.force)
+    refuse_unusable_target(typed.out, typed.force)
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
         asked = {} if typed.seeds is None else {"seeds": typed.seeds}
         proved = reproduce_paper(typed.paper, typed.out, force=typed.force, watch=watch, **asked).proved
@@ -269,35 +278,35 @@ def _reproduce(typed: Namespace) -> Answer:
         "verification": {"level": proved.verification.level},
         "report": report,
     }
-    return Answer(text=f"written to {report}", document=document, exit_code=proved.outcome.exit_code)
+    return CommandAnswer(text=f"written to {report}", document=document, exit_code=proved.outcome.exit_code)
 
 
-def _new(typed: Namespace) -> Answer:
+def _run_new_command(typed: Namespace) -> CommandAnswer:
     from perilune.cli.beginning import new_answer
 
     return new_answer(typed)
 
 
-def _explore(typed: Namespace) -> Answer:
-    from perilune.cli.exploring import explore
+def _run_explore_command(typed: Namespace) -> CommandAnswer:
+    from perilune.cli.exploring import serve_or_write_page
 
-    return explore(typed)
+    return serve_or_write_page(typed)
 
 
-def _doctor(typed: Namespace) -> Answer:
+def _run_doctor_command(typed: Namespace) -> CommandAnswer:
     return diagnosis(typed.clear_cache)
 
 
-COMMANDS: dict[str, Callable[[Namespace], Answer]] = {
-    "solve": _solve,
-    "sweep": _sweep,
-    "check": _check,
-    "opportunities": _opportunities,
-    "atlas": _atlas,
-    "verify": _verify,
-    "export": _export,
-    "explore": _explore,
-    "reproduce": _reproduce,
-    "new": _new,
-    "doctor": _doctor,
+COMMANDS: dict[str, Callable[[Namespace], CommandAnswer]] = {
+    "solve": _run_solve_command,
+    "sweep": _run_sweep_command,
+    "check": _run_check_command,
+    "opportunities": _run_opportunities_command,
+    "atlas": _run_atlas_command,
+    "verify": _run_verify_command,
+    "export": _run_export_command,
+    "explore": _run_explore_command,
+    "reproduce": _run_reproduce_command,
+    "new": _run_new_command,
+    "doctor": _run_doctor_command,
 }

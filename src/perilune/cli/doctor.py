@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from perilune.cli.answer import Answer
+from perilune.cli.answer import CommandAnswer
 
 # What `pip install 'perilune[PART]'` brings: the modules without which that part says it is missing.
 PARTS = {
@@ -16,19 +16,19 @@ PARTS = {
 }
 
 
-def diagnosis(clear_cache: bool) -> Answer:
+def diagnosis(clear_cache: bool) -> CommandAnswer:
     """Examine the installation, after removing the machine code kept on disk if that is wanted."""
     import platform
     from importlib.util import find_spec
 
-    from perilune.io.export import versions
+    from perilune.io.export import program_versions
     from perilune.kernels.code import cache
 
-    removed = cache.clear() if clear_cache else None
-    kept, compiles = cache.report(), find_spec("llvmlite") is not None
+    removed = cache.clear_cache() if clear_cache else None
+    kept, compiles = cache.report_cache(), find_spec("llvmlite") is not None
     parts = {part: all(map(find_spec, modules)) for part, modules in PARTS.items()}
     document: dict[str, Any] = {
-        "versions": versions(),
+        "versions": program_versions(),
         "platform": f"{platform.system()} {platform.machine()}",
         "parts": parts,
         "machine_code": compiles,
@@ -45,16 +45,16 @@ def diagnosis(clear_cache: bool) -> Answer:
     if not all(parts.values()):
         lines += [f"  add one: pip install 'perilune[{min(parts, key=parts.__getitem__)}]'"]
     lines += ["machine code for arcs: " + ("yes" if compiles else "no, llvmlite is not installed: slower")]
-    lines += ["machine code on disk: " + _shown(kept)]
+    lines += ["machine code on disk: " + _cache_text(kept)]
     if removed is not None:
         document["cache"]["removed"] = removed
         lines += [f"  {removed} files removed"]
     elif kept.files:
         lines += ["  remove it: perilune doctor --clear-cache"]
-    return Answer(text="\n".join(lines), document=document)
+    return CommandAnswer(text="\n".join(lines), document=document)
 
 
-def _shown(kept: Any) -> str:
+def _cache_text(kept: Any) -> str:
     if kept.path is None:
         return "none is kept: PERILUNE_CACHE is off, or there is no home directory"
     text = f"{kept.files} files, {kept.size / 1e6:.1f} MB, in {kept.path}"

@@ -12,9 +12,9 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from perilune.cli.answer import Answer, aside
+from perilune.cli.answer import CommandAnswer, print_to_stderr
 from perilune.cli.progress import LONGEST_LOG, progress
-from perilune.cli.stopping import stop
+from perilune.cli.stopping import handle_interrupt
 from perilune.words.declared import Quantity
 from perilune.words.outcome import PeriluneError, unknown_name
 
@@ -24,12 +24,14 @@ if TYPE_CHECKING:
     from perilune.problem.problem import Problem
 
 
-def explore(typed: Namespace) -> Answer:
+def serve_or_write_page(typed: Namespace) -> CommandAnswer:
     """Serve the page until Ctrl-C, or write it."""
     from perilune.app.subject import subject_of
 
     if typed.html is not None:
-        return _written(subject_of(typed.target, typed.changes or ()), typed.html, typed.vary or (), typed.force)
+        return _write_static_page(
+            subject_of(typed.target, typed.changes or ()), typed.html, typed.vary or (), typed.force
+        )
     try:
         import starlette  # noqa: F401
         import uvicorn
@@ -50,7 +52,7 @@ def explore(typed: Namespace) -> Answer:
     port = listening.getsockname()[1]
     explorer = Explorer(subject, port)
     address = f"http://127.0.0.1:{port}/{explorer.token}/"
-    aside(f"perilune: exploring {subject.title}\n{address}\nopen on this machine alone; Ctrl-C ends it")
+    print_to_stderr(f"perilune: exploring {subject.title}\n{address}\nopen on this machine alone; Ctrl-C ends it")
     if not typed.no_open:
         import webbrowser
 
@@ -59,7 +61,7 @@ def explore(typed: Namespace) -> Answer:
         explorer.app, log_level="error", ws_max_size=MESSAGE, ws_max_queue=8, lifespan="off", server_header=False
     )
     server = uvicorn.Server(settings)
-    signal.signal(signal.SIGTERM, stop)  # by which services are ended: as Ctrl-C
+    signal.signal(signal.SIGTERM, handle_interrupt)  # by which services are ended: as Ctrl-C
     try:
         server.run([listening])
     except KeyboardInterrupt:  # what ended it, which the server passes on when it has ended in order
@@ -67,17 +69,17 @@ def explore(typed: Namespace) -> Answer:
     finally:
         explorer.close()
         listening.close()
-    return Answer(text="the explorer has ended", document={"served": address})
+    return CommandAnswer(text="the explorer has ended", document={"served": address})
 
 
-def _written(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> Answer:
-    from perilune.app.frozen import frozen_page, moving
+def _write_static_page(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> CommandAnswer:
+    from perilune.app.frozen import default_sliders, static_page
     from perilune.io.files import fresh_file, new_file
 
-    chosen = _chosen(subject, vary) or moving(subject)
+    chosen = _chosen_sliders(subject, vary) or default_sliders(subject)
     new_file(file, "the page", force)
     with progress(False, deque(maxlen=LONGEST_LOG)) as watch:
-        page, words = frozen_page(subject, watch, chosen)
+        page, words = static_page(subject, watch, chosen)
     with fresh_file(file, "the page") as beside:
         beside.write_text(page, encoding="utf-8")
     moves = {
@@ -86,10 +88,10 @@ def _written(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> 
     }
     told = " and ".join(f"{key} from {span}" for key, span in moves.items())
     text = f"written to {file}: {len(page) / 1e6:.1f} MB; on it {told} can be moved (--vary names others)\n{words}"
-    return Answer(text=text, document={"written": str(file), "moves": moves, "stored": words})
+    return CommandAnswer(text=text, document={"written": str(file), "moves": moves, "stored": words})
 
 
-def _chosen(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:
+def _chosen_sliders(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:
     """Return the parameters that were named, each with the stated range, or its own."""
     from perilune.scenario import bounds_of
 

@@ -9,13 +9,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from perilune.cli.answer import Answer, Files
-from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
-from perilune.cli.stopping import advised, heed
-from perilune.cli.sweeping import elsewhere, ranges, varied
-from perilune.words.declared import named, parameter_name
+from perilune.cli.answer import CommandAnswer, WrittenFiles
+from perilune.cli.progress import LONGEST_LOG, print_note, progress, refuse_unusable_target
+from perilune.cli.stopping import advise_on_interrupt, raise_pending_interrupt
+from perilune.cli.sweeping import ranges_of_keys, scenario_with_ranges, sweep_executor
+from perilune.words.declared import parameter_name, with_key_named
 from perilune.words.outcome import PeriluneError, unknown_name
-from perilune.words.units import parse_quantity, told
+from perilune.words.units import format_quantity, parse_quantity
 
 if TYPE_CHECKING:
     from perilune.atlas.mapped import Query
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from perilune.problem.problem import Problem
 
 
-def _build(typed: Namespace) -> Answer:
+def _run_atlas_build(typed: Namespace) -> CommandAnswer:
     from perilune.atlas.building import TOLERANCE, build
     from perilune.atlas.store import HEADER
     from perilune.scenario import bounds_of
 
-    axes = ranges(typed, bounds_of)
-    problem = _problem(typed, axes)
-    there = _written(typed.out / HEADER)
+    axes = ranges_of_keys(typed, bounds_of)
+    problem = _problem_to_map(typed, axes)
+    there = _file_signature(typed.out / HEADER)
     if there and not (typed.resume or typed.force):
         raise PeriluneError(
             "the output directory holds an atlas already", got=str(typed.out), expected="a new or empty directory",
@@ -39,10 +39,14 @@ def _build(typed: Namespace) -> Answer:
 
     def going_on() -> str:
         """Return advice on going on; empty if nothing was begun, or the atlas to be replaced is still there."""
-        begun = _written(typed.out / HEADER)
+        begun = _file_signature(typed.out / HEADER)
         return "the same command with --resume goes on" if begun and (typed.resume or begun != there) else ""
 
-    with advised(going_on), progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, elsewhere(typed) as executor:
+    with (
+        advise_on_interrupt(going_on),
+        progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch,
+        sweep_executor(typed) as executor,
+    ):
         build(
             problem,
             axes,
@@ -54,18 +58,18 @@ def _build(typed: Namespace) -> Answer:
             sample=typed.sample,
             force=typed.force and not typed.resume,
         )
-    return _described(_opened(typed), built=str(typed.out))
+    return _atlas_description(_open_typed_atlas(typed), built=str(typed.out))
 
 
-def _written(file: Path) -> tuple[int, int] | None:
+def _file_signature(file: Path) -> tuple[int, int] | None:
     """Return a signature that differs between a file and its replacement; None for a missing file."""
     return (found.st_ino, found.st_mtime_ns) if file.is_file() and (found := file.stat()) else None
 
 
-def _extend(typed: Namespace) -> Answer:
+def _run_atlas_extend(typed: Namespace) -> CommandAnswer:
     from perilune.atlas.extending import extend
 
-    atlas, wanted = _opened(typed), dict[str, tuple[float, float]]()
+    atlas, wanted = _open_typed_atlas(typed), dict[str, tuple[float, float]]()
     for key, bounds in _axis_ranges(atlas, typed.vary):
         if key in wanted:
             raise PeriluneError(f"--vary names {key} twice", expected="each axis once")
@@ -76,9 +80,13 @@ def _extend(typed: Namespace) -> Answer:
         wide = (atlas.store.survey() or {}).get("digest") != atlas.survey.get("digest")
         return f"perilune atlas extend {typed.directory} builds what is missing" if wide or not wanted else ""
 
-    with advised(going_on), progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch, elsewhere(typed) as executor:
+    with (
+        advise_on_interrupt(going_on),
+        progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch,
+        sweep_executor(typed) as executor,
+    ):
         extend(typed.directory, wanted, executor, watch=watch, sample=typed.sample)
-    return _described(_opened(typed), built=str(typed.directory))
+    return _atlas_description(_open_typed_atlas(typed), built=str(typed.directory))
 
 
 def _axis_ranges(atlas: Atlas, vary: list[str]) -> Iterator[tuple[str, tuple[float, float]]]:
@@ -95,58 +103,58 @@ def _axis_ranges(atlas: Atlas, vary: list[str]) -> Iterator[tuple[str, tuple[flo
         yield name, bounds_of(key, text, {key: Quantity(unit=units[name], example=f"1 {units[name]}")})
 
 
-def _merge(typed: Namespace) -> Answer:
+def _run_atlas_merge(typed: Namespace) -> CommandAnswer:
     from perilune.atlas.merging import merge
     from perilune.atlas.store import HEADER
 
     def going_on() -> str:
         """Return advice on going on; empty if nothing was copied yet, or an atlas is there, old or new."""
-        copied = typed.out.is_dir() and any(typed.out.iterdir()) and not _written(typed.out / HEADER)
+        copied = typed.out.is_dir() and any(typed.out.iterdir()) and not _file_signature(typed.out / HEADER)
         return f"{typed.out} is no atlas yet; the same command merges again" if copied else ""
 
-    with advised(going_on), progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
+    with advise_on_interrupt(going_on), progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
         merge(typed.directory, typed.other, typed.out, force=typed.force, watch=watch)
     typed.directory = typed.out
-    return _described(_opened(typed), built=str(typed.out))
+    return _atlas_description(_open_typed_atlas(typed), built=str(typed.out))
 
 
-def _problem(typed: Namespace, axes: Mapping[str, tuple[float, float]]) -> Problem:
+def _problem_to_map(typed: Namespace, axes: Mapping[str, tuple[float, float]]) -> Problem:
     """Return the problem of the file, or if it leaves an axis open, with the first value of that."""
     from perilune.scenario import load_file
 
-    at_ends = varied(typed.file, typed.changes, axes)
+    at_ends = scenario_with_ranges(typed.file, typed.changes, axes)
     try:
         return load_file(typed.file, typed.changes).problem
     except PeriluneError:
         return at_ends.problem
 
 
-def _info(typed: Namespace) -> Answer:
-    return _described(_opened(typed))
+def _run_atlas_info(typed: Namespace) -> CommandAnswer:
+    return _atlas_description(_open_typed_atlas(typed))
 
 
-def _verify(typed: Namespace) -> Answer:
+def _run_atlas_verify(typed: Namespace) -> CommandAnswer:
     from perilune.atlas.verify import verify_atlas
 
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
-        found = verify_atlas(_opened(typed), typed.sample, seed=typed.seed, watch=watch)
+        found = verify_atlas(_open_typed_atlas(typed), typed.sample, seed=typed.seed, watch=watch)
     outcome = ("PROVED" if found.drawn else "SOLVED") if found.passed else "NOT_PROVED"  # of none drawn nothing is
     document = {**asdict(found), "share": found.share, "outcome": outcome}
-    return Answer(text=str(found), document=document, exit_code=0 if found.passed else 5)
+    return CommandAnswer(text=str(found), document=document, exit_code=0 if found.passed else 5)
 
 
-def _query(typed: Namespace) -> Answer:
+def _run_atlas_query(typed: Namespace) -> CommandAnswer:
     from perilune.io.export import solution_document
     from perilune.report.summary import solution_summary
     from perilune.solve import prove
 
-    atlas = _opened(typed)
-    values = _values(atlas, typed.at)
-    refuse_used(typed.out, typed.force)
+    atlas = _open_typed_atlas(typed)
+    values = _typed_axis_values(atlas, typed.at)
+    refuse_unusable_target(typed.out, typed.force)
     answer = atlas.query(**values)
     solution = prove(answer, typed.prove) if typed.prove else answer
-    heed()
-    files = Files()
+    raise_pending_interrupt()
+    files = WrittenFiles()
     if typed.out is not None:
         with files.written():
             from perilune.report import write_all
@@ -155,32 +163,34 @@ def _query(typed: Namespace) -> Answer:
     lines = [solution_summary(solution, every_check=typed.verbose), "", *_query_lines(answer.query)]
     code = solution.outcome.exit_code if typed.prove else 0
     document = {**solution_document(solution), "query": asdict(answer.query)}
-    return files.placed(Answer(text="\n".join(lines), document=document, exit_code=code), typed.out)
+    return files.placed(CommandAnswer(text="\n".join(lines), document=document, exit_code=code), typed.out)
 
 
-def _export(typed: Namespace) -> Answer:
+def _run_atlas_export(typed: Namespace) -> CommandAnswer:
     from perilune.atlas.exporting import FORMS, export
     from perilune.io.exports.formats import format_of
 
-    atlas, form = _opened(typed), format_of(typed.out, typed.format, list(FORMS))
-    there = _written(typed.out)
-    with advised(lambda: "" if _written(typed.out) != there else f"nothing was written to {typed.out}"):
+    atlas, form = _open_typed_atlas(typed), format_of(typed.out, typed.format, list(FORMS))
+    there = _file_signature(typed.out)
+    with advise_on_interrupt(
+        lambda: "" if _file_signature(typed.out) != there else f"nothing was written to {typed.out}"
+    ):
         export(atlas, typed.out, form, force=typed.force)
     nodes, size = atlas.rows, typed.out.stat().st_size
     document = {"written": str(typed.out), "format": form, "nodes": nodes, "bytes": size}
-    return Answer(text=f"written to {typed.out}: {nodes} nodes, {size / 2**20:.1f} MiB", document=document)
+    return CommandAnswer(text=f"written to {typed.out}: {nodes} nodes, {size / 2**20:.1f} MiB", document=document)
 
 
-def _plot(typed: Namespace) -> Answer:
+def _run_atlas_plot(typed: Namespace) -> CommandAnswer:
     from perilune.atlas.slices import sliced
     from perilune.io.files import NotWrittenError
     from perilune.report.atlas_maps import write_maps
 
-    atlas = _opened(typed)
-    refuse_used(typed.out, typed.force)
+    atlas = _open_typed_atlas(typed)
+    refuse_unusable_target(typed.out, typed.force)
     names = [name.strip() for name in typed.axes.split(",")] if typed.axes is not None else []
-    shown = sliced(atlas, names, _values(atlas, typed.at), points=typed.points)
-    files, drawn = Files(), list[str]()
+    shown = sliced(atlas, names, _typed_axis_values(atlas, typed.at), points=typed.points)
+    files, drawn = WrittenFiles(), list[str]()
     if typed.out is not None:
         try:
             drawn = write_maps(shown, typed.out, typed.force)
@@ -198,16 +208,16 @@ def _plot(typed: Namespace) -> Answer:
         "axes": [axis.name for axis in shown.axes], "at": dict(shown.at), "points": total,
         "answered": int(shown.answers.good.sum()), "counts": shown.counts, "figures": drawn,
     }  # fmt: skip
-    return files.noted(Answer(text="\n".join(lines), document=document))
+    return files.noted(CommandAnswer(text="\n".join(lines), document=document))
 
 
-def _opened(typed: Namespace) -> Atlas:
+def _open_typed_atlas(typed: Namespace) -> Atlas:
     from perilune.atlas.query import open_atlas
 
     return open_atlas(typed.out if typed.action == "build" else typed.directory)
 
 
-def _values(atlas: Atlas, at: list[str]) -> dict[str, float]:
+def _typed_axis_values(atlas: Atlas, at: list[str]) -> dict[str, float]:
     """Return the typed values of the axes [SI]."""
     axes, found = {axis.name: axis for axis in atlas.region.axes}, dict[str, float]()
     for stated in at:
@@ -222,13 +232,13 @@ def _values(atlas: Atlas, at: list[str]) -> dict[str, float]:
         try:
             found[name] = parse_quantity(text, axes[name].unit)
         except PeriluneError as error:
-            raise named(key, error) from None
+            raise with_key_named(key, error) from None
     return found
 
 
-def _described(atlas: Atlas, **more: str) -> Answer:
+def _atlas_description(atlas: Atlas, **more: str) -> CommandAnswer:
     """Describe an atlas and how complete it is; exit code 5 if not all of the answers drawn at building are proved."""
-    from perilune.atlas.covering import LOOKED_AT, covered
+    from perilune.atlas.covering import LOOKED_AT, covered_share
     from perilune.atlas.sampling import sample_of
 
     axes = [
@@ -242,10 +252,13 @@ def _described(atlas: Atlas, **more: str) -> Answer:
         for sheet, label in enumerate(charted.labels)
         if any(key[0] == number and sheet in line.get("sheets", (sheet,)) for key, line in atlas.said.items())
     ]
-    total, share = len(atlas.region.bricks) * max(1, len(atlas.charted)), covered(atlas)
+    total, share = len(atlas.region.bricks) * max(1, len(atlas.charted)), covered_share(atlas)
     lines = [
         f"atlas of {atlas.problem.heading}",
-        *(f"  {a.key}: {told(a.low, a.unit)} to {told(a.high, a.unit)}" for a in atlas.region.axes),
+        *(
+            f"  {a.key}: {format_quantity(a.low, a.unit)} to {format_quantity(a.high, a.unit)}"
+            for a in atlas.region.axes
+        ),
         f"{len(atlas.said)} of at most {total} bricks, {nodes} nodes, {size / 2**20:.1f} MiB",
         f"cells that answer: {100 * share.answered:.1f} % of the region"
         + (f", and physics refuses {100 * share.impossible:.1f} %" if share.impossible else "")
@@ -255,7 +268,7 @@ def _described(atlas: Atlas, **more: str) -> Answer:
     ]
     notes = list(atlas.survey.get("notes", []))
     for text in notes:
-        note(text)
+        print_note(text)
     sample = sample_of(atlas)
     lines += sample.told(atlas)
     proofs = {
@@ -268,7 +281,7 @@ def _described(atlas: Atlas, **more: str) -> Answer:
         "nodes": nodes, "bytes": size, "covered": share._asdict(), "sheets": sheets, "proofs": proofs,
         "notes": notes, **more,
     }  # fmt: skip
-    return Answer(text="\n".join(lines), document=document, exit_code=5 if more and sample.unproved else 0)
+    return CommandAnswer(text="\n".join(lines), document=document, exit_code=5 if more and sample.unproved else 0)
 
 
 def _query_lines(query: Query) -> list[str]:
@@ -282,13 +295,13 @@ def _query_lines(query: Query) -> list[str]:
     ]
 
 
-ACTIONS: Mapping[str, Callable[[Namespace], Answer]] = {
-    "build": _build,
-    "extend": _extend,
-    "merge": _merge,
-    "query": _query,
-    "plot": _plot,
-    "export": _export,
-    "info": _info,
-    "verify": _verify,
+ACTIONS: Mapping[str, Callable[[Namespace], CommandAnswer]] = {
+    "build": _run_atlas_build,
+    "extend": _run_atlas_extend,
+    "merge": _run_atlas_merge,
+    "query": _run_atlas_query,
+    "plot": _run_atlas_plot,
+    "export": _run_atlas_export,
+    "info": _run_atlas_info,
+    "verify": _run_atlas_verify,
 }

@@ -10,13 +10,13 @@ from typing import Any
 from perilune.words.outcome import PeriluneError
 
 
-def whole(least: int, most: int | None = None) -> Callable[[str], int]:
+def integer_in_range(least: int, most: int | None = None) -> Callable[[str], int]:
     """Return a reader of whole numbers in a range."""
 
     def read(text: str) -> int:
         number = int(text)
         if number < least or (most is not None and number > most):
-            raise argparse.ArgumentTypeError(f"{number} is not {_range(least, most)}")
+            raise argparse.ArgumentTypeError(f"{number} is not {_integer_range_text(least, most)}")
         return number
 
     read.__name__ = "whole number"  # what argparse calls it
@@ -36,7 +36,7 @@ def time_limit(typed: argparse.Namespace) -> float | None:
     PeriluneError
         If it is no time with its unit.
     """
-    from perilune.words.declared import named
+    from perilune.words.declared import with_key_named
     from perilune.words.units import parse_quantity
 
     if typed.time_limit is None:
@@ -44,13 +44,13 @@ def time_limit(typed: argparse.Namespace) -> float | None:
     try:
         return parse_quantity(typed.time_limit, "s", "60 s")
     except PeriluneError as error:
-        raise named("--time-limit", error) from None
+        raise with_key_named("--time-limit", error) from None
 
 
 real.__name__ = "number"  # what argparse calls it
 
 
-def _range(least: int, most: int | None) -> str:
+def _integer_range_text(least: int, most: int | None) -> str:
     return f"at least {least}" if most is None else f"from {least} to {most}"
 
 
@@ -69,17 +69,17 @@ def switch(flag: str, about: str, **settings: Any) -> Option:
     return option(flag, action="store_true", help=about, **settings)
 
 
-def level(least: int, usual: int) -> Option:
+def level_option(least: int, usual: int) -> Option:
     """Return the option for the level of a proof."""
-    text = f"Verification level to prove, {_range(least, THEOREM)}" + ("; 0 for none" if not least else "")
-    read = whole(least, THEOREM)
+    text = f"Verification level to prove, {_integer_range_text(least, THEOREM)}" + ("; 0 for none" if not least else "")
+    read = integer_in_range(least, THEOREM)
     return option("--level", metavar="LEVEL", type=read, default=usual, help=f"{text}. Usually {usual}.")
 
 
-def prove(what: str, otherwise: str = "") -> Option:
+def prove_option(what: str, otherwise: str = "") -> Option:
     """Return the option for the level to which a command proves its solutions, by default none."""
     help_ = f"{what}, to level 1 to {THEOREM}{otherwise}; 0, as usual, for none."
-    return option("--prove", metavar="LEVEL", type=whole(0, THEOREM), default=0, help=help_)
+    return option("--prove", metavar="LEVEL", type=integer_in_range(0, THEOREM), default=0, help=help_)
 
 
 FILE = option("file", metavar="FILE", type=Path, help="Scenario in TOML; `perilune new` writes one.")
@@ -117,7 +117,9 @@ MAP = tuple(
     )
 )
 SETTINGS = (
-    option("--nodes", metavar="N", type=whole(0), help="Points of the direct method's first mesh. Usually 20."),
+    option(
+        "--nodes", metavar="N", type=integer_in_range(0), help="Points of the direct method's first mesh. Usually 20."
+    ),
     option(
         "--tolerance",
         metavar="PART",
@@ -132,6 +134,8 @@ SETTINGS = (
         const=False,
         help="Leave the direct method's answer as its mesh has it, and do not make it exact by Newton's method.",
     ),
-    option("--starts", metavar="N", type=whole(0), help="Random starts of the indirect method. Usually 24."),
-    option("--seed", metavar="N", type=whole(0), help="Of random starts, and of the genetic search. Usually 0."),
+    option("--starts", metavar="N", type=integer_in_range(0), help="Random starts of the indirect method. Usually 24."),
+    option(
+        "--seed", metavar="N", type=integer_in_range(0), help="Of random starts, and of the genetic search. Usually 0."
+    ),
 )

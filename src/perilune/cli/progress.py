@@ -13,8 +13,8 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
-from perilune.cli.answer import INTERRUPTED, Files, aside, refusal, stopped
-from perilune.cli.stopping import STOPPED, heed
+from perilune.cli.answer import INTERRUPTED, WrittenFiles, interrupted_error, print_to_stderr, refusal_answer
+from perilune.cli.stopping import STOPPED, raise_pending_interrupt
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 LONGEST_LOG = 1000  # lines of progress that a failure keeps
 _FIRST_WORD, _NEXT_WORD = 2.0, 5.0  # s: until the first word on what is at work, and between two of them
-_BEST_SO_FAR = "best so far: "  # how `perilune.words.watch.best_so_far` begins
+_BEST_SO_FAR = "best so far: "  # how `perilune.words.watch.remember_best` begins
 WRITING = "writing figures and the report"  # of an answer: no flight is the best so far any more
 _COUNT = re.compile(r"\d+ of \d+")  # members that are done, of all
 _COUNTED = re.compile(r" \((\d+ of \d+)\).*")  # behind the name of a member
@@ -45,12 +45,12 @@ def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | s
     """
     shown: AbstractContextManager[Any] = nullcontext()
     clock = WorkClock()
-    show: Callable[[str], object] = aside if verbose else str
+    show: Callable[[str], object] = print_to_stderr if verbose else str
     tick: Callable[[], object] = clock.print_line
     if not verbose and sys.stderr.isatty():
         from rich.console import Console
 
-        console, told = Console(stderr=True), Told()
+        console, told = Console(stderr=True), SpinnerText()
         shown = console.status("solving")
         spin, room = shown.update, console.width - 3  # beside the spinner
         show = lambda line: spin(told.line(clock.text(line), room))  # noqa: E731
@@ -61,7 +61,7 @@ def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | s
         log.append(line)
         clock.hear(line, printed=verbose)
         show(line)
-        heed()
+        raise_pending_interrupt()
 
     with shown, clock.ticking(tick):
         yield watch
@@ -100,7 +100,7 @@ class WorkClock:
         if now - self.printed > (_FIRST_WORD if self.printed == self.began else _NEXT_WORD):
             self.printed = now
             on = ": " * bool(self.line) + _COUNTED.sub("", self.line) + self.best
-            aside(f"perilune: at work for {now - self.began:.0f} s{self.count}{on}")
+            print_to_stderr(f"perilune: at work for {now - self.began:.0f} s{self.count}{on}")
 
     @contextmanager
     def ticking(self, tick: Callable[[], object]) -> Iterator[None]:
@@ -122,7 +122,7 @@ class WorkClock:
 
 
 @dataclass
-class Told:
+class SpinnerText:
     """Text of a spinner: the count of what is done, kept until the next one, and the work in progress."""
 
     count: str = ""
@@ -138,19 +138,19 @@ class Told:
         return told
 
 
-def warn(found: Sequence[Finding]) -> None:
+def print_warnings(found: Sequence[Finding]) -> None:
     """Print every comparison that warns; the refusal reports one that forbids the flight."""
     for f in found:
         if f.verdict == "warning":
-            aside(f"warning: {f.meaning} ({f.name} {f.told[0]}, {f.told[1]})")
+            print_to_stderr(f"warning: {f.meaning} ({f.name} {f.told[0]}, {f.told[1]})")
 
 
-def note(text: str) -> None:
+def print_note(text: str) -> None:
     """Print a note to the reader of the answer."""
-    aside(f"perilune: {text}")
+    print_to_stderr(f"perilune: {text}")
 
 
-def refuse_used(out: Path | None, force: bool) -> None:
+def refuse_unusable_target(out: Path | None, force: bool) -> None:
     """Refuse an unusable target before the work, not after it."""
     if out is not None:
         from perilune.io.files import fresh_directory
@@ -169,16 +169,16 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
 
         interrupted = isinstance(error, KeyboardInterrupt) or STOPPED.is_set()
         if out is not None and not (interrupted and in_use(out)):
-            from perilune.io.export import versions, whole_document
+            from perilune.io.export import program_versions, whole_document
             from perilune.io.format import hash_of
 
-            known = error if isinstance(error, PeriluneError) and not interrupted else stopped()
-            said = refusal(known, getattr(error, "exit_code", INTERRUPTED))
+            known = error if isinstance(error, PeriluneError) and not interrupted else interrupted_error()
+            said = refusal_answer(known, getattr(error, "exit_code", INTERRUPTED))
             told = scenario.text
             origin = None if told is None else {"sha256": hash_of(told), "text": told}
-            files = Files()
+            files = WrittenFiles()
             with files.written(), fresh_directory(out, force) as work:
-                document = {**said.document, "log": list(log), "scenario": origin, "versions": versions()}
+                document = {**said.document, "log": list(log), "scenario": origin, "versions": program_versions()}
                 if (flight := getattr(error, "flight", None)) is not None:
                     document["flight"] = whole_document(flight)
                 (work / FAILURE_FILE).write_text(json_text(document), encoding="utf-8")

@@ -13,21 +13,21 @@ from typing import NoReturn
 STOPPED = Event()
 
 
-def stop(*_: object) -> NoReturn:
+def handle_interrupt(*_: object) -> NoReturn:
     """Raise KeyboardInterrupt, without warnings of what an interrupted import or file leaves open."""
-    sys.unraisablehook = _again
+    sys.unraisablehook = _raise_deferred_interrupt
     STOPPED.set()
     raise KeyboardInterrupt
 
 
-def heed() -> None:
+def raise_pending_interrupt() -> None:
     """Raise a Ctrl-C that a computation may have lost, or taken for a fault, before an answer is made of it."""
     if STOPPED.is_set():
         raise KeyboardInterrupt
 
 
 @contextmanager
-def put_off() -> Iterator[None]:
+def defer_interrupt() -> Iterator[None]:
     """Defer Ctrl-C until the block, which stores results, has ended."""
     if current_thread() is not main_thread():
         yield
@@ -39,11 +39,11 @@ def put_off() -> Iterator[None]:
     finally:
         signal.signal(signal.SIGINT, before)
     if pressed.is_set():
-        stop()
+        handle_interrupt()
 
 
 @contextmanager
-def advised(advice: Callable[[], str]) -> Iterator[None]:
+def advise_on_interrupt(advice: Callable[[], str]) -> Iterator[None]:
     """Add advice to Ctrl-C, or to an error that foreign code made of it; none if the advice is empty."""
     try:
         yield
@@ -53,7 +53,7 @@ def advised(advice: Callable[[], str]) -> Iterator[None]:
         raise
 
 
-def _again(ignored: sys.UnraisableHookArgs) -> None:
+def _raise_deferred_interrupt(ignored: sys.UnraisableHookArgs) -> None:
     """Raise Ctrl-C again if the first met a destructor, which lets no exception out."""
     if ignored.exc_type is KeyboardInterrupt:
         from _thread import interrupt_main

@@ -11,11 +11,11 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from perilune.cli.answer import INTERRUPTED, Answer, Files
-from perilune.cli.arguments import settings
+from perilune.cli.answer import INTERRUPTED, CommandAnswer, WrittenFiles
+from perilune.cli.arguments import method_settings
 from perilune.cli.methods import method_of
 from perilune.cli.options import time_limit
-from perilune.cli.progress import LONGEST_LOG, note, progress, refuse_used
+from perilune.cli.progress import LONGEST_LOG, print_note, progress, refuse_unusable_target
 from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 
 if TYPE_CHECKING:
@@ -28,35 +28,35 @@ Kind = TypeVar("Kind")
 MEMBERS = "members"  # in the output directory: what a sweep goes on from
 
 
-def sweep_answer(order: Namespace) -> Answer:
+def sweep_answer(order: Namespace) -> CommandAnswer:
     """Solve the family and show it."""
     if order.resume and order.out is None:
         raise PeriluneError("--resume goes on with what is in a directory", expected="--out DIR", advice="name it")
-    method, limit = method_of(order.method, settings(order)), time_limit(order)
+    method, limit = method_of(order.method, method_settings(order)), time_limit(order)
     from perilune.scenario import values_of
 
-    over = ranges(order, values_of)
-    scenario = varied(order.file, order.changes, over)
+    over = ranges_of_keys(order, values_of)
+    scenario = scenario_with_ranges(order.file, order.changes, over)
     axes = {name: getattr(order, name) for name in ("x", "y", "z")}
     if any(axes.values()):
         if order.out is None:
             raise PeriluneError("--x, --y and --z are of a figure", expected="--out DIR", advice="say where it goes")
-        from perilune.report.contours import demand_map
+        from perilune.report.contours import require_map
         from perilune.words.declared import parameter_name
 
-        demand_map(scenario.problem, tuple(map(parameter_name, over)), axes)
+        require_map(scenario.problem, tuple(map(parameter_name, over)), axes)
     options: dict[str, Any] = {"method": method}
     if order.out is not None:
-        _refuse_used(order)
+        _refuse_used_directory(order)
         options["store"] = order.out / MEMBERS
         if not order.resume:
-            from perilune.families.store import clear
+            from perilune.families.store import clear_family
 
-            clear(options["store"])
+            clear_family(options["store"])
     from perilune.families.sweep import sweep
     from perilune.report.family import family_csv, family_document, write_family
 
-    with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, workers(order.workers) as executor:
+    with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, worker_pool(order.workers) as executor:
         family = sweep(
             scenario.problem,
             over,
@@ -71,7 +71,7 @@ def sweep_answer(order: Namespace) -> Answer:
         if family.points and all(p.outcome is outcome for p in family.points):
             first, names = family.points[0].message, " and ".join(family.parameters)
             raise error(f"no value of {names} is possible", got=first, advice="try another range")
-    files = Files()
+    files = WrittenFiles()
     if order.out is not None:
         with files.written():
             write_family(family, order.out, force=True, axes=axes)  # what may not be replaced was refused above
@@ -79,18 +79,18 @@ def sweep_answer(order: Namespace) -> Answer:
     # At level 0 no proof was asked for, so none is missing.
     worst = max((c for c in codes if c != 5 or order.level), default=0, key=(0, 5, 4).index)
     for text in family.notes:
-        note(text)
+        print_note(text)
     if family.interrupted:
         total = 1
         for values in over.values():
             total *= len(values)
-        note(f"stopped by the user with {len(family.points)} of {total} values done, which are kept")
+        print_note(f"stopped by the user with {len(family.points)} of {total} values done, which are kept")
     code = INTERRUPTED if family.interrupted else worst
-    return files.noted(Answer(text=family_csv(family), document=family_document(family), exit_code=code))
+    return files.noted(CommandAnswer(text=family_csv(family), document=family_document(family), exit_code=code))
 
 
 @contextmanager
-def workers(count: int) -> Iterator[Executor | None]:
+def worker_pool(count: int) -> Iterator[Executor | None]:
     """Enter a pool of processes to compute in; None for a single one."""
     if count < 2:
         yield None
@@ -98,34 +98,36 @@ def workers(count: int) -> Iterator[Executor | None]:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    from perilune.families.elsewhere import deaf
+    from perilune.families.elsewhere import ignore_interrupt_in_children
 
     class Pool(ProcessPoolExecutor):
         def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
-            with deaf():  # a process may begin here: until it ignores Ctrl-C that would end it with a traceback
+            with (
+                ignore_interrupt_in_children()
+            ):  # a process may begin here: until it ignores Ctrl-C that would end it with a traceback
                 return super().submit(fn, *args, **kwargs)
 
     # Spawned: a forked process would share the threads' locks of the libraries that are loaded here.
-    with Pool(count, mp_context=get_context("spawn"), initializer=_begin) as pool:
+    with Pool(count, mp_context=get_context("spawn"), initializer=_initialize_sweep_worker) as pool:
         yield pool
 
 
 @contextmanager
-def elsewhere(order: Namespace) -> Iterator[Submits | None]:
+def sweep_executor(order: Namespace) -> Iterator[Submits | None]:
     """Enter the executor of a sweep: the cluster of ``--scheduler``, or ``--workers`` processes; None for one."""
     if order.scheduler is None:
-        with workers(order.workers) as pool:
+        with worker_pool(order.workers) as pool:
             yield pool
         return
     if order.workers > 1:
         raise PeriluneError("--workers and --scheduler say two places at once", expected="one of the two")
     from perilune.families.cluster import cluster
 
-    with cluster(order.scheduler, note) as machines:
+    with cluster(order.scheduler, print_note) as machines:
         yield machines
 
 
-def _begin() -> None:
+def _initialize_sweep_worker() -> None:
     """Initialise a process of the pool: leave Ctrl-C to the parent, and end if that is killed."""
     from perilune.families.elsewhere import end_with_parent
 
@@ -133,7 +135,7 @@ def _begin() -> None:
     end_with_parent()
 
 
-def ranges(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]) -> dict[str, Kind]:
+def ranges_of_keys(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]) -> dict[str, Kind]:
     """Return what `read` makes of the range of each key that is varied."""
     from perilune.scenario import quantities_of
 
@@ -153,7 +155,7 @@ def ranges(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]
     return over
 
 
-def _refuse_used(order: Namespace) -> None:
+def _refuse_used_directory(order: Namespace) -> None:
     """Refuse a directory with other content, or with a sweep that is neither to be resumed nor replaced."""
     from perilune.families.store import MANIFEST
     from perilune.io.files import in_use
@@ -173,10 +175,10 @@ def _refuse_used(order: Namespace) -> None:
             expected=f"the directory of an earlier sweep, with {MEMBERS}/{MANIFEST}",
             advice="leave out --resume and choose another directory",
         )
-    refuse_used(order.out, order.force or order.resume)
+    refuse_unusable_target(order.out, order.force or order.resume)
 
 
-def varied(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Scenario:
+def scenario_with_ranges(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Scenario:
     """Return the scenario with values of the keys; both ends of ranges and lists are checked as the file itself is."""
     from perilune.scenario import load_file, quantities_of
 

@@ -18,12 +18,12 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.control_law import ControlLaw, minimising_control
-from perilune.conditions.held import Held, held_back, held_multipliers, keepable
+from perilune.conditions.held import Held, active_constraint_multipliers, attainable_as_equality, multiplier_term
 from perilune.conditions.singular import Motion
-from perilune.conditions.weighing import terms_of, weighing
+from perilune.conditions.weighing import known_hamiltonian_terms, weighing_costates
 from perilune.kernels import Event
 from perilune.problem.controls import Bounded, Regime, scalars
-from perilune.problem.neighbours import offsets, unmoved
+from perilune.problem.neighbours import start_offsets, without_start_offsets
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
@@ -98,8 +98,8 @@ class PhaseExtremal:
 def extremal_parameters(problem: Problem) -> Vector:
     """Return the numbers p of the canonical equations: given parameters, numeric limits, offsets of the start."""
     limits = [getattr(control, side) / problem.scales.of(control.unit) for _, control, side in _plain_limits(problem)]
-    moved = offsets(problem) / state_scales(problem, problem.phases[0])
-    return np.concatenate([canonical_given(unmoved(problem)), limits, moved])
+    moved = start_offsets(problem) / state_scales(problem, problem.phases[0])
+    return np.concatenate([canonical_given(without_start_offsets(problem)), limits, moved])
 
 
 def _plain_limits(problem: Problem) -> list[tuple[int, Bounded, str]]:
@@ -153,7 +153,8 @@ def canonical_equations(
     free_names
         Names of the free parameters.
     keep
-        Conditions of the path that the control has to keep; those that are not `keepable` are ignored here.
+        Conditions of the path that the control has to keep; those that are not `attainable_as_equality` are ignored
+        here.
     unpriced, costs
         Names of states whose costates vanish identically, and of those whose costates are a positive number
         (`perilune.problem.unpriced`).
@@ -166,8 +167,12 @@ def canonical_equations(
     n = len(phase.states)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
     dynamics = trace_sides(phase, x, u, p.record)
-    kept = {name: c for name, c in _along("path", phase, x, u, p).items() if name in keep and keepable(phase, c, u)}
-    always = _along("held", phase, x, u, p)
+    kept = {
+        name: c
+        for name, c in _constraints_by_name("path", phase, x, u, p).items()
+        if name in keep and attainable_as_equality(phase, c, u)
+    }
+    always = _constraints_by_name("held", phase, x, u, p)
     bounds = ca.vertcat(ca.SX(0, 1), *(limit for pair in limits.values() for limit in pair))
     acting = ca.vertcat(
         *dynamics.rates, *(c.argument for c in dynamics.choices), bounds, *kept.values(), *always.values()
@@ -190,7 +195,7 @@ def canonical_equations(
         return ca.Function(name, [symbol, numbers], ca.cse([ca.substitute(e, z, symbol) for e in expressions]))
 
     laws, flows, solved, sides, reports, multipliers = [], [], [], [], [], []
-    weights = weighing(phase, dynamics, u, lam[:n], unpriced)
+    weights = weighing_costates(phase, dynamics, u, lam[:n], unpriced)
     for f in dynamics.rates:
         hamiltonian = ca.dot(weights, f)
         # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
@@ -206,25 +211,25 @@ def canonical_equations(
         ) -> ca.SX:
             """Return z' as an expression of u; `control` is the one of these regimes."""
             # A limit that is a free parameter moves the control with it.
-            pull = ca.vertcat(ca.SX.zeros(n, 1), _through_limits(hamiltonian, u, control, bounds, q))
+            pull = ca.vertcat(ca.SX.zeros(n, 1), _slope_through_limits(hamiltonian, u, control, bounds, q))
             holds = [*always.values(), *(kept[name] for name in held)]
-            pull -= held_back(phase, hamiltonian, u, holds, ca.vertcat(x, q), regimes)
+            pull -= multiplier_term(phase, hamiltonian, u, holds, ca.vertcat(x, q), regimes)
             return ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
 
         motion = Motion(
             z=z, rate=lambda control, *mode, moving=moving: ca.substitute(moving(control, *mode), u, control)
         )
-        terms = terms_of(phase, weights, f, costs)
+        terms = known_hamiltonian_terms(phase, weights, f, costs)
         law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion, terms)
         sides += [ca.Function("rates", [x, u, p.given, p.free], [f])] * len(law.control)
         each = zip(law.control, law.room, law.solved, law.held, law.regimes, strict=True)
         for control, room, found, held, regimes in each:
             if always:
                 holds = [*always.values(), *(kept[name] for name in held)]
-                mu = held_multipliers(phase, hamiltonian, u, holds, regimes)[: len(always)]
+                mu = active_constraint_multipliers(phase, hamiltonian, u, holds, regimes)[: len(always)]
                 multipliers.append(function("multipliers", ca.substitute(mu, u, control)))
             whole = moving(control, held, regimes)
-            whole += _nowhere(whole, u, z, room)
+            whole += _nan_without_room(whole, u, z, room)
             rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
             flows.append(rate)
             if found is None:
@@ -247,7 +252,7 @@ def canonical_equations(
         regimes=tuple(regimes for law in laws for regimes in law.regimes),
         held=tuple(held for law in laws for held in law.held),
         events=events,
-        settles=not phase.controls and all(e.jump is None for e in events) and _loses(flows, z),
+        settles=not phase.controls and all(e.jump is None for e in events) and _is_dissipative(flows, z),
         mode=function("mode", _mode(dynamics, laws, flows, z)),
         state_count=n,
         constants=constants,
@@ -255,13 +260,13 @@ def canonical_equations(
     )
 
 
-def _loses(flows: list[ca.SX], z: ca.SX) -> bool:
+def _is_dissipative(flows: list[ca.SX], z: ca.SX) -> bool:
     """Return True if the flow does not preserve volumes of states, as with drag."""
     x = z[: z.numel() // 2]
     return any(not ca.simplify(ca.trace(ca.jacobian(flow[: x.numel()], x))).is_zero() for flow in flows)
 
 
-def _nowhere(rate: ca.SX, u: ca.SX, z: ca.SX, room: ca.SX) -> ca.SX:
+def _nan_without_room(rate: ca.SX, u: ca.SX, z: ca.SX, room: ca.SX) -> ca.SX:
     """Return NaN for rates with a control whose room is negative, so that no flight goes there; else 0."""
     lost, changing = ca.SX(rate.numel(), 1), [r for r in elements(room) if ca.depends_on(r, z)]
     for i in range(rate.numel() if changing else 0):
@@ -278,7 +283,7 @@ def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX
     number, first = ca.SX(0.0), 0
     for sides, law in zip(dynamics.sides, laws, strict=True):
         own = flows[first : first + len(law.control)]
-        flow = of_mode(own, law.mode)
+        flow = select_by_mode(own, law.mode)
 
         def beyond(margin: ca.SX, flow: ca.SX = flow) -> ca.SX:
             rate = ca.jtimes(margin, z, flow)
@@ -296,7 +301,7 @@ def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX
     return number
 
 
-def of_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
+def select_by_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
     """Return the value that belongs to the number of a mode."""
     chosen = values[0]
     for k, value in enumerate(values[1:], 1):
@@ -340,7 +345,7 @@ def _events(
                     continue
                 margin, behind = choice.argument - knot, flows[firsts[other] : firsts[other + 1]]
                 for before in range(firsts[number], firsts[number + 1]):
-                    reached, least = _refracted(z, margin, flows[before], behind, laws[other].mode)
+                    reached, least = _cross_rate_jump(z, margin, flows[before], behind, laws[other].mode)
                     for k in range(len(behind)):
                         # Each mode behind has its own event, without effect where H is not least in it.
                         met = margin if len(behind) == 1 else ca.if_else(least == k, margin, -direction)
@@ -356,7 +361,7 @@ def _events(
     yield from jumping
 
 
-def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], least: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _cross_rate_jump(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], least: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return z beyond a surface g = 0 on which the rates jump, and which of the modes `behind` it is in.
 
     lambda+ = lambda- - nu g_x, and H goes on as it was; nu is 0 where the rates are continuous (Bryson, Ho 1975,
@@ -366,7 +371,7 @@ def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], leas
     half = z.numel() // 2
     x, lam = z[:half], z[half:]
     normal, kept = ca.gradient(margin, x), ca.dot(lam, before[:half])
-    rates = of_mode([rate[:half] for rate in behind], least)
+    rates = select_by_mode([rate[:half] for rate in behind], least)
     at = lam
     for _ in range(_REFRACTIONS):
         rate = ca.substitute(rates, lam, at)
@@ -374,13 +379,13 @@ def _refracted(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], leas
     return ca.vertcat(x, at), ca.substitute(least, lam, at)
 
 
-def _along(function: str, phase: Phase, x: ca.SX, u: ca.SX, p: Parameters) -> dict[str, ca.SX]:
+def _constraints_by_name(function: str, phase: Phase, x: ca.SX, u: ca.SX, p: Parameters) -> dict[str, ca.SX]:
     """Return path or held conditions by name."""
     values = column(phase.evaluate(function, elements(x), elements(u), p.record, SYMBOLIC))
     return {c.name: values[i] for i, c in enumerate(getattr(phase, f"{function}_conditions"))}
 
 
-def _through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX, q: ca.SX) -> ca.SX:
+def _slope_through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX, q: ca.SX) -> ca.SX:
     """Return dH/dq through a control that sits at a limit which depends on the free parameters q."""
     if not ca.depends_on(bounds, q):
         return ca.SX.zeros(q.numel(), 1)
@@ -388,7 +393,7 @@ def _through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX,
     return ca.mtimes(ca.jacobian(control, q).T, ca.gradient(hamiltonian, u))
 
 
-def control_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
+def minimising_control_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
     """Return the minimising control, that of the mode in which H is least.
 
     Parameters
@@ -405,7 +410,7 @@ def control_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
     casadi.SX
         One entry for each component of the control, canonical.
     """
-    return of_mode([report(z, numbers)[0] for report in extremal.reports], extremal.mode(z, numbers))
+    return select_by_mode([report(z, numbers)[0] for report in extremal.reports], extremal.mode(z, numbers))
 
 
 def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
@@ -414,11 +419,11 @@ def hamiltonian_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
     Parameters
     ----------
     extremal, z, numbers
-        As for `control_at`.
+        As for `minimising_control_at`.
 
     Returns
     -------
     casadi.SX
         H, canonical.
     """
-    return of_mode([report(z, numbers)[2] for report in extremal.reports], extremal.mode(z, numbers))
+    return select_by_mode([report(z, numbers)[2] for report in extremal.reports], extremal.mode(z, numbers))

@@ -25,9 +25,9 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.directions import directions_eliminated
-from perilune.conditions.held import Held, demand_held, together, turns
-from perilune.conditions.riding import riding_control
+from perilune.conditions.directions import eliminate_directions
+from perilune.conditions.held import Held, depends_on_direction, enumerate_active_sets, require_attainable
+from perilune.conditions.riding import boundary_arc_control
 from perilune.conditions.scalars import (
     FREE,
     INSIDE,
@@ -37,12 +37,12 @@ from perilune.conditions.scalars import (
     combinations,
     is_factor,
     is_periodic,
-    keeps,
-    least_between,
-    no_law,
+    minimise_interior_scalars,
+    no_control_law_error,
+    satisfies_conditions,
 )
 from perilune.conditions.singular import Motion, singular_control
-from perilune.conditions.transitions import Mode, Transition, Ways
+from perilune.conditions.transitions import Mode, ModeSwitches, SwitchingEvent
 from perilune.problem.controls import Regime, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
@@ -83,7 +83,7 @@ class ControlLaw:
     control: tuple[ca.SX, ...]
     room: tuple[ca.SX, ...]
     solved: tuple[tuple[ca.SX, ca.SX, ca.SX] | None, ...]
-    transitions: tuple[Transition, ...]
+    transitions: tuple[SwitchingEvent, ...]
     mode: ca.SX
     periodic: tuple[int, ...]
     values: tuple[ca.SX, ...]
@@ -142,16 +142,16 @@ def minimising_control(
         If H is linear in a scalar without bounds, or in a direction not linear, or a direction depends on a scalar.
     """
     for name, condition in always.items():
-        demand_held(phase, name, condition, u)
+        require_attainable(phase, name, condition, u)
     everything = ca.vertcat(hamiltonian, *kept.values(), *always.values())
     periodic = tuple(at for at, control in scalars(phase.controls) if is_periodic(control, u[at], everything))
     none, modes, solved = ca.SX(0, 1), list[Mode](), list[tuple[ca.SX, ca.SX, ca.SX] | None]()
     rooms, values = list[ca.SX](), list[ca.SX]()
-    for held in together(phase, u, kept):
+    for held in enumerate_active_sets(phase, u, kept):
         here = {**always, **{name: kept[name] for name in held}}
-        turning = {name: c for name, c in here.items() if turns(phase, c, u)}
+        turning = {name: c for name, c in here.items() if depends_on_direction(phase, c, u)}
         own = {name: c for name, c in here.items() if name not in turning}
-        reduced, law, room = directions_eliminated(phase, hamiltonian, u, limits, turning)
+        reduced, law, room = eliminate_directions(phase, hamiltonian, u, limits, turning)
         kinds = [
             Scalar(phase, at, control, reduced, u, limits[control.name],
                    acts=any(ca.depends_on(c, u[at]) for c in own.values()), positive=terms.positive,
@@ -159,32 +159,32 @@ def minimising_control(
             for at, control in scalars(phase.controls)
         ]  # fmt: skip
         for regimes in combinations(kinds, [*own.values()]):
-            ridden = riding_control(phase, hamiltonian, u, turning) if regimes == ("interior",) else None
+            ridden = boundary_arc_control(phase, hamiltonian, u, turning) if regimes == ("interior",) else None
             mode = Mode(held=held, regimes=regimes, kinds=kinds, own=own, H=reduced, control=none)
-            step = _control(phase, law, u, mode) if ridden is None else (ridden[0], none, none)
+            step = _control_in_mode(phase, law, u, mode) if ridden is None else (ridden[0], none, none)
             if "singular" in regimes:
-                step = _without_singular(phase, hamiltonian, u, mode, step, motion)
+                step = _substitute_singular_control(phase, hamiltonian, u, mode, step, motion)
             mode.control = ca.substitute(*step)
             modes.append(mode)
             rooms.append(ca.substitute(room, u, mode.control) if ridden is None else ridden[1])
             solved.append(step if step[1].numel() else None)
             others = [c for name, c in kept.items() if name not in held]
-            values.append(_value(hamiltonian, u, mode, [*others, *elements(rooms[-1])], terms.size))
+            values.append(_hamiltonian_in_mode(hamiltonian, u, mode, [*others, *elements(rooms[-1])], terms.size))
     return ControlLaw(
         regimes=tuple(mode.regimes for mode in modes),
         held=tuple(mode.held for mode in modes),
         control=tuple(mode.control for mode in modes),
         room=tuple(rooms),
         solved=tuple(solved),
-        transitions=tuple(Ways(phase=phase, u=u, modes=modes, kept=kept, size=terms.size).transitions()),
-        mode=_least(values),
+        transitions=tuple(ModeSwitches(phase=phase, u=u, modes=modes, kept=kept, size=terms.size).transitions()),
+        mode=_least_hamiltonian_mode(values),
         periodic=periodic,
         values=tuple(values),
         sizes=tuple(ca.substitute(terms.size, u, mode.control) for mode in modes),
     )
 
 
-def _control(phase: Phase, law: list[ca.SX], u: ca.SX, mode: Mode) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _control_in_mode(phase: Phase, law: list[ca.SX], u: ca.SX, mode: Mode) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return the whole control in one mode, with symbols w in it for what is solved for, and the values of w."""
     known = [*zip(mode.kinds, mode.regimes, strict=True)]
     places = [kind.at for kind, regime in known if regime not in FREE]
@@ -196,16 +196,16 @@ def _control(phase: Phase, law: list[ca.SX], u: ca.SX, mode: Mode) -> tuple[ca.S
         # What an angle points may be nothing: where it would point it is the same as for more, or less, of it.
         pointed = [len(free) == 1 and is_factor(u[i], free[0].slope) for i in places]
         some = [ca.if_else(v < 0, -1.0, 1.0) if of else v for of, v in zip(pointed, values, strict=True)]
-        H = _put(mode.H, u, places, some)
-        own = _put(ca.vertcat(ca.SX(0, 1), *mode.own.values()), u, places, values)
-        best, w, found = least_between(phase, H, symbols, free, own, "low_interior" in mode.regimes)
+        H = _substitute_controls(mode.H, u, places, some)
+        own = _substitute_controls(ca.vertcat(ca.SX(0, 1), *mode.own.values()), u, places, values)
+        best, w, found = minimise_interior_scalars(phase, H, symbols, free, own, "low_interior" in mode.regimes)
         values += elements(best)
         places += [kind.at for kind in free]
     whole = ca.vertcat(ca.SX(0, 1), *law)
-    return _put(whole, u, places, values), w, found
+    return _substitute_controls(whole, u, places, values), w, found
 
 
-def _without_singular(
+def _substitute_singular_control(
     phase: Phase,
     hamiltonian: ca.SX,
     u: ca.SX,
@@ -213,12 +213,14 @@ def _without_singular(
     step: tuple[ca.SX, ca.SX, ca.SX],
     motion: Motion | None,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the control of `_control` with the motion's expression in place of the symbol of the singular scalar."""
+    """Return the control of `_control_in_mode` with the motion's expression in place of the symbol of the singular scalar."""
     singular = [kind for kind in mode.kinds if kind.regimes == ("singular",)]
     control, solved, _ = step
     if motion is None or len(singular) > 1 or solved.numel():
         names = tuple(kind.control.name for kind in singular)
-        raise no_law(phase, names, "more than one singular control, or one beside a control without a formula")
+        raise no_control_law_error(
+            phase, names, "more than one singular control, or one beside a control without a formula"
+        )
     (kind,) = singular
     slope = ca.substitute(ca.gradient(hamiltonian, kind.symbol), u, control)
     name = f"{kind.control.name} of {phase.name}"
@@ -226,13 +228,13 @@ def _without_singular(
     return ca.substitute(control, kind.symbol, found), ca.SX(0, 1), ca.SX(0, 1)
 
 
-def _put(expression: ca.SX, u: ca.SX, places: list[int], values: list[ca.SX]) -> ca.SX:
+def _substitute_controls(expression: ca.SX, u: ca.SX, places: list[int], values: list[ca.SX]) -> ca.SX:
     """Substitute values for some of the controls of an expression."""
     symbols = ca.vertcat(ca.SX(0, 1), *(u[i] for i in places))
     return ca.substitute(expression, symbols, ca.vertcat(ca.SX(0, 1), *values))
 
 
-def _value(hamiltonian: ca.SX, u: ca.SX, mode: Mode, others: Sequence[ca.SX], size: ca.SX) -> ca.SX:
+def _hamiltonian_in_mode(hamiltonian: ca.SX, u: ca.SX, mode: Mode, others: Sequence[ca.SX], size: ca.SX) -> ca.SX:
     """Return H in a mode; infinite where its control leaves its bounds, or breaks a condition of the path."""
     value = ca.substitute(hamiltonian, u, mode.control)
     for kind, regime in zip(mode.kinds, mode.regimes, strict=True):
@@ -249,14 +251,14 @@ def _value(hamiltonian: ca.SX, u: ca.SX, mode: Mode, others: Sequence[ca.SX], si
             value = ca.if_else(kind.wide, np.inf, value)
     if mode.own:
         told = [kind.symbol for kind, regime in zip(mode.kinds, mode.regimes, strict=True) if regime == "held"]
-        kept = keeps(ca.vertcat(*told), ca.vertcat(*mode.own.values()), u, mode.control)
+        kept = satisfies_conditions(ca.vertcat(*told), ca.vertcat(*mode.own.values()), u, mode.control)
         value = ca.if_else(kept, value, np.inf)
     for condition in others:
         value = ca.if_else(ca.substitute(condition, u, mode.control) >= 0, value, np.inf)
     return value
 
 
-def _least(values: Sequence[ca.SX]) -> ca.SX:
+def _least_hamiltonian_mode(values: Sequence[ca.SX]) -> ca.SX:
     """Return the number of the mode in which H is least."""
     number, least = ca.SX(0.0), ca.SX(np.inf)
     if len(values) == 1:

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.conditions.held import best_direction
-from perilune.conditions.scalars import no_law
+from perilune.conditions.scalars import no_control_law_error
 from perilune.problem.controls import directions, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
@@ -20,7 +20,7 @@ _FROM_ABOVE = (0.3, 0.8)  # values of a scalar between its bounds, to test wheth
 _ALL_ROUND = (-0.9, 0.3, 0.8)  # the same of a component of a direction
 
 
-def directions_eliminated(
+def eliminate_directions(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], held: Mapping[str, ca.SX]
 ) -> tuple[ca.SX, list[ca.SX], ca.SX]:
     """Eliminate the directions: replace them by the minimising ones that keep these conditions active.
@@ -41,13 +41,15 @@ def directions_eliminated(
     """
     law, left, rooms = elements(u), list(directions(phase.controls)), ca.SX(0, 1)
     while left:
-        gradients = [_towards(phase, hamiltonian, u, limits, left, first, last) for first, last in left]
+        gradients = [_direction_slope(phase, hamiltonian, u, limits, left, first, last) for first, last in left]
         # A direction that is only scaled by another comes first.
         (first, last), gradient = next(
             (found for found in zip(left, gradients, strict=True) if found[1] is not None), (left[0], None)
         )
         if gradient is None:
-            raise no_law(phase, phase.control_names[first:last], "a direction that depends on another one")
+            raise no_control_law_error(
+                phase, phase.control_names[first:last], "a direction that depends on another one"
+            )
         left.remove((first, last))
         own = [c for c in held.values() if ca.depends_on(c, u[first:last])]
         direction, room = best_direction(gradient, u[first:last], own)
@@ -56,7 +58,7 @@ def directions_eliminated(
     return hamiltonian, law, rooms
 
 
-def _towards(
+def _direction_slope(
     phase: Phase,
     hamiltonian: ca.SX,
     u: ca.SX,
@@ -69,14 +71,14 @@ def _towards(
     names, part = phase.control_names[first:last], u[first:last]
     gradient = ca.gradient(hamiltonian, part)
     if ca.depends_on(gradient, part):
-        raise no_law(phase, names, "a Hamiltonian that is not linear in it")
+        raise no_control_law_error(phase, names, "a Hamiltonian that is not linear in it")
     for at, control in scalars(phase.controls):
         if ca.depends_on(gradient, u[at]):
             # Thrust carries its throttle as a factor, which is not negative and leaves the direction as it is.
             upper = limits[control.name][1]
             reference = ca.SX(1.0) if upper.is_constant() and np.isinf(float(upper)) else upper
             if (isinstance(control.lower, float | int) and control.lower < 0) or not _factor(gradient, u[at]):
-                raise no_law(phase, names, f"a direction that depends on {control.name}")
+                raise no_control_law_error(phase, names, f"a direction that depends on {control.name}")
             gradient = ca.substitute(gradient, u[at], reference)
     for at in (i for begin, end in left if begin != first for i in range(begin, end)):
         if ca.depends_on(gradient, u[at]):

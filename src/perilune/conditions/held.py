@@ -22,7 +22,7 @@ from perilune.words.outcome import PeriluneError
 Held = tuple[str, ...]  # conditions of the path by name
 
 
-def turns(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
+def depends_on_direction(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
     """Return True if a condition depends on a direction.
 
     Parameters
@@ -37,21 +37,21 @@ def turns(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
     return any(ca.depends_on(condition, u[first:last]) for first, last in directions(phase.controls))
 
 
-def keepable(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
+def attainable_as_equality(phase: Phase, condition: ca.SX, u: ca.SX) -> bool:
     """Return True if a condition of the path is linear in only one direction, or depends on scalars only.
 
     Parameters
     ----------
     phase, condition, u
-        As for `turns`.
+        As for `depends_on_direction`.
     """
-    if turns(phase, condition, u):
+    if depends_on_direction(phase, condition, u):
         return _direction_of(phase, condition, u) is not None
     acting = [control for at, control in scalars(phase.controls) if ca.depends_on(condition, u[at])]
     return bool(acting) and not any(isinstance(control, Settled) for control in acting)
 
 
-def held_back(
+def multiplier_term(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], z: ca.SX, regimes: Sequence[Regime]
 ) -> ca.SX:
     """Return the term (dc/dz)' mu that active conditions c = 0 add to -dH/dz, as a function of the control u.
@@ -76,10 +76,10 @@ def held_back(
     """
     if not any(ca.depends_on(c, z) for c in held):
         return ca.SX.zeros(z.numel(), 1)
-    return ca.jtimes(ca.vertcat(*held), z, held_multipliers(phase, hamiltonian, u, held, regimes), True)
+    return ca.jtimes(ca.vertcat(*held), z, active_constraint_multipliers(phase, hamiltonian, u, held, regimes), True)
 
 
-def held_multipliers(
+def active_constraint_multipliers(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Sequence[ca.SX], regimes: Sequence[Regime]
 ) -> ca.SX:
     """Return the multipliers mu of conditions c = 0 that are held, a column of functions of the control u.
@@ -130,7 +130,7 @@ def _direction_of(phase: Phase, condition: ca.SX, u: ca.SX) -> tuple[int, int] |
     return None
 
 
-def together(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
+def enumerate_active_sets(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
     """Enumerate conditions that can be held at once: one of a direction, or two in space; one of each scalar.
 
     Parameters
@@ -152,7 +152,7 @@ def together(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
     pairs = [
         (a, b)
         for a, b in combinations(turning, 2)
-        if (at := of[a]) is not None and at == of[b] and at[1] - at[0] == 3 and not _parallel(kept[a], kept[b], u)
+        if (at := of[a]) is not None and at == of[b] and at[1] - at[0] == 3 and not _share_one_axis(kept[a], kept[b], u)
     ]
     symbols = [u[at] for at, _ in scalars(phase.controls)]
     sets = [
@@ -165,7 +165,7 @@ def together(phase: Phase, u: ca.SX, kept: Mapping[str, ca.SX]) -> list[Held]:
     return [tuple(name for name in kept if name in held) for held in every]
 
 
-def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
+def _share_one_axis(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
     """Return True if two conditions have one axis, as seen at a few points."""
     turn = ca.vertcat(ca.gradient(one, u), ca.gradient(other, u))
     symbols = ca.symvar(turn)
@@ -178,7 +178,7 @@ def _parallel(one: ca.SX, other: ca.SX, u: ca.SX) -> bool:
     return True
 
 
-def demand_held(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> None:
+def require_attainable(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> None:
     """Refuse a condition to be held that is neither linear in one direction nor one of scalars only.
 
     Parameters

@@ -24,14 +24,14 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.canonical import PhaseExtremal, control_at
-from perilune.problem.controls import placed
+from perilune.conditions.canonical import PhaseExtremal, minimising_control_at
+from perilune.problem.controls import control_slices
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import SYMBOLIC, Parameters, column, elements
 
 
-def smooth_joints(
+def smooth_junction_rows(
     problem: Problem,
     p: Parameters,
     extremals: list[PhaseExtremal],
@@ -50,9 +50,9 @@ def smooth_joints(
     slopes
         dJ/dq of every free parameter without H: where two durations share it, their rows state equal H.
     """
-    for k, first in _free_joints(problem, slopes):
+    for k, first in _free_junctions(problem, slopes):
         before, behind = problem.phases[k : k + 2]
-        entered, left = _only(behind, before), _only(before, behind)
+        entered, left = _sole_condition_ending(behind, before), _sole_condition_ending(before, behind)
         if entered is not None and left is None:
             held, row, beside = behind, entered, 0
         elif left is not None and entered is None:
@@ -60,11 +60,11 @@ def smooth_joints(
         else:
             continue
         z, extremal, phase = sides[k][beside], extremals[k + beside], (before, behind)[beside]
-        u = control_at(extremal, z, numbers)
+        u = minimising_control_at(extremal, z, numbers)
         symbol = ca.SX.sym("u", u.numel())
         x = elements(z[: extremal.state_count])
         value = column(held.evaluate("held", x, elements(symbol), p.record, SYMBOLIC))[row]
-        if not _bends(phase, extremal, value, symbol):
+        if not _has_minimum_in_condition(phase, extremal, value, symbol):
             continue
         name = held.held_conditions[row].name
         yield (
@@ -74,19 +74,19 @@ def smooth_joints(
         )
 
 
-def touches(
+def contact_point_rows(
     problem: Problem, p: Parameters, ends: list[tuple[ca.SX, ca.SX, ca.SX]], slopes: ca.SX
 ) -> Iterator[tuple[int, str, ca.SX]]:
-    """Yield rows of free durations that end at a contact point, in the form of `smooth_joints`.
+    """Yield rows of free durations that end at a contact point, in the form of `smooth_junction_rows`.
 
     Parameters
     ----------
     problem, p, slopes
-        As for `smooth_joints`.
+        As for `smooth_junction_rows`.
     ends
         For each phase the states at its end, its end conditions there, and their multipliers.
     """
-    for k, first in _free_joints(problem, slopes):
+    for k, first in _free_junctions(problem, slopes):
         before, behind = problem.phases[k : k + 2]
         kept = {c.name for c in before.path_conditions} & {c.name for c in behind.path_conditions}
         if not kept or len(before.end_conditions) < 2:
@@ -98,22 +98,24 @@ def touches(
             S, rate = path[i], ca.jtimes(path[i], x, rates)
             if condition.name not in kept or ca.depends_on(ca.vertcat(S, rate), u):
                 continue
-            met, still = (next((j for j in range(psi.numel()) if _same(psi[j], e)), None) for e in (S, rate))
+            met, still = (
+                next((j for j in range(psi.numel()) if _equal_at_sample_points(psi[j], e)), None) for e in (S, rate)
+            )
             if met is not None and still is not None:
                 yield first, f"{before.name}: jump along the rate of {condition.name}", nu[still]
 
 
-def _free_joints(problem: Problem, slopes: ca.SX) -> Iterator[tuple[int, int]]:
+def _free_junctions(problem: Problem, slopes: ca.SX) -> Iterator[tuple[int, int]]:
     """Yield for each joint with nothing free but its time the number of the phase before and of the free parameter."""
     free = problem.free_names
     for k, pair in enumerate(pairwise(problem.phases)):
         if all(problem.duration_names.count(phase.duration) == 1 and phase.duration in free for phase in pair):
             first, second = (free.index(phase.duration) for phase in pair)
-            if _alike(slopes[first], slopes[second]):
+            if _equal_by_simplification(slopes[first], slopes[second]):
                 yield k, first
 
 
-def _same(one: ca.SX, other: ca.SX) -> bool:
+def _equal_at_sample_points(one: ca.SX, other: ca.SX) -> bool:
     """Return True if two expressions, of whatever size, have the same values at a few points."""
     both = ca.vertcat(one, other)
     symbols, rng = ca.symvar(both), np.random.default_rng(0)
@@ -122,7 +124,7 @@ def _same(one: ca.SX, other: ca.SX) -> bool:
     return all(np.isclose(a, b, rtol=1e-9, atol=0.0) for a, b in values)
 
 
-def _only(phase: Phase, other: Phase) -> int | None:
+def _sole_condition_ending(phase: Phase, other: Phase) -> int | None:
     """Return the place of the one condition that is held along the phase and not along the other."""
     known = {c.name for c in other.held_conditions}
     found = [i for i, c in enumerate(phase.held_conditions) if c.name not in known]
@@ -130,14 +132,14 @@ def _only(phase: Phase, other: Phase) -> int | None:
     return found[0] if len(found) == 1 and same else None
 
 
-def _alike(one: ca.SX, other: ca.SX) -> bool:
+def _equal_by_simplification(one: ca.SX, other: ca.SX) -> bool:
     return bool(ca.is_equal(one, other, 20)) or bool(ca.simplify(one - other).is_zero())
 
 
-def _bends(phase: Phase, extremal: PhaseExtremal, value: ca.SX, u: ca.SX) -> bool:
+def _has_minimum_in_condition(phase: Phase, extremal: PhaseExtremal, value: ca.SX, u: ca.SX) -> bool:
     """Return True if H has a minimum inside the set of a control in the condition: a direction, or a scalar."""
     scalar = -1
-    for here, control in placed(phase.controls):
+    for here, control in control_slices(phase.controls):
         scalar += control.scalar
         acts = ca.depends_on(value, u[here])
         if acts and (not control.scalar or any(regimes[scalar] == "interior" for regimes in extremal.regimes)):

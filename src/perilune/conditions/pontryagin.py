@@ -28,9 +28,9 @@ from functools import lru_cache
 import casadi as ca
 
 from perilune.conditions.canonical import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
-from perilune.conditions.held import Held, keepable
-from perilune.conditions.joints import smooth_joints, touches
-from perilune.problem.neighbours import unmoved
+from perilune.conditions.held import Held, attainable_as_equality
+from perilune.conditions.joints import contact_point_rows, smooth_junction_rows
+from perilune.problem.neighbours import without_start_offsets
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import (
     SYMBOLIC,
@@ -42,8 +42,8 @@ from perilune.problem.symbolic import (
     trace_parameters,
 )
 from perilune.problem.unpriced import cost_states, unpriced_states
-from perilune.words.units import quotient
-from perilune.words.watch import Watch, silent
+from perilune.words.units import quotient_unit
+from perilune.words.watch import Watch, ignore_events
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,7 +94,7 @@ class Conditions:
     needed: tuple[tuple[int, ...], ...]
 
 
-def derive(problem: Problem, keep: Held = (), watch: Watch = silent) -> Conditions:
+def derive(problem: Problem, keep: Held = (), watch: Watch = ignore_events) -> Conditions:
     """Derive the boundary value problem of a `Problem`.
 
     Values and bounds do not enter the expressions, so problems that differ only in them share one derivation.
@@ -104,7 +104,7 @@ def derive(problem: Problem, keep: Held = (), watch: Watch = silent) -> Conditio
     problem
         The problem to be solved.
     keep
-        Names of conditions of the path that the control has to keep, where it can (`keepable`).
+        Names of conditions of the path that the control has to keep, where it can (`attainable_as_equality`).
     watch
         Receives a line where they are not known yet: what is derived and traced may take many seconds.
 
@@ -113,35 +113,35 @@ def derive(problem: Problem, keep: Held = (), watch: Watch = silent) -> Conditio
     PeriluneError
         If a control's minimum of H is not known in closed form.
     """
-    unnumbered = Unnumbered(unmoved(problem))
-    if told := _untold(unnumbered, keep):
+    unnumbered = Unnumbered(without_start_offsets(problem))
+    if told := _pending_announcements(unnumbered, keep):
         watch(told[0])
         told.clear()
     return _derive(unnumbered, keep)
 
 
 @lru_cache(maxsize=64)
-def _untold(unnumbered: Unnumbered, keep: Held) -> list[str]:
+def _pending_announcements(unnumbered: Unnumbered, keep: Held) -> list[str]:
     """Return the messages not yet shown before conditions are derived: kept as long as these."""
     return ["deriving the optimality conditions"]
 
 
-def keepable_conditions(problem: Problem) -> Held:
+def attainable_conditions(problem: Problem) -> Held:
     """Return the conditions of the path, by name, that `derive` can have the control keep."""
-    problem = unmoved(problem)
+    problem = without_start_offsets(problem)
     if not any(problem.form.limits_control(k) for k in range(len(problem.phases))):
         return ()
-    return _keepable(Unnumbered(problem))
+    return _find_attainable_conditions(Unnumbered(problem))
 
 
 @lru_cache(maxsize=64)
-def _keepable(unnumbered: Unnumbered) -> Held:
+def _find_attainable_conditions(unnumbered: Unnumbered) -> Held:
     problem = unnumbered.problem
     p, found = trace_parameters(problem), list[str]()
     for phase in problem.phases:
         x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
         values = column(phase.evaluate("path", elements(x), elements(u), p.record, SYMBOLIC))
-        found += [c.name for i, c in enumerate(phase.path_conditions) if keepable(phase, values[i], u)]
+        found += [c.name for i, c in enumerate(phase.path_conditions) if attainable_as_equality(phase, values[i], u)]
     return tuple(dict.fromkeys(found))
 
 
@@ -163,7 +163,7 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
     y = ca.vertcat(*lam0, p.free, *nu)
     ends = [ca.SX.sym(f"zf_{k}", 2 * e.half) for k, e in enumerate(phases)]
 
-    starts, initial_states = _starts(problem, p, numbers, offset, tuple(phases), lam0, y)
+    starts, initial_states = _phase_start_functions(problem, p, numbers, offset, tuple(phases), lam0, y)
     conditions, costates = [], []
     last = problem.phases[-1]
     cost = ca.SX(problem.objective(last.state_record(*elements(ends[-1][: len(last.states)])), p.record, SYMBOLIC))
@@ -183,7 +183,10 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
     sides = [(zf, ca.vertcat(initial_states[k + 1](zf), lam0[k + 1])) for k, zf in enumerate(ends[:-1])]
     met = [(zf[: e.state_count], psi, nu_k) for e, zf, psi, nu_k in zip(phases, ends, conditions, nu, strict=True)]
     slopes = ca.SX(stationarity)
-    joints = [*smooth_joints(problem, p, phases, sides, numbers, slopes), *touches(problem, p, met, slopes)]
+    joints = [
+        *smooth_junction_rows(problem, p, phases, sides, numbers, slopes),
+        *contact_point_rows(problem, p, met, slopes),
+    ]
     for phase, extremal, zf in zip(problem.phases, phases, ends, strict=True):
         if phase.duration in problem.free_names:
             stationarity[problem.free_names.index(phase.duration)] += hamiltonian_at(extremal, zf, numbers)
@@ -191,11 +194,11 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
         stationarity[i] = row
     residual = ca.vertcat(*conditions, *costates, stationarity)
     zf = ca.vertcat(*ends)
-    silent = tuple(_silent(e, z, rows) for e, z, rows in zip(phases, ends, costates, strict=True))
-    silent_rows = _silent_rows(phases, silent, sum(c.numel() for c in conditions))
+    silent = tuple(_zero_costates(e, z, rows) for e, z, rows in zip(phases, ends, costates, strict=True))
+    silent_rows = _zero_costate_rows(phases, silent, sum(c.numel() for c in conditions))
     # J is read off the ends too: an integrated cost is in no condition.
     read = ca.vertcat(residual, cost)
-    needed = _needed(phases, ends, read, starts, silent, {row for row, _ in silent_rows})
+    needed = _needed_end_entries(phases, ends, read, starts, silent, {row for row, _ in silent_rows})
     count = sum(e.half for e in phases)
     unknowns, residuals = _names(problem, tuple(phases), {i: name for i, name, _ in joints})
     return Conditions(
@@ -221,7 +224,7 @@ def _range_rows(problem: Problem) -> list[int]:
     return [row for row, c in enumerate(conditions) if c.ranged]
 
 
-def _silent(extremal: PhaseExtremal, zf: ca.SX, transversality: ca.SX) -> tuple[int, ...]:
+def _zero_costates(extremal: PhaseExtremal, zf: ca.SX, transversality: ca.SX) -> tuple[int, ...]:
     """Return costates with rate zero in every mode whose condition at the end is that they vanish."""
     half, p = extremal.half, ca.SX.sym("p", extremal.modes[0].size1_in(1))
     rates = [mode(zf, p) for mode in extremal.modes]
@@ -234,7 +237,7 @@ def _silent(extremal: PhaseExtremal, zf: ca.SX, transversality: ca.SX) -> tuple[
     )
 
 
-def _silent_rows(
+def _zero_costate_rows(
     phases: list[PhaseExtremal], silent: tuple[tuple[int, ...], ...], first_row: int
 ) -> tuple[tuple[int, int], ...]:
     found, at = [], 0
@@ -244,7 +247,7 @@ def _silent_rows(
     return tuple(found)
 
 
-def _needed(
+def _needed_end_entries(
     phases: list[PhaseExtremal],
     ends: list[ca.SX],
     read: ca.SX,
@@ -266,7 +269,7 @@ def _needed(
     return tuple(found)
 
 
-def _starts(
+def _phase_start_functions(
     problem: Problem,
     p: Parameters,
     numbers: ca.SX,
@@ -310,13 +313,13 @@ def _names(problem: Problem, phases: tuple[PhaseExtremal, ...], joints: dict[int
     for phase, extremal in zip(problem.phases, phases, strict=True):
         promoted = [(problem.free[i].name, problem.free[i].unit) for i in extremal.constants]
         for name, unit in [*((s.name, s.unit) for s in phase.states), *promoted]:
-            lam.append((f"{phase.name}.lambda_{name}(0)", quotient(cost, unit)))
-            transversality.append((f"{phase.name}: transversality of {name} at the end", quotient(cost, unit)))
+            lam.append((f"{phase.name}.lambda_{name}(0)", quotient_unit(cost, unit)))
+            transversality.append((f"{phase.name}: transversality of {name} at the end", quotient_unit(cost, unit)))
         for c in phase.end_conditions:
-            nu.append((f"{phase.name}.nu_{c.name}", quotient(cost, c.unit)))
+            nu.append((f"{phase.name}.nu_{c.name}", quotient_unit(cost, c.unit)))
             psi.append((f"{phase.name}: {c.name}", c.unit))
     free = [(f.name, f.unit) for f in problem.free]
     stationarity = [
-        (joints.get(i, f"stationarity in {f.name}"), quotient(cost, f.unit)) for i, f in enumerate(problem.free)
+        (joints.get(i, f"stationarity in {f.name}"), quotient_unit(cost, f.unit)) for i, f in enumerate(problem.free)
     ]
     return (*lam, *free, *nu), (*psi, *transversality, *stationarity)

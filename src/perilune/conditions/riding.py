@@ -24,7 +24,9 @@ from perilune.problem.phase import Phase
 from perilune.problem.symbolic import elements
 
 
-def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX] | None:
+def boundary_arc_control(
+    phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str, ca.SX]
+) -> tuple[ca.SX, ca.SX] | None:
     """Return the control of a phase whose one scalar, off its bounds, keeps a condition active with its one direction.
 
     Parameters
@@ -37,7 +39,7 @@ def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str
     Returns
     -------
     (control, room) or None
-        As of `riding`.
+        As of `boundary_arc_optimum`.
     """
     both, sizes = [*directions(phase.controls)], [*scalars(phase.controls)]
     if len(both) != 1 or len(sizes) != 1:
@@ -45,7 +47,7 @@ def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str
     (first, last), at = both[0], sizes[0][0]
     sized = [c for c in held.values() if ca.depends_on(c, u[at])]
     others = [c for c in held.values() if not ca.depends_on(c, u[at])]
-    found = riding(hamiltonian, u[first:last], u[at], sized[0], others) if len(sized) == 1 else None
+    found = boundary_arc_optimum(hamiltonian, u[first:last], u[at], sized[0], others) if len(sized) == 1 else None
     if found is None:
         return None
     whole = elements(u)
@@ -54,7 +56,7 @@ def riding_control(phase: Phase, hamiltonian: ca.SX, u: ca.SX, held: Mapping[str
     return ca.vertcat(*whole), room
 
 
-def riding(
+def boundary_arc_optimum(
     hamiltonian: ca.SX, d: ca.SX, size: ca.SX, condition: ca.SX, held: Sequence[ca.SX]
 ) -> tuple[ca.SX, ca.SX, ca.SX] | None:
     """Return the minimising direction and size that keep a condition active.
@@ -84,7 +86,7 @@ def riding(
     if (
         len(held) > 1
         or any(ca.depends_on(e, known) for e in (a, g, b, k))
-        or not _scaled((hamiltonian, condition), d, size)
+        or not _scales_direction_only((hamiltonian, condition), d, size)
     ):
         return None
     sign = ca.if_else(a > 0, -1.0, 1.0)
@@ -106,7 +108,7 @@ def riding(
     return c * e - radius * across / ca.norm_2(across), size_there, room
 
 
-def _scaled(expressions: Sequence[ca.SX], d: ca.SX, size: ca.SX) -> bool:
+def _scales_direction_only(expressions: Sequence[ca.SX], d: ca.SX, size: ca.SX) -> bool:
     """Return True if the size scales the direction, and nothing else of d enters, as seen at a few points."""
     twice = [ca.substitute(e, ca.vertcat(d, size), ca.vertcat(2.0 * d, 0.5 * size)) for e in expressions]
     none = [ca.substitute(e, d, ca.SX.zeros(d.numel(), 1)) for e in expressions]

@@ -102,12 +102,14 @@ class Scalar:
         self.quartic = self.curved_both_ways and bool(ca.depends_on(self.third, u[at])) and bends_alike
         if isinstance(control, Settled):
             if control.regime == "singular" and not self.linear:
-                raise no_law(phase, control.names, "a Hamiltonian that bends in it, and so no singular arc")
+                raise no_control_law_error(
+                    phase, control.names, "a Hamiltonian that bends in it, and so no singular arc"
+                )
             self.regimes: tuple[Regime, ...] = (control.regime,)
             return
         lower, upper = (not (limit.is_constant() and np.isinf(float(limit))) for limit in limits)
         if self.linear and not acts and not (lower and upper):
-            raise no_law(phase, control.names, "a Hamiltonian that is linear in it, and no bounds")
+            raise no_control_law_error(phase, control.names, "a Hamiltonian that is linear in it, and no bounds")
         inside: tuple[Regime, ...] = INSIDE if self.quartic else ("interior",)
         between: tuple[Regime, ...] = ("held",) if acts else () if self.linear else inside
         self.regimes = (*(("lower",) if lower else ()), *between, *(("upper",) if upper else ()))
@@ -258,7 +260,7 @@ def pivots(symbols: Sequence[ca.SX], held: Sequence[ca.SX]) -> list[int] | None:
     return None
 
 
-def multipliers(H: ca.SX, u: ca.SX, held: ca.SX) -> ca.SX:
+def least_squares_multipliers(H: ca.SX, u: ca.SX, held: ca.SX) -> ca.SX:
     """Return mu of conditions that are held by scalars u, by least squares: exact where H is least.
 
     Parameters
@@ -277,7 +279,7 @@ def multipliers(H: ca.SX, u: ca.SX, held: ca.SX) -> ca.SX:
     return ca.solve(ca.mtimes(C, C.T), ca.mtimes(C, ca.gradient(H, u)))
 
 
-def keeps(told: ca.SX, held: ca.SX, u: ca.SX, control: ca.SX) -> ca.SX:
+def satisfies_conditions(told: ca.SX, held: ca.SX, u: ca.SX, control: ca.SX) -> ca.SX:
     """Return an expression that is true where a control holds conditions by these scalars.
 
     It is false where Newton's method has not found one that does.
@@ -295,7 +297,7 @@ def keeps(told: ca.SX, held: ca.SX, u: ca.SX, control: ca.SX) -> ca.SX:
     return ca.substitute(ca.logic_all(near), u, control)
 
 
-def least_between(
+def minimise_interior_scalars(
     phase: Phase, H: ca.SX, u: ca.SX, free: Sequence[Scalar], held: ca.SX, low: bool = False
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Minimise H over scalars that are not on a bound: in closed form, or by a step from w, which Newton finds.
@@ -321,15 +323,19 @@ def least_between(
         If there are more than two scalars and no closed form.
     """
     none = ca.SX.zeros(u.numel(), 1)
-    step, system = _step(H, u, held)
+    step, system = _minimum_newton_step(H, u, held)
     if not ca.depends_on(system, u):
         return ca.substitute(step, u, none), ca.SX(0, 1), ca.SX(0, 1)
     if len(free) not in _GRID:
         names = tuple(kind.control.name for kind in free)
-        raise no_law(phase, names, "more than two controls that bend the Hamiltonian together")
+        raise no_control_law_error(phase, names, "more than two controls that bend the Hamiltonian together")
     grids = [kind.grid(_GRID[len(free)]) for kind in free]
     inside = len(free) == 1 and not held.numel() and free[0].curved_both_ways
-    at = _start_inside(H, u, grids[0], low if free[0].quartic else None) if inside else _start(H, u, grids, held)
+    at = (
+        _least_interior_point(H, u, grids[0], low if free[0].quartic else None)
+        if inside
+        else _best_grid_point(H, u, grids, held)
+    )
     reach = ca.vertcat(*(ca.fabs(grid[1] - grid[0]) for grid in grids))
     # |bend| keeps a single control on the way down where H is not convex.
     down = -ca.gradient(H, u) / ca.fabs(system) if len(free) == 1 and not held.numel() else step
@@ -339,7 +345,7 @@ def least_between(
     return ca.substitute(u + step, u, w), w, at
 
 
-def _start(H: ca.SX, u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: ca.SX) -> ca.SX:
+def _best_grid_point(H: ca.SX, u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: ca.SX) -> ca.SX:
     """Return the point of a grid, or where its lines meet what is held, at which H is least."""
     at, least = ca.SX.zeros(u.numel(), 1), ca.SX(np.inf)
     for point, met in _candidates(u, grids, elements(held)):
@@ -349,7 +355,7 @@ def _start(H: ca.SX, u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: ca.SX) ->
     return at
 
 
-def _start_inside(H: ca.SX, u: ca.SX, grid: Sequence[ca.SX], low: bool | None) -> ca.SX:
+def _least_interior_point(H: ca.SX, u: ca.SX, grid: Sequence[ca.SX], low: bool | None) -> ca.SX:
     """Return the point of a grid next to the least minimum between the bounds, however small H is on a bound.
 
     With `low` stated one where d3H/du3 < 0, or one where it is not, if there is any. Where H falls to the bounds alone
@@ -372,7 +378,7 @@ def _start_inside(H: ca.SX, u: ca.SX, grid: Sequence[ca.SX], low: bool | None) -
     return at if low is None else ca.if_else(least_asked < np.inf, asked, at)
 
 
-def _step(H: ca.SX, u: ca.SX, held: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _minimum_newton_step(H: ca.SX, u: ca.SX, held: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return Newton's step for u, and the matrix of its system; multipliers are those of least squares at u."""
     slope, C = ca.gradient(H, u), ca.jacobian(held, u)
     if held.numel() == u.numel():
@@ -380,7 +386,7 @@ def _step(H: ca.SX, u: ca.SX, held: ca.SX) -> tuple[ca.SX, ca.SX]:
     if not held.numel():
         bend = ca.jacobian(slope, u)
         return -ca.solve(bend, slope), bend
-    symbols, mu = ca.SX.sym("mu", held.numel()), multipliers(H, u, held)
+    symbols, mu = ca.SX.sym("mu", held.numel()), least_squares_multipliers(H, u, held)
     bend = ca.substitute(ca.jacobian(slope - ca.mtimes(C.T, symbols), u), symbols, mu)
     system = ca.blockcat([[bend, -C.T], [C, ca.SX(held.numel(), held.numel())]])
     left = ca.vertcat(slope - ca.mtimes(C.T, mu), held)
@@ -400,12 +406,12 @@ def _candidates(u: ca.SX, grids: Sequence[Sequence[ca.SX]], held: Sequence[ca.SX
             # A point on a bound may by rounding lie beyond it.
             first, *_, last = (b - a for a, b in pairwise(grids[i]))
             line = [grids[i][0] - _BEYOND * first, *grids[i][1:-1], grids[i][-1] + _BEYOND * last]
-            points = [new for old in points for new in _met(u, *old, condition, i, line)]
+            points = [new for old in points for new in _condition_zeros_on_line(u, *old, condition, i, line)]
         for point, met in points:
             yield ca.vertcat(*point), met
 
 
-def _met(
+def _condition_zeros_on_line(
     u: ca.SX, point: list[ca.SX], met: ca.SX, condition: ca.SX, i: int, grid: Sequence[ca.SX]
 ) -> Iterator[tuple[list[ca.SX], ca.SX]]:
     """Yield points on the line through one along scalar i at which a condition changes its sign, roughly."""
@@ -425,7 +431,7 @@ def _met(
         yield [*point[:i], root, *point[i + 1 :]], ca.logic_and(met, left * right <= 0)
 
 
-def no_law(phase: Phase, names: tuple[str, ...], got: str) -> PeriluneError:
+def no_control_law_error(phase: Phase, names: tuple[str, ...], got: str) -> PeriluneError:
     """Return the error that says why a control's minimum of H is not known."""
     return PeriluneError(
         f"the indirect method has no control law for {', '.join(names)} of {phase.name}",

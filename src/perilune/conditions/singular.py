@@ -64,17 +64,21 @@ def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -
     without = ca.substitute(rate, s, 0)
     for order in range(1, MOST + 1):
         if any(ca.depends_on(slope, z[i]) for i in bent):
-            raise _no_arc(name, "the rates are not linear in it")
+            raise _no_singular_arc_error(name, "the rates are not linear in it")
         terms = ca.gradient(slope, z) * by_control
         slope = ca.dot(ca.gradient(slope, z), without)
-        if not _vanishes(terms):
+        if not _vanishes_identically(terms):
             if order == 2:
                 return -slope / ca.sum1(terms)
-            raise _no_arc(name, f"derivative {order} of the slope of the Hamiltonian is the first with the control")
-    raise _no_arc(name, f"the control is in none of the first {MOST} derivatives of the slope of the Hamiltonian")
+            raise _no_singular_arc_error(
+                name, f"derivative {order} of the slope of the Hamiltonian is the first with the control"
+            )
+    raise _no_singular_arc_error(
+        name, f"the control is in none of the first {MOST} derivatives of the slope of the Hamiltonian"
+    )
 
 
-def _vanishes(terms: ca.SX) -> bool:
+def _vanishes_identically(terms: ca.SX) -> bool:
     """Return True if a sum is zero at a few points, measured against the size of its terms."""
     symbols = ca.symvar(terms)
     if not symbols:
@@ -93,7 +97,7 @@ def _vanishes(terms: ca.SX) -> bool:
     return True
 
 
-def _no_arc(name: str, why: str) -> PeriluneError:
+def _no_singular_arc_error(name: str, why: str) -> PeriluneError:
     return PeriluneError(
         f"{name} has no singular arc that others can be joined to, as {why}",
         expected="the control in the second derivative of the slope of the Hamiltonian along the flight",

@@ -20,8 +20,8 @@ from functools import cached_property
 
 import casadi as ca
 
-from perilune.conditions.held import Held, turns
-from perilune.conditions.scalars import FREE, INSIDE, Bend, Scalar, multipliers
+from perilune.conditions.held import Held, depends_on_direction
+from perilune.conditions.scalars import FREE, INSIDE, Bend, Scalar, least_squares_multipliers
 from perilune.problem.controls import Regime
 from perilune.problem.phase import Phase
 
@@ -29,7 +29,7 @@ Named = tuple[Held, tuple[Regime, ...]]  # of a mode
 
 
 @dataclass(frozen=True, kw_only=True)
-class Transition:
+class SwitchingEvent:
     """A zero of `function` rising (+1) or falling (-1) leads from mode to mode; a `steady` one without a jump of u."""
 
     function: ca.SX
@@ -71,7 +71,7 @@ class Mode:
         """mu of `own`, expressions of the scalars."""
         scalars = ca.vertcat(*(kind.symbol for kind, regime in zip(self.kinds, self.regimes, strict=True)
                                if regime == "held"))  # fmt: skip
-        mu = multipliers(self.H, scalars, ca.vertcat(*self.own.values()))
+        mu = least_squares_multipliers(self.H, scalars, ca.vertcat(*self.own.values()))
         return {name: mu[i] for i, name in enumerate(self.own)}
 
     def slope(self, kind: Scalar) -> ca.SX:
@@ -86,7 +86,7 @@ class Mode:
 
 
 @dataclass(kw_only=True)
-class Ways:
+class ModeSwitches:
     """The transitions between all modes of a phase."""
 
     phase: Phase
@@ -100,13 +100,13 @@ class Ways:
         """Number of each mode by its name."""
         return {mode.name: i for i, mode in enumerate(self.modes)}
 
-    def transitions(self) -> list[Transition]:
+    def transitions(self) -> list[SwitchingEvent]:
         """Return all transitions; the same function in several modes is one of them."""
-        found: dict[tuple[str, int, bool], Transition] = {}
+        found: dict[tuple[str, int, bool], SwitchingEvent] = {}
         for mode in self.modes:
             for before, after, function, direction, steady in self._from(mode):
-                key = _text(function), direction, steady
-                new = Transition(function=function, direction=direction, steady=steady, switches={})
+                key = _serialise_expression(function), direction, steady
+                new = SwitchingEvent(function=function, direction=direction, steady=steady, switches={})
                 found.setdefault(key, new).switches[self.places[before]] = self.places[after]
         return list(found.values())
 
@@ -127,7 +127,7 @@ class Ways:
                 # The minimising control without the condition violates it from here on.
                 function = ca.substitute(condition, self.u, mode.control)
                 yield mode.name, after, function, -1, True
-                if turns(self.phase, condition, self.u):  # or no longer does
+                if depends_on_direction(self.phase, condition, self.u):  # or no longer does
                     yield after, mode.name, function, 1, True
 
     def _to_bounds(self, mode: Mode, i: int) -> Iterator[tuple[Named, ca.SX, int, bool]]:
@@ -200,7 +200,7 @@ class Ways:
         condition = self.kept[name]
         acting = [i for i, kind in enumerate(mode.kinds) if ca.depends_on(condition, kind.symbol)]
         regimes: tuple[Regime, ...] = mode.regimes
-        if not turns(self.phase, condition, self.u):
+        if not depends_on_direction(self.phase, condition, self.u):
             between = [i for i in acting if regimes[i] in FREE] or acting[:1]
             for i in between:
                 regimes = *regimes[:i], "held", *regimes[i + 1 :]
@@ -238,6 +238,6 @@ class Ways:
                 yield mode.name, after, ca.if_else(there, mu, 1.0), -1, False
 
 
-def _text(expression: ca.SX) -> str:
+def _serialise_expression(expression: ca.SX) -> str:
     symbols = ca.symvar(expression)
     return ca.Function("f", symbols, [expression]).serialize()

@@ -13,7 +13,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.symbolic import Kinked
 
 
-def weighing(phase: Phase, dynamics: Kinked, u: ca.SX, lam: ca.SX, unpriced: frozenset[str]) -> ca.SX:
+def weighing_costates(phase: Phase, dynamics: Kinked, u: ca.SX, lam: ca.SX, unpriced: frozenset[str]) -> ca.SX:
     """Return the costates, with zero for unpriced states if only these bend H in some control, or in a pair of them.
 
     H without them is linear there, as it is on every extremal; elsewhere a vanishing factor does no harm.
@@ -41,7 +41,7 @@ def weighing(phase: Phase, dynamics: Kinked, u: ca.SX, lam: ca.SX, unpriced: fro
     return ca.vertcat(*(ca.SX(0) if i in dropped else lam[i] for i in range(lam.numel())))
 
 
-def terms_of(phase: Phase, weights: ca.SX, f: ca.SX, costs: frozenset[str]) -> Terms:
+def known_hamiltonian_terms(phase: Phase, weights: ca.SX, f: ca.SX, costs: frozenset[str]) -> Terms:
     """Return the known sizes and signs of the terms of H = weights . f.
 
     Parameters
@@ -49,7 +49,7 @@ def terms_of(phase: Phase, weights: ca.SX, f: ca.SX, costs: frozenset[str]) -> T
     phase
         Whose states.
     weights, f
-        Their costates, of `weighing`, and their rates.
+        Their costates, of `weighing_costates`, and their rates.
     costs
         Names of states whose costates are a positive number on every extremal.
     """

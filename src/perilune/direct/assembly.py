@@ -27,7 +27,7 @@ BEGIN, END = -2, -1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Repeated:
+class RepeatedBlock:
     """A block with the unknowns of each repetition and what its values add to the rows.
 
     Parameters
@@ -62,7 +62,9 @@ class Assembled:
     hessian_at: Matrix
 
 
-def assembled(layouts: Sequence[Layout], blocks: Sequence[tuple[Block, Block]], free: int, nearest: bool) -> Assembled:
+def assemble_program(
+    layouts: Sequence[Layout], blocks: Sequence[tuple[Block, Block]], free: int, nearest: bool
+) -> Assembled:
     """Assemble the program of phases laid out one after the other.
 
     With `nearest` every path condition may be missed by as much all along, and every end condition to either side; the
@@ -80,7 +82,7 @@ def assembled(layouts: Sequence[Layout], blocks: Sequence[tuple[Block, Block]], 
         True to minimise the misses.
     """
     rows = sum(sum(layout.rows.values()) for layout in layouts)
-    parts, linear = list[Repeated](), list[Triplets]()
+    parts, linear = list[RepeatedBlock](), list[Triplets]()
     before, at, row = np.zeros(0, dtype=int), free, 0
     missed = free + sum(sum(layout.sizes) for layout in layouts)
     for k, (layout, (point, once)) in enumerate(zip(layouts, blocks, strict=True)):
@@ -88,14 +90,14 @@ def assembled(layouts: Sequence[Layout], blocks: Sequence[tuple[Block, Block]], 
         objective = rows if k == len(layouts) - 1 and not nearest else None
         linear.append(place.linear())
         parts += [
-            Repeated(block=point, takes=place.taken(), adds=place.added()),
-            Repeated(block=once, takes=place.taken_once(before), adds=place.added_once(objective)),
+            RepeatedBlock(block=point, takes=place.taken(), adds=place.added()),
+            RepeatedBlock(block=once, takes=place.taken_once(before), adds=place.added_once(objective)),
         ]
         if nearest:
             linear.append(place.missed(missed, rows))
             missed += layout.path + 2 * layout.end
         before, at, row = place.states[-1], at + sum(layout.sizes), row + sum(layout.rows.values())
-    return _functions(parts, _joined(linear), missed, rows)
+    return _functions(parts, _concatenate_triplets(linear), missed, rows)
 
 
 class _Place:
@@ -120,16 +122,18 @@ class _Place:
         """Return the entries of the rows that are constants times states."""
         layout, states = self.layout, self.states
         defects, node = self.at_nodes("defect"), 0
-        found = [_spread(self.rows["start"], states[0], 1.0)]
+        found = [_broadcast_triplets(self.rows["start"], states[0], 1.0)]
         for at, r in zip(layout.starts, layout.rules, strict=False):
             support = states[at : at + r.degree + 1]
-            found.append(_spread(defects[node : node + r.degree, None], support[None], r.differentiation[:, :, None]))
+            found.append(
+                _broadcast_triplets(defects[node : node + r.degree, None], support[None], r.differentiation[:, :, None])
+            )
             node += r.degree
         if layout.scheme == "gauss":
             over = self.rows["quadrature"].reshape(-1, layout.states)
-            found.append(_spread(over, states[list(layout.starts[1:])], 1.0))
-            found.append(_spread(over, states[list(layout.starts[:-1])], -1.0))
-        return _joined(found)
+            found.append(_broadcast_triplets(over, states[list(layout.starts[1:])], 1.0))
+            found.append(_broadcast_triplets(over, states[list(layout.starts[:-1])], -1.0))
+        return _concatenate_triplets(found)
 
     def taken(self) -> Matrix:
         """Return the unknowns that the dynamics and conditions at each collocation point take."""
@@ -146,14 +150,14 @@ class _Place:
         widths = [n, len(layout.directions), layout.held, layout.path]
         values = np.arange(layout.nodes * sum(widths)).reshape(layout.nodes, -1)
         flow, *others = np.split(values, np.cumsum(widths)[:-1], axis=1)
-        found = [_spread(self.at_nodes("defect"), flow, -1.0)]
+        found = [_broadcast_triplets(self.at_nodes("defect"), flow, -1.0)]
         for kind, own in zip(("direction", "held", "path"), others, strict=True):
-            found.append(_spread(self.at_nodes(kind), own, 1.0))
+            found.append(_broadcast_triplets(self.at_nodes(kind), own, 1.0))
         if layout.scheme == "gauss":
             over = np.repeat(self.rows["quadrature"].reshape(-1, n), layout.degrees, axis=0)
             weights = np.concatenate([r.weights for r in layout.rules])
-            found.append(_spread(over, flow, -weights[:, None]))
-        return _joined(found)
+            found.append(_broadcast_triplets(over, flow, -weights[:, None]))
+        return _concatenate_triplets(found)
 
     def taken_once(self, before: Vector) -> Matrix:
         """Return the unknowns that start, end and J take."""
@@ -163,47 +167,49 @@ class _Place:
         """Return the entries that the block of start, end and J adds to the rows, J to its own row, if any."""
         n, end = self.layout.states, self.layout.end
         found = [
-            _spread(self.rows["start"], np.arange(n), -1.0),
-            _spread(self.rows["end"], n + np.arange(end), 1.0),
+            _broadcast_triplets(self.rows["start"], np.arange(n), -1.0),
+            _broadcast_triplets(self.rows["end"], n + np.arange(end), 1.0),
         ]
         if objective is not None:
-            found.append(_spread(np.array([objective]), np.array([n + end]), 1.0))
-        return _joined(found)
+            found.append(_broadcast_triplets(np.array([objective]), np.array([n + end]), 1.0))
+        return _concatenate_triplets(found)
 
     def missed(self, at: int, objective: int) -> Triplets:
         """Return the entries that misses, unknowns from `at` on, add to path, end and the sum of them."""
         path, end = self.layout.path, self.layout.end
         below, above = np.split(np.arange(at, at + path + 2 * end), [path + end])
-        return _joined([
-            _spread(self.at_nodes("path"), below[:path], 1.0),
-            _spread(self.rows["end"], below[path:], 1.0),
-            _spread(self.rows["end"], above, -1.0),
-            _spread(np.array([objective]), np.concatenate([below, above]), 1.0),
+        return _concatenate_triplets([
+            _broadcast_triplets(self.at_nodes("path"), below[:path], 1.0),
+            _broadcast_triplets(self.rows["end"], below[path:], 1.0),
+            _broadcast_triplets(self.rows["end"], above, -1.0),
+            _broadcast_triplets(np.array([objective]), np.concatenate([below, above]), 1.0),
         ])  # fmt: skip
 
 
-def _functions(parts: Sequence[Repeated], linear: Triplets, unknowns: int, rows: int) -> Assembled:
+def _functions(parts: Sequence[RepeatedBlock], linear: Triplets, unknowns: int, rows: int) -> Assembled:
     w, given = ca.MX.sym("w", unknowns), ca.MX.sym("p", parts[0].block.value.numel_in(1))
     factors = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", rows)
     everything = ca.vertcat(w, 0, 1)
     weights = ca.vertcat(factors[1], factors[0])
-    total, slopes, curvatures = _matrix(linear, (rows + 1, unknowns)) @ w, list[ca.MX](), list[ca.MX]()
+    total, slopes, curvatures = _constant_matrix(linear, (rows + 1, unknowns)) @ w, list[ca.MX](), list[ca.MX]()
     for part in parts:
         block, times = part.block, len(part.takes)
         z = ca.reshape(everything[(part.takes % (unknowns + 2)).ravel().tolist()], block.unknowns, times)
         shared = ca.repmat(given, 1, times)
-        adds = _matrix(part.adds, (rows + 1, times * block.values))
+        adds = _constant_matrix(part.adds, (rows + 1, times * block.values))
         total += adds @ ca.vec(block.value.map(times)(z, shared))
         slopes.append(ca.vec(block.slopes.map(times)(z, shared)))
         own = ca.reshape(adds.T @ weights, block.values, times)
         curvatures.append(ca.vec(block.curvature.map(times)(z, shared, own)))
     pattern, constant, mixed = _first_derivatives(parts, linear, unknowns)
-    slope = ca.DM(constant) + _matrix(mixed, (len(constant), sum(s.numel() for s in slopes))) @ ca.vertcat(*slopes)
+    slope = ca.DM(constant) + _constant_matrix(mixed, (len(constant), sum(s.numel() for s in slopes))) @ ca.vertcat(
+        *slopes
+    )
     of_J = pattern[0] == rows
     gradient = ca.densify(_sparse(pattern[::-1, of_J] * [[1], [0]], slope, of_J, (unknowns, 1)))
     jacobian = _sparse(pattern[:, ~of_J], slope, ~of_J, (rows, unknowns))
     upper, summed = _second_derivatives(parts, unknowns)
-    curvature = _matrix(summed, (upper.shape[1], sum(c.numel() for c in curvatures))) @ ca.vertcat(*curvatures)
+    curvature = _constant_matrix(summed, (upper.shape[1], sum(c.numel() for c in curvatures))) @ ca.vertcat(*curvatures)
     hessian = _sparse(upper, curvature, np.full(upper.shape[1], True), (unknowns, unknowns))
     J, g = ca.densify(total[rows]), total[:rows]  # of no terms where nothing can be missed
     return Assembled(
@@ -219,7 +225,9 @@ def _functions(parts: Sequence[Repeated], linear: Triplets, unknowns: int, rows:
     )
 
 
-def _first_derivatives(parts: Sequence[Repeated], linear: Triplets, unknowns: int) -> tuple[Matrix, Vector, Triplets]:
+def _first_derivatives(
+    parts: Sequence[RepeatedBlock], linear: Triplets, unknowns: int
+) -> tuple[Matrix, Vector, Triplets]:
     """Return nonzeros of dg/dw, column by column: places, constant values, and what all slopes of blocks add."""
     rows, columns, found, at = [linear[0]], [linear[1]], list[tuple[Vector, Vector]](), 0
     for part in parts:
@@ -242,7 +250,7 @@ def _first_derivatives(parts: Sequence[Repeated], linear: Triplets, unknowns: in
     return pattern, constant, (place[known:], source, factor)
 
 
-def _second_derivatives(parts: Sequence[Repeated], unknowns: int) -> tuple[Matrix, Triplets]:
+def _second_derivatives(parts: Sequence[RepeatedBlock], unknowns: int) -> tuple[Matrix, Triplets]:
     """Return upper nonzeros of the Hessian, column by column, and which curvatures of blocks add up in each."""
     rows, columns, sources, at = list[Vector](), list[Vector](), list[Vector](), 0
     for part in parts:
@@ -270,17 +278,17 @@ def _sparse(pattern: Matrix, values: ca.MX, of: Vector, shape: tuple[int, int]) 
     return ca.MX(sparsity, values[np.nonzero(of)[0].tolist()])
 
 
-def _matrix(triplets: Triplets, shape: tuple[int, int]) -> ca.MX:
+def _constant_matrix(triplets: Triplets, shape: tuple[int, int]) -> ca.MX:
     rows, columns, values = triplets
     return ca.MX(ca.DM.triplet(rows.tolist(), columns.tolist(), ca.DM(values), *shape))
 
 
-def _spread(rows: Vector, columns: Vector, values: Vector | float) -> Triplets:
+def _broadcast_triplets(rows: Vector, columns: Vector, values: Vector | float) -> Triplets:
     """Broadcast places and values to one entry for each place."""
     a, b, c = np.broadcast_arrays(rows, columns, np.asarray(values, dtype=float))
     return a.ravel(), b.ravel(), c.ravel()
 
 
-def _joined(groups: Sequence[Triplets]) -> Triplets:
+def _concatenate_triplets(groups: Sequence[Triplets]) -> Triplets:
     rows, columns, values = (np.concatenate(parts) for parts in zip(*groups, strict=True))
     return rows, columns, values

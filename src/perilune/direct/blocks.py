@@ -71,10 +71,10 @@ class Block:
 
 
 @lru_cache(maxsize=32)
-def blocks(unnumbered: Unnumbered) -> tuple[tuple[Block, Block], ...]:
+def phase_blocks(unnumbered: Unnumbered) -> tuple[tuple[Block, Block], ...]:
     """Return for each phase what is repeated at its points and what is there once, in canonical units."""
     problem, p = unnumbered.problem, trace_parameters(unnumbered.problem)
-    return tuple((_at_point(phase, p), _once(problem, k, p)) for k, phase in enumerate(problem.phases))
+    return tuple((_at_point(phase, p), _boundary_block(problem, k, p)) for k, phase in enumerate(problem.phases))
 
 
 def _at_point(phase: Phase, p: Parameters) -> Block:
@@ -90,7 +90,7 @@ def _at_point(phase: Phase, p: Parameters) -> Block:
     return _block(ca.vertcat(flow, *norms, held, path), ca.vertcat(x, u, p.free, ends), p.given)
 
 
-def _once(problem: Problem, k: int, p: Parameters) -> Block:
+def _boundary_block(problem: Problem, k: int, p: Parameters) -> Block:
     phase, first = problem.phases[k], k == 0
     before = ca.SX.sym("before", 0 if first else len(problem.phases[k - 1].states))
     if first:

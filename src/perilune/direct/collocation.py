@@ -83,10 +83,10 @@ def rule(scheme: Scheme, degree: int) -> Rule:
     if degree < 2:
         raise PeriluneError("a segment needs at least two collocation points", got=str(degree), expected=">= 2")
     if scheme == "gauss":
-        points, weights = _gauss(degree)
+        points, weights = _gauss_nodes(degree)
         support = np.concatenate([[-1.0], points])
     else:
-        points, weights = _radau(degree)
+        points, weights = _radau_nodes(degree)
         support = np.concatenate([points, [1.0]])
     matrix = differentiation_matrix(support)
     return Rule(
@@ -98,14 +98,14 @@ def rule(scheme: Scheme, degree: int) -> Rule:
     )
 
 
-def _gauss(n: int) -> tuple[Vector, Vector]:
+def _gauss_nodes(n: int) -> tuple[Vector, Vector]:
     from scipy.special import roots_legendre
 
     points, weights = roots_legendre(n)
     return points, weights
 
 
-def _radau(n: int) -> tuple[Vector, Vector]:
+def _radau_nodes(n: int) -> tuple[Vector, Vector]:
     """Return -1 and the roots of the Jacobi polynomial P^(0,1)_(n-1); w = (1 - tau)/(n P_(n-1)(tau))^2."""
     from scipy.special import eval_legendre, roots_jacobi
 
@@ -115,11 +115,11 @@ def _radau(n: int) -> tuple[Vector, Vector]:
 
 def barycentric_weights(points: Vector) -> Vector:
     """Return weights 1/prod(x_j - x_k), scaled by the interval's capacity so that no product under- or overflows."""
-    return _weights(points.tobytes())
+    return _compute_barycentric_weights(points.tobytes())
 
 
 @lru_cache(maxsize=512)
-def _weights(of: bytes) -> Vector:
+def _compute_barycentric_weights(of: bytes) -> Vector:
     points = np.frombuffer(of)
     capacity = 0.25 * (points[-1] - points[0]) if len(points) > 1 else 1.0
     difference = (points[:, None] - points[None, :]) / capacity

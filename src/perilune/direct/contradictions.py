@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from perilune.direct.nlp import Answer, Program
+from perilune.direct.nlp import ProgramSolution, TranscribedProgram
 from perilune.problem.controls import scalars
 from perilune.problem.preflight import at_start, between_bounds, refuse_impossible
 from perilune.problem.problem import Problem
@@ -28,7 +28,7 @@ from perilune.problem.variables import Variable
 from perilune.problem.wording import stating_keys
 from perilune.words.outcome import InfeasibleError, PeriluneError
 from perilune.words.types import Vector
-from perilune.words.units import told
+from perilune.words.units import format_quantity
 
 # A bound is broken when it is exceeded by more than this part of the canonical unit; rounding stays far
 # below.
@@ -58,7 +58,7 @@ def check_consistent(problem: Problem) -> None:
                         advice="Indirect() alone, or a condition of the path that says the same",
                     )
     refuse_impossible([*between_bounds(problem, p), *at_start(problem, p)])
-    function, ends = _known(Unnumbered(problem))
+    function, ends = _states_fixed_by_ends(Unnumbered(problem))
     values = np.array(function(math.nan, canonical_given(problem))).ravel().tolist() if ends else []
     for end, value in zip(ends, values, strict=True):
         phase = problem.phases[end.phase]
@@ -75,7 +75,7 @@ class _Fixed(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _known(unnumbered: Unnumbered) -> tuple[ca.Function, tuple[_Fixed, ...]]:
+def _states_fixed_by_ends(unnumbered: Unnumbered) -> tuple[ca.Function, tuple[_Fixed, ...]]:
     """Return the end conditions that fix a state, which ranges do not, and the function of what they fix."""
     problem = unnumbered.problem
     p = trace_parameters(problem)
@@ -110,7 +110,7 @@ def _check_inside(what: str, problem: Problem, state: Variable, canonical: float
         )
 
 
-def missed_conditions(program: Program, answer: Answer, slack: float) -> list[tuple[str, str]]:
+def missed_conditions(program: TranscribedProgram, answer: ProgramSolution, slack: float) -> list[tuple[str, str]]:
     """Return every condition that an iterate misses and by how much in SI, the worst (in canonical units) first.
 
     Parameters
@@ -133,7 +133,7 @@ def missed_conditions(program: Program, answer: Answer, slack: float) -> list[tu
         worst = residual.reshape(-1, len(names)).max(axis=0)
         for (name, unit), scale, violation in zip(names, scales, worst, strict=True):
             if not violation <= slack:
-                found.append((float(violation), (name, told(violation * scale, unit, 4))))
+                found.append((float(violation), (name, format_quantity(violation * scale, unit, 4))))
     return [pair for _, pair in sorted(found, key=lambda pair: -pair[0])]
 
 

@@ -123,10 +123,10 @@ def relaxed_problem(problem: Problem, limit: ElasticLimit, at_end: Sequence[str]
 def _relaxed_phase(phase: Phase, limit: ElasticLimit, at_end: Sequence[str]) -> Phase:
     """Return the phase with its own part of the limit relaxed."""
     if limit.kind == "path":
-        path = _with_slack(phase.path, phase.path_conditions, limit.names, _given_way)
-        return replace(phase, path=path, end=_with_slack(phase.end, phase.end_conditions, at_end, _given_way))
+        path = _with_slack(phase.path, phase.path_conditions, limit.names, _with_one_slack)
+        return replace(phase, path=path, end=_with_slack(phase.end, phase.end_conditions, at_end, _with_one_slack))
     if limit.kind == "end":
-        return replace(phase, end=_with_slack(phase.end, phase.end_conditions, limit.names, _given_either_way))
+        return replace(phase, end=_with_slack(phase.end, phase.end_conditions, limit.names, _with_two_slacks))
     if limit.kind == "free":
         return phase
     rows = phase.states if limit.kind == "state" else [c for _, c in scalars(phase.controls)]
@@ -160,11 +160,11 @@ def _with_slack(function: Any, conditions: Sequence[Variable], names: Sequence[s
     return relaxed
 
 
-def _given_way(value: Any, name: str, p: Any) -> Any:
+def _with_one_slack(value: Any, name: str, p: Any) -> Any:
     return value + getattr(p, _SLACK)
 
 
-def _given_either_way(value: Any, name: str, p: Any) -> Any:
+def _with_two_slacks(value: Any, name: str, p: Any) -> Any:
     return value + getattr(p, f"{_SLACK}_{name}_under") - getattr(p, f"{_SLACK}_{name}_over")
 
 

@@ -40,12 +40,12 @@ NOTHING = 1e-3
 EVALUATIONS = 12_000
 
 
-class _TooFar(Exception):
+class _TooManySteps(Exception):
     """A segment that takes more steps than are given to it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Fine:
+class _QuadratureSegment:
     """One segment at the points it is flown through: [-1, Gauss points, 1]."""
 
     segment: Segment
@@ -65,10 +65,10 @@ class _Fine:
         return self.x[0] + np.vstack([np.zeros_like(inside[:1]), inside, self.half * (self.rule.weights @ rates)])
 
 
-def _fine(phase: Phase, segment: Segment, p: Any) -> _Fine:
+def _quadrature_segment(phase: Phase, segment: Segment, p: Any) -> _QuadratureSegment:
     fine = rule("gauss", 2 * len(segment.control.points))
     at = np.append(fine.support, 1.0)
-    return _Fine(
+    return _QuadratureSegment(
         segment=segment, rule=fine, at=at, x=segment.state(at),
         u=admissible(phase.controls, segment.control(at).T, p).T,
     )  # fmt: skip
@@ -100,7 +100,7 @@ def mesh_errors(problem: Problem, segments: Sequence[Sequence[Segment]], p: Any,
 
 def _phase_errors(phase: Phase, flown: Sequence[Segment], p: Any, tolerance: float, least: Vector) -> Matrix:
     """Return the errors of one phase, whose states are flown no more closely than if they had the `least` sizes."""
-    pieces = [_fine(phase, segment, p) for segment in flown]
+    pieces = [_quadrature_segment(phase, segment, p) for segment in flown]
     lower, upper = np.array([s.limits(p) for s in phase.states]).T
     errors = []
     for piece, error in zip(pieces, _simulated(phase, pieces, p, tolerance, least), strict=True):
@@ -112,7 +112,9 @@ def _phase_errors(phase: Phase, flown: Sequence[Segment], p: Any, tolerance: flo
     return np.array(errors)
 
 
-def _simulated(phase: Phase, pieces: Sequence[_Fine], p: Any, tolerance: float, least: Vector) -> list[Vector]:
+def _simulated(
+    phase: Phase, pieces: Sequence[_QuadratureSegment], p: Any, tolerance: float, least: Vector
+) -> list[Vector]:
     """Return the largest difference of each state from its polynomial on each piece."""
     fine = tolerance * np.maximum(np.max([np.abs(piece.x).max(axis=0) for piece in pieces], axis=0), least)
     x = [piece.x for piece in pieces]
@@ -125,23 +127,28 @@ def _simulated(phase: Phase, pieces: Sequence[_Fine], p: Any, tolerance: float, 
             rates = np.column_stack([full(rate, inner[:, 0]) for rate in rates])
             split = np.split(rates, np.cumsum([len(piece.rule.points) for piece in pieces])[:-1])
             later = [piece.flown(rate) for piece, rate in zip(pieces, split, strict=True)]
-            left = [_left(piece, before, after, fine) for piece, before, after in zip(pieces, x, later, strict=True)]
+            left = [
+                _last_relative_change(piece, before, after, fine)
+                for piece, before, after in zip(pieces, x, later, strict=True)
+            ]
         x = later
         if not max(left) > 1.0:
             break
     return [
-        np.abs(values - piece.x).max(axis=0) if moved <= 1.0 else _stepwise(phase, piece, p, tolerance, least)
+        np.abs(values - piece.x).max(axis=0)
+        if moved <= 1.0
+        else _simulate_adaptively(phase, piece, p, tolerance, least)
         for piece, values, moved in zip(pieces, x, left, strict=True)
     ]
 
 
-def _left(piece: _Fine, before: Matrix, after: Matrix, fine: Vector) -> float:
+def _last_relative_change(piece: _QuadratureSegment, before: Matrix, after: Matrix, fine: Vector) -> float:
     """Return the last change of a flight, relative to what is asked of it, or to a thousandth of the error if more."""
     error = np.abs(after - piece.x).max(axis=0)
     return float(np.max(np.abs(after - before) / np.maximum(fine, 1e-3 * error)))
 
 
-def _stepwise(phase: Phase, piece: _Fine, p: Any, tolerance: float, least: Vector) -> Vector:
+def _simulate_adaptively(phase: Phase, piece: _QuadratureSegment, p: Any, tolerance: float, least: Vector) -> Vector:
     """Return the largest difference of each state from its polynomial on one piece, by SciPy."""
     from scipy.integrate import solve_ivp
 
@@ -153,7 +160,7 @@ def _stepwise(phase: Phase, piece: _Fine, p: Any, tolerance: float, least: Vecto
 
     def flow(t: float, x: Vector) -> Vector:
         if next(left, None) is None:
-            raise _TooFar
+            raise _TooManySteps
         u = admissible(phase.controls, segment.control(segment.tau(np.array([t]))).T, p)[:, 0]
         return np.array(phase.rates(list(x), list(u), p), dtype=float)
 
@@ -163,7 +170,7 @@ def _stepwise(phase: Phase, piece: _Fine, p: Any, tolerance: float, least: Vecto
             np.clip(segment.time(piece.at), segment.begin, segment.end),
             rtol=tolerance, atol=tolerance * np.maximum(np.abs(piece.x).max(axis=0), least),
         )  # fmt: skip
-    except _TooFar:
+    except _TooManySteps:
         return np.full(piece.x.shape[1], math.nan)
     if len(flown.t) != len(piece.at):  # SciPy gives no array where not one step succeeds
         return np.full(piece.x.shape[1], math.nan)

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.direct.segments import Sampler
-from perilune.problem.controls import control_scales, placed
+from perilune.problem.controls import control_scales, control_slices
 from perilune.problem.guess import fitting_guess
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -44,7 +44,7 @@ def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Ve
     if guess is not None:
         yield _from_solution(problem, fitting_guess(problem, guess))
         return
-    problem = trusted(problem)
+    problem = without_misleading_ends(problem)
     for stretch in STRETCHES if set(problem.duration_names) & set(problem.free_names) else (1.0,):
         free = {
             f.name: float(np.clip(f.typical * (stretch if f.name in problem.duration_names else 1.0), f.lower, f.upper))
@@ -57,7 +57,7 @@ def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Ve
         )
 
 
-def trusted(problem: Problem) -> Problem:
+def without_misleading_ends(problem: Problem) -> Problem:
     """Return the problem without its rough ends where these are worse than none.
 
     They are if they miss end conditions and bounds by more than a flight does that stays where it starts.
@@ -69,7 +69,7 @@ def trusted(problem: Problem) -> Problem:
     """
     if all(phase.typical_end is None for phase in problem.phases):
         return problem
-    if _ends_missed(problem, _rough_end) <= _ends_missed(problem, lambda phase, begin, p: begin):
+    if _ends_missed(problem, _end_guess) <= _ends_missed(problem, lambda phase, begin, p: begin):
         return problem
     bare = tuple(replace(phase, typical_end=None) for phase in problem.phases)
     return problem.changed(phases=bare, form=None)
@@ -80,7 +80,7 @@ def _ends_missed(problem: Problem, end_of: Callable[[Phase, Vector, Any], Vector
     p = problem.parameters({f.name: f.typical for f in problem.free})
     missed, before = 0.0, None
     for k, phase in enumerate(problem.phases):
-        before = end_of(phase, begin_of(problem, k, before, p), p)
+        before = end_of(phase, phase_start(problem, k, before, p), p)
         conditions = zip(phase.end_conditions, phase.evaluate("end", before, (), p), strict=True)
         missed += sum(
             abs(condition.missed(float(value), p)) / problem.size_of(condition) for condition, value in conditions
@@ -91,7 +91,7 @@ def _ends_missed(problem: Problem, end_of: Callable[[Phase, Vector, Any], Vector
     return missed
 
 
-def _rough_end(phase: Phase, begin: Vector, p: Any) -> Vector:
+def _end_guess(phase: Phase, begin: Vector, p: Any) -> Vector:
     """Return the guess of the state at the end of a phase [SI]; its begin, if none is stated."""
     if phase.typical_end is None:
         return begin
@@ -122,12 +122,12 @@ def _from_solution(problem: Problem, guess: Solution) -> tuple[Vector, list[Samp
     free = {f.name: float(getattr(guess.parameters, f.name, f.typical)) for f in problem.free}
     return (
         canonical_free(problem, free),
-        [_flown(t) for t in guess.trajectories],
+        [_trajectory_sampler(t) for t in guess.trajectories],
         f"start from {guess.method} solution",
     )
 
 
-def _flown(trajectory: Trajectory) -> Sampler:
+def _trajectory_sampler(trajectory: Trajectory) -> Sampler:
     def sample(fraction: Vector) -> tuple[Matrix, Matrix]:
         t = np.asarray(fraction) * trajectory.duration
         return trajectory.state(t), trajectory.control(t)
@@ -135,7 +135,7 @@ def _flown(trajectory: Trajectory) -> Sampler:
     return sample
 
 
-def begin_of(problem: Problem, k: int, before: Vector | None, p: Any) -> Vector:
+def phase_start(problem: Problem, k: int, before: Vector | None, p: Any) -> Vector:
     """Return the state at which phase k begins [SI].
 
     Parameters
@@ -157,30 +157,35 @@ def _straight_lines(problem: Problem, free: dict[str, float]) -> list[Sampler]:
     p = problem.parameters(free)
     if problem.rough_flight is not None:
         pictures = problem.rough_flight(p)
-        return [_along(problem, k, np.asarray(states, dtype=float), free) for k, states in enumerate(pictures)]
+        return [
+            _interpolating_sampler(problem, k, np.asarray(states, dtype=float), free)
+            for k, states in enumerate(pictures)
+        ]
     samplers: list[Sampler] = []
     before: Vector | None = None
     for k, phase in enumerate(problem.phases):
-        start = begin_of(problem, k, before, p)
-        before = _rough_end(phase, start, p)
-        samplers.append(_along(problem, k, np.array([start, before]), free))
+        start = phase_start(problem, k, before, p)
+        before = _end_guess(phase, start, p)
+        samplers.append(_interpolating_sampler(problem, k, np.array([start, before]), free))
     return samplers
 
 
-def _along(problem: Problem, k: int, states: Matrix, free: dict[str, float]) -> Sampler:
+def _interpolating_sampler(problem: Problem, k: int, states: Matrix, free: dict[str, float]) -> Sampler:
     """Interpolate states [SI] evenly apart along a phase by straight lines, with the controls that fit best."""
     phase, knots, times = problem.phases[k], np.linspace(0.0, 1.0, FITTED), np.linspace(0.0, 1.0, len(states))
     slopes = np.gradient(states, times, axis=0) / getattr(problem.parameters(free), phase.duration)
-    controls = _fitted_controls(problem, phase, _between(knots, times, states), _between(knots, times, slopes), free)
+    controls = _fitted_controls(
+        problem, phase, _interpolate_columns(knots, times, states), _interpolate_columns(knots, times, slopes), free
+    )
 
     def sample(fraction: Vector) -> tuple[Matrix, Matrix]:
         at = np.asarray(fraction)
-        return _between(at, times, states), _between(at, knots, controls)
+        return _interpolate_columns(at, times, states), _interpolate_columns(at, knots, controls)
 
     return sample
 
 
-def _between(at: Vector, times: Vector, values: Matrix) -> Matrix:
+def _interpolate_columns(at: Vector, times: Vector, values: Matrix) -> Matrix:
     """Interpolate columns of values linearly at times."""
     found = np.empty((len(at), values.shape[1]))
     for j, column in enumerate(values.T):
@@ -205,7 +210,7 @@ def _fitted_controls(problem: Problem, phase: Phase, states: Matrix, slope: Matr
     step = np.linalg.pinv(slopes[known], rcond=1e-10) @ wanted[known][:, :, None]
     found[known] += np.clip(step[:, :, 0], -reach, reach)
     controls = (found * u_scale).T
-    for here, control in placed(phase.controls):
+    for here, control in control_slices(phase.controls):
         controls[here] = control.rough(controls[here], problem.parameters({}))
     return controls.T
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from perilune.direct.first_guess import begin_of
+from perilune.direct.first_guess import phase_start
 from perilune.direct.segments import Sampler
 from perilune.problem.controls import admissible
 from perilune.problem.problem import Problem
@@ -26,7 +26,7 @@ WINDING = 2.5  # there and back is 2; a flight that goes through more of its ran
 SEGMENTS, NODES = 2.0, 8  # for each time that a flight goes through its range, and of each segment
 
 
-def flown_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> list[Sampler] | None:
+def simulate_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> list[Sampler] | None:
     """Fly each phase under the controls of other samplers; None where they cannot be flown to the end.
 
     Parameters
@@ -41,7 +41,7 @@ def flown_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> lis
     values = dict(zip(problem.free_names, (free * free_scales(problem.free, problem)).tolist(), strict=True))
     p, before, found = problem.parameters(values), None, list[Sampler]()
     for k, (phase, line) in enumerate(zip(problem.phases, lines, strict=True)):
-        begin, duration = begin_of(problem, k, before, p), float(getattr(p, phase.duration))
+        begin, duration = phase_start(problem, k, before, p), float(getattr(p, phase.duration))
 
         def flow(at: float, x: Vector, k: int = k, line: Sampler = line, duration: float = duration) -> Vector:
             u = admissible(problem.phases[k].controls, line(np.array([at]))[1].T, p)[:, 0]
@@ -62,7 +62,7 @@ def flown_guess(problem: Problem, free: Vector, lines: Sequence[Sampler]) -> lis
     return found
 
 
-def swings(guess: Sequence[Sampler]) -> tuple[float, ...]:
+def count_swings(guess: Sequence[Sampler]) -> tuple[float, ...]:
     """Return for each phase of a guess the largest total variation of a state relative to its range."""
     times = []
     for sample in guess:
@@ -74,9 +74,9 @@ def swings(guess: Sequence[Sampler]) -> tuple[float, ...]:
 
 def fitting_segments(guess: Sequence[Sampler]) -> tuple[int, ...]:
     """Return the segments of each phase that follow a guess."""
-    return tuple(max(1, math.ceil(SEGMENTS * t)) for t in swings(guess))
+    return tuple(max(1, math.ceil(SEGMENTS * t)) for t in count_swings(guess))
 
 
-def winds(guess: Sequence[Sampler]) -> bool:
+def winds_repeatedly(guess: Sequence[Sampler]) -> bool:
     """Return True if a guess goes through its range more often than there and back."""
-    return max(swings(guess)) > WINDING
+    return max(count_swings(guess)) > WINDING

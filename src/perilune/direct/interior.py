@@ -22,9 +22,9 @@ import casadi as ca
 import numpy as np
 
 from perilune.direct.assembly import Assembled
-from perilune.direct.reduced import Reduced, Weighed
+from perilune.direct.reduced import AddedWeights, ReducedEquations
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import at_work
+from perilune.words.watch import sign_of_life
 
 # First points keep this distance from a bound, or this part of the range between two.
 PUSH = 1e-2
@@ -43,7 +43,7 @@ APART = 1e10
 
 
 @dataclass(frozen=True, kw_only=True)
-class Posed:
+class PosedProgram:
     """A program with the numbers of one problem: given values, bounds of unknowns and rows.
 
     `states` are unknowns, `dynamics` the rows that determine them: in each of the `segments` of both from those before.
@@ -83,7 +83,7 @@ class _Point(NamedTuple):
     ranged: Vector
 
 
-class _Step(NamedTuple):
+class _InteriorPointStep(NamedTuple):
     """Changes of v and of the distances, and the new multipliers."""
 
     v: Vector
@@ -92,7 +92,7 @@ class _Step(NamedTuple):
     ranged: Vector
 
 
-def optimum(posed: Posed, w: Vector, iterations: int, tolerance: float) -> Optimum | None:
+def find_local_optimum(posed: PosedProgram, w: Vector, iterations: int, tolerance: float) -> Optimum | None:
     """Return the local optimum that the search reaches from w, or None.
 
     Parameters
@@ -111,15 +111,15 @@ def optimum(posed: Posed, w: Vector, iterations: int, tolerance: float) -> Optim
         return None
     with np.errstate(all="ignore"):  # what is no number ends the search
         try:
-            return _Search(posed, tolerance).run(w, iterations)
+            return _InteriorPointSearch(posed, tolerance).run(w, iterations)
         except ArithmeticError:
             return None
 
 
-class _Search:
+class _InteriorPointSearch:
     """The order of unknowns (states first) and equations (dynamics first), and what is evaluated in it."""
 
-    def __init__(self, posed: Posed, tolerance: float) -> None:
+    def __init__(self, posed: PosedProgram, tolerance: float) -> None:
         self.tolerance, self.segments, self.sizes = tolerance, posed.segments, posed.sizes
         others = posed.lower < posed.upper
         others[posed.states] = False
@@ -151,7 +151,7 @@ class _Search:
         here.curve(point.y, point.ranged)
         found, best, missed = None, self.tolerance, self.missed(point.v)
         for iteration in range(iterations + 1):
-            at_work(f"direct method: iteration {iteration} of the nonlinear program")
+            sign_of_life(f"direct method: iteration {iteration} of the nonlinear program")
             error, apart = self.errors(point)
             if max(error, apart) <= self.tolerance:
                 # The last step is worth its while: the multipliers of states become costates.
@@ -186,7 +186,7 @@ class _Search:
         pull = self.onto(self.sign * z)
         ranged = -pull[self.n :]
         slope = here.gradient - pull[: self.n] + here.pulled(np.zeros(len(self.equal)), ranged)
-        weighed = Weighed(np.ones(self.n), np.zeros(len(ranged)))
+        weighed = AddedWeights(np.ones(self.n), np.zeros(len(ranged)))
         found = self.reduced().step(None, weighed, np.column_stack([slope, slope]))
         y = np.zeros(len(self.equal)) if found is None else found[2][:, 1]
         y = y if np.abs(y).max() < LARGEST else np.zeros(len(y))
@@ -212,15 +212,15 @@ class _Search:
         """Return the sum of all violations."""
         return sum(float(part.sum()) for part in self.violations(self.here, v))
 
-    def reduced(self) -> Reduced:
+    def reduced(self) -> ReducedEquations:
         """Return the equations at the current point, solved for the states once."""
         here = self.here
         if here.reduced is None:
             c = here.g - self.wanted
-            here.reduced = Reduced(here.slopes, c, self.sizes, self.segments, self.directions_at)
+            here.reduced = ReducedEquations(here.slopes, c, self.sizes, self.segments, self.directions_at)
         return here.reduced
 
-    def directions(self, point: _Point) -> tuple[_Step, _Step] | None:
+    def directions(self, point: _Point) -> tuple[_InteriorPointStep, _InteriorPointStep] | None:
         """Return the affine step, and what each unit of mu adds to it."""
         here, n, d = self.here, self.n, point.d
         pull, sigma = self.onto(self.sign / d), self.onto(point.z / d)
@@ -228,7 +228,7 @@ class _Search:
         right[:, 0], right[:, 1] = here.gradient, -pull[:n]
         if len(missed):
             right += here.slopes[len(self.equal) :].T @ np.column_stack([sigma[n:] * missed, -pull[n:]])
-        found = self.reduced().step(here.H, Weighed(sigma[:n], sigma[n:]), right)
+        found = self.reduced().step(here.H, AddedWeights(sigma[:n], sigma[n:]), right)
         if found is None:
             return None
         dw, ds, y = found
@@ -237,28 +237,30 @@ class _Search:
         ranged[:, 1] -= pull[n:]
         dv = np.vstack([dw, ds])
         change = self.sign[:, None] * dv[self.at]
-        affine, by_mu = (_Step(dv[:, i], change[:, i], y[:, i], ranged[:, i]) for i in range(2))
+        affine, by_mu = (_InteriorPointStep(dv[:, i], change[:, i], y[:, i], ranged[:, i]) for i in range(2))
         return affine, by_mu
 
-    def centred(self, point: _Point, affine: _Step, by_mu: _Step) -> tuple[_Step, float]:
+    def centred(
+        self, point: _Point, affine: _InteriorPointStep, by_mu: _InteriorPointStep
+    ) -> tuple[_InteriorPointStep, float]:
         """Return the step with the barrier that the affine one asks for."""
         d, z = point.d, point.z
         if not len(d):
             return affine, 0.0
         now = float(d @ z) / len(d)
         change_z = -z - z / d * affine.d
-        primal, dual = _longest(d, affine.d, 1.0), _longest(z, change_z, 1.0)
+        primal, dual = _longest_positive_step(d, affine.d, 1.0), _longest_positive_step(z, change_z, 1.0)
         ahead = float((d + primal * affine.d) @ (z + dual * change_z)) / len(d)
         mu = max(min((ahead / now) ** 3, 1.0) * now, 0.1 * self.tolerance)
-        return _Step(*(a + mu * b for a, b in zip(affine, by_mu, strict=True))), mu
+        return _InteriorPointStep(*(a + mu * b for a, b in zip(affine, by_mu, strict=True))), mu
 
-    def moved(self, point: _Point, step: _Step, mu: float) -> _Point | None:
+    def moved(self, point: _Point, step: _InteriorPointStep, mu: float) -> _Point | None:
         """Return the next point, evaluated, by the longest part of the step that gains."""
         here, (v, d, z, y, ranged) = self.here, point
         change_z = mu / d - z - z / d * step.d
         stay = max(0.99, 1.0 - mu)
-        part = _longest(d, step.d, stay)
-        z = z + _longest(z, change_z, stay) * change_z
+        part = _longest_positive_step(d, step.d, stay)
+        z = z + _longest_positive_step(z, change_z, stay) * change_z
         before = self.missed(v)
         worth = here.objective - mu * float(np.log(d).sum())
         rounding = 10.0 * np.finfo(float).eps * max(1.0, abs(worth))
@@ -280,7 +282,7 @@ class _Search:
 class _Evaluated:
     """Values and derivatives at the current point, dense and in the order of the search."""
 
-    def __init__(self, posed: Posed, order: Vector, equal: Vector, ranged: Vector) -> None:
+    def __init__(self, posed: PosedProgram, order: Vector, equal: Vector, ranged: Vector) -> None:
         program, self.order, self.rows = posed.program, order, np.concatenate([equal, ranged])
         self._equations, n = len(equal), len(order)
         place, row = np.full(len(posed.lower), -1), np.empty(len(posed.low), dtype=int)
@@ -299,7 +301,7 @@ class _Evaluated:
         self._call.taken[1][:] = posed.given
         self._call.taken[2][:] = 1.0
         self.all = np.zeros(len(posed.lower))
-        self.reduced: Reduced | None = None
+        self.reduced: ReducedEquations | None = None
 
     def evaluate(self, w: Vector, y: Vector, ranged: Vector) -> None:
         """Evaluate J, rows and first derivatives at w, and the second ones of the Lagrangian."""
@@ -350,7 +352,7 @@ class _Call:
         return self._found
 
 
-def _longest(values: Vector, change: Vector, stay: float) -> float:
+def _longest_positive_step(values: Vector, change: Vector, stay: float) -> float:
     """Return the longest step, at most 1, that leaves positive values at least `1 - stay` of what they are."""
     ratio = change / values
     steepest = -float(ratio.min(initial=0.0))

@@ -146,7 +146,7 @@ def by_kind(layouts: tuple[Layout, ...], values: Vector) -> dict[tuple[int, str]
 
 
 @lru_cache(maxsize=64)
-def determined(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, list[slice]]:
+def determined_states(layouts: tuple[Layout, ...], free: int) -> tuple[Vector, Vector, list[slice]]:
     """Return unknowns that are states, rows that determine them when all else is known, and the segments of both.
 
     The first segment of a phase has its start too; of each the rows are as many as the states, and take those before

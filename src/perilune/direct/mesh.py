@@ -40,7 +40,7 @@ STATE_AT_BOUND = 1e-5
 REACH = 0.45
 
 
-def switches(phase: Phase, flown: Sequence[Segment], known: set[float], p: Any) -> list[float]:
+def find_switches(phase: Phase, flown: Sequence[Segment], known: set[float], p: Any) -> list[float]:
     """Return fractions of the phase where a control jumps or a bound is met or left, as far as points tell.
 
     What happens between two points that a `known` joint lies between happens there, and is not listed.
@@ -64,16 +64,16 @@ def switches(phase: Phase, flown: Sequence[Segment], known: set[float], p: Any) 
     control = np.concatenate([s.control.values for s in flown])
     state = np.concatenate([s.state(s.control.points) for s in flown])
     # Places in the order of the points: i + 1/2 is between point i and the next.
-    found = _met(state, [s.limits(p) for s in phase.states], STATE_AT_BOUND)
+    found = _bound_junctions(state, [s.limits(p) for s in phase.states], STATE_AT_BOUND)
     for at, bounded in scalars(phase.controls):
         if bounded.bounded:
             share = bounded.share(control[:, [at]], p)
-            found |= _met(share, [(0.0, 1.0)], AT_BOUND) | _jumps(share[:, 0])
+            found |= _bound_junctions(share, [(0.0, 1.0)], AT_BOUND) | _control_jumps(share[:, 0])
     between = {int(np.searchsorted(fraction, joint)) - 0.5 for joint in known}
     return np.interp(sorted(found - between), np.arange(len(fraction)), fraction).tolist()
 
 
-def _jumps(share: Vector) -> set[float]:
+def _control_jumps(share: Vector) -> set[float]:
     """Return places where a control jumps, from its share of its range; two jumps to one side are one, at a point."""
     change = np.diff(share)
     jump = np.where(np.abs(change) > SWITCH, np.sign(change), 0.0)
@@ -87,7 +87,7 @@ def _jumps(share: Vector) -> set[float]:
     return found
 
 
-def _met(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -> set[float]:
+def _bound_junctions(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -> set[float]:
     """Return places i + 1/2 where points i - 1, i lie at a bound and i + 1, i + 2 do not, or the other way round."""
     found: set[float] = set()
     for value, (lower, upper) in zip(values.T, limits, strict=True):
@@ -98,7 +98,7 @@ def _met(values: Matrix, limits: Sequence[tuple[float, float]], within: float) -
     return found
 
 
-def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix, tolerance: float, p: Any) -> Mesh:
+def refine_mesh(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix, tolerance: float, p: Any) -> Mesh:
     """Refine the mesh of a phase for the next solve, by the errors of the last one.
 
     The mesh of a phase without length, which the optimum does without, stays as it is.
@@ -121,7 +121,7 @@ def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix
         return mesh
     joints = [0.0] + [(s.end - begin) / total for s in flown[:-1]] + [1.0]
     movable = {j for j, reach in zip(joints[1:-1], mesh.free, strict=True) if reach > 0}
-    at_switches = switches(phase, flown, movable, p)
+    at_switches = find_switches(phase, flown, movable, p)
     new_joints, new_degrees = [0.0], []
     for a, b, segment, error in zip(joints[:-1], joints[1:], flown, relative.max(axis=1), strict=True):
         degree = len(segment.control.points)
@@ -133,18 +133,18 @@ def refined(phase: Phase, mesh: Mesh, flown: Sequence[Segment], relative: Matrix
             degrees = [max(SWITCHED_DEGREE, math.ceil(degree / len(pieces)))] * len(pieces)
             movable |= set(inside)
         else:
-            pieces, degrees = _enriched(a, b, segment, float(error), tolerance)
+            pieces, degrees = _enrich_segment(a, b, segment, float(error), tolerance)
         new_joints += pieces
         new_degrees += degrees
     return Mesh(
         degrees=tuple(new_degrees),
         joints=tuple(new_joints),
-        free=_reaches(new_joints, movable),
-        pinned=_pins(phase, flown, new_joints, movable, p),
+        free=_joint_reaches(new_joints, movable),
+        pinned=_pinned_bounds(phase, flown, new_joints, movable, p),
     )
 
 
-def _pins(
+def _pinned_bounds(
     phase: Phase, flown: Sequence[Segment], joints: Sequence[float], movable: set[float], p: Any
 ) -> tuple[tuple[int, ...], ...]:
     """Return the bound at which each segment next to a free joint holds each bounded control: that of its middle."""
@@ -166,7 +166,9 @@ def _pins(
     return tuple(pins)
 
 
-def _enriched(a: float, b: float, segment: Segment, error: float, tolerance: float) -> tuple[list[float], list[int]]:
+def _enrich_segment(
+    a: float, b: float, segment: Segment, error: float, tolerance: float
+) -> tuple[list[float], list[int]]:
     degree = len(segment.control.points)
     more = math.log10(min(error, 1.0) / tolerance) / max(decay_rate(segment), 1e-3)
     raised = degree + max(2, math.ceil(more))
@@ -192,7 +194,7 @@ def decay_rate(segment: Segment) -> float:
     return slowest if math.isfinite(slowest) else 1.0
 
 
-def _reaches(joints: Sequence[float], movable: set[float]) -> tuple[float, ...]:
+def _joint_reaches(joints: Sequence[float], movable: set[float]) -> tuple[float, ...]:
     return tuple(
         REACH * min(joints[i] - joints[i - 1], joints[i + 1] - joints[i]) if joints[i] in movable else 0.0
         for i in range(1, len(joints) - 1)

@@ -30,17 +30,26 @@ from typing import Any, TextIO
 import casadi as ca
 import numpy as np
 
-from perilune.direct.assembly import Assembled, assembled
-from perilune.direct.blocks import blocks
+from perilune.direct.assembly import Assembled, assemble_program
+from perilune.direct.blocks import phase_blocks
 from perilune.direct.collocation import Mesh, Scheme
-from perilune.direct.interior import Optimum, Posed, optimum
-from perilune.direct.layout import Layout, PhaseValues, by_kind, determined, layout_of, packed, unit_lengths, unpacked
+from perilune.direct.interior import Optimum, PosedProgram, find_local_optimum
+from perilune.direct.layout import (
+    Layout,
+    PhaseValues,
+    by_kind,
+    determined_states,
+    layout_of,
+    packed,
+    unit_lengths,
+    unpacked,
+)
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.symbolic import Unnumbered, canonical_given, free_scales, state_scales
 from perilune.problem.variables import Variable
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import at_work
+from perilune.words.watch import sign_of_life
 
 # State values up to which the dense search of our own is quicker than IPOPT, and iterations after which it is given up.
 MODERATE, PATIENCE = 160, 50
@@ -48,7 +57,7 @@ SUCCESS = "Solve_Succeeded"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class ProgramSolution:
     """The result of a solve, in canonical units.
 
     `free` are the free parameters, `phases` the values, `rows` the multipliers and `residuals` the
@@ -92,7 +101,7 @@ _CLOSE = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Program:
+class TranscribedProgram:
     """A problem's NLP on given meshes. `meshes` are not part of the compiled program except their degrees."""
 
     problem: Problem
@@ -115,7 +124,7 @@ class Program:
         tolerance: float,
         nearest: bool = False,
         close: bool = False,
-    ) -> Answer:
+    ) -> ProgramSolution:
         """Solve from a first guess in canonical units, which lies `close` to the answer or anywhere.
 
         With `nearest` the end and path conditions are not held; what they miss by is minimised instead of J: the sum
@@ -130,24 +139,31 @@ class Program:
         lower, upper = self._bounds()
         start = np.concatenate([free, *(packed(g) for g in guesses)])
         misses = sum(layout.path + 2 * layout.end for layout in self.layouts) if nearest else 0
-        states, dynamics, segments = determined(self.layouts, len(free))
-        posed = Posed(
-            program=_assembled(Unnumbered(self.problem), self.layouts, nearest), given=canonical_given(self.problem),
-            lower=np.append(lower, np.zeros(misses)), upper=np.append(upper, np.full(misses, math.inf)),
-            low=low, high=high, states=states, dynamics=dynamics, segments=segments, sizes=_sizes(guesses),
+        states, dynamics, segments = determined_states(self.layouts, len(free))
+        posed = PosedProgram(
+            program=_assemble_blocks(Unnumbered(self.problem), self.layouts, nearest),
+            given=canonical_given(self.problem),
+            lower=np.append(lower, np.zeros(misses)),
+            upper=np.append(upper, np.full(misses, math.inf)),
+            low=low,
+            high=high,
+            states=states,
+            dynamics=dynamics,
+            segments=segments,
+            sizes=_state_magnitudes(guesses),
             lengths=unit_lengths(self.layouts, len(free)),
-        )  # fmt: skip
+        )
         first = np.append(np.clip(start, lower, upper), np.full(misses, 0.1))
         found = None
         if len(states) <= MODERATE and not nearest and not close:
-            found, status = optimum(posed, first, min(iterations, PATIENCE), tolerance), SUCCESS
+            found, status = find_local_optimum(posed, first, min(iterations, PATIENCE), tolerance), SUCCESS
         if found is None:
             key = Unnumbered(self.problem), self.layouts, iterations, tolerance, nearest, close
             found, status = _solver(*key)(posed, first)
         w, missed = np.split(found.w, [len(start)])
         g = found.rows - self._lent(missed) if nearest else found.rows
         violation = np.maximum(low - g, 0.0) + np.maximum(g - high, 0.0)
-        return Answer(
+        return ProgramSolution(
             status=status,
             iterations=found.iterations,
             objective=found.objective,
@@ -192,7 +208,7 @@ class Program:
         return lower, upper
 
 
-def _sizes(guesses: tuple[PhaseValues, ...]) -> Vector:
+def _state_magnitudes(guesses: tuple[PhaseValues, ...]) -> Vector:
     """Return for every state value how large that state is along its phase, or 1."""
     found = []
     for values in guesses:
@@ -227,7 +243,7 @@ def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> 
     return np.array(rows).reshape(mesh.nodes, len(both))
 
 
-class _Lines(io.StringIO):
+class _WholeLines(io.StringIO):
     """Whole lines to a stream, which come in pieces; without CasADi's line for Ctrl-C, as there is one of ours."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -246,12 +262,12 @@ class _Lines(io.StringIO):
 
 
 @contextmanager
-def _told_in_our_words() -> Iterator[None]:
+def _rewrite_interrupt_messages() -> Iterator[None]:
     """Rewrite the interrupt messages on standard error, in the main thread, the only one that Ctrl-C reaches."""
     if current_thread() is not main_thread():
         yield
         return
-    lines = _Lines(sys.stderr)
+    lines = _WholeLines(sys.stderr)
     try:
         with redirect_stderr(lines):
             yield
@@ -259,7 +275,7 @@ def _told_in_our_words() -> Iterator[None]:
         sys.stderr.write(lines.getvalue())
 
 
-class _Alive(ca.Callback):
+class _IterationCallback(ca.Callback):
     """A sign of life at each iteration of IPOPT; what it raises is raised again when IPOPT has ended."""
 
     def __init__(self, unknowns: int, rows: int, given: int) -> None:
@@ -287,7 +303,7 @@ class _Alive(ca.Callback):
     def eval(self, arg: Any) -> list[int]:
         self.count += 1
         try:
-            at_work(f"direct method: iteration {self.count} of the nonlinear program")
+            sign_of_life(f"direct method: iteration {self.count} of the nonlinear program")
         except BaseException as error:
             self.raised = error
         return [int(self.raised is not None)]
@@ -298,10 +314,10 @@ class _Solver:
     """A compiled program; what it reports of its last run holds as long as one thread at a time uses it."""
 
     function: ca.Function
-    alive: _Alive
+    alive: _IterationCallback
     lock: Lock
 
-    def __call__(self, posed: Posed, first: Vector) -> tuple[Optimum, str]:
+    def __call__(self, posed: PosedProgram, first: Vector) -> tuple[Optimum, str]:
         """Return the point that IPOPT reaches from the first values, and its status.
 
         Raises
@@ -309,7 +325,7 @@ class _Solver:
         KeyboardInterrupt
             If the user stopped it.
         """
-        with self.lock, _told_in_our_words():
+        with self.lock, _rewrite_interrupt_messages():
             self.alive.raised, self.alive.count = None, 0
             out = self.function(
                 x0=first, p=posed.given, lbx=posed.lower, ubx=posed.upper, lbg=posed.low, ubg=posed.high
@@ -325,8 +341,8 @@ class _Solver:
 
 
 @lru_cache(maxsize=64)
-def _assembled(unnumbered: Unnumbered, layouts: tuple[Layout, ...], nearest: bool) -> Assembled:
-    return assembled(layouts, blocks(unnumbered), len(unnumbered.stated.free), nearest)
+def _assemble_blocks(unnumbered: Unnumbered, layouts: tuple[Layout, ...], nearest: bool) -> Assembled:
+    return assemble_program(layouts, phase_blocks(unnumbered), len(unnumbered.stated.free), nearest)
 
 
 @lru_cache(maxsize=64)
@@ -334,9 +350,9 @@ def _solver(
     unnumbered: Unnumbered, layouts: tuple[Layout, ...], iterations: int, tolerance: float, nearest: bool, close: bool
 ) -> _Solver:
     """Compile the program: its cache is what makes the second solve of the same physics cheap."""
-    program = _assembled(unnumbered, layouts, nearest)
+    program = _assemble_blocks(unnumbered, layouts, nearest)
     value = program.value
-    alive = _Alive(value.size1_in("x"), value.size1_out("g"), value.size1_in("p"))
+    alive = _IterationCallback(value.size1_in("x"), value.size1_out("g"), value.size1_in("p"))
     options = {
         "iteration_callback": alive,
         "print_time": False,

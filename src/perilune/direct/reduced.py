@@ -29,7 +29,7 @@ SHORT = 1e-6
 LEAST, STEEPER, LARGER = 1e-4, 8.0, 12
 
 
-class Chain:
+class BlockFactors:
     """The factors of a lower block triangular matrix, whose rows and columns have these sizes.
 
     Pivots are chosen between rows relative to what they are about: a state in absurd units does not spoil the others.
@@ -75,7 +75,7 @@ class Chain:
         return found
 
 
-class Lengths:
+class LengthEquations:
     """Equations, one for each direction, in only its components: the largest of these from the others.
 
     Parameters
@@ -102,14 +102,14 @@ class Lengths:
         self.columns, self.parts, self.rest = columns, -slopes / self.slope[:, None], -values / self.slope
 
 
-class Weighed(NamedTuple):
+class AddedWeights(NamedTuple):
     """Weights added to the second derivatives H: of the unknowns themselves, and of the ranges."""
 
     unknowns: Vector
     ranges: Vector
 
 
-class Reduced:
+class ReducedEquations:
     """The equations at a point, solved for the states.
 
     Parameters
@@ -128,13 +128,15 @@ class Reduced:
         self, slopes: Matrix, c: Vector, sizes: Vector, blocks: Sequence[slice], directions: Sequence[Matrix] = ()
     ) -> None:
         m, n = blocks[-1].stop, slopes.shape[1]
-        self.chain, self.slopes, self.m = Chain(slopes[:m, :m], sizes, blocks), slopes, m
-        self.lengths = list[Lengths]()
+        self.chain, self.slopes, self.m = BlockFactors(slopes[:m, :m], sizes, blocks), slopes, m
+        self.lengths = list[LengthEquations]()
         at = m
         for columns in directions:
             rows = slice(at, at + len(columns))
             at = rows.stop
-            self.lengths.append(Lengths(slopes[np.arange(rows.start, at)[:, None], columns], c[rows], columns - m))
+            self.lengths.append(
+                LengthEquations(slopes[np.arange(rows.start, at)[:, None], columns], c[rows], columns - m)
+            )
         left = self._left(n - m)
         right = slopes[:m, m:] @ left
         right[:, -1] += c[:m]
@@ -161,7 +163,7 @@ class Reduced:
             found[lengths.of, -1] = lengths.rest
         return found
 
-    def step(self, H: Any, weighed: Weighed, right: Matrix) -> tuple[Matrix, Matrix, Matrix] | None:
+    def step(self, H: Any, weighed: AddedWeights, right: Matrix) -> tuple[Matrix, Matrix, Matrix] | None:
         """Return two steps side by side, one for A dw = -c and one for A dw = 0, each with a column of `right`.
 
         Parameters
@@ -193,7 +195,7 @@ class Reduced:
         more, larger = 0.0, LEAST
         while True:
             factor, places, failed = _sytrf(small)
-            if not failed and negative(factor, places) == rows:
+            if not failed and count_negative_eigenvalues(factor, places) == rows:
                 break
             if larger > LEAST * STEEPER**LARGER:
                 return None
@@ -221,7 +223,7 @@ class Reduced:
             yield -(slope[of] + self.slopes[: self.m, of].T @ y) / lengths.slope[:, None]
 
 
-def negative(factor: Matrix, places: Vector) -> int:
+def count_negative_eigenvalues(factor: Matrix, places: Vector) -> int:
     """Count negative eigenvalues of a symmetric matrix from its factors: two rows pivoted together have one.
 
     Parameters

@@ -19,7 +19,7 @@ import numpy as np
 
 from perilune.direct.collocation import Polynomial, Rule
 from perilune.direct.layout import PhaseValues
-from perilune.direct.nlp import Answer, Program
+from perilune.direct.nlp import ProgramSolution, TranscribedProgram
 from perilune.problem.controls import admissible, admissible_rates, control_scales
 from perilune.problem.nodes import hermite_nodes
 from perilune.problem.phase import Phase
@@ -66,7 +66,7 @@ def _costate(r: Rule, rows: dict[str, Vector], states: int, segment: int, node: 
     return Polynomial(points=np.append(r.points, 1.0), values=np.vstack([inner, end]))
 
 
-def flown_segments(program: Program, answer: Answer) -> list[list[Segment]]:
+def flown_segments(program: TranscribedProgram, answer: ProgramSolution) -> list[list[Segment]]:
     """Return segments of every phase in SI, with costates in J per unit."""
     problem, found = program.problem, []
     p = problem.parameters(answer.free_si(problem))
@@ -110,7 +110,7 @@ def sampler(flown: Sequence[Segment]) -> Sampler:
     return sample
 
 
-def sampled(program: Program, samplers: Sequence[Sampler]) -> tuple[PhaseValues, ...]:
+def sample_guess(program: TranscribedProgram, samplers: Sequence[Sampler]) -> tuple[PhaseValues, ...]:
     """Return the first values of a program's unknowns from one sampler for each phase.
 
     Parameters
@@ -139,7 +139,7 @@ def sampled(program: Program, samplers: Sequence[Sampler]) -> tuple[PhaseValues,
     return tuple(found)
 
 
-def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: float) -> Trajectory:
+def interpolate_segments(problem: Problem, k: int, flown: Sequence[Segment], tolerance: float) -> Trajectory:
     """Return curves of phase k, interpolated within `tolerance` (canonical; costates ten times that).
 
     A joint at which a curve is not smooth is there twice, with the values of either side.
@@ -162,7 +162,7 @@ def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: fl
     )
     # A free joint may have moved all the way to the next.
     lasting = [segment for segment in flown if segment.end > segment.begin] or flown[:1]
-    pieces = [_nodes(phase, segment, fine, problem.parameters({})) for segment in lasting]
+    pieces = [_hermite_segment_nodes(phase, segment, fine, problem.parameters({})) for segment in lasting]
     time = np.concatenate([t for t, _, _ in pieces])
     values, rates = (np.concatenate([piece[i] for piece in pieces]) for i in (1, 2))
     keep = np.ones(len(time), dtype=bool)
@@ -178,7 +178,7 @@ def trajectory(problem: Problem, k: int, flown: Sequence[Segment], tolerance: fl
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
 
 
-def _nodes(phase: Phase, segment: Segment, fine: Vector, p: Any) -> tuple[Vector, Matrix, Matrix]:
+def _hermite_segment_nodes(phase: Phase, segment: Segment, fine: Vector, p: Any) -> tuple[Vector, Matrix, Matrix]:
     """Return times, values and rates of state, costate and control along one segment."""
     slope = 2.0 / (segment.end - segment.begin or 1.0)
     parts = (segment.state, segment.costate, segment.control)

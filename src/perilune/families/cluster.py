@@ -19,7 +19,7 @@ from socket import create_connection
 from typing import Any
 
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import silent
+from perilune.words.watch import ignore_events
 
 _PATIENCE = 10  # seconds, for a scheduler that does not answer
 _LOOK = 5.0  # seconds between looks whether there are workers
@@ -27,7 +27,7 @@ _ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?(?P<host>[\w.-]{1,253}|\[[0-9a-fA-
 
 
 class Cluster:
-    """Dask client as an executor that `perilune.families.elsewhere.answers` takes.
+    """Dask client as an executor that `perilune.families.elsewhere.run_on_executor` takes.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Cluster:
         Receives a line when there is no worker left that could compute.
     """
 
-    def __init__(self, client: Any, tell: Callable[[str], None] = silent) -> None:
+    def __init__(self, client: Any, tell: Callable[[str], None] = ignore_events) -> None:
         self.client, self._tell = client, tell
         self._look, self._there = time.monotonic() + _LOOK, True
 
@@ -81,7 +81,7 @@ class _Future:
 
 
 @contextmanager
-def cluster(address: str, tell: Callable[[str], None] = silent) -> Iterator[Cluster]:
+def cluster(address: str, tell: Callable[[str], None] = ignore_events) -> Iterator[Cluster]:
     """Connect to the cluster of a scheduler for the block.
 
     Parameters
@@ -102,17 +102,17 @@ def cluster(address: str, tell: Callable[[str], None] = silent) -> Iterator[Clus
         raise PeriluneError(
             "a scheduler needs Dask distributed, which is not installed", advice="pip install 'perilune[cluster]'"
         ) from None
-    _refuse_silent(address)
+    _refuse_unreachable_scheduler(address)
     try:
         client = Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise _silent(address, str(error)) from error
-    with _quiet(), client:
+        raise _no_scheduler_error(address, str(error)) from error
+    with _reword_connection_errors(), client:
         yield Cluster(client, tell)
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _reword_connection_errors() -> Iterator[None]:
     """Silence Dask's own log of broken connections for the block; errors here report them."""
     levels = [(log := logging.getLogger(name), log.level) for name in ("distributed", "distributed.client")]
     for log, _ in levels:
@@ -124,18 +124,18 @@ def _quiet() -> Iterator[None]:
             log.setLevel(level)
 
 
-def _refuse_silent(address: str) -> None:
+def _refuse_unreachable_scheduler(address: str) -> None:
     """Refuse an address at which nobody listens, before a client waits for it and reports its own error."""
     found = _ADDRESS.fullmatch(address)
     if found is None:
-        raise _silent(address, "no such address")
+        raise _no_scheduler_error(address, "no such address")
     try:
         create_connection((found["host"].strip("[]"), int(found["port"])), timeout=_PATIENCE).close()
     except (OSError, OverflowError) as error:
-        raise _silent(address, str(error)) from error
+        raise _no_scheduler_error(address, str(error)) from error
 
 
-def _silent(address: str, why: str) -> PeriluneError:
+def _no_scheduler_error(address: str, why: str) -> PeriluneError:
     return PeriluneError(
         "no scheduler answers", got=f"{address[:80]}: {why[:120]}",
         expected="the address of a scheduler that runs: tcp://HOST:PORT",

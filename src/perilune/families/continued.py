@@ -13,8 +13,8 @@ from perilune.methods.indirect import Indirect
 from perilune.methods.search import Search
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.shooting.active import Limits
-from perilune.shooting.continuation import Member, follow
+from perilune.shooting.active import ActiveSetBounds
+from perilune.shooting.continuation import Member, follow_family
 from perilune.shooting.function import Root
 from perilune.words.types import Vector
 from perilune.words.watch import Watch
@@ -31,7 +31,7 @@ class Continuation:
         """Reset: the member before has no answer."""
         self.base: Member | None = None
         self.before = 0.0
-        self.limits: Limits | None = None
+        self.limits: ActiveSetBounds | None = None
 
     def solve(self, problem: Problem, watch: Watch) -> Solution:
         """Solve a member by continuation from the base extremal, or by the whole ladder without one; unverified."""
@@ -65,5 +65,5 @@ class Continuation:
             step = 1e-6 * max(abs(value), abs(target - before))  # a central difference of the residual
             return search.trials.shooting.shift(root, numbers(value + step), numbers(value - step)) / (2 * step)
 
-        reached = next(iter(follow(Member(value=before, root=base.root), [target], correct, tangent)))
+        reached = next(iter(follow_family(Member(value=before, root=base.root), [target], correct, tangent)))
         return None if reached is None else Member(value=base.value, root=reached.root)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perilune.families.family import Family
-from perilune.io.columns import spoken
-from perilune.io.exports.table import Field
+from perilune.io.columns import display_unit
+from perilune.io.exports.table import FlightColumn
 from perilune.io.exports.tabular import cf_unit, missing_package
 from perilune.problem.solution import Solution
 from perilune.words.types import Vector
@@ -76,23 +76,23 @@ def family_dataset(family: Family) -> xarray.Dataset:
     axes, placed = parameter_fields(family), grid_of(family)
     if placed is None:
         dimensions, shape, order = (POINT,), (len(family.points),), np.arange(len(family.points))
-        coordinates = {f.name: ((POINT,), f.values, _attributes(f)) for f in axes}
+        coordinates = {f.name: ((POINT,), f.values, _cf_attributes(f)) for f in axes}
     else:
         dimensions, shape, order = family.parameters, placed.shape, placed.ravel()
         coordinates = {
-            f.name: ((f.name,), np.moveaxis(f.values[placed], k, 0).reshape(shape[k], -1)[:, 0], _attributes(f))
+            f.name: ((f.name,), np.moveaxis(f.values[placed], k, 0).reshape(shape[k], -1)[:, 0], _cf_attributes(f))
             for k, f in enumerate(axes)
         }
 
     def arranged(values: np.ndarray) -> np.ndarray:
         return values[order].reshape(shape)
 
-    variables = {f.name: (dimensions, arranged(f.values), _attributes(f)) for f in result_fields(family)}
+    variables = {f.name: (dimensions, arranged(f.values), _cf_attributes(f)) for f in result_fields(family)}
     variables |= {
         name: (dimensions, arranged(np.array(values)), {"long_name": name.replace("_", " ")})
         for name, values in _endings(family).items()
     }
-    variables |= {f.name: ((), f.values[0], _attributes(f)) for f in given_fields(family) if f.name not in variables}
+    variables |= {f.name: ((), f.values[0], _cf_attributes(f)) for f in given_fields(family) if f.name not in variables}
     about = {"problem": family.problem.name, "title": family.problem.heading, "notes": "; ".join(family.notes)}
     return xarray.Dataset(variables, coordinates, about)
 
@@ -111,7 +111,7 @@ def grid_of(family: Family) -> np.ndarray | None:
     return placed
 
 
-def parameter_fields(family: Family) -> list[Field]:
+def parameter_fields(family: Family) -> list[FlightColumn]:
     """Return the varied parameters, at each member."""
     columns = list(zip(*(p.values for p in family.points), strict=True)) or [()] * len(family.parameters)
     return [
@@ -120,7 +120,7 @@ def parameter_fields(family: Family) -> list[Field]:
     ]
 
 
-def result_fields(family: Family) -> list[Field]:
+def result_fields(family: Family) -> list[FlightColumn]:
     """Return free parameters and results, at each member; NaN where it has no solution.
 
     One with the name of a parameter of the family has ``_result`` appended.
@@ -128,7 +128,7 @@ def result_fields(family: Family) -> list[Field]:
     known: dict[str, tuple[str, str, Callable[[Solution], float]]] = {}
     for solution in (p.solution for p in family.points if p.solution is not None):
         for name, result in solution.results.items():
-            known.setdefault(name, (result.unit, result.description, lambda s, n=name: _value(s, n)))
+            known.setdefault(name, (result.unit, result.description, lambda s, n=name: _result_value(s, n)))
         for name in solution.free:
             known.setdefault(
                 name, (solution.problem.unit_of(name), "chosen", lambda s, n=name: s.free.get(n, math.nan))
@@ -140,7 +140,7 @@ def result_fields(family: Family) -> list[Field]:
     ]  # fmt: skip
 
 
-def given_fields(family: Family) -> list[Field]:
+def given_fields(family: Family) -> list[FlightColumn]:
     """Return the given parameters that are not varied and equal in all members with a solution."""
     problems = [p.solution.problem for p in family.points if p.solution is not None] or [family.problem]
     return [
@@ -151,15 +151,15 @@ def given_fields(family: Family) -> list[Field]:
     ]
 
 
-def _value(solution: Solution, name: str) -> float:
+def _result_value(solution: Solution, name: str) -> float:
     result = solution.results.get(name)
     return math.nan if result is None else float(result.value)
 
 
-def _field(name: str, unit: str, values: Vector, about: str, taken: tuple[str, ...]) -> Field:
-    factor, unit = spoken(unit)
+def _field(name: str, unit: str, values: Vector, about: str, taken: tuple[str, ...]) -> FlightColumn:
+    factor, unit = display_unit(unit)
     called = f"{name}_result" if name in taken else name
-    return Field(name=called, unit=unit, about=about or name.replace("_", " "), values=factor * values)
+    return FlightColumn(name=called, unit=unit, about=about or name.replace("_", " "), values=factor * values)
 
 
 def _endings(family: Family) -> dict[str, list[Any]]:
@@ -172,5 +172,5 @@ def _endings(family: Family) -> dict[str, list[Any]]:
     }
 
 
-def _attributes(f: Field) -> dict[str, str]:
+def _cf_attributes(f: FlightColumn) -> dict[str, str]:
     return {"units": cf_unit(f.unit), "long_name": f.about}

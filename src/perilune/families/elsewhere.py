@@ -37,7 +37,9 @@ class Waits(Protocol):
         """Called again and again while nothing comes back."""
 
 
-def answers(executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = _AHEAD) -> Iterator[tuple[Name, Any]]:
+def run_on_executor(
+    executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = _AHEAD
+) -> Iterator[tuple[Name, Any]]:
     """Yield the name and result of each call in the order of completion; `ahead` calls are begun at once.
 
     Parameters
@@ -71,7 +73,7 @@ def answers(executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = 
             future.cancel()
 
 
-def here(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
+def run_serially(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
     """Yield the name and result of each call, made here one after the other."""
     for name, (function, *arguments) in calls:
         yield name, function(*arguments)
@@ -86,7 +88,7 @@ def begin_processes(executor: Submits | None, call: Call) -> None:
 
 
 @contextmanager
-def deaf() -> Iterator[None]:
+def ignore_interrupt_in_children() -> Iterator[None]:
     """Let processes that begin in the block ignore Ctrl-C, which the terminal sends to all; the program ends them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -110,7 +112,7 @@ def end_with_parent() -> None:
     Thread(target=watch, daemon=True).start()
 
 
-def told_of_loss(answers: Iterator[Kind]) -> Iterator[Kind]:
+def report_lost_worker(answers: Iterator[Kind]) -> Iterator[Kind]:
     """Yield the same answers; report a lost worker by a `PeriluneError`."""
     try:
         yield from answers

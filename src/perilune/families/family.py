@@ -11,11 +11,11 @@ import numpy as np
 
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.words.asked import called_in_words, refused
+from perilune.words.asked import check_call, wrong_type_error
 from perilune.words.declared import parameter_name
-from perilune.words.face import method
+from perilune.words.face import method_function
 from perilune.words.outcome import Outcome, PeriluneError, unknown_name
-from perilune.words.units import told_range
+from perilune.words.units import format_value_range
 
 if TYPE_CHECKING:
     import pandas
@@ -27,7 +27,7 @@ Over = Mapping[str, Sequence[float]] | Sequence[Mapping[str, float]]
 _FAILURES = {outcome.exit_code: outcome for outcome in (Outcome.NOT_CONVERGED, Outcome.INFEASIBLE, Outcome.REFUSED)}
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class FamilyPoint:
     """Member of a family: the parameters' values in SI, and the solution, or `failure` and `message` without one."""
@@ -71,7 +71,7 @@ def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint
     return FamilyPoint(values=values, solution=None, message=str(error), failure=_FAILURES[error.exit_code])
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Family:
     """Solutions along some parameters, in the order that was asked for.
@@ -99,7 +99,9 @@ class Family:
     def __repr__(self) -> str:
         values = zip(*(point.values for point in self.points), strict=True)
         along = zip(self.parameters, self.units, values, strict=False)  # of none where nothing was done
-        ranges = "; ".join(f"{name} {told_range(of, unit)}" for name, unit, of in along) or ", ".join(self.parameters)
+        ranges = "; ".join(f"{name} {format_value_range(of, unit)}" for name, unit, of in along) or ", ".join(
+            self.parameters
+        )
         solved = sum(point.solution is not None for point in self.points)
         left = ", interrupted" if self.interrupted else ""
         return f"<Family of {self.problem.name}: {ranges}; {solved} of {len(self.points)} members solved{left}>"
@@ -121,7 +123,7 @@ class Family:
         (only,) = self.units
         return only
 
-    @called_in_words
+    @check_call
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the members as rows of a frame of pandas; see `perilune.families.datasets.family_frame`.
 
@@ -133,9 +135,9 @@ class Family:
         PeriluneError
             If pandas is not installed.
         """
-        return method("family_frame")(self)
+        return method_function("family_frame")(self)
 
-    @called_in_words
+    @check_call
     def to_xarray(self) -> xarray.Dataset:
         """Return the members as a data set of xarray; see `perilune.families.datasets.family_dataset`.
 
@@ -146,10 +148,10 @@ class Family:
         PeriluneError
             If xarray is not installed.
         """
-        return method("family_dataset")(self)
+        return method_function("family_dataset")(self)
 
 
-def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:
+def member_values(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:
     """Return the names of the parameters and the values of every member; in a grid the last one changes fastest.
 
     Raises
@@ -161,15 +163,17 @@ def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[flo
         names = [_parameter(problem, name) for name in over]
         for name, values in over.items():
             if isinstance(values, str) or not isinstance(values, Iterable):
-                raise refused(values, "a list of numbers in SI", f"what {name} can be swept over")
+                raise wrong_type_error(values, "a list of numbers in SI", f"what {name} can be swept over")
         rows = list(product(*(list(values) for values in over.values())))
     elif isinstance(over, str) or not isinstance(over, Iterable):
-        raise refused(over, "{name: values} of each, or a list of {name: value, ...}", "what can be swept over")
+        raise wrong_type_error(
+            over, "{name: values} of each, or a list of {name: value, ...}", "what can be swept over"
+        )
     else:
         over = list(over)
         for point in over:
             if not isinstance(point, Mapping):
-                raise refused(point, "{name: value, ...}", "a point of a family")
+                raise wrong_type_error(point, "{name: value, ...}", "a point of a family")
         points = [{_parameter(problem, name): v for name, v in point.items()} for point in over]
         names = list(points[0]) if points else []
         if any(point.keys() != set(names) for point in points):
@@ -193,7 +197,7 @@ def asked(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[flo
 def _parameter(problem: Problem, name: Any) -> str:
     """Return the parameter of a name, in which a dot may stand for an underscore."""
     if not isinstance(name, str):
-        raise refused(name, "a text", "the name of a parameter")
+        raise wrong_type_error(name, "a text", "the name of a parameter")
     name, known = parameter_name(name), sorted({*problem.given, *problem.free_names})
     if name not in known:
         raise unknown_name("parameter", name, known)

@@ -13,19 +13,19 @@ from functools import cached_property
 from itertools import chain
 
 from perilune.families.continued import Continuation
-from perilune.families.elsewhere import Call, Submits, answers, here, told_of_loss
+from perilune.families.elsewhere import Call, Submits, report_lost_worker, run_on_executor, run_serially
 from perilune.families.family import FamilyPoint, failed_point
 from perilune.methods.indirect import Indirect
 from perilune.methods.method import Method
-from perilune.problem.preflight import Finding, member, preflight, refuse_impossible
+from perilune.problem.preflight import Finding, preflight, refuse_impossible, select_findings
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import Verification
 from perilune.problem.wording import free_name
-from perilune.solve import ended_in_time, judged, prove, solve, verify
+from perilune.solve import ended_in_time, prove, solve, verify, with_verification
 from perilune.words.outcome import Outcome, PeriluneError
-from perilune.words.units import told
+from perilune.words.units import format_quantity
 from perilune.words.watch import Watch
 
 Found = Iterator[tuple[int, FamilyPoint]]
@@ -60,7 +60,7 @@ class Members:
         """Yield each of the members `todo` with its number, as soon as it is solved."""
         if executor is None and len(self.names) == 1 and isinstance(self.method, Indirect):
             return self._continued(todo, self.method)
-        return self._one_by_one(todo) if executor is None else told_of_loss(self._elsewhere(todo, executor))
+        return self._one_by_one(todo) if executor is None else report_lost_worker(self._elsewhere(todo, executor))
 
     def taken_over(
         self, stored: Mapping[int, FamilyPoint], executor: Submits | None, note: Callable[[str], None]
@@ -96,10 +96,10 @@ class Members:
                 except PeriluneError as error:
                     note(f"stored member {i:06d} cannot be used ({error.what}) and is solved again")
 
-        proofs = here(calls()) if executor is None else told_of_loss(answers(executor, calls()))
+        proofs = run_serially(calls()) if executor is None else report_lost_worker(run_on_executor(executor, calls()))
         for number, (i, verification) in enumerate(proofs, 1):
             self.watch(f"members of the store proved again: {number} of {len(claims)}")
-            proved = verification and judged(claims[i], verification, self.level)
+            proved = verification and with_verification(claims[i], verification, self.level)
             if proved and proved.outcome is Outcome.PROVED:
                 yield i, replace(stored[i], solution=proved)
             else:
@@ -117,12 +117,14 @@ class Members:
     def _gate(self, i: int) -> Problem:
         """Return the problem of a member; raise if physics forbids it."""
         problem = self.problem_of(i)
-        refuse_impossible(member(self._findings, i))
+        refuse_impossible(select_findings(self._findings, i))
         return problem
 
     def _say(self, i: int, more: str = "") -> None:
         problem, pairs = self.problem, zip(self.names, self.values[i], strict=True)
-        named = ", ".join(f"{free_name(problem, name)} = {told(value, problem.unit_of(name))}" for name, value in pairs)
+        named = ", ".join(
+            f"{free_name(problem, name)} = {format_quantity(value, problem.unit_of(name))}" for name, value in pairs
+        )
         self.watch(f"{named} ({i + 1} of {len(self.values)}){more}")
 
     def _one_by_one(self, todo: Sequence[int]) -> Found:
@@ -162,7 +164,7 @@ class Members:
                 except PeriluneError as error:
                     refused.append((i, failed_point(self.values[i], error)))
 
-        for found in chain(answers(executor, calls()), (None,)):
+        for found in chain(run_on_executor(executor, calls()), (None,)):
             # What came back has a copy of the problem; the caller has the problem itself.
             back = [] if found is None else [(found[0], self._own(*found))]
             for i, point in (*refused, *back):

@@ -25,10 +25,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perilune.families.family import FamilyPoint
-from perilune.io.export import answer_document, versions
+from perilune.io.export import answer_document, program_versions
 from perilune.io.files import finite
 from perilune.io.format import LARGEST_FILE
-from perilune.io.reading import array, member, part, refuse, text, tree
+from perilune.io.reading import array, enumeration_member, part, refuse_entry, short_text, tree
 from perilune.io.reload import read_answer, read_trajectories
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Trajectory
@@ -44,7 +44,7 @@ MANIFEST, _FORMAT = "sweep.json", {"name": "perilune-sweep", "version": 1}
 _OURS = re.compile(r"\d{6,}\.(json|npz)|\.writing-.*|sweep\.json")
 
 
-class Store:
+class FamilyStore:
     """Directory of one sweep."""
 
     def __init__(self, directory: Path, members: Members) -> None:
@@ -69,12 +69,14 @@ class Store:
             self.directory.mkdir(parents=True, exist_ok=True)
             if not (self.directory / MANIFEST).exists():
                 if any(self.directory.iterdir()):
-                    raise _unusable(self.directory, "files, and no sweep", "a new or empty directory")
-                self._put(MANIFEST, json.dumps({"format": _FORMAT, "versions": versions(), **said}).encode())
+                    raise _unusable_family_store(self.directory, "files, and no sweep", "a new or empty directory")
+                self._put(MANIFEST, json.dumps({"format": _FORMAT, "versions": program_versions(), **said}).encode())
             found = self._manifest()
             differs = [name for name, value in said.items() if found.get(name) != value]
             if found.get("format") != _FORMAT or differs:
-                raise _unusable(self.directory, f"a sweep of other {', '.join(differs) or 'format'}", "the same sweep")
+                raise _unusable_family_store(
+                    self.directory, f"a sweep of other {', '.join(differs) or 'format'}", "the same sweep"
+                )
             for left in self.directory.glob(".writing-*"):
                 left.unlink(missing_ok=True)
             numbers = sorted(int(p.stem) for p in self.directory.glob("*.json") if re.fullmatch(r"\d{6,}", p.stem))
@@ -86,13 +88,15 @@ class Store:
                     note(f"stored member {i:06d} cannot be used ({error.what}; got {error.got}) and is solved again")
             return found_members
         except OSError as error:
-            raise _unusable(self.directory, str(error.strerror), "a directory that you may write") from error
+            raise _unusable_family_store(
+                self.directory, str(error.strerror), "a directory that you may write"
+            ) from error
 
     def write(self, i: int, point: FamilyPoint) -> None:
         """Store one member."""
         solution = point.solution
         if solution is not None:
-            self._put(f"{i:06d}.npz", _curves(solution))
+            self._put(f"{i:06d}.npz", _curves_archive(solution))
         document = {
             "values": list(point.values),
             "message": point.message,
@@ -120,7 +124,9 @@ class Store:
         try:
             return _read_json(self.directory / MANIFEST, "record of a sweep")
         except PeriluneError as error:
-            raise _unusable(self.directory, f"{MANIFEST}: {error.what}", "the record that the sweep writes") from error
+            raise _unusable_family_store(
+                self.directory, f"{MANIFEST}: {error.what}", "the record that the sweep writes"
+            ) from error
 
     def _put(self, name: str, content: bytes) -> None:
         temporary = self.directory / f".writing-{os.getpid()}-{name}"
@@ -131,10 +137,10 @@ class Store:
         document = _read_json(self.directory / f"{i:06d}.json", "stored member")
         values = self.members.values[i]
         if document.get("values") != list(values):
-            refuse("values", str(document.get("values"))[:60], str(list(values)))
-        message = text(document, "message")
+            refuse_entry("values", str(document.get("values"))[:60], str(list(values)))
+        message = short_text(document, "message")
         if document.get("solution") is None:
-            failure = member(Outcome, Outcome.__members__.get(text(document, "failure")), "failure")
+            failure = enumeration_member(Outcome, Outcome.__members__.get(short_text(document, "failure")), "failure")
             return FamilyPoint(values=values, solution=None, message=message, failure=failure)
         return FamilyPoint(values=values, solution=self._solution(i, part(document, "solution", dict)), message=message)
 
@@ -148,7 +154,7 @@ class Store:
         return replace(read_answer(document, problem, made), outcome=Outcome.SOLVED, verification=unverified)
 
 
-def clear(directory: Path) -> None:
+def clear_family(directory: Path) -> None:
     """Remove the files of a store, and nothing else."""
     with suppress(FileNotFoundError):
         for file in list(directory.iterdir()):
@@ -156,7 +162,7 @@ def clear(directory: Path) -> None:
                 file.unlink()
 
 
-def _curves(solution: Solution) -> bytes:
+def _curves_archive(solution: Solution) -> bytes:
     tables: dict[str, Any] = {}
     for k, flown in enumerate(solution.trajectories):
         for kind in ("state", "control", "costate"):
@@ -177,7 +183,7 @@ def _read_curves(file: Path, problem: Problem, document: Mapping[str, Any]) -> t
         with np.load(io.BytesIO(content), allow_pickle=False) as tables:
             found = {name: array(tables[name], name, (None,) * tables[name].ndim) for name in tables.files}
     except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise _unusable(file, str(error)[:80], "the curves of a member") from error
+        raise _unusable_family_store(file, str(error)[:80], "the curves of a member") from error
     phases = []
     for k, phase in enumerate(problem.phases):
         entry: dict[str, Any] = {"name": phase.name, "costate": None}
@@ -197,7 +203,7 @@ def _read_json(file: Path, what: str) -> dict[str, Any]:
     return document
 
 
-def _unusable(place: Path, got: str, expected: str) -> PeriluneError:
+def _unusable_family_store(place: Path, got: str, expected: str) -> PeriluneError:
     return PeriluneError(
         f"this store cannot be used: {place}",
         got=got,

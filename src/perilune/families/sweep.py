@@ -5,19 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 
 from perilune.families.elsewhere import Submits
-from perilune.families.family import Family, FamilyPoint, Over, asked
+from perilune.families.family import Family, FamilyPoint, Over, member_values
 from perilune.families.members import Members
-from perilune.families.store import Store
+from perilune.families.store import FamilyStore
 from perilune.methods.method import Method
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS
-from perilune.solve import demand_limit, demand_tolerance, usable
-from perilune.words.asked import called_in_words, demand, demand_callable, demand_level, demand_path, refused
-from perilune.words.watch import Watch, silent
+from perilune.solve import method_or_default, require_time_limit, require_tolerance
+from perilune.words.asked import (
+    check_call,
+    require_callable,
+    require_level,
+    require_path,
+    require_type,
+    wrong_type_error,
+)
+from perilune.words.watch import Watch, ignore_events
 
 
-@called_in_words
+@check_call
 def sweep(
     problem: Problem,
     over: Over,
@@ -70,17 +77,19 @@ def sweep(
     PeriluneError
         If `over` names what is no parameter, the store is of another sweep, or a worker was lost.
     """
-    demand(problem, Problem, "a problem to sweep")
-    demand_level(level, (0, *LEVELS))
-    demand_tolerance(tolerance)
-    names, values = asked(problem, over)
-    demand_callable(watch, "a watch")
+    require_type(problem, Problem, "a problem to sweep")
+    require_level(level, (0, *LEVELS))
+    require_tolerance(tolerance)
+    names, values = member_values(problem, over)
+    require_callable(watch, "a watch")
     if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise refused(executor, "a concurrent.futures.Executor, a Dask client or None", "what computes the members")
-    say = watch or silent
+        raise wrong_type_error(
+            executor, "a concurrent.futures.Executor, a Dask client or None", "what computes the members"
+        )
+    say = watch or ignore_events
     members = Members(
-        problem=problem, names=names, values=values, method=usable(method), level=level,
-        tolerance=tolerance or Tolerance(), watch=say, time_limit=demand_limit(time_limit, level),
+        problem=problem, names=names, values=values, method=method_or_default(method), level=level,
+        tolerance=tolerance or Tolerance(), watch=say, time_limit=require_time_limit(time_limit, level),
     )  # fmt: skip
     notes: list[str] = []
 
@@ -88,7 +97,7 @@ def sweep(
         notes.append(text)
         say(text)
 
-    kept = None if store is None else Store(demand_path(store, "the directory of a store"), members)
+    kept = None if store is None else FamilyStore(require_path(store, "the directory of a store"), members)
     stored = {} if kept is None else kept.open(note)
     if stored:
         say(f"{len(stored)} of {len(values)} members are in the store")

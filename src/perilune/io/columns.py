@@ -83,7 +83,7 @@ def required_hamiltonian(solution: Solution, k: int) -> float:
     return 0.0 - float(np.imag(solution.problem.objective(end, moved, NUMERIC))) / step
 
 
-def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str, Column]:
+def phase_columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str, Column]:
     """Return all columns of phase k, by name.
 
     Parameters
@@ -99,14 +99,14 @@ def columns(solution: Solution, k: int = 0, t: Vector | None = None) -> dict[str
         In this order: ``time``, outputs, states, control components, ``lambda_<state>``, ``H``.
     """
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
-    told, t = (trajectory.time, nodes(trajectory)) if t is None else (t, t)
+    told, t = (trajectory.time, node_times(trajectory)) if t is None else (t, t)
     state, control = solution.flown(k, t)
     outputs = _unwrapped(solution, k, t, phase.evaluate("outputs", state, control, solution.parameters))
     table = [Column(name="time", unit="s", values=told)]
-    table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.output_variables, outputs, strict=True)]
-    table += [_column(v.name, v.unit, y, t) for v, y in zip(phase.states, state, strict=True)]
+    table += [_display_column(v.name, v.unit, y, t) for v, y in zip(phase.output_variables, outputs, strict=True)]
+    table += [_display_column(v.name, v.unit, y, t) for v, y in zip(phase.states, state, strict=True)]
     units = [c.unit for c in phase.controls for _ in c.names]
-    table += [_column(n, u, y, t) for n, u, y in zip(phase.control_names, units, control, strict=True)]
+    table += [_display_column(n, u, y, t) for n, u, y in zip(phase.control_names, units, control, strict=True)]
     if trajectory.costate is not None:
         per = solution.problem.objective_unit
         table += [
@@ -124,7 +124,7 @@ def _unwrapped(solution: Solution, k: int, t: Vector, outputs: Sequence[Any]) ->
     # A first phase from its begin without a jump is as it is, which is known at once.
     jumps = any(np.any(np.abs(np.diff(full(found[i], t))) > math.pi) for i in angles.values())
     if angles and (k or jumps or t[0] > 0):
-        ways = _angles(solution, k, list(angles))
+        ways = _unwrapped_outputs_before(solution, k, list(angles))
         for name, i in angles.items():
             value = full(found[i], t)
             way = np.interp(t, *ways[name]) if name in ways else value
@@ -133,7 +133,7 @@ def _unwrapped(solution: Solution, k: int, t: Vector, outputs: Sequence[Any]) ->
     return found
 
 
-def _angles(solution: Solution, last: int, names: Sequence[str]) -> dict[str, tuple[Vector, Vector]]:
+def _unwrapped_outputs_before(solution: Solution, last: int, names: Sequence[str]) -> dict[str, tuple[Vector, Vector]]:
     """Return times of phase `last` and each finite output there, unwrapped from the begin of the flight."""
     ends, found = dict[str, float](), dict[str, tuple[Vector, Vector]]()
     for k, phase in enumerate(solution.problem.phases[: last + 1]):
@@ -141,7 +141,7 @@ def _angles(solution: Solution, last: int, names: Sequence[str]) -> dict[str, tu
         if not here:
             continue
         trajectory = solution.trajectories[k]
-        t = np.union1d(seen_at(trajectory), trajectory.time)
+        t = np.union1d(display_times(trajectory), trajectory.time)
         outputs = phase.evaluate("outputs", *solution.flown(k, t), solution.parameters)
         for i in here:
             name, values = phase.output_variables[i].name, full(outputs[i], t)
@@ -155,7 +155,7 @@ def _angles(solution: Solution, last: int, names: Sequence[str]) -> dict[str, tu
     return found
 
 
-def nodes(trajectory: Trajectory) -> Vector:
+def node_times(trajectory: Trajectory) -> Vector:
     """Return times at which to evaluate the state's nodes: the first of two equal ones lies before the switch there."""
     t = trajectory.time.copy()
     first = np.flatnonzero(np.diff(t) == 0)
@@ -163,7 +163,7 @@ def nodes(trajectory: Trajectory) -> Vector:
     return t
 
 
-def seen_at(trajectory: Trajectory, count: int = 601) -> Vector:
+def display_times(trajectory: Trajectory, count: int = 601) -> Vector:
     """Return evenly spaced times and both sides of every switch, so that a jump shows as a step, not a ramp.
 
     Parameters
@@ -173,10 +173,10 @@ def seen_at(trajectory: Trajectory, count: int = 601) -> Vector:
     count
         Number of evenly spaced times.
     """
-    return np.union1d(np.linspace(0.0, trajectory.duration, count), sides(trajectory))
+    return np.union1d(np.linspace(0.0, trajectory.duration, count), times_around_switches(trajectory))
 
 
-def sides(trajectory: Trajectory) -> Matrix:
+def times_around_switches(trajectory: Trajectory) -> Matrix:
     """Return the times before and behind every switch of any curve."""
     curves = (trajectory.state, trajectory.control, *filter(None, (trajectory.costate,)))
     switches = np.concatenate([curve.time[1:][np.diff(curve.time) == 0] for curve in curves])
@@ -201,7 +201,7 @@ def per_unit(objective_unit: str, unit: str) -> str:
 
 
 def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]:
-    """Return (time from the begin of the flight [s], column) for each phase that has the column, as `seen_at`.
+    """Return (time from the begin of the flight [s], column) for each phase that has the column, as `display_times`.
 
     Parameters
     ----------
@@ -212,24 +212,24 @@ def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]
     """
     found, begin = [], 0.0
     for k, trajectory in enumerate(solution.trajectories):
-        t = seen_at(trajectory)
-        table = columns(solution, k, t)
+        t = display_times(trajectory)
+        table = phase_columns(solution, k, t)
         if name in table:
             found.append((begin + t, table[name]))
         begin += trajectory.duration
     return found
 
 
-def _column(name: str, unit: str, values: Any, t: Vector) -> Column:
-    factor, unit = spoken(unit)
+def _display_column(name: str, unit: str, values: Any, t: Vector) -> Column:
+    factor, unit = display_unit(unit)
     return Column(name=name, unit=unit, values=full(values, t) * factor)
 
 
-def spoken(unit: str) -> tuple[float, str]:
+def display_unit(unit: str) -> tuple[float, str]:
     """Return the factor from an SI unit to the display unit, and that unit: degrees for radians."""
     return (180 / math.pi, "deg") if unit == "rad" else (1.0, unit)
 
 
-def rounded(value: float, unit: str) -> float:
+def round_degrees(value: float, unit: str) -> float:
     """Return a value in its display unit without the rounding of pi: 30 degrees, not 29.999999999999996."""
     return float(f"{value:.15g}") if unit == "deg" else float(value)

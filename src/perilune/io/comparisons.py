@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.io.reading import MOST_ENTRIES, refuse, text
+from perilune.io.reading import MOST_ENTRIES, refuse_entry, short_text
 from perilune.io.tapes import tape_of
 from perilune.problem.preflight import Finding, preflight
 from perilune.problem.problem import Problem
@@ -41,12 +41,13 @@ class Comparisons:
 Places = Sequence[Mapping[str, float]]  # values [SI] of given parameters
 
 
-def compared_alike(problem: Problem, other: Problem, places: Places) -> bool:
+def same_comparisons(problem: Problem, other: Problem, places: Places) -> bool:
     """Return True if the comparisons of two problems of one form agree at all of some places."""
     if problem.preflight is None or other.preflight is None:
         return problem.preflight is other.preflight
     return all(
-        [_plain(f) for f in preflight(problem, place)] == [_plain(f) for f in preflight(other, place)]
+        [_comparable_values(f) for f in preflight(problem, place)]
+        == [_comparable_values(f) for f in preflight(other, place)]
         for place in places
     )
 
@@ -71,15 +72,15 @@ def comparisons_document(problem: Problem, places: Places) -> dict[str, Any]:
         found = tuple(ask(SimpleNamespace(**{n: recorder.input("p", n) for n in problem.given}), recorder.namespace))
         tape = recorder.tape([getattr(f, name) for f in found for name in _NUMBERS])
         kept = Comparisons(found, Expression(tape, ("p",)))
-        differing = next((d for place in places if (d := _differing(problem, kept, place))), None)
+        differing = next((d for place in places if (d := _differing_comparison(problem, kept, place))), None)
     except NotAFormula as error:
-        raise _not_kept(error.got, error.advice) from None
+        raise _comparisons_not_kept(error.got, error.advice) from None
     except PeriluneError as error:
-        raise _not_kept(f"{error.what}, {error.got}", error.expected) from error
+        raise _comparisons_not_kept(f"{error.what}, {error.got}", error.expected) from error
     except Exception as error:  # of a function that nobody has looked at
-        raise _not_kept(f"{type(error).__name__}: {error}"[:120]) from error
+        raise _comparisons_not_kept(f"{type(error).__name__}: {error}"[:120]) from error
     if differing is not None:
-        raise _not_kept(differing)
+        raise _comparisons_not_kept(differing)
     stated = [{name: getattr(f, name) for name in (*_TEXTS, *_FLAGS)} for f in found]
     return {"stated": stated, "values": tape.document()}
 
@@ -94,30 +95,31 @@ def read_comparisons(document: Any, problem: Problem) -> Comparisons:
     """
     stated = document.get("stated") if isinstance(document, dict) else None
     if not isinstance(stated, list) or len(stated) > MOST_ENTRIES or not all(isinstance(f, dict) for f in stated):
-        refuse("comparisons", str(stated)[:40], "a list of records")
+        refuse_entry("comparisons", str(stated)[:40], "a list of records")
     stated = [{**_UNSTATED, **f} for f in stated]
     if not all(isinstance(f.get(name), bool) for f in stated for name in _FLAGS):
-        refuse("comparisons", "a side that is not stated", "true or false")
+        refuse_entry("comparisons", "a side that is not stated", "true or false")
     tape = tape_of(document.get("values"), {"p": tuple(problem.given)}, "comparisons")
     if len(tape.outputs) != len(_NUMBERS) * len(stated):
-        refuse("comparisons", f"{len(tape.outputs)} values", f"two of each of {len(stated)}")
+        refuse_entry("comparisons", f"{len(tape.outputs)} values", f"two of each of {len(stated)}")
     found = tuple(
-        Finding(value=0.0, limit=0.0, **{n: text(f, n) for n in _TEXTS}, **{n: f[n] for n in _FLAGS}) for f in stated
+        Finding(value=0.0, limit=0.0, **{n: short_text(f, n) for n in _TEXTS}, **{n: f[n] for n in _FLAGS})
+        for f in stated
     )
     return Comparisons(found, Expression(tape, ("p",), origin="a file"))
 
 
-def _differing(problem: Problem, kept: Comparisons, place: Mapping[str, float]) -> str | None:
+def _differing_comparison(problem: Problem, kept: Comparisons, place: Mapping[str, float]) -> str | None:
     """Describe the first comparison that differs, at a place, from its saved expressions; None if all agree."""
     said, again = preflight(problem, place), preflight(problem.changed(preflight=kept), place)
-    if [_plain(f) for f in said] == [_plain(f) for f in again]:
+    if [_comparable_values(f) for f in said] == [_comparable_values(f) for f in again]:
         return None
-    other = next((f for f, g in zip(said, again, strict=False) if _plain(f) != _plain(g)), None)
+    other = next((f for f, g in zip(said, again, strict=False) if _comparable_values(f) != _comparable_values(g)), None)
     got = "more or fewer of them" if other is None else f"'{other.name}', whose words or values are others"
     return f"{got} where " + ", ".join(f"{n} = {v:.6g}" for n, v in place.items())
 
 
-def _plain(found: Finding) -> list[Any]:
+def _comparable_values(found: Finding) -> list[Any]:
     """Return the content of a finding in a form that compares NaN as equal."""
     return [
         *(repr(np.asarray(getattr(found, n), dtype=float).tolist()) for n in _NUMBERS),
@@ -125,7 +127,7 @@ def _plain(found: Finding) -> list[Any]:
     ]
 
 
-def _not_kept(got: str, advice: str = "") -> PeriluneError:
+def _comparisons_not_kept(got: str, advice: str = "") -> PeriluneError:
     return PeriluneError(
         "what physics says of this problem (its preflight) is nothing that an atlas can keep",
         got=got,

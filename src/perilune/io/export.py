@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from perilune import __version__ as perilune_version
-from perilune.io.columns import columns, per_unit, rounded
+from perilune.io.columns import per_unit, phase_columns, round_degrees
 from perilune.io.files import finite, fresh_directory, json_text, refuse_unwritten, write_each
 from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.io.physics import physics_document
@@ -30,7 +30,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory, results_between
 from perilune.problem.tolerance import unit_of
 from perilune.problem.verification import Check, Verification
-from perilune.words.asked import called_in_words, demand, refused
+from perilune.words.asked import check_call, require_type, wrong_type_error
 from perilune.words.outcome import PeriluneError
 
 INTERPOLATION = {
@@ -68,7 +68,7 @@ _FIELDS = {
 }  # fmt: skip
 
 
-def results(solution: Solution) -> dict[str, dict[str, Any]]:
+def results_document(solution: Solution) -> dict[str, dict[str, Any]]:
     """Return the results of a solution, each ``{"value": float, "unit": str, "description": str}``, SI."""
     return {name: asdict(result) for name, result in solution.results.items()}
 
@@ -79,7 +79,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
     For a loaded solution ``claimed`` names the unverified claims of its file.
     """
     statistics = solution.statistics
-    claims = {"claimed": ["method", "statistics", *_structure(solution)]} if statistics.claimed else {}
+    claims = {"claimed": ["method", "statistics", *_structure_document(solution)]} if statistics.claimed else {}
     inputs = {"inputs": list(solution.problem.inputs_read)} if solution.problem.inputs_read else {}
     document = {
         "problem": solution.problem.name,
@@ -88,7 +88,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
         "method": solution.method,
         "outcome": solution.outcome.name,
         "within": solution.verification.within,
-        "results": results(solution),
+        "results": results_document(solution),
         "extremals": extremals_document(solution),
         "warnings": list(solution.warnings),
         "verification": _verification_document(solution.verification),
@@ -101,10 +101,10 @@ def solution_document(solution: Solution) -> dict[str, Any]:
             "wall_time": float(statistics.wall_time),
         },
     }
-    return finite(document | _structure(solution) | claims)
+    return finite(document | _structure_document(solution) | claims)
 
 
-def _structure(solution: Solution) -> dict[str, Any]:
+def _structure_document(solution: Solution) -> dict[str, Any]:
     """Return the entry of the named arcs; empty if they were not determined."""
     return {"structure": [asdict(arc) for arc in solution.structure]} if solution.structure else {}
 
@@ -116,7 +116,7 @@ def _verification_document(verification: Verification) -> dict[str, Any]:
         "within": verification.within,
         "text": verification.text,
         "notes": list(verification.notes),
-        "tolerance": _with_units(stated, {name: unit_of(name) for name in stated}),
+        "tolerance": _values_with_units(stated, {name: unit_of(name) for name in stated}),
         "checks": [_check_document(check) for check in verification.checks],
     }
 
@@ -154,7 +154,7 @@ def extremals_document(solution: Solution) -> list[dict[str, Any]]:
     return rows
 
 
-@called_in_words
+@check_call
 def save(solution: Solution, directory: str | Path, scenario_text: str | None = None, *, force: bool = False) -> None:
     """Write ``solution.json``, from which `perilune.load` makes the solution again, and the trajectory as CSV.
 
@@ -180,9 +180,9 @@ def save(solution: Solution, directory: str | Path, scenario_text: str | None = 
     PeriluneError
         If the directory cannot be written, or is not empty and `force` is false.
     """
-    demand(solution, Solution, "a solution to save")
+    require_type(solution, Solution, "a solution to save")
     if not isinstance(scenario_text, str | None):
-        raise refused(scenario_text, "a text, or None for a problem in Python", "the text of a scenario")
+        raise wrong_type_error(scenario_text, "a text, or None for a problem in Python", "the text of a scenario")
     with fresh_directory(directory, force) as work:
         failed = write_solution_files(solution, work, scenario_text)
     refuse_unwritten(failed)
@@ -222,30 +222,30 @@ def whole_document(solution: Solution, scenario_text: str | None = None) -> dict
     """Return the whole solution as the tree that ``solution.json`` holds."""
     return {
         "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
-        "versions": versions(),
-        **problem_document(solution.problem, scenario_text),
+        "versions": program_versions(),
+        **stated_problem_document(solution.problem, scenario_text),
         **answer_document(solution),
         "phases": phases_document(solution),
     }
 
 
-def problem_document(problem: Problem, scenario_text: str | None = None) -> dict[str, Any]:
+def stated_problem_document(problem: Problem, scenario_text: str | None = None) -> dict[str, Any]:
     """Return a problem as a tree from which `perilune.io.reload.read_problem` makes it again, however it was stated."""
     scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
     return {
         "scenario": scenario,
-        "made": _made_document(problem) if scenario is None else None,
+        "made": _model_document_or_none(problem) if scenario is None else None,
         "problem": physics_document(problem),
         "given": {name: {"value": g.value, "unit": g.unit} for name, g in problem.given.items()},
     }
 
 
-def _made_document(problem: Problem) -> dict[str, Any] | None:
+def _model_document_or_none(problem: Problem) -> dict[str, Any] | None:
     if not problem.declared:
         return None
-    from perilune.io.made import made_document  # and with it all models, which an own problem has no use for
+    from perilune.io.made import model_document  # and with it all models, which an own problem has no use for
 
-    return made_document(problem)
+    return model_document(problem)
 
 
 def answer_document(solution: Solution) -> dict[str, Any]:
@@ -255,9 +255,9 @@ def answer_document(solution: Solution) -> dict[str, Any]:
         "method": solution.method,
         "outcome": {"name": solution.outcome.name, "within": short["within"], "advice": solution.outcome.value},
         "objective": {"value": float(solution.objective), "unit": problem.objective_unit},
-        "free": _with_units(solution.free, {f.name: f.unit for f in problem.free}),
+        "free": _values_with_units(solution.free, {f.name: f.unit for f in problem.free}),
         "results": short["results"],
-        "multipliers": _with_units(solution.multipliers, _multiplier_units(solution)),
+        "multipliers": _values_with_units(solution.multipliers, _multiplier_units(solution)),
         "extremals": [
             {
                 "free": dict(e.free),
@@ -278,25 +278,25 @@ def phases_document(solution: Solution) -> list[dict[str, Any]]:
     """Return the curves of each phase, with the names and units of their components."""
     problem = solution.problem
     return [
-        _phase_document(phase, trajectory, problem.objective_unit)
+        _trajectory_document(phase, trajectory, problem.objective_unit)
         for phase, trajectory in zip(problem.phases, solution.trajectories, strict=True)
     ]
 
 
 def trajectory_csv(solution: Solution, k: int = 0) -> str:
     """Return phase k as comma-separated values at the state's nodes; units in the header, angles in degrees."""
-    table = columns(solution, k)
+    table = phase_columns(solution, k)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([column.heading for column in table.values()])
     units = [column.unit for column in table.values()]
     for row in zip(*(column.values for column in table.values()), strict=True):
         cells = zip(row, units, strict=True)
-        writer.writerow([repr(rounded(value, unit)) if math.isfinite(value) else "" for value, unit in cells])
+        writer.writerow([repr(round_degrees(value, unit)) if math.isfinite(value) else "" for value, unit in cells])
     return text.getvalue()
 
 
-def versions() -> dict[str, str]:
+def program_versions() -> dict[str, str]:
     """Return the versions of this program and of the packages that it computes with."""
     found = {"perilune": perilune_version, "python": platform.python_version()}
     for package in ("numpy", "scipy", "casadi", "llvmlite"):
@@ -314,7 +314,7 @@ def _installed(package: str) -> str:
         return "not installed as a package"
 
 
-def _phase_document(phase: Phase, trajectory: Trajectory, objective_unit: str) -> dict[str, Any]:
+def _trajectory_document(phase: Phase, trajectory: Trajectory, objective_unit: str) -> dict[str, Any]:
     return {
         "name": phase.name,
         "duration": {"value": trajectory.duration, "unit": "s"},
@@ -341,5 +341,5 @@ def _multiplier_units(solution: Solution) -> dict[str, str]:
     }
 
 
-def _with_units(values: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:
+def _values_with_units(values: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:
     return {name: {"value": float(value), "unit": units.get(name, "")} for name, value in values.items()}

@@ -23,7 +23,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from perilune.words.asked import demand_path
+from perilune.words.asked import require_path
 from perilune.words.outcome import PeriluneError
 
 try:
@@ -72,7 +72,7 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
         If `target` is a file, or called as one and not there, cannot be written, or holds more than a failure already
         and `force` is false.
     """
-    target = demand_path(target, "an output directory")
+    target = require_path(target, "an output directory")
     refuse_name_of_file(target)
     if target.exists() and not target.is_dir():
         raise PeriluneError(
@@ -121,7 +121,7 @@ def refuse_name_of_file(target: Path) -> None:
 
 def new_file(file: str | Path, what: str, force: bool = False) -> Path:
     """Return the path of a file to write, behind links; refuse one that is no file, or exists unless forced."""
-    path = demand_path(file, f"the file of {what}")
+    path = require_path(file, f"the file of {what}")
     if str(path) == "-":
         raise PeriluneError(
             "what is written is a file, and not standard output", got="-", expected=f"the name of the file of {what}",

@@ -13,7 +13,7 @@ from dataclasses import fields, replace
 from string import Formatter
 from typing import Any
 
-from perilune.io.reading import MOST_ENTRIES, number, part, plain, record, refuse, text
+from perilune.io.reading import MOST_ENTRIES, checked_record, finite_number, part, record_tree, refuse_entry, short_text
 from perilune.io.tapes import tape_of
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.form import PHASE_FUNCTIONS, roles_of
@@ -42,27 +42,27 @@ def physics_document(problem: Problem) -> dict[str, Any]:
         "name": problem.name,
         "title": problem.title,
         "digest": problem.form.digest,
-        "scales": plain(problem.scales),
-        "free": plain(problem.free),
+        "scales": record_tree(problem.scales),
+        "free": record_tree(problem.free),
         "objective_unit": problem.objective_unit,
         "objective_scale": problem.objective_scale,
-        "result_variables": plain(problem.result_variables),
+        "result_variables": record_tree(problem.result_variables),
         "maximised": problem.maximised,
         **({"minimised": problem.minimised} if problem.minimised else {}),
-        "views": plain(problem.views),
-        "phases": [_phase_document(phase) for phase in problem.phases],
-        "functions": {_written(key): e.tape.document() for key, e in expressions.items()},
+        "views": record_tree(problem.views),
+        "phases": [_phase_physics_document(phase) for phase in problem.phases],
+        "functions": {_function_key(key): e.tape.document() for key, e in expressions.items()},
     }
 
 
-def _written(key: Any) -> str:
+def _function_key(key: Any) -> str:
     """Return the key of a function as a text: ``start``, ``0.dynamics``, ``links.0``."""
     return key if isinstance(key, str) else ".".join(str(k) for k in key)
 
 
-def _phase_document(phase: Phase) -> dict[str, Any]:
-    variables = {name: plain(rows) for name in _VARIABLES if (rows := getattr(phase, name)) or name in _ALWAYS}
-    controls = [{"kind": c.kind, **plain(c)} for c in phase.controls]
+def _phase_physics_document(phase: Phase) -> dict[str, Any]:
+    variables = {name: record_tree(rows) for name in _VARIABLES if (rows := getattr(phase, name)) or name in _ALWAYS}
+    controls = [{"kind": c.kind, **record_tree(c)} for c in phase.controls]
     return {"name": phase.name, "duration": phase.duration, "controls": controls, **variables}
 
 
@@ -74,91 +74,97 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Pro
     PeriluneError
         If anything in it is not what `physics_document` writes, or its digest is another.
     """
-    free = _rows(document, "free", Free)
+    free = _read_rows(document, "free", Free)
     entries = part(document, "phases", list)
     if not 0 < len(entries) <= MOST_ENTRIES:
-        refuse("phases", str(len(entries)), "at least one")
-    bare = [_phase(entry, f"problem.phases[{k}]") for k, entry in enumerate(entries)]
-    read = _Functions(part(document, "functions", dict), bare, {*given, *(f.name for f in free)})
+        refuse_entry("phases", str(len(entries)), "at least one")
+    bare = [_read_phase(entry, f"problem.phases[{k}]") for k, entry in enumerate(entries)]
+    read = _DocumentFunctions(part(document, "functions", dict), bare, {*given, *(f.name for f in free)})
     phases = tuple(
         replace(phase, **{name: read((k, name), k) for name in PHASE_FUNCTIONS}) for k, phase in enumerate(bare)
     )
     problem = Problem(
-        name=text(document, "name"),
-        title=text(document, "title"),
+        name=short_text(document, "name"),
+        title=short_text(document, "title"),
         phases=phases,
-        start=read("start", 0) or refuse("functions.start", "nothing", "a function"),
+        start=read("start", 0) or refuse_entry("functions.start", "nothing", "a function"),
         links=tuple(link for k in range(len(phases) - 1) if (link := read(("links", k), k))),
         given=given,
         free=free,
-        objective=read("objective", len(phases) - 1) or refuse("functions.objective", "nothing", "a function"),
-        objective_unit=text(document, "objective_unit"),
+        objective=read("objective", len(phases) - 1) or refuse_entry("functions.objective", "nothing", "a function"),
+        objective_unit=short_text(document, "objective_unit"),
         objective_scale=_scale(document),
         results=read("results", 0),
-        result_variables=_rows(document, "result_variables", Variable),
-        maximised=text(document, "maximised"),
-        minimised=text(document, "minimised") if "minimised" in document else "",
-        views=_views(document),
-        scales=record(Scales, document.get("scales"), "problem.scales"),
+        result_variables=_read_rows(document, "result_variables", Variable),
+        maximised=short_text(document, "maximised"),
+        minimised=short_text(document, "minimised") if "minimised" in document else "",
+        views=_read_views(document),
+        scales=checked_record(Scales, document.get("scales"), "problem.scales"),
     )
-    if problem.form.digest != (said := text(document, "digest")):
-        refuse("problem.digest", said[:16], f"{problem.form.digest[:16]}, of the expressions beside it")
+    if problem.form.digest != (said := short_text(document, "digest")):
+        refuse_entry("problem.digest", said[:16], f"{problem.form.digest[:16]}, of the expressions beside it")
     return problem
 
 
 def _scale(document: Mapping[str, Any]) -> float | None:
     """Return the scale of the objective; None in files of earlier versions."""
-    return None if document.get("objective_scale") is None else number(document, "objective_scale", "problem")
+    return None if document.get("objective_scale") is None else finite_number(document, "objective_scale", "problem")
 
 
-def _rows(document: Mapping[str, Any], name: str, kind: type) -> tuple[Any, ...]:
+def _read_rows(document: Mapping[str, Any], name: str, kind: type) -> tuple[Any, ...]:
     entries = part(document, name, list)
     if len(entries) > MOST_ENTRIES:
-        refuse(name, f"{len(entries)} entries", f"at most {MOST_ENTRIES}")
-    return tuple(record(kind, entry, f"problem.{name}[{i}]") for i, entry in enumerate(entries))
+        refuse_entry(name, f"{len(entries)} entries", f"at most {MOST_ENTRIES}")
+    return tuple(checked_record(kind, entry, f"problem.{name}[{i}]") for i, entry in enumerate(entries))
 
 
-def _phase(entry: Any, where: str) -> Phase:
+def _read_phase(entry: Any, where: str) -> Phase:
     """Read a phase without its functions."""
     if not isinstance(entry, dict):
-        refuse(where, str(entry)[:40], "a record")
-    name = text(entry, "name")
+        refuse_entry(where, str(entry)[:40], "a record")
+    name = short_text(entry, "name")
     if not _NAME.fullmatch(name):
-        refuse(f"{where}.name", repr(name[:40]), "letters, digits, _ and -")
+        refuse_entry(f"{where}.name", repr(name[:40]), "letters, digits, _ and -")
     controls = []
     for i, control in enumerate(part(entry, "controls", list)[:MOST_ENTRIES]):
         kind = _CONTROLS.get(str(control.get("kind"))) if isinstance(control, dict) else None
         if kind is None:
-            refuse(f"{where}.controls[{i}]", str(control)[:40], "a control of kind " + " or ".join(_CONTROLS))
-        controls.append(record(kind, {k: v for k, v in control.items() if k != "kind"}, f"{where}.controls[{i}]"))
+            refuse_entry(f"{where}.controls[{i}]", str(control)[:40], "a control of kind " + " or ".join(_CONTROLS))
+        controls.append(
+            checked_record(kind, {k: v for k, v in control.items() if k != "kind"}, f"{where}.controls[{i}]")
+        )
     named = [field for field in _VARIABLES if field in entry or field in _ALWAYS]
-    variables: dict[str, Any] = {field: _rows(entry, field, Variable) for field in named}
+    variables: dict[str, Any] = {field: _read_rows(entry, field, Variable) for field in named}
     return Phase(
-        name=name, duration=text(entry, "duration"), controls=tuple(controls), dynamics=_nothing, **variables
-    )  # fmt: skip
+        name=name,
+        duration=short_text(entry, "duration"),
+        controls=tuple(controls),
+        dynamics=_unread_dynamics,
+        **variables,
+    )
 
 
-def _nothing(*arguments: Any) -> None:
+def _unread_dynamics(*arguments: Any) -> None:
     """Stand in for the dynamics until they are read."""
 
 
-def _views(document: Mapping[str, Any]) -> Views:
+def _read_views(document: Mapping[str, Any]) -> Views:
     """Read views, whose texts are checked to be harmless when formatted and as file names."""
-    views = record(Views, document.get("views"), "problem.views")
+    views = checked_record(Views, document.get("views"), "problem.views")
     for history in views.histories:
         if not _NAME.fullmatch(history.name):
-            refuse("problem.views.histories", repr(history.name[:40]), "names of letters, digits, _ and -")
+            refuse_entry("problem.views.histories", repr(history.name[:40]), "names of letters, digits, _ and -")
     try:
         fields_of_label = list(Formatter().parse(views.label))
     except ValueError:
-        refuse("problem.views.label", views.label[:40], "a text with {name:format}")
+        refuse_entry("problem.views.label", views.label[:40], "a text with {name:format}")
     for _, name, spec, conversion in fields_of_label:
         if name is not None and (conversion or not _SPEC.fullmatch(spec or "")):
-            refuse("problem.views.label", views.label[:40], "formats such as {name:.1f}")
+            refuse_entry("problem.views.label", views.label[:40], "formats such as {name:.1f}")
     return views
 
 
-class _Functions:
+class _DocumentFunctions:
     """Functions of a document by their key; None for a missing one."""
 
     def __init__(self, tapes: Mapping[str, Any], phases: list[Phase], parameters: set[str]) -> None:
@@ -166,13 +172,17 @@ class _Functions:
 
     def __call__(self, key: Any, k: int) -> Any:
         """Return the function of a key, which takes states and controls of phase k."""
-        name, phase = _written(key), self.phases[k]
+        name, phase = _function_key(key), self.phases[k]
         if name not in self.tapes:
             return None
         known = {
-            "x": phase.state_names, "u": phase.control_names, "p": self.parameters, "t": ("",),
-            "first": self.phases[0].state_names, "last": self.phases[-1].state_names,
-        }  # fmt: skip
+            "x": phase.state_names,
+            "u": phase.control_names,
+            "p": self.parameters,
+            "t": ("",),
+            "first": self.phases[0].state_names,
+            "last": self.phases[-1].state_names,
+        }
         roles = roles_of(key)
         tape = tape_of(self.tapes[name], {role: known[role] for role in roles}, name)
         return Expression(tape, roles, scalar=key == "objective", origin="a file")

@@ -1,7 +1,7 @@
 """Entries of a JSON tree that may come from a stranger: each is checked before it is used, and refused by its name.
 
-`plain` writes a record (a dataclass of texts, numbers, and tuples of these or of records) without what is at its
-default; `record` reads one back by the types that its fields declare.
+`record_tree` writes a record (a dataclass of texts, numbers, and tuples of these or of records) without what is at its
+default; `checked_record` reads one back by the types that its fields declare.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_ENTRIES = 1000  # of a list that is no table: phases, extremals, unknowns
 Kind = TypeVar("Kind")
 
 
-def refuse(where: str, got: str, expected: str) -> NoReturn:
+def refuse_entry(where: str, got: str, expected: str) -> NoReturn:
     """Raise the refusal of one entry.
 
     Parameters
@@ -77,7 +77,7 @@ def tree(content: str, what: str, advice: str = _AGAIN) -> Any:
         raise PeriluneError(f"the {what} holds a number that is not finite", got=name, expected=expected, advice=advice)
 
     try:
-        return json.loads(content, object_pairs_hook=once, parse_constant=no_constant, parse_int=_whole)
+        return json.loads(content, object_pairs_hook=once, parse_constant=no_constant, parse_int=_bounded_integer)
     except (ValueError, RecursionError) as error:
         if isinstance(error, PeriluneError):
             raise
@@ -87,7 +87,7 @@ def tree(content: str, what: str, advice: str = _AGAIN) -> Any:
         ) from None  # fmt: skip
 
 
-def _whole(digits: str) -> int | float:
+def _bounded_integer(digits: str) -> int | float:
     """Parse an integer; one with many digits becomes a float, so that nothing overflows later."""
     return int(digits) if len(digits) < 18 else float(digits)
 
@@ -104,39 +104,39 @@ def part(entry: Mapping[str, Any], name: str, kind: type) -> Any:
     """
     value = entry.get(name)
     if not isinstance(value, kind):
-        refuse(name, str(value)[:40], {dict: "a record", list: "a list", str: "a text"}[kind])
+        refuse_entry(name, str(value)[:40], {dict: "a record", list: "a list", str: "a text"}[kind])
     return value
 
 
-def text(entry: Mapping[str, Any], name: str) -> str:
+def short_text(entry: Mapping[str, Any], name: str) -> str:
     """Return the text of a name, checked not to be longer than a sentence may be."""
     found = part(entry, name, str)
     if len(found) > LONGEST_TEXT:
-        refuse(name, f"{len(found)} characters", f"a text of at most {LONGEST_TEXT}")
+        refuse_entry(name, f"{len(found)} characters", f"a text of at most {LONGEST_TEXT}")
     return found
 
 
-def number(entry: Mapping[str, Any], name: str, where: str) -> float:
+def finite_number(entry: Mapping[str, Any], name: str, where: str) -> float:
     """Return the finite number of a name; texts and booleans are refused."""
-    return _number(entry.get(name), f"{where}.{name}")
+    return _checked_number(entry.get(name), f"{where}.{name}")
 
 
-def _number(value: Any, where: str) -> float:
+def _checked_number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        refuse(where, str(value)[:40], "a number")
+        refuse_entry(where, str(value)[:40], "a number")
     try:
         found = float(value)
     except OverflowError:
         found = math.inf
     if not math.isfinite(found):
-        refuse(where, str(value)[:40], "a finite number")
+        refuse_entry(where, str(value)[:40], "a finite number")
     return found
 
 
-def numbers(document: Mapping[str, Any], name: str) -> dict[str, float]:
+def valued_numbers(document: Mapping[str, Any], name: str) -> dict[str, float]:
     """Return the values of ``{key: {"value": number}}``."""
     entries = part(document, name, dict)
-    return {key: number(part(entries, key, dict), "value", f"{name}.{key}") for key in entries}
+    return {key: finite_number(part(entries, key, dict), "value", f"{name}.{key}") for key in entries}
 
 
 def array(value: Any, where: str, shape: tuple[int | None, ...]) -> Any:
@@ -152,40 +152,40 @@ def array(value: Any, where: str, shape: tuple[int | None, ...]) -> Any:
     try:
         found = np.asarray(value)
     except ValueError:
-        refuse(where, "rows of unequal length", "a full table of numbers")
+        refuse_entry(where, "rows of unequal length", "a full table of numbers")
     wanted = " x ".join("any" if n is None else str(n) for n in shape)
     fits = found.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
     rows = value if len(shape) > 1 else [value]
     if fits and isinstance(value, list) and any(bool in set(map(type, row)) for row in rows):
-        refuse(where, "true or false among them", f"numbers, {wanted}")
+        refuse_entry(where, "true or false among them", f"numbers, {wanted}")
     if (found.size and found.dtype.kind not in "if") or not fits:
-        refuse(where, f"{found.dtype.kind}-type table of shape {found.shape}", f"numbers, {wanted}")
+        refuse_entry(where, f"{found.dtype.kind}-type table of shape {found.shape}", f"numbers, {wanted}")
     found = found.astype(float)
     if not np.isfinite(found).all():
-        refuse(where, "numbers that are not finite", "finite numbers")
+        refuse_entry(where, "numbers that are not finite", "finite numbers")
     return found
 
 
-def member(kind: type, found: Any, where: str) -> Any:
+def enumeration_member(kind: type, found: Any, where: str) -> Any:
     """Return the member of an enumeration; refuse None."""
     if found is None:
-        refuse(where, "an unknown word", "one of " + ", ".join(str(m.name) for m in kind))  # type: ignore[attr-defined]
+        refuse_entry(where, "an unknown word", "one of " + ", ".join(str(m.name) for m in kind))  # type: ignore[attr-defined]
     return found
 
 
 # -- records ----------------------------------------------------------------------------------------------------------
 
 
-def plain(value: Any) -> Any:
+def record_tree(value: Any) -> Any:
     """Return a record as a tree for JSON, without the fields that have their defaults."""
     if is_dataclass(value) and not isinstance(value, type):
         shown = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
         defaults = {f.name: f.default for f in fields(value)}
-        return {name: plain(entry) for name, entry in shown.items() if entry != defaults[name]}
-    return [plain(entry) for entry in value] if isinstance(value, tuple) else value
+        return {name: record_tree(entry) for name, entry in shown.items() if entry != defaults[name]}
+    return [record_tree(entry) for entry in value] if isinstance(value, tuple) else value
 
 
-def record(kind: type[Kind], document: Any, where: str) -> Kind:
+def checked_record(kind: type[Kind], document: Any, where: str) -> Kind:
     """Build a record of a kind, which makes its own checks.
 
     Parameters
@@ -196,15 +196,15 @@ def record(kind: type[Kind], document: Any, where: str) -> Kind:
         Name of the entry for the message.
     """
     if not isinstance(document, dict):
-        refuse(where, str(document)[:40], "a record")
+        refuse_entry(where, str(document)[:40], "a record")
     hints, known = _hints(kind), {f.name: f for f in fields(kind) if f.init}  # type: ignore[arg-type]
     for name in document:
         if name not in known:
-            refuse(f"{where}.{name}"[:100], "a field that is not known", "one of " + ", ".join(known))
+            refuse_entry(f"{where}.{name}"[:100], "a field that is not known", "one of " + ", ".join(known))
     for name, f in known.items():
         if name not in document and f.default is MISSING and f.default_factory is MISSING:
-            refuse(f"{where}.{name}", "nothing", "an entry")
-    return kind(**{name: _entry(hints[name], value, f"{where}.{name}") for name, value in document.items()})
+            refuse_entry(f"{where}.{name}", "nothing", "an entry")
+    return kind(**{name: _checked_entry(hints[name], value, f"{where}.{name}") for name, value in document.items()})
 
 
 @cache
@@ -212,7 +212,7 @@ def _hints(kind: type) -> dict[str, Any]:
     return get_type_hints(kind)
 
 
-def _entry(hint: Any, value: Any, where: str) -> Any:
+def _checked_entry(hint: Any, value: Any, where: str) -> Any:
     """Return a value, checked to be of a declared type."""
     if get_origin(hint) in (Union, UnionType):
         choices = get_args(hint)
@@ -221,21 +221,21 @@ def _entry(hint: Any, value: Any, where: str) -> Any:
         words = isinstance(value, str) and str in choices
         hint = str if words else next(h for h in choices if h not in (str, NoneType))
     if get_origin(hint) is tuple:
-        return _row(get_args(hint), value, where)
+        return _checked_row(get_args(hint), value, where)
     if hint is str:
         if not isinstance(value, str) or len(value) > LONGEST_TEXT:
-            refuse(where, str(value)[:40], f"a text of at most {LONGEST_TEXT} characters")
+            refuse_entry(where, str(value)[:40], f"a text of at most {LONGEST_TEXT} characters")
         return value
     if hint in (float, int):
-        return hint(_number(value, where))
+        return hint(_checked_number(value, where))
     if hint is bool:
-        return value if isinstance(value, bool) else refuse(where, str(value)[:40], "true or false")
-    return record(hint, value, where)
+        return value if isinstance(value, bool) else refuse_entry(where, str(value)[:40], "true or false")
+    return checked_record(hint, value, where)
 
 
-def _row(hints: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+def _checked_row(hints: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     alike = len(hints) == 2 and hints[1] is Ellipsis
     if not isinstance(value, list) or len(value) > MOST_ENTRIES or not (alike or len(value) == len(hints)):
-        refuse(where, str(value)[:40], "a list" if alike else f"a list of {len(hints)}")
+        refuse_entry(where, str(value)[:40], "a list" if alike else f"a list of {len(hints)}")
     each = (hints[0],) * len(value) if alike else hints
-    return tuple(_entry(h, v, f"{where}[{i}]") for i, (h, v) in enumerate(zip(each, value, strict=True)))
+    return tuple(_checked_entry(h, v, f"{where}[{i}]") for i, (h, v) in enumerate(zip(each, value, strict=True)))

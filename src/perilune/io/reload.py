@@ -26,7 +26,17 @@ from perilune.io.format import (
     hash_of,
 )
 from perilune.io.physics import read_physics
-from perilune.io.reading import MOST_ENTRIES, array, member, number, numbers, part, refuse, text, tree
+from perilune.io.reading import (
+    MOST_ENTRIES,
+    array,
+    enumeration_member,
+    finite_number,
+    part,
+    refuse_entry,
+    short_text,
+    tree,
+    valued_numbers,
+)
 from perilune.problem.controls import directions
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.named_arcs import NamedArc
@@ -35,17 +45,17 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Statistics, Trajectory
 from perilune.problem.tolerance import Tolerance, unit_of
 from perilune.problem.variables import Given
-from perilune.problem.verification import LEVEL_NAMES, Verification, slips_told
-from perilune.words.asked import called_in_words, demand_path
+from perilune.problem.verification import LEVEL_NAMES, Verification, format_failed_checks
+from perilune.words.asked import check_call, require_path
 from perilune.words.bounded import bounded_text, one_line
-from perilune.words.declared import keys_of, made_of
+from perilune.words.declared import record_keys, record_of_values
 from perilune.words.outcome import Outcome, PeriluneError, UnknownKindError
 
 MOST_NODES = 100_000
 _ROUNDING = 1e-12  # relative, between the numbers of a scenario and those beside it
 
 
-@called_in_words
+@check_call
 def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None) -> Solution:
     """Load a saved solution.
 
@@ -70,17 +80,17 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
     PeriluneError
         If the file is missing, too large, not of this format, altered, or does not fit its own problem.
     """
-    return opened(directory, problem_from_scenario)[0]
+    return load_with_tree(directory, problem_from_scenario)[0]
 
 
-def opened(
+def load_with_tree(
     directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None
 ) -> tuple[Solution, Mapping[str, Any]]:
     """Load a solution as `load` does, with the tree that the file holds."""
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
-    path = demand_path(directory, "the directory of a saved solution")
-    document = _document(path)
+    path = require_path(directory, "the directory of a saved solution")
+    document = _solution_tree(path)
     problem = read_problem(document, problem_from_scenario)
     found = read_answer(document, problem, read_trajectories(document, problem))
     return found, document
@@ -92,16 +102,16 @@ def claims_of(document: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
     return "" if document.get("scenario") is None else _scenario_text(document), told
 
 
-def _claimed_proof(document: Mapping[str, Any]) -> str:
+def _claimed_verification(document: Mapping[str, Any]) -> str:
     """Return the claim of a file about its own proof; empty for none, as in files of earlier versions."""
     verification = document.get("verification")
     if not isinstance(verification, dict) or "level" not in verification:
         return ""
-    level = int(number(verification, "level", "verification"))
+    level = int(finite_number(verification, "level", "verification"))
     if not 0 <= level < len(LEVEL_NAMES):
-        refuse("verification.level", str(level), f"0 to {len(LEVEL_NAMES) - 1}")
+        refuse_entry("verification.level", str(level), f"0 to {len(LEVEL_NAMES) - 1}")
     passed = [isinstance(check, dict) and check.get("passed") is True for check in part(verification, "checks", list)]
-    return f"level {level}: {LEVEL_NAMES[level]}{slips_told(passed)}" if passed else ""
+    return f"level {level}: {LEVEL_NAMES[level]}{format_failed_checks(passed)}" if passed else ""
 
 
 def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Sequence[Trajectory]) -> Solution:
@@ -114,28 +124,34 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
     problem, trajectories
         Its problem and curves.
     """
-    free = numbers(document, "free")
+    free = valued_numbers(document, "free")
     if set(free) != set(problem.free_names):
-        refuse("free", ", ".join(sorted(free)) or "none", ", ".join(problem.free_names) or "none")
-    multipliers = numbers(document, "multipliers")
+        refuse_entry("free", ", ".join(sorted(free)) or "none", ", ".join(problem.free_names) or "none")
+    multipliers = valued_numbers(document, "multipliers")
     conditions = {f"{phase.name}.{condition.name}" for phase in problem.phases for condition in phase.end_conditions}
     for name in multipliers:
         if name not in conditions:
-            refuse(f"multipliers.{name}"[:80], "a condition that is not known", ", ".join(sorted(conditions)) or "none")
-    outcome = member(Outcome, Outcome.__members__.get(text(part(document, "outcome", dict), "name")), "outcome")
+            refuse_entry(
+                f"multipliers.{name}"[:80], "a condition that is not known", ", ".join(sorted(conditions)) or "none"
+            )
+    outcome = enumeration_member(
+        Outcome, Outcome.__members__.get(short_text(part(document, "outcome", dict), "name")), "outcome"
+    )
     return Solution(
         problem=problem,
-        method=text(document, "method"),
+        method=short_text(document, "method"),
         outcome=Outcome.SOLVED if outcome in (Outcome.PROVED, Outcome.NOT_PROVED) else outcome,
-        objective=number(part(document, "objective", dict), "value", "objective"),
+        objective=finite_number(part(document, "objective", dict), "value", "objective"),
         free=free,
         trajectories=trajectories,
         multipliers=multipliers,
-        listed=_extremals(document, free),
+        listed=_read_extremals(document, free),
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),
-        verification=Verification(tolerance=_tolerance(document.get("verification")), claimed=_claimed_proof(document)),
-        structure=_structure(document),
+        verification=Verification(
+            tolerance=_tolerance(document.get("verification")), claimed=_claimed_verification(document)
+        ),
+        structure=_read_structure(document),
     )
 
 
@@ -143,16 +159,16 @@ def _tolerance(said: Any) -> Tolerance:
     """Return the tolerance with which the file was proved. It proves nothing; a new proof says what it needed of it."""
     if not isinstance(said, Mapping) or not said.get("tolerance"):
         return Tolerance()
-    values, known = numbers(said, "tolerance"), keys_of(Tolerance)
+    values, known = valued_numbers(said, "tolerance"), record_keys(Tolerance)
     for name in values:
         if name not in known:
-            refuse(f"tolerance.{name}"[:80], "a quantity that is not known", ", ".join(known))
-        if (unit := text(said["tolerance"][name], "unit")) != unit_of(name):
-            refuse(f"tolerance.{name}.unit", unit[:40], unit_of(name))
-    return made_of(Tolerance, values)
+            refuse_entry(f"tolerance.{name}"[:80], "a quantity that is not known", ", ".join(known))
+        if (unit := short_text(said["tolerance"][name], "unit")) != unit_of(name):
+            refuse_entry(f"tolerance.{name}.unit", unit[:40], unit_of(name))
+    return record_of_values(Tolerance, values)
 
 
-def _document(path: Path) -> dict[str, Any]:
+def _solution_tree(path: Path) -> dict[str, Any]:
     """Read the JSON tree of a file of this format; errors as of `load`."""
     expected = f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it"
     if path.suffix.lower() == ".toml" and path.is_file():
@@ -191,23 +207,23 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
             raise
     if alone:
         stated = stated or part(document, "scenario", dict)
-        _check_given(document, stated)
+        _check_saved_given(document, stated)
         return stated
-    entries, values = part(document, "given", dict), numbers(document, "given")
-    given = {name: Given(value=value, unit=text(entries[name], "unit")) for name, value in values.items()}
+    entries, values = part(document, "given", dict), valued_numbers(document, "given")
+    given = {name: Given(value=value, unit=short_text(entries[name], "unit")) for name, value in values.items()}
     source = "scenario"
     if stated is not None:
-        _check_given(document, stated)
+        _check_saved_given(document, stated)
     elif document.get("made") is not None:
-        from perilune.io.made import read_made
+        from perilune.io.made import read_model
 
         source = "model"
         with suppress(UnknownKindError):
-            stated = read_made(part(document, "made", dict), given)
+            stated = read_model(part(document, "made", dict), given)
     written = read_physics(part(document, "problem", dict), given)
     if stated is None:
         return written
-    if stated.form != written.form or not _close(stated.numbers, written.numbers):
+    if stated.form != written.form or not _equal_but_rounding(stated.numbers, written.numbers):
         raise PeriluneError(
             f"the {source} in the saved solution and the expressions beside it state different problems",
             got=f"expressions with digest {written.form.digest[:16]}",
@@ -217,8 +233,8 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
     return stated
 
 
-def as_read_back(document: Mapping[str, Any]) -> Problem:
-    """Build the problem of a document that `perilune.io.export.problem_document` made without a scenario."""
+def reread_problem(document: Mapping[str, Any]) -> Problem:
+    """Build the problem of a document that `perilune.io.export.stated_problem_document` made without a scenario."""
     return read_problem({**document, "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION}}, _no_scenario)
 
 
@@ -226,10 +242,10 @@ def _no_scenario(_: str) -> Problem:
     raise AssertionError("a document that was made without a scenario has none")
 
 
-def _close(one: Any, other: Any) -> bool:
+def _equal_but_rounding(one: Any, other: Any) -> bool:
     """Return True if two trees of names and numbers are equal to rounding."""
     if isinstance(one, tuple) and isinstance(other, tuple):
-        return len(one) == len(other) and all(map(_close, one, other))
+        return len(one) == len(other) and all(map(_equal_but_rounding, one, other))
     if isinstance(one, float | int) and isinstance(other, float | int):
         return math.isclose(one, other, rel_tol=_ROUNDING, abs_tol=0.0)
     return one == other
@@ -249,38 +265,38 @@ def _scenario_text(document: Mapping[str, Any]) -> str:
     return said
 
 
-def _check_given(document: Mapping[str, Any], problem: Problem) -> None:
+def _check_saved_given(document: Mapping[str, Any], problem: Problem) -> None:
     """Refuse a file whose parameters differ from those of its scenario."""
-    saved = numbers(document, "given")
+    saved = valued_numbers(document, "given")
     for name, given in problem.given.items():
         if name not in saved or not math.isclose(saved[name], given.value, rel_tol=_ROUNDING, abs_tol=0.0):
-            refuse(f"given.{name}", str(saved.get(name, "none")), f"{given.value!r}, as the scenario says")
+            refuse_entry(f"given.{name}", str(saved.get(name, "none")), f"{given.value!r}, as the scenario says")
     if extra := set(saved) - set(problem.given):
-        refuse("given", ", ".join(sorted(extra)), "only parameters that the scenario gives")
+        refuse_entry("given", ", ".join(sorted(extra)), "only parameters that the scenario gives")
 
 
 def read_trajectories(document: Mapping[str, Any], problem: Problem) -> tuple[Trajectory, ...]:
     """Read the curves of a document."""
-    free = numbers(document, "free")
+    free = valued_numbers(document, "free")
     entries = part(document, "phases", list)
     if len(entries) != len(problem.phases):
-        refuse("phases", str(len(entries)), str(len(problem.phases)))
+        refuse_entry("phases", str(len(entries)), str(len(problem.phases)))
     trajectories = []
     for k, (entry, phase) in enumerate(zip(entries, problem.phases, strict=True)):
         where = f"phases[{k}]"
         if not isinstance(entry, dict) or entry.get("name") != phase.name:
-            refuse(where, str(entry)[:40], f"the phase {phase.name}")
+            refuse_entry(where, str(entry)[:40], f"the phase {phase.name}")
         n, m = len(phase.states), len(phase.control_names)
-        state, control = _curve(entry, "state", n, where), _curve(entry, "control", m, where)
-        costate = None if entry.get("costate") is None else _curve(entry, "costate", n, where)
+        state, control = _read_curve(entry, "state", n, where), _read_curve(entry, "control", m, where)
+        costate = None if entry.get("costate") is None else _read_curve(entry, "costate", n, where)
         ends = {float(c.time[-1]) for c in (state, control, costate) if c is not None}
         if len(ends) > 1:
-            refuse(where, f"curves that end at {sorted(ends)} s", "one duration")
+            refuse_entry(where, f"curves that end at {sorted(ends)} s", "one duration")
         _check_directions(phase, control, f"{where}.control")
         # Small differences are for the proof to find; with large ones it would have nothing to compute with.
         duration = free.get(phase.duration)
         if duration is not None and not math.isclose(duration, max(ends), rel_tol=1e-3):
-            refuse(f"free.{phase.duration}", f"{duration:g} s", f"{max(ends):g} s, where the curves end")
+            refuse_entry(f"free.{phase.duration}", f"{duration:g} s", f"{max(ends):g} s, where the curves end")
         trajectories.append(Trajectory(phase=phase.name, state=state, control=control, costate=costate))
     return tuple(trajectories)
 
@@ -289,10 +305,10 @@ def _check_directions(phase: Phase, control: Curve, where: str) -> None:
     """Refuse a control without direction; its optimality is for the proof to check."""
     for first, last in directions(phase.controls):
         if np.linalg.norm(control.values[:, first:last], axis=1).min() < 0.5:
-            refuse(where, "a direction of length 0", "directions of length 1")
+            refuse_entry(where, "a direction of length 0", "directions of length 1")
 
 
-def _curve(entry: Mapping[str, Any], name: str, width: int, where: str) -> Curve:
+def _read_curve(entry: Mapping[str, Any], name: str, width: int, where: str) -> Curve:
     tables = part(entry, name, dict)
     where = f"{where}.{name}"
     time = array(tables.get("time"), f"{where}.time", (None,))
@@ -300,7 +316,7 @@ def _curve(entry: Mapping[str, Any], name: str, width: int, where: str) -> Curve
     ordered = 2 <= len(time) <= MOST_NODES and (np.diff(time) >= 0).all() and (time[2:] > time[:-2]).all()
     if not ordered or time[0] != 0.0:
         expected = f"2 to {MOST_NODES} increasing times that begin at 0, the same twice at a switch only"
-        refuse(f"{where}.time", f"{len(time)} nodes", expected)
+        refuse_entry(f"{where}.time", f"{len(time)} nodes", expected)
     shape = (len(time), width)
     return Curve(
         time=time,
@@ -309,43 +325,43 @@ def _curve(entry: Mapping[str, Any], name: str, width: int, where: str) -> Curve
     )
 
 
-def _extremals(document: Mapping[str, Any], free: Mapping[str, float]) -> tuple[Extremal, ...]:
+def _read_extremals(document: Mapping[str, Any], free: Mapping[str, float]) -> tuple[Extremal, ...]:
     entries = part(document, "extremals", list)
     if len(entries) > MOST_ENTRIES or not all(isinstance(e, dict) for e in entries):
-        refuse("extremals", f"{len(entries)} entries", f"at most {MOST_ENTRIES} records")
+        refuse_entry("extremals", f"{len(entries)} entries", f"at most {MOST_ENTRIES} records")
     found = tuple(
         Extremal(
-            free={str(k): number(e["free"], k, "extremals.free") for k in part(e, "free", dict)},
-            objective=number(e, "objective", "extremals"),
-            nature=_nature(text(e, "nature")),
+            free={str(k): finite_number(e["free"], k, "extremals.free") for k in part(e, "free", dict)},
+            objective=finite_number(e, "objective", "extremals"),
+            nature=_read_nature(short_text(e, "nature")),
             unknowns=tuple(array(e.get("unknowns", []), "extremals.unknowns", (None,)).tolist()),
         )
         for e in entries
     )
-    own = (number(part(document, "objective", dict), "value", "objective"), *free.values())
+    own = (finite_number(part(document, "objective", dict), "value", "objective"), *free.values())
     if found and not np.allclose([found[0].objective, *(found[0].free.get(k, math.nan) for k in free)], own, rtol=1e-6):
-        refuse("extremals", "a first one that is not this solution", "this solution first")
+        refuse_entry("extremals", "a first one that is not this solution", "this solution first")
     return found
 
 
-def _nature(word: str) -> Nature:
+def _read_nature(word: str) -> Nature:
     try:
         return Nature(word)
     except ValueError:
-        return member(Nature, None, "extremals.nature")
+        return enumeration_member(Nature, None, "extremals.nature")
 
 
-def _structure(document: Mapping[str, Any]) -> tuple[NamedArc, ...]:
+def _read_structure(document: Mapping[str, Any]) -> tuple[NamedArc, ...]:
     """Read the named arcs; empty for files of earlier versions."""
     entries = part(document, "structure", list) if "structure" in document else []
     if len(entries) > MOST_ENTRIES or not all(isinstance(e, dict) for e in entries):
-        refuse("structure", f"{len(entries)} entries", f"at most {MOST_ENTRIES} records")
+        refuse_entry("structure", f"{len(entries)} entries", f"at most {MOST_ENTRIES} records")
     return tuple(
         NamedArc(
-            phase=text(e, "phase")[:200],
-            begin=number(e, "begin", "structure"),
-            end=number(e, "end", "structure"),
-            words=text(e, "words")[:200],
+            phase=short_text(e, "phase")[:200],
+            begin=finite_number(e, "begin", "structure"),
+            end=finite_number(e, "end", "structure"),
+            words=short_text(e, "words")[:200],
         )
         for e in entries
     )
@@ -353,14 +369,14 @@ def _structure(document: Mapping[str, Any]) -> tuple[NamedArc, ...]:
 
 def _statistics(entry: Mapping[str, Any]) -> Statistics:
     def count(name: str) -> int:
-        return int(number(entry, name, "statistics"))
+        return int(finite_number(entry, name, "statistics"))
 
     def known(name: str) -> float:
-        return math.nan if entry.get(name) is None else number(entry, name, "statistics")
+        return math.nan if entry.get(name) is None else finite_number(entry, name, "statistics")
 
     tried = part(entry, "tried", list)
     return Statistics(
-        rung=text(entry, "rung"),
+        rung=short_text(entry, "rung"),
         tried=tuple(str(rung)[:200] for rung in tried[:MOST_ENTRIES]),
         iterations=count("iterations"),
         arcs=count("arcs"),

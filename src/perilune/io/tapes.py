@@ -23,23 +23,23 @@ def tape_of(document: Any, names: Mapping[str, Sequence[str]], what: str) -> Tap
     entries = document.get("instructions") if isinstance(document, dict) else None
     outputs = document.get("outputs") if isinstance(document, dict) else None
     if not isinstance(entries, list) or not isinstance(outputs, list):
-        raise _unreadable(what, "no list of instructions and outputs")
+        raise _unreadable_expressions(what, "no list of instructions and outputs")
     if max(len(entries), len(outputs)) > MOST_INSTRUCTIONS:
-        raise _unreadable(what, f"more than {MOST_INSTRUCTIONS} instructions")
+        raise _unreadable_expressions(what, f"more than {MOST_INSTRUCTIONS} instructions")
     read = document.get("tables", [])
     if not isinstance(read, list) or len(read) > MOST_TABLES:
-        raise _unreadable(what, f"tables {str(read)[:60]}")
+        raise _unreadable_expressions(what, f"tables {str(read)[:60]}")
     tables = tuple(_table_of(entry, what) for entry in read)
     names = {**names, "table": [table.digest for table in tables]}
     for number, entry in enumerate(entries):
-        if not _sound(entry, number, names):
-            raise _unreadable(what, f"instruction {number}: {str(entry)[:60]}")
+        if not _is_sound_entry(entry, number, names):
+            raise _unreadable_expressions(what, f"instruction {number}: {str(entry)[:60]}")
     if not all(_before(i, len(entries)) for i in outputs):
-        raise _unreadable(what, f"outputs {str(outputs)[:60]}")
+        raise _unreadable_expressions(what, f"outputs {str(outputs)[:60]}")
     return Tape(tuple(tuple(entry) for entry in entries), tuple(outputs), tables)
 
 
-def _sound(entry: Any, number: int, names: Mapping[str, Sequence[str]]) -> bool:
+def _is_sound_entry(entry: Any, number: int, names: Mapping[str, Sequence[str]]) -> bool:
     if not isinstance(entry, list) or not entry or not isinstance(entry[0], str):
         return False
     word, *rest = entry
@@ -56,7 +56,7 @@ def _table_of(entry: Any, what: str) -> Table:
     try:
         return Table(entry["x"], entry["y"], entry["kind"])
     except (TypeError, KeyError, ValueError, OverflowError) as error:
-        raise _unreadable(what, f"a table: {str(error)[:60]}") from None
+        raise _unreadable_expressions(what, f"a table: {str(error)[:60]}") from None
 
 
 def _before(index: Any, number: int) -> bool:
@@ -70,7 +70,7 @@ def _is_repr(text: str) -> bool:
         return False
 
 
-def _unreadable(what: str, got: str) -> PeriluneError:
+def _unreadable_expressions(what: str, got: str) -> PeriluneError:
     return PeriluneError(
         f"the expressions of {what} in the file cannot be read",
         got=got,

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
-from perilune.methods.assemble import free_values, multipliers, objective_scale, trajectories
-from perilune.methods.flown import Aloft, exported
+from perilune.methods.assemble import assemble_trajectories, free_values, objective_scale, scaled_end_multipliers
+from perilune.methods.flown import PropagatedStates, propagate_for_export
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics, Trajectory
-from perilune.shooting.extremals import Found, same
+from perilune.shooting.extremals import ExtremalRoot, same_vector
 from perilune.shooting.function import Root
 from perilune.words.deferred import Deferred
 from perilune.words.outcome import Outcome
@@ -31,15 +31,15 @@ class Curves(Deferred):
 
     def _exported(self) -> tuple[Trajectory, ...]:
         of = self.problem, self.conditions
-        return trajectories(*of, self.root.y, exported(*of, self.root))
+        return assemble_trajectories(*of, self.root.y, propagate_for_export(*of, self.root))
 
-    def aloft(self) -> Aloft:
+    def aloft(self) -> PropagatedStates:
         """Return the flight of the root, for its states."""
-        return Aloft(self.problem, self.conditions, self.root.y)
+        return PropagatedStates(self.problem, self.conditions, self.root.y)
 
 
-def composed(
-    method: str, problem: Problem, conditions: Conditions, found: Sequence[Found], statistics: Statistics
+def compose_solution(
+    method: str, problem: Problem, conditions: Conditions, found: Sequence[ExtremalRoot], statistics: Statistics
 ) -> Solution:
     """Make the best of the roots the answer, and list all of them.
 
@@ -52,14 +52,14 @@ def composed(
     statistics
         Of the run; `rung` says whether a guess led to the root. The residual is added.
     """
-    ranked = listed_once(conditions, sorted(found, key=lambda f: (not f.minimum, f.root.cost)))
+    ranked = drop_mirror_images(conditions, sorted(found, key=lambda f: (not f.minimum, f.root.cost)))
     # Beside what is locally worst something better is near: none that it outdoes is the best.
     unit, guessed, least = objective_scale(problem), statistics.rung == "guess", min(f.root.cost for f in ranked)
     extremals = tuple(
         Extremal(
             free=free_values(problem, conditions, f.root.y),
             objective=float(f.root.cost * unit),
-            nature=_nature(f, len(problem.free), best=place == 0 and f.root.cost <= least, guessed=guessed),
+            nature=_classify_root(f, len(problem.free), best=place == 0 and f.root.cost <= least, guessed=guessed),
             unknowns=tuple(f.root.y.tolist()),
         )
         for place, f in enumerate(ranked)
@@ -72,31 +72,31 @@ def composed(
         objective=extremals[0].objective,
         free=extremals[0].free,
         trajectories=Curves(problem, conditions, best),
-        multipliers=multipliers(problem, conditions, best.y),
+        multipliers=scaled_end_multipliers(problem, conditions, best.y),
         extremals=extremals,
         unknowns=best.y,
         statistics=replace(statistics, residual=float(np.abs(best.residual).max())),
     )
 
 
-def listed_once(conditions: Conditions, ranked: Iterable[Found]) -> list[Found]:
+def drop_mirror_images(conditions: Conditions, ranked: Iterable[ExtremalRoot]) -> list[ExtremalRoot]:
     """Return the extremals whose J or free parameters differ.
 
     Mirror images, or a coast flown before the burn or behind it, are one extremal to whoever reads the list.
     """
-    kept: list[Found] = []
+    kept: list[ExtremalRoot] = []
     for found in ranked:
-        values = _told(conditions, found)
-        if not any(same(values, _told(conditions, other), _SAME) for other in kept):
+        values = _reported_values(conditions, found)
+        if not any(same_vector(values, _reported_values(conditions, other), _SAME) for other in kept):
             kept.append(found)
     return kept
 
 
-def _told(conditions: Conditions, found: Found) -> Vector:
+def _reported_values(conditions: Conditions, found: ExtremalRoot) -> Vector:
     return np.append(found.root.y[conditions.free_at], found.root.cost)
 
 
-def _nature(found: Found, free: int, *, best: bool, guessed: bool) -> Nature:
+def _classify_root(found: ExtremalRoot, free: int, *, best: bool, guessed: bool) -> Nature:
     """Classify a root; the one that a guess leads to was compared with no other."""
     bound = bool(found.root.choice[:free].any())
     if not found.minimum:

@@ -13,7 +13,7 @@ import numpy as np
 
 from perilune.conditions.canonical import PhaseExtremal, extremal_parameters
 from perilune.conditions.pontryagin import Conditions
-from perilune.methods.flown import Flown
+from perilune.methods.flown import PropagatedPhase
 from perilune.problem.controls import control_scales, scalars
 from perilune.problem.nodes import hermite_nodes
 from perilune.problem.phase import Phase
@@ -85,7 +85,7 @@ def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str
     return {f.name: value * of(f.unit) for f, value in zip(problem.free, values, strict=True)}
 
 
-def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
+def scaled_end_multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
     """Return the multipliers nu of the end conditions in J per unit.
 
     Parameters
@@ -103,7 +103,7 @@ def multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def controls(extremal: PhaseExtremal, arc: Flown, t: Vector, p: Vector) -> Matrix:
+def minimising_controls(extremal: PhaseExtremal, arc: PropagatedPhase, t: Vector, p: Vector) -> Matrix:
     """Return the minimising control along an arc, (n, controls); at a switch, the one after it.
 
     Parameters
@@ -122,16 +122,16 @@ def controls(extremal: PhaseExtremal, arc: Flown, t: Vector, p: Vector) -> Matri
     for mode in np.unique(modes):
         here = modes == mode
         points = z[here]
-        out[here] = _law(extremal, int(mode), points, p)
+        out[here] = _control_of_mode(extremal, int(mode), points, p)
     return out
 
 
-def _law(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> Matrix:
+def _control_of_mode(extremal: PhaseExtremal, mode: int, z: Matrix, p: Vector) -> Matrix:
     """Return the control in one mode at points z (n, nz)."""
-    return _at(_first(extremal.reports[mode]), z, np.tile(p, (len(z), 1)))[0]
+    return _evaluate_mapped(_first_output(extremal.reports[mode]), z, np.tile(p, (len(z), 1)))[0]
 
 
-def _at(function: ca.Function, *arguments: Matrix) -> list[Matrix]:
+def _evaluate_mapped(function: ca.Function, *arguments: Matrix) -> list[Matrix]:
     """Evaluate a function of columns, all of them dense, at many points: (n, m) from (n, k) each.
 
     In NumPy's own arrays: to make CasADi's of them takes several times as long as to evaluate.
@@ -155,27 +155,31 @@ def _mapped(function: ca.Function, count: int) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
-def _first(report: ca.Function) -> ca.Function:
+def _first_output(report: ca.Function) -> ca.Function:
     """Return a function of only its first output."""
     z, p = (ca.SX.sym(name, report.size1_in(i)) for i, name in enumerate("zp"))
     return ca.Function("first", [z, p], [ca.densify(report(z, p)[0])])
 
 
 @lru_cache(maxsize=64)
-def _together(rate: ca.Function, report: ca.Function) -> ca.Function:
+def _rates_and_control_function(rate: ca.Function, report: ca.Function) -> ca.Function:
     """Join both functions in one: (z, the z that decides the control, numbers) -> (z', u, u')."""
     z, decides, p = (ca.SX.sym(name, report.size1_in(i)) for i, name in ((0, "z"), (0, "d"), (1, "p")))
     return ca.Function("together", [z, decides, p], [ca.densify(x) for x in (rate(z, p), *report(decides, p)[:2])])
 
 
-def _report(extremal: PhaseExtremal, mode: int, z: Matrix, decides: Matrix, p: Vector) -> tuple[Matrix, Matrix, Matrix]:
+def _rates_and_control(
+    extremal: PhaseExtremal, mode: int, z: Matrix, decides: Matrix, p: Vector
+) -> tuple[Matrix, Matrix, Matrix]:
     """Return (z', u, u') in one mode: z' at points z (n, nz), the control at those that decide it."""
-    together = _together(extremal.modes[mode], extremal.reports[mode])
-    rate, u, u_rate = _at(together, z, decides, np.tile(p, (len(z), 1)))
+    together = _rates_and_control_function(extremal.modes[mode], extremal.reports[mode])
+    rate, u, u_rate = _evaluate_mapped(together, z, decides, np.tile(p, (len(z), 1)))
     return rate, u, u_rate
 
 
-def trajectories(problem: Problem, conditions: Conditions, y: Vector, flown: Sequence[Flown]) -> tuple[Trajectory, ...]:
+def assemble_trajectories(
+    problem: Problem, conditions: Conditions, y: Vector, flown: Sequence[PropagatedPhase]
+) -> tuple[Trajectory, ...]:
     """Return curves of state, costate and control of each phase in SI; a repeated node marks a switch.
 
     Parameters
@@ -187,11 +191,11 @@ def trajectories(problem: Problem, conditions: Conditions, y: Vector, flown: Seq
     """
     free = free_values(problem, conditions, y)
     whole = sum(arc.duration for arc in flown)
-    return tuple(_trajectory(problem, conditions, k, arc, free, whole) for k, arc in enumerate(flown))
+    return tuple(_assemble_phase(problem, conditions, k, arc, free, whole) for k, arc in enumerate(flown))
 
 
-def _trajectory(
-    problem: Problem, conditions: Conditions, k: int, arc: Flown, free: Mapping[str, float], whole: float
+def _assemble_phase(
+    problem: Problem, conditions: Conditions, k: int, arc: PropagatedPhase, free: Mapping[str, float], whole: float
 ) -> Trajectory:
     phase, extremal = problem.phases[k], conditions.phases[k]
     n, half, width = extremal.state_count, extremal.half, len(phase.control_names)
@@ -213,12 +217,12 @@ def _trajectory(
         return np.abs(change) * whole / _CHANGED
 
     def told(tolerance: Vector) -> tuple[Vector, Matrix, Matrix]:
-        nodes, values, rates = _nodes(extremal, arc, tolerance, numbers, changed, turns)
+        nodes, values, rates = _arc_nodes(extremal, arc, tolerance, numbers, changed, turns)
         return nodes, values * scale, rates * scale / problem.scales.time
 
     nodes, values, rates = told(plain)
     some = values[:: 1 + len(values) // _LOOKS]
-    leverage = _leverage(problem, phase, parameters, (some[:, :n].T, some[:, 2 * n :].T), size[:n])
+    leverage = _control_leverage(problem, phase, parameters, (some[:, :n].T, some[:, 2 * n :].T), size[:n])
     finer = np.concatenate([np.ones(2 * n), leverage])
     if (finer > 1.0).any():
         nodes, values, rates = told(plain / finer)
@@ -227,10 +231,10 @@ def _trajectory(
     return Trajectory(phase=phase.name, state=state, control=control, costate=costate)
 
 
-def _turns(extremal: PhaseExtremal, arc: Flown, p: Vector, ranges: Sequence[tuple[float, float]]) -> Turns:
+def _turns(extremal: PhaseExtremal, arc: PropagatedPhase, p: Vector, ranges: Sequence[tuple[float, float]]) -> Turns:
     """Return (t, u) -> the whole turns [rad] by which angles in u go on without a jump, where their range has room."""
     t, ahead = np.linspace(0.0, arc.duration, _TURNS), dict[int, Vector]()
-    whole = np.unwrap(controls(extremal, arc, t, p), axis=0) if extremal.periodic else np.zeros((0, 0))
+    whole = np.unwrap(minimising_controls(extremal, arc, t, p), axis=0) if extremal.periodic else np.zeros((0, 0))
     for place, (lower, upper) in zip(extremal.periodic, ranges, strict=True):
         least, most = whole[:, place].min(), whole[:, place].max()  # NaN where nothing points it
         up, down = (math.ceil(np.fmax(0.0, missing) / _TURN) for missing in (lower - least, most - upper))
@@ -247,10 +251,14 @@ def _turns(extremal: PhaseExtremal, arc: Flown, p: Vector, ranges: Sequence[tupl
     return turns
 
 
-def _nodes(
-    extremal: PhaseExtremal, arc: Flown, tolerance: Vector, p: Vector, changed: Callable[[Matrix, Matrix], Vector],
+def _arc_nodes(
+    extremal: PhaseExtremal,
+    arc: PropagatedPhase,
+    tolerance: Vector,
+    p: Vector,
+    changed: Callable[[Matrix, Matrix], Vector],
     turns: Turns,
-) -> tuple[Vector, Matrix, Matrix]:  # fmt: skip
+) -> tuple[Vector, Matrix, Matrix]:
     """Return times, and state, costate and control there with their rates, canonical; a switch stands there twice.
 
     Where a velocity is free the costate that points the thrust vanishes at the end, and rounding lets it pass through
@@ -263,7 +271,7 @@ def _nodes(
     # Nor do two controls that switch at once, as what is pulled one way and pushed the other, leave one between them.
     inside = [t for before, t in pairwise([-np.inf, *sorted(inside)]) if t - before > nothing]
     joints = [t for t in arc.begins[1:].tolist() if np.abs(t - np.array([np.inf, *inside])).min() > nothing]
-    first, last = (_told_from(extremal, arc, end, p) for end in (0.0, duration))
+    first, last = (_resolved_control_time(extremal, arc, end, p) for end in (0.0, duration))
     pieces = []
     for left, right in pairwise([0.0, *sorted([*inside, *joints]), duration]):
         mode = int(arc.modes(np.array([0.5 * (left + right)]))[0])
@@ -273,7 +281,7 @@ def _nodes(
         ) -> tuple[Matrix, Matrix]:
             at = np.minimum(left + t, before)  # at the switch itself the costate may have jumped
             z, decides = arc(at), arc(np.clip(at, first, last))
-            rate, u, u_rate = _report(extremal, mode, z, decides, p)
+            rate, u, u_rate = _rates_and_control(extremal, mode, z, decides, p)
             values = np.hstack([z[:, :n], z[:, half : half + n], u + turns(at, u)])
             return values, np.hstack([rate[:, :n], rate[:, half : half + n], u_rate])
 
@@ -281,12 +289,12 @@ def _nodes(
         # The last node is the switch itself, not a sum that may miss it by one rounding; a joint is the next piece's.
         piece = np.append(left + nodes[:-1], right), *there
         pieces.append([part[:-1] for part in piece] if right in joints else piece)
-    _agreed(pieces, slice(2 * n, None))
+    _reconcile_switch_values(pieces, slice(2 * n, None))
     nodes, values, rates = (np.concatenate(part) for part in zip(*pieces, strict=True))
     return nodes, values, rates
 
 
-def _agreed(pieces: Sequence[Sequence[Any]], controls: slice) -> None:
+def _reconcile_switch_values(pieces: Sequence[Sequence[Any]], controls: slice) -> None:
     """Give both sides of a switch through which a control goes on the value of the side that turns less.
 
     Behind a limit on its tilt a thrust may turn over at once. What the rounding of the switch, or of a costate near
@@ -299,7 +307,7 @@ def _agreed(pieces: Sequence[Sequence[Any]], controls: slice) -> None:
             (after if slower else before)[:] = before if slower else after
 
 
-def _told_from(extremal: PhaseExtremal, arc: Flown, end: float, p: Vector) -> float:
+def _resolved_control_time(extremal: PhaseExtremal, arc: PropagatedPhase, end: float, p: Vector) -> float:
     """Return the time nearest to an end of a phase at which its control is more than rounding.
 
     Where what points a direction vanishes at the end, its rounding over its distance from there is all that is left of
@@ -309,7 +317,7 @@ def _told_from(extremal: PhaseExtremal, arc: Flown, end: float, p: Vector) -> fl
 
     def control(share: float) -> Vector:
         t = np.array([end + inwards * share * duration])
-        return _law(extremal, int(arc.modes(t)[0]), arc(t), p)[0]
+        return _control_of_mode(extremal, int(arc.modes(t)[0]), arc(t), p)[0]
 
     def change(share: float) -> float:
         return float(np.nan_to_num(np.abs(control(2 * share) - control(share)), nan=np.inf).max(initial=0.0))
@@ -319,7 +327,7 @@ def _told_from(extremal: PhaseExtremal, arc: Flown, end: float, p: Vector) -> fl
     return end + inwards * best * duration
 
 
-def _leverage(problem: Problem, phase: Phase, p: Any, flown: tuple[Matrix, Matrix], size: Vector) -> Vector:
+def _control_leverage(problem: Problem, phase: Phase, p: Any, flown: tuple[Matrix, Matrix], size: Vector) -> Vector:
     """Return how far an error of each control along the whole phase moves the states, by their sizes, and at least 1.
 
     In a descent that nearly hovers much more speed goes through the engine than the flight changes.
@@ -344,7 +352,7 @@ def _leverage(problem: Problem, phase: Phase, p: Any, flown: tuple[Matrix, Matri
     return np.maximum(1.0, np.array(by) / _PLAIN)
 
 
-def unknowns_from(problem: Problem, conditions: Conditions, guess: Solution) -> Vector:
+def unknowns_from_solution(problem: Problem, conditions: Conditions, guess: Solution) -> Vector:
     """Return canonical unknowns y of `problem`, from a solution of any method for it or one of its form.
 
     The guess has as many phases (`perilune.problem.guess.fitting_guess`).
@@ -371,13 +379,13 @@ def unknowns_from(problem: Problem, conditions: Conditions, guess: Solution) -> 
     return np.concatenate([*lam0, canonical_free(problem, values), nu])
 
 
-def joints_from(problem: Problem, conditions: Conditions, guess: Solution, segments: int) -> Vector:
+def joints_from_solution(problem: Problem, conditions: Conditions, guess: Solution, segments: int) -> Vector:
     """Return canonical z at the joints of multiple shooting, read off a solution's curves.
 
     Parameters
     ----------
     problem, conditions, guess
-        As for `unknowns_from`.
+        As for `unknowns_from_solution`.
     segments
         Arcs of each phase.
     """
@@ -394,7 +402,7 @@ def joints_from(problem: Problem, conditions: Conditions, guess: Solution, segme
     return np.concatenate(joints)
 
 
-def beyond_shooting(rough: Solution, conditions: Conditions) -> tuple[str, str] | None:
+def unreachable_by_shooting(rough: Solution, conditions: Conditions) -> tuple[str, str] | None:
     """Return what no indirect extremal can do and a direct solution does, and what to try; None if nothing.
 
     A throttle that stays well between its bounds on a tenth of a phase is no polynomial's overshoot at a switch but a

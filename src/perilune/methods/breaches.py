@@ -14,10 +14,10 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Free, Variable
 from perilune.problem.wording import limit_name, quantity_name
-from perilune.structures.read import of_states
-from perilune.structures.structure import Structure, conditions_of, margins, moved_by
+from perilune.structures.read import state_conditions
+from perilune.structures.structure import Structure, conditions_of, margins, steering_controls
 from perilune.words.types import Matrix, Vector
-from perilune.words.units import told, told_outwards
+from perilune.words.units import format_bound, format_quantity
 
 _LOOKS = 201  # times of a phase, beside the nodes of its tables
 # Of a bound: how it is broken, and beyond it; what keeps it, and what makes it wider.
@@ -26,7 +26,7 @@ _BROKEN = 1e-8  # canonical, of tables: what is broken by less the proof may jud
 
 
 @dataclass(frozen=True, kw_only=True)
-class Breach:
+class ConstraintViolation:
     """A condition or bound that a flight breaks.
 
     Parameters
@@ -56,7 +56,7 @@ class Breach:
     enough: str = ""
 
 
-def broken_by_control(structure: Structure, whole: Solution) -> Breach | None:
+def violation_by_control(structure: Structure, whole: Solution) -> ConstraintViolation | None:
     """Return what the control of an extremal of arcs breaks that its law does not keep to, or None.
 
     Such are conditions of the path that the law cannot hold, and the bounds of a scalar that keeps what is ridden.
@@ -65,13 +65,13 @@ def broken_by_control(structure: Structure, whole: Solution) -> Breach | None:
     for k, (phase, arcs) in enumerate(zip(problem.phases, structure.phases, strict=True)):
         bounded = {c.name for _, c in scalars(phase.controls) if np.isfinite(c.limits(whole.parameters)).any()}
         ridden = conditions_of(problem, k, [name for arc in arcs for name in arc.along]).values()
-        steered = len(margins(problem, k)) > len(of_states(problem, k))
-        if steered or any(bounded & moved_by(condition) for condition in ridden):
-            return next(breaches_of(whole, _BROKEN), None)
+        steered = len(margins(problem, k)) > len(state_conditions(problem, k))
+        if steered or any(bounded & steering_controls(condition) for condition in ridden):
+            return next(solution_violations(whole, _BROKEN), None)
     return None
 
 
-def breaches_of(solution: Solution, slack: float) -> Iterator[Breach]:
+def solution_violations(solution: Solution, slack: float) -> Iterator[ConstraintViolation]:
     """Yield what a solution breaks by more than a slack [canonical], by its tables; bounds of its control too.
 
     Parameters
@@ -86,12 +86,14 @@ def breaches_of(solution: Solution, slack: float) -> Iterator[Breach]:
         nodes = (flown.state.time, flown.control.time)
         t = np.unique(np.concatenate([*nodes, np.linspace(0.0, flown.duration, _LOOKS)]))
         x, u = solution.flown(k, t)
-        yield from breaches_along(problem, phase, x, u, p, slack)
+        yield from violations_along(problem, phase, x, u, p, slack)
         for at, control in scalars(phase.controls):
-            yield from outside(problem, control, u[at], control.limits(p), slack)
+            yield from bound_violations(problem, control, u[at], control.limits(p), slack)
 
 
-def breaches_along(problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any, slack: float) -> Iterator[Breach]:
+def violations_along(
+    problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any, slack: float
+) -> Iterator[ConstraintViolation]:
     """Yield what states and controls of a phase, at the points given, break by more than a slack [canonical].
 
     Parameters
@@ -108,20 +110,20 @@ def breaches_along(problem: Problem, phase: Phase, x: Matrix, u: Matrix, p: Any,
         What may be broken, canonical.
     """
     for state, along in zip(phase.states, x, strict=True):
-        yield from outside(problem, state, along, state.limits(p), slack)
+        yield from bound_violations(problem, state, along, state.limits(p), slack)
     for condition, along in phase.path_along(x, u, p):
         least, scale = float(np.min(along)), problem.size_of(condition)
         if not least >= -slack * scale:
             called, miss, unit = quantity_name(condition), -least, condition.unit
-            text = f"{called} falls to {told(least, unit)} on the way"
-            yield Breach(
+            text = f"{called} falls to {format_quantity(least, unit)} on the way"
+            yield ConstraintViolation(
                 name=condition.name, text=text, miss=miss, unit=unit, canonical=miss / scale, path=True, limit=called
             )
 
 
-def outside(
+def bound_violations(
     problem: Problem, named: Variable | Free | Bounded, values: Vector, limits: tuple[float, float], slack: float
-) -> Iterator[Breach]:
+) -> Iterator[ConstraintViolation]:
     """Yield values beyond their bounds. What is no number lies within none, not even where there are none.
 
     Parameters
@@ -144,8 +146,8 @@ def outside(
             way, beyond, keeps, change = _SIDES[side]
             bound, called = limit_name(problem, named, side), quantity_name(named)
             stated = "its bound" if bound.startswith("the ") else bound
-            here, there = _told_apart(reached, limit, unit)
-            yield Breach(
+            here, there = _format_distinguishably(reached, limit, unit)
+            yield ConstraintViolation(
                 name=name,
                 text=f"{called} {way} to {here}, {beyond} {stated} of {there}",
                 miss=miss,
@@ -153,11 +155,13 @@ def outside(
                 canonical=miss / scale,
                 limit=bound,
                 kept=f"{called} {keeps} {there}",
-                enough=f"{change} {bound} to {told_outwards(reached, unit, side)}",
+                enough=f"{change} {bound} to {format_bound(reached, unit, side)}",
             )
 
 
-def _told_apart(one: float, other: float, unit: str) -> tuple[str, str]:
+def _format_distinguishably(one: float, other: float, unit: str) -> tuple[str, str]:
     """Format two values with as many digits as it takes to distinguish them, but six at least."""
-    texts = ((told(one, unit, digits), told(other, unit, digits)) for digits in range(6, 18))
-    return next((pair for pair in texts if pair[0] != pair[1]), (told(one, unit), told(other, unit)))
+    texts = ((format_quantity(one, unit, digits), format_quantity(other, unit, digits)) for digits in range(6, 18))
+    return next(
+        (pair for pair in texts if pair[0] != pair[1]), (format_quantity(one, unit), format_quantity(other, unit))
+    )

@@ -17,7 +17,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.solution import Solution
 from perilune.problem.wording import limit_name, quantity_name
 from perilune.words.types import Vector
-from perilune.words.units import told
+from perilune.words.units import format_quantity
 
 _LOOKS = 400  # times of a phase, between which a change is a jump
 _FAR = 0.5  # of the range of a component along the flight
@@ -27,14 +27,14 @@ _ON_FLOOR = 0.05  # of the range of a scalar
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chatter:
+class ChatteringControl:
     """A control component that jumps so often in a phase, and what holds the flight back meanwhile."""
 
     text: str
     advice: str
 
 
-def chattering(flight: Solution) -> Chatter | None:
+def detect_chattering(flight: Solution) -> ChatteringControl | None:
     """Return what chatters in a flight that no mesh has followed; None where no control jumps often.
 
     Parameters
@@ -51,32 +51,33 @@ def chattering(flight: Solution) -> Chatter | None:
         t = np.linspace(0.0, flight.trajectories[k].duration, _LOOKS)
         _, u = flight.flown(k, t)
         for i, name in enumerate(phase.control_names):
-            jumps = _jumps(u[i])
+            jumps = _jump_samples(u[i])
             if len(jumps) >= _OFTEN:
-                return _chatter(flight, phase, name, jumps, u)
+                return _describe_chattering(flight, phase, name, jumps, u)
     return None
 
 
-def _jumps(along: Vector) -> Vector:
+def _jump_samples(along: Vector) -> Vector:
     """Return the samples before which a component jumps."""
     reach = float(np.ptp(along))
     return np.nonzero(np.abs(np.diff(along)) > _FAR * reach)[0] if reach > _WIDE else np.zeros(0, dtype=int)
 
 
-def _chatter(flight: Solution, phase: Phase, name: str, jumps: Vector, u: Vector) -> Chatter:
+def _describe_chattering(flight: Solution, phase: Phase, name: str, jumps: Vector, u: Vector) -> ChatteringControl:
     text = f"{name.replace('_', ' ')} of {phase.name} jumps {len(jumps)} times, and no mesh follows it"
     for at, control in scalars(phase.controls):
         lower, _ = control.limits(flight.parameters)
         on_floor = control.bounded and lower > 0 and control.share(u[at], flight.parameters) < _ON_FLOOR
         if control.bounded and lower > 0 and np.mean(np.asarray(on_floor)[jumps]) > _FAR:
             floor = limit_name(flight.problem, control, "lower")
-            return Chatter(
-                text=f"{text}, while {quantity_name(control)} is at its floor ({told(float(lower), control.unit)}): "
+            return ChatteringControl(
+                text=f"{text}, while {quantity_name(control)} is at its floor "
+                f"({format_quantity(float(lower), control.unit)}): "
                 "the engine pushes more than the flight needs, and turning it back and forth wastes the rest",
                 advice=f"lower {floor}, or free the time of ignition (a coast before the burn), so that it burns "
                 "later; a narrower limit of the thrust direction",
             )
-    return Chatter(
+    return ChatteringControl(
         text=text,
         advice="the usual cause is a thrust that cannot be as small as the flight needs (a throttle floor, a fixed "
         "ignition time): give it room; or a control that J does not count: add a small cost of it",

@@ -10,17 +10,17 @@ from functools import cached_property
 import numpy as np
 
 from perilune.methods.first_mesh import ROUGHEST
-from perilune.methods.ladder import Ladder
+from perilune.methods.ladder import SearchSettings
 from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Variable
 from perilune.problem.wording import objective_text
-from perilune.structures.read import contacts, of_states
-from perilune.structures.regimes import wavering
+from perilune.structures.read import find_contacts, state_conditions
+from perilune.structures.regimes import stays_between_bounds
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
-from perilune.words.watch import Watch, best_so_far, silent
+from perilune.words.watch import Watch, ignore_events, remember_best
 
 _SEGMENTS = 8  # of a phase; of several phases together at first
 _FOLLOWED = 1e-3  # relative mesh error up to which a mesh has followed a flight, and a finer one shows no other
@@ -34,7 +34,7 @@ _NO_LENGTH = 1e-4  # of a flight: a phase that is shorter has none
 _LOOKS = 400  # times of a phase at which its conditions are looked at
 
 
-def along_path(problem: Problem, flight: Solution, ends: float = 0.0) -> Iterator[tuple[Variable, Vector]]:
+def path_condition_values(problem: Problem, flight: Solution, ends: float = 0.0) -> Iterator[tuple[Variable, Vector]]:
     """Yield each path condition with its values [SI] along a flight, less a share of the phase at both ends.
 
     Where such a share is left out, so are phases that have shrunk to nothing: they are all ends.
@@ -77,10 +77,10 @@ class Coarse:
         Segments of the finer meshes that were not tried yet.
     """
 
-    settings: Ladder
+    settings: SearchSettings
     problem: Problem
     tried: list[str]
-    watch: Watch = silent
+    watch: Watch = ignore_events
     solution: Solution | None = field(default=None, init=False)
     refusal: PeriluneError | None = field(default=None, init=False)
     finer: list[int] = field(init=False)
@@ -100,8 +100,8 @@ class Coarse:
                 self.solution = self._run(segments=segments, guess=self.solution or guess)
             except PeriluneError as error:
                 self.refusal = error
-            if self.solution is not None and _fair(self.solution):
-                _tell_of_rough(self.problem, self.solution)
+            if self.solution is not None and _is_usable(self.solution):
+                _report_rough_flight(self.problem, self.solution)
                 break
         return self.solution
 
@@ -112,7 +112,7 @@ class Coarse:
         Arcs along a condition on states are none: there the control of a mesh wavers, whatever the mesh.
         """
         known = self.solution
-        return known is not None and known.statistics.residual > _FOLLOWED and often_switched(known)
+        return known is not None and known.statistics.residual > _FOLLOWED and switches_often(known)
 
     @property
     def blurred(self) -> bool:
@@ -121,11 +121,13 @@ class Coarse:
         Where a control wavers, which may be singular, it does so on any mesh that has followed the flight.
         """
         known = self.solution
-        if known is None or known.statistics.residual <= (_FOLLOWED if wavering(known) else _CLOSE):
+        if known is None or known.statistics.residual <= (_FOLLOWED if stays_between_bounds(known) else _CLOSE):
             return False
         least = _NO_LENGTH * known.duration
         lengths = [k for k, flown in enumerate(known.trajectories) if flown.duration >= least]
-        return not any(list(contacts(known, k, name)) for k in lengths for name in of_states(self.problem, k))
+        return not any(
+            list(find_contacts(known, k, name)) for k in lengths for name in state_conditions(self.problem, k)
+        )
 
     def resolved(self) -> Iterator[Solution]:
         """Yield its answer, and where no mesh has followed that yet those on finer meshes, one by one."""
@@ -175,14 +177,14 @@ class Coarse:
         known = self.solution
         if known is None:
             return None
-        if not _fair(known) or self._broken(known, _BROKEN):
+        if not _is_usable(known) or self._broken(known, _BROKEN):
             with suppress(PeriluneError):  # then the first is all there is
                 finer = self._run(segments=16, iterations=_FINER, guess=known)
-                known = finer if _fair(finer) else known
-        return known if _fair(known) and not self._broken(known, _NOT_KEPT) else None
+                known = finer if _is_usable(finer) else known
+        return known if _is_usable(known) and not self._broken(known, _NOT_KEPT) else None
 
     def _broken(self, flight: Solution, share: float) -> bool:
-        return any(-values.min() > share * np.ptp(values) for _, values in along_path(self.problem, flight))
+        return any(-values.min() > share * np.ptp(values) for _, values in path_condition_values(self.problem, flight))
 
     def _run(self, segments: int, iterations: int = 300, guess: Solution | None = None) -> Solution:
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
@@ -203,16 +205,16 @@ class Coarse:
         self.tried.append("direct transcription: " + "; ".join(line.partition(" (")[0] for line in lines))
 
 
-def _tell_of_rough(problem: Problem, rough: Solution) -> None:
+def _report_rough_flight(problem: Problem, rough: Solution) -> None:
     """Report a rough flight, which is what a time limit would leave."""
 
     def told_of() -> str:
         return f"a rough flight with {objective_text(rough)}, mesh error {rough.statistics.residual:.1g}"
 
-    best_so_far(problem, rough.objective, told_of, lambda: rough, extremal=False)
+    remember_best(problem, rough.objective, told_of, lambda: rough, extremal=False)
 
 
-def touched(flight: Solution) -> set[str]:
+def nearly_active_conditions(flight: Solution) -> set[str]:
     """Return path conditions that a flight comes so near to, at the nodes of its tables, that they may hold it back."""
     found = set[str]()
     for phase, flown in zip(flight.problem.phases, flight.trajectories, strict=True):
@@ -225,7 +227,7 @@ def touched(flight: Solution) -> set[str]:
     return found
 
 
-def often_switched(flight: Solution) -> bool:
+def switches_often(flight: Solution) -> bool:
     """Return True if a bounded control goes through the middle of its range more often than a few times.
 
     Crossings where a condition on states is at its limit are not counted.
@@ -234,7 +236,7 @@ def often_switched(flight: Solution) -> bool:
         t = np.linspace(0.0, flown.duration, _LOOKS)
         if not scalars(phase.controls):
             continue
-        for contact in (c for name in of_states(flight.problem, k) for c in contacts(flight, k, name)):
+        for contact in (c for name in state_conditions(flight.problem, k) for c in find_contacts(flight, k, name)):
             t = t[(t < contact.begin) | (t > contact.end)]
         u = flown.control(t)
         for at, control in scalars(phase.controls):
@@ -245,5 +247,5 @@ def often_switched(flight: Solution) -> bool:
     return False
 
 
-def _fair(solution: Solution) -> bool:
+def _is_usable(solution: Solution) -> bool:
     return solution.statistics.residual < ROUGHEST

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.methods.starts import PATIENCE, STRIDE, on_the_sphere
+from perilune.methods.starts import PATIENCE, STRIDE, random_costate_unknowns
 from perilune.methods.trials import Trials
-from perilune.shooting.continuum import open_directions, reached
-from perilune.shooting.extremals import distinct, same_extremal
+from perilune.shooting.continuum import open_directions, reach_open_roots
+from perilune.shooting.extremals import distinct_roots, same_extremal
 from perilune.shooting.function import Root, Roots
 from perilune.words.types import Matrix, Vector
 
@@ -39,7 +39,7 @@ def given_durations(trials: Trials) -> list[int]:
 
 
 @dataclass(kw_only=True)
-class Lengthened:
+class FinalTimeContinuation:
     """A continuation from short flights to the whole; `told` says what it met, `met` how many families.
 
     Parameters
@@ -67,7 +67,7 @@ class Lengthened:
             carried = self._carried(known, share / RATIO, share)
             Y = [self._anywhere(number), *(self._around(root) for root in (*known, *carried))]
             fresh = self._roots(np.vstack(Y), share, doubt=0.0)
-            known = distinct([*carried, *(root for root in fresh if root.converged)])[:_KEPT]
+            known = distinct_roots([*carried, *(root for root in fresh if root.converged)])[:_KEPT]
             self.met += sum(not any(same_extremal(root, other) for other in carried) for root in known)
         self.told = (
             f"{count + 1} shares of the duration from {RATIO**-count:.2g} on, where {self.met} families were met"
@@ -96,7 +96,7 @@ class Lengthened:
                 continue
             Y, choice = (np.array([getattr(known[i], name) for i in lanes]) for name in ("y", "choice"))
             if leave[lanes[0]]:
-                roots = reached(self.trials.shooting, Y, self._numbers(share), choice, leave[lanes])
+                roots = reach_open_roots(self.trials.shooting, Y, self._numbers(share), choice, leave[lanes])
             else:
                 roots = self._roots(Y, share)
             found.update(zip(lanes.tolist(), roots, strict=True))
@@ -109,7 +109,7 @@ class Lengthened:
 
     def _anywhere(self, number: int) -> Matrix:
         """Draw costates of lengths about one: with the duration given H is no condition, and they have a scale."""
-        Y = on_the_sphere(self.trials, _STARTS * self.starts, self.seed + number)
+        Y = random_costate_unknowns(self.trials, _STARTS * self.starts, self.seed + number)
         Y[:, : self.trials.conditions.free_at.start] *= np.exp(self.rng.uniform(-_LENGTH, _LENGTH, size=(len(Y), 1)))
         return Y
 

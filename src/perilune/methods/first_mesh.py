@@ -22,7 +22,7 @@ from perilune.words.types import Vector
 
 if TYPE_CHECKING:
     from perilune.direct.layout import PhaseValues
-    from perilune.direct.nlp import Answer, Program
+    from perilune.direct.nlp import ProgramSolution, TranscribedProgram
     from perilune.direct.segments import Sampler
 
 # Most iterations of the first attempt and of a search for the least miss; what ends well takes 10 to 60 and 10 to 130.
@@ -43,7 +43,7 @@ ROUGHEST = 0.05
 class Start(NamedTuple):
     """A program, first values of its unknowns in canonical units, what they are called, and whether its miss counts."""
 
-    program: Program
+    program: TranscribedProgram
     free: Vector
     values: tuple[PhaseValues, ...]
     name: str
@@ -69,7 +69,7 @@ class FirstMesh:
         self.work = 0  # nodes times iterations
         self.first: tuple[Vector, list[Sampler]] | None = None  # what the first straight line is, once it was drawn
 
-    def answer(self) -> tuple[Program, Answer]:
+    def answer(self) -> tuple[TranscribedProgram, ProgramSolution]:
         """Return the first program that was solved, with its solution."""
         every = self.starts()
         begin = next(every)
@@ -88,11 +88,13 @@ class FirstMesh:
         starts = [begin] if flown is None else [flown, begin] if winding else [begin, flown]
         return self.any_answer([*starts, *every], (begin.program, first))
 
-    def any_answer(self, starts: list[Start], first: tuple[Program, Answer]) -> tuple[Program, Answer]:
+    def any_answer(
+        self, starts: list[Start], first: tuple[TranscribedProgram, ProgramSolution]
+    ) -> tuple[TranscribedProgram, ProgramSolution]:
         """Return the answer from one of the starts, of which the first attempt has failed."""
         tries = [first]
-        misses: list[tuple[Program, Answer]] = []
-        vanished: list[tuple[Program, Answer]] = []
+        misses: list[tuple[TranscribedProgram, ProgramSolution]] = []
+        vanished: list[tuple[TranscribedProgram, ProgramSolution]] = []
         for start in starts:
             if self.work > MOST_WORK:
                 self.run.say(f"no more starts are tried after {self.run.iterations} iterations")
@@ -119,19 +121,19 @@ class FirstMesh:
                     return tries[-1]
         self.fail(*min(misses or vanished or tries, key=_violation))
 
-    def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> Answer:
+    def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> ProgramSolution:
         """Solve a program from its start."""
         return self.attempt_counted(start.program, start.free, start.values, start.name, most=most, close=close)
 
     def attempt_counted(
-        self, program: Program, free: Vector, values: tuple[PhaseValues, ...], name: str, **how: Any
-    ) -> Answer:
+        self, program: TranscribedProgram, free: Vector, values: tuple[PhaseValues, ...], name: str, **how: Any
+    ) -> ProgramSolution:
         """Return an attempt of the run, whose work is counted."""
         answer = self.run.attempt(program, free, values, name, **how)
         self.work += answer.iterations * sum(mesh.nodes for mesh in program.meshes)
         return answer
 
-    def from_least_miss(self, start: Start) -> tuple[Answer, Answer | None]:
+    def from_least_miss(self, start: Start) -> tuple[ProgramSolution, ProgramSolution | None]:
         """Return the flight near a start that misses least, and what is reached from there if it misses nothing."""
         program, free, values, name, _ = start
         nearest = self.attempt_counted(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
@@ -148,13 +150,13 @@ class FirstMesh:
     def starts(self) -> Iterator[Start]:
         """Yield the starts: the guess, or straight lines."""
         from perilune.direct.first_guess import first_guesses
-        from perilune.direct.segments import sampled
+        from perilune.direct.segments import sample_guess
 
         s = self.run.settings
         program = self.run.program(tuple(Mesh.uniform(s.segments, s.nodes) for _ in self.problem.phases))
         for free, by, name in first_guesses(self.problem, self.guess):
             self.first = self.first or (free, by)
-            yield Start(program, free, sampled(program, by), name)
+            yield Start(program, free, sample_guess(program, by), name)
 
     def flown(self) -> Start | None:
         """Return a start flown under the controls of the first straight line; None where it cannot be.
@@ -162,32 +164,32 @@ class FirstMesh:
         Its miss counts where it winds, as no straight line does. Else it is one more way to an answer, on a mesh that
         may be too coarse for more.
         """
-        from perilune.direct.flown_guess import NODES, fitting_segments, flown_guess, winds
-        from perilune.direct.segments import sampled
+        from perilune.direct.flown_guess import NODES, fitting_segments, simulate_guess, winds_repeatedly
+        from perilune.direct.segments import sample_guess
 
         if self.guess is not None or self.first is None:
             return None
         s, (free, lines) = self.run.settings, self.first
-        flown = flown_guess(self.problem, free, lines)
+        flown = simulate_guess(self.problem, free, lines)
         if flown is None:
             return None
         # Who asks for no refinement has chosen the mesh.
         counts = fitting_segments(flown)
         meshes = [Mesh.uniform(count, NODES) if s.refine else Mesh.uniform(s.segments, s.nodes) for count in counts]
         program = self.run.program(tuple(meshes))
-        return Start(program, free, sampled(program, flown), "flown under its controls", winds(flown))
+        return Start(program, free, sample_guess(program, flown), "flown under its controls", winds_repeatedly(flown))
 
-    def rough(self, program: Program, answer: Answer) -> bool:
+    def rough(self, program: TranscribedProgram, answer: ProgramSolution) -> bool:
         """Return True if the flight between the nodes is another one."""
         return self.run.looked_at(program, answer).worst > ROUGHEST
 
-    def vanished(self, answer: Answer) -> bool:
+    def vanished(self, answer: ProgramSolution) -> bool:
         """Return True if a phase has shrunk to nothing: then its miss says nothing of flights with a length."""
         values = answer.free_si(self.problem)
         durations = [f for f in self.problem.free if f.name in self.problem.duration_names]
         return any(values[f.name] < VANISHED * f.typical for f in durations)
 
-    def tell_least_miss(self, program: Program, best: Answer, count: int) -> None:
+    def tell_least_miss(self, program: TranscribedProgram, best: ProgramSolution, count: int) -> None:
         """Raise not converged with what the best of so many misses, if that is more than the error of the mesh.
 
         Each is the least only of its surroundings, so no number of them shows that nothing flies.
@@ -210,7 +212,7 @@ class FirstMesh:
                 flight=self.run.missing(program, best),
             )
 
-    def partial(self, answer: Answer, missed: list[str]) -> dict[str, Any]:
+    def partial(self, answer: ProgramSolution, missed: list[str]) -> dict[str, Any]:
         """Return what a failure keeps; `all_missed` is True if every start led to a least miss, if only of no flight.
 
         `least_miss` is its size in canonical units, where it is more than the error of the mesh; `settled` whether any
@@ -224,7 +226,7 @@ class FirstMesh:
         }
         return told | {"free": answer.free_si(self.problem)}
 
-    def fail(self, program: Program, answer: Answer) -> NoReturn:
+    def fail(self, program: TranscribedProgram, answer: ProgramSolution) -> NoReturn:
         """Raise not converged with the conditions that the best trajectory misses."""
         from perilune.direct.contradictions import missed_conditions
         from perilune.words.outcome import NotConvergedError
@@ -242,5 +244,5 @@ class FirstMesh:
         )
 
 
-def _violation(found: tuple[Program, Answer]) -> float:
+def _violation(found: tuple[TranscribedProgram, ProgramSolution]) -> float:
     return found[1].violation

@@ -30,15 +30,15 @@ import numpy as np
 
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.methods.assemble import free_values, multipliers, trajectories
-from perilune.methods.flown import in_one_piece
+from perilune.methods.assemble import assemble_trajectories, free_values, scaled_end_multipliers
+from perilune.methods.flown import propagate_in_one_piece
 from perilune.problem.controls import control_scales
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.symbolic import canonical_given, free_scales, state_scales
 from perilune.problem.variables import Variable
-from perilune.shooting.propagate import engine, equations
+from perilune.shooting.propagate import arc_engine, reduced_equations
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome
 from perilune.words.types import Batch, Matrix, Vector
@@ -136,7 +136,7 @@ class ControlFitness:
                 problem.phases[k - 1].state_record(*end), p, NUMERIC
             )  # fmt: skip
             duration = np.broadcast_to(np.asarray(getattr(p, phase.duration), dtype=float), len(genes))
-            states = _flown(phase, p, _stacked(start, len(genes)), controls, duration)
+            states = _integrate_rk4(phase, p, _stack_values(start, len(genes)), controls, duration)
             end = states[-1]
             yield phase, p, duration, states, controls
 
@@ -156,8 +156,8 @@ class ControlFitness:
     def _miss(self, phase: Phase, p: Any, states: Batch, controls: Batch) -> Vector:
         """Return how far the conditions of a phase are missed, (N,)."""
         size = states.shape[2]
-        end = _stacked(phase.evaluate("end", list(states[-1]), (), p), size)
-        end = _missed(self.problem, phase.end_conditions, end)
+        end = _stack_values(phase.evaluate("end", list(states[-1]), (), p), size)
+        end = _end_misses(self.problem, phase.end_conditions, end)
         broken, along = [], (list(np.moveaxis(states[1:], 0, 1)), list(np.moveaxis(controls[2::2], 0, 1)))
         for name, amiss in (("path", lambda value: np.maximum(-value, 0.0)), ("held", np.abs)):
             for value in phase.evaluate(name, *along, p):
@@ -197,8 +197,8 @@ class CostateFitness:
             outcome=Outcome.NOT_CONVERGED,
             objective=float("nan"),
             free=free,
-            trajectories=trajectories(problem, conditions, y, in_one_piece(problem, conditions, y)),
-            multipliers=multipliers(problem, conditions, y),
+            trajectories=assemble_trajectories(problem, conditions, y, propagate_in_one_piece(problem, conditions, y)),
+            multipliers=scaled_end_multipliers(problem, conditions, y),
             unknowns=y,
         )
 
@@ -218,7 +218,7 @@ class CostateFitness:
         rows = h.shape[0]
         h = h.T
         ends_of = [condition for phase in self.problem.phases for condition in phase.end_conditions]
-        h[:, : len(ends_of)] = _missed(self.problem, ends_of, h.T).T
+        h[:, : len(ends_of)] = _end_misses(self.problem, ends_of, h.T).T
         h_y = h_y.reshape(rows, size, -1).transpose(1, 0, 2)
         h_z = h_z.reshape(rows, size, -1).transpose(1, 0, 2)
         multiplied = np.where(self._is_costate, ends.T, 0.0)
@@ -253,8 +253,8 @@ class CostateFitness:
             z0, duration = (np.array(out) for out in self._over(start, size)(y.T, before, self._numbers(size)))
             mode = np.array(self._over(extremal.mode, size)(z0, self._numbers(size))).ravel().astype(int)
             settings = {"rtol": TOLERANCE, "atol": TOLERANCE, "max_steps": MOST_STEPS, "mode": mode}
-            whole = equations(extremal, (), ())
-            arcs = engine(whole).propagate(z0.T, self.p[whole.numbers], duration.ravel(), **settings)
+            whole = reduced_equations(extremal, (), ())
+            arcs = arc_engine(whole).propagate(z0.T, self.p[whole.numbers], duration.ravel(), **settings)
             before = np.where(arcs.succeeded, arcs.z.T, np.nan)
             ends.append(before)
         return np.vstack(ends)
@@ -270,7 +270,7 @@ class CostateFitness:
         return np.repeat(self.p[:, None], size, axis=1)
 
 
-def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) -> Matrix:
+def _end_misses(problem: Problem, conditions: Sequence[Variable], values: Matrix) -> Matrix:
     """Return by how much canonical values (n, N) of end conditions are not met: themselves, but for ranges."""
     scales = [problem.size_of(c) for c in conditions]
     p = problem.parameters({})
@@ -278,14 +278,14 @@ def _missed(problem: Problem, conditions: Sequence[Variable], values: Matrix) ->
     return np.array(missed).reshape(len(conditions), *np.shape(values)[1:])
 
 
-def _flown(phase: Phase, p: Any, start: Matrix, controls: Batch, duration: Vector) -> Batch:
+def _integrate_rk4(phase: Phase, p: Any, start: Matrix, controls: Batch, duration: Vector) -> Batch:
     """Return the states (STEPS + 1, nx, N) from the start (nx, N), by the classical Runge-Kutta method."""
     size = start.shape[1]
     states, h = np.empty((STEPS + 1, *start.shape)), duration / STEPS
     states[0] = start
     for i in range(STEPS):
         states[i + 1] = _rk4_step(
-            lambda x, u: _stacked(phase.rates(x, u, p), size), states[i], h, controls[2 * i : 2 * i + 3]
+            lambda x, u: _stack_values(phase.rates(x, u, p), size), states[i], h, controls[2 * i : 2 * i + 3]
         )
     return states
 
@@ -299,7 +299,7 @@ def _rk4_step(rate: Any, x: Matrix, h: Vector, u: Any) -> Matrix:
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-def _stacked(values: Any, size: int) -> Matrix:
+def _stack_values(values: Any, size: int) -> Matrix:
     """Stack numbers and arrays (N,) as one array (n, N)."""
     if not len(values):
         return np.zeros((0, size))

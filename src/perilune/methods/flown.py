@@ -4,7 +4,7 @@ A root of single shooting meets the end conditions to rounding of its own flight
 tolerance, it ends beside them by that rounding times the growth of errors in states and costates together: 1e-15 times
 1e7 on an entry with much lift. Where that shows, the root is found again by multiple shooting, and each piece is flown
 from its own start; what is left is a gap of rounding between two pieces. Where the phases are too many to be cut, as
-those of a flight along a limit are, the root is moved by its last digits instead (`mended`).
+those of a flight along a limit are, the root is moved by its last digits instead (`correct_last_digits`).
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from perilune.problem.problem import Problem
 from perilune.problem.symbolic import state_scales
 from perilune.shooting.function import Root, Shooting
 from perilune.shooting.newton import FINEST, Lanes
-from perilune.shooting.propagate import Equations, engine, equations, flight, mode_at
-from perilune.shooting.settling import fallen
+from perilune.shooting.propagate import Equations, arc_engine, mode_at, propagate_arc, reduced_equations
+from perilune.shooting.settling import propagate_settling_phase
 from perilune.words.outcome import NotConvergedError
 from perilune.words.types import Matrix, Vector
 
@@ -38,7 +38,7 @@ _JOINED = 350  # unknowns at joints, which cost their number cubed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flown:
+class PropagatedPhase:
     """One phase, flown in one piece or in several.
 
     Attributes
@@ -100,8 +100,11 @@ class Flown:
         return np.clip(np.searchsorted(self.begins, t, side="right") - 1, 0, len(self.arcs) - 1)
 
 
-def in_one_piece(problem: Problem, conditions: Conditions, y: Vector, **settings: float) -> list[Flown]:
-    """Propagate from the unknowns y, whatever is met; settings as for `flight`. What settles is in several pieces.
+def propagate_in_one_piece(
+    problem: Problem, conditions: Conditions, y: Vector, **settings: float
+) -> list[PropagatedPhase]:
+    """Propagate from the unknowns y, whatever is met; settings as for `propagate_arc`. What settles is in several
+    pieces.
 
     Parameters
     ----------
@@ -110,23 +113,23 @@ def in_one_piece(problem: Problem, conditions: Conditions, y: Vector, **settings
     y
         Unknowns, canonical, with or without the states at the joints.
     settings
-        As for `flight`.
+        As for `propagate_arc`.
     """
-    p, before, flown = extremal_parameters(problem), np.zeros(0), list[Flown]()
-    y, settings = y[: len(conditions.unknowns)], {**_fine(conditions), **settings}
+    p, before, flown = extremal_parameters(problem), np.zeros(0), list[PropagatedPhase]()
+    y, settings = y[: len(conditions.unknowns)], {**_export_accuracy(conditions), **settings}
     for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
         z0, duration = (np.array(out).ravel() for out in start(y, before, p))
         if extremal.settles:
-            flown.append(_fallen(conditions, k, y, z0, p, float(duration[0]), **settings))
+            flown.append(_propagate_settling(conditions, k, y, z0, p, float(duration[0]), **settings))
         else:
-            arc = flight(extremal, z0, p, float(duration[0]), **settings)
-            flown.append(Flown(arcs=(arc,), begins=np.zeros(1), duration=float(duration[0])))
+            arc = propagate_arc(extremal, z0, p, float(duration[0]), **settings)
+            flown.append(PropagatedPhase(arcs=(arc,), begins=np.zeros(1), duration=float(duration[0])))
         before = flown[-1].arcs[-1].z[-1]
     return flown
 
 
 @dataclass
-class Aloft:
+class PropagatedStates:
     """The flight from the unknowns y as far as its states are looked at, phase by phase.
 
     Of a phase that settles they are flown without its costates, which are flown from its end.
@@ -139,7 +142,7 @@ class Aloft:
     def __post_init__(self) -> None:
         self._p = extremal_parameters(self.problem)
         self._starts: dict[int, tuple[Vector, float]] = {}
-        self._flown: dict[int, Flown] = {}
+        self._flown: dict[int, PropagatedPhase] = {}
 
     def start(self, k: int) -> tuple[Vector, float]:
         """Return z at the start of phase k, and its length, canonical."""
@@ -156,19 +159,23 @@ class Aloft:
             return np.repeat((self.start(k)[0][: len(scales)] * scales)[:, None], len(shares), axis=1)
         return self._phase(k).states(shares * self.start(k)[1], len(scales)).T * scales[:, None]
 
-    def _phase(self, k: int) -> Flown:
+    def _phase(self, k: int) -> PropagatedPhase:
         if k not in self._flown:
             extremal, (z, duration) = self.conditions.phases[k], self.start(k)
             of = self._equations(k)
-            arc = engine(of).dense(
-                z[of.kept], self._p[of.numbers], duration, mode=mode_at(extremal, z, self._p), **_fine(self.conditions)
+            arc = arc_engine(of).dense(
+                z[of.kept],
+                self._p[of.numbers],
+                duration,
+                mode=mode_at(extremal, z, self._p),
+                **_export_accuracy(self.conditions),
             )
-            self._flown[k] = Flown(arcs=(arc,), begins=np.zeros(1), duration=duration)
+            self._flown[k] = PropagatedPhase(arcs=(arc,), begins=np.zeros(1), duration=duration)
         return self._flown[k]
 
     def _equations(self, k: int) -> Equations:
         extremal = self.conditions.phases[k]
-        return equations(extremal, tuple(range(extremal.half)) if extremal.settles else (), ())
+        return reduced_equations(extremal, tuple(range(extremal.half)) if extremal.settles else (), ())
 
     def _end(self, k: int) -> Vector:
         z = np.zeros(2 * self.conditions.phases[k].half)
@@ -176,13 +183,13 @@ class Aloft:
         return z
 
 
-def _fine(conditions: Conditions) -> dict[str, float]:
+def _export_accuracy(conditions: Conditions) -> dict[str, float]:
     return _FINEST if any(extremal.settles for extremal in conditions.phases) else _FINE
 
 
-def _fallen(
+def _propagate_settling(
     conditions: Conditions, k: int, y: Vector, z0: Vector, p: Vector, duration: float, **settings: float
-) -> Flown:
+) -> PropagatedPhase:
     """Propagate a phase that settles, its costates back from its end, where its conditions give them."""
     half, places = conditions.phases[k].half, np.cumsum([0, *(2 * e.half for e in conditions.phases)])
     at = conditions.costate_at[k]
@@ -193,13 +200,13 @@ def _fallen(
         ends[places[k] : places[k] + half] = x
         return -np.array(conditions.residual(y, ends, p)[0]).ravel()[rows]
 
-    arcs, begins = fallen(conditions.phases[k], z0[:half], p, duration, end, **settings)
-    return Flown(arcs=tuple(arcs), begins=begins, duration=duration)
+    arcs, begins = propagate_settling_phase(conditions.phases[k], z0[:half], p, duration, end, **settings)
+    return PropagatedPhase(arcs=tuple(arcs), begins=begins, duration=duration)
 
 
-def exported(
+def propagate_for_export(
     problem: Problem, conditions: Conditions, root: Root, allowed: float = _MISSED, **settings: float
-) -> list[Flown]:
+) -> list[PropagatedPhase]:
     """Propagate a root, in pieces where one alone leaves more at its ends than is allowed, canonical.
 
     Parameters
@@ -211,7 +218,7 @@ def exported(
     allowed
         Largest residual at the ends, canonical, with which one piece is kept.
     settings
-        As for `flight`.
+        As for `propagate_arc`.
 
     Raises
     ------
@@ -219,20 +226,20 @@ def exported(
         If it is stuck on its way, as where a switching function vanishes twice at once, at this accuracy and at that
         of Newton's method.
     """
-    whole = in_one_piece(problem, conditions, root.y, **settings)
+    whole = propagate_in_one_piece(problem, conditions, root.y, **settings)
     if not all(flown.complete for flown in whole):
-        whole = in_one_piece(problem, conditions, root.y, **{**settings, "rtol": FINEST, "atol": FINEST})
+        whole = propagate_in_one_piece(problem, conditions, root.y, **{**settings, "rtol": FINEST, "atol": FINEST})
         _refuse_stuck(problem, whole)
-    missed = _missed(problem, conditions, root, whole)
-    if missed <= allowed or not may_be_cut(conditions):
+    missed = _largest_end_residual(problem, conditions, root, whole)
+    if missed <= allowed or not can_use_multiple_shooting(conditions):
         return whole
-    pieces = _in_pieces(problem, conditions, root, whole)
+    pieces = _propagate_in_pieces(problem, conditions, root, whole)
     # What large numbers round, as those of places far from their origin, no pieces mend.
-    mended = pieces is not None and _missed(problem, conditions, root, pieces) <= _MENDED * missed
+    mended = pieces is not None and _largest_end_residual(problem, conditions, root, pieces) <= _MENDED * missed
     return pieces if pieces is not None and mended else whole
 
 
-def _refuse_stuck(problem: Problem, flown: Sequence[Flown]) -> None:
+def _refuse_stuck(problem: Problem, flown: Sequence[PropagatedPhase]) -> None:
     for phase, own in zip(problem.phases, flown, strict=True):
         if not own.complete:
             stuck = next(i for i, arc in enumerate(own.arcs) if not arc.end.succeeded.all())
@@ -245,12 +252,14 @@ def _refuse_stuck(problem: Problem, flown: Sequence[Flown]) -> None:
             )
 
 
-def may_be_cut(conditions: Conditions, segments: int = _SEGMENTS) -> bool:
+def can_use_multiple_shooting(conditions: Conditions, segments: int = _SEGMENTS) -> bool:
     """Return True if multiple shooting with so many segments for each phase is worth its unknowns."""
     return (segments - 1) * sum((2 - e.settles) * e.half for e in conditions.phases) <= _JOINED
 
 
-def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, active: Lanes) -> tuple[Root, float]:
+def correct_last_digits(
+    problem: Problem, conditions: Conditions, root: Root, rows: Lanes, active: Lanes
+) -> tuple[Root, float]:
     """Correct a root by its last digits until its exported flight ends where it should; return what is missed too.
 
     Parameters
@@ -262,7 +271,9 @@ def mended(problem: Problem, conditions: Conditions, root: Root, rows: Lanes, ac
     """
     best, least = root, np.inf
     for _ in range(_STEPS):
-        left = _left(problem, conditions, root, in_one_piece(problem, conditions, root.y), stationary=True)
+        left = _end_residual(
+            problem, conditions, root, propagate_in_one_piece(problem, conditions, root.y), stationary=True
+        )
         size = float(np.abs(left).max(initial=0.0))
         if size < least:
             best, least = root, size
@@ -280,18 +291,22 @@ def ends_well(problem: Problem, conditions: Conditions, root: Root) -> bool:
     Parameters
     ----------
     problem, conditions, root
-        As for `exported`.
+        As for `propagate_for_export`.
     """
-    return _missed(problem, conditions, root, in_one_piece(problem, conditions, root.y)) <= _MISSED
+    return (
+        _largest_end_residual(problem, conditions, root, propagate_in_one_piece(problem, conditions, root.y)) <= _MISSED
+    )
 
 
-def _missed(problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown]) -> float:
+def _largest_end_residual(
+    problem: Problem, conditions: Conditions, root: Root, flown: Sequence[PropagatedPhase]
+) -> float:
     """Return the largest residual at the ends of a flight, not counting ranges and free parameters."""
-    return float(np.abs(_left(problem, conditions, root, flown)).max(initial=0.0))
+    return float(np.abs(_end_residual(problem, conditions, root, flown)).max(initial=0.0))
 
 
-def _left(
-    problem: Problem, conditions: Conditions, root: Root, flown: Sequence[Flown], *, stationary: bool = False
+def _end_residual(
+    problem: Problem, conditions: Conditions, root: Root, flown: Sequence[PropagatedPhase], *, stationary: bool = False
 ) -> Vector:
     """Return the residual at the ends; 0 for ranges, and for free parameters that are held, or all of them.
 
@@ -305,7 +320,9 @@ def _left(
     return residual if all(own.complete for own in flown) else np.full_like(residual, np.nan)
 
 
-def _in_pieces(problem: Problem, conditions: Conditions, root: Root, whole: Sequence[Flown]) -> list[Flown] | None:
+def _propagate_in_pieces(
+    problem: Problem, conditions: Conditions, root: Root, whole: Sequence[PropagatedPhase]
+) -> list[PropagatedPhase] | None:
     """Solve for the same root by multiple shooting, each piece from its own start."""
     shooting, p = Shooting(conditions, segments=_SEGMENTS), extremal_parameters(problem)
     shares = np.arange(1, _SEGMENTS) / _SEGMENTS
@@ -315,20 +332,24 @@ def _in_pieces(problem: Problem, conditions: Conditions, root: Root, whole: Sequ
         return None
     y = found.y[: len(root.y)].copy()
     y[conditions.free_at] = root.y[conditions.free_at]  # as they are reported; Newton moves them by rounding
-    flown, before, at, fine = list[Flown](), np.zeros(0), len(root.y), _fine(conditions)
+    flown, before, at, fine = list[PropagatedPhase](), np.zeros(0), len(root.y), _export_accuracy(conditions)
     for k, (extremal, start) in enumerate(zip(conditions.phases, conditions.starts, strict=True)):
         z, duration = (np.array(out).ravel() for out in start(y, before, p))
         if extremal.settles:
-            flown.append(_fallen(conditions, k, y[: len(conditions.unknowns)], z, p, float(duration[0]), **fine))
+            flown.append(
+                _propagate_settling(conditions, k, y[: len(conditions.unknowns)], z, p, float(duration[0]), **fine)
+            )
             before, at = flown[-1].arcs[-1].z[-1], at + len(z) * len(shares)
             continue
         length, kept = float(duration[0]) / _SEGMENTS, shooting.plan.legs[k * _SEGMENTS].flown.kept
-        arcs = [flight(extremal, z, p, length, **fine)]
+        arcs = [propagate_arc(extremal, z, p, length, **fine)]
         for _ in shares:
             z = arcs[-1].z[-1].copy()
             z[kept] = found.y[at : at + len(z)][kept]
-            arcs.append(flight(extremal, z, p, length, **fine))
+            arcs.append(propagate_arc(extremal, z, p, length, **fine))
             at += len(z)
-        flown.append(Flown(arcs=tuple(arcs), begins=length * np.arange(_SEGMENTS), duration=float(duration[0])))
+        flown.append(
+            PropagatedPhase(arcs=tuple(arcs), begins=length * np.arange(_SEGMENTS), duration=float(duration[0]))
+        )
         before = arcs[-1].z[-1]
     return flown

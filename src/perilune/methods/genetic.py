@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.words.asked import called_in_words, demand_number, demand_whole
+from perilune.words.asked import check_call, require_integers, require_number
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
 
@@ -62,7 +62,7 @@ class Survivors:
     interrupted: bool = False
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Genetic:
     """Settings of the search; the same settings give the same answer.
@@ -99,9 +99,9 @@ class Genetic:
     spread: float = 5.0
 
     def __post_init__(self) -> None:
-        demand_whole(self, population=4, generations=0, best=1, tournament=1)
+        require_integers(self, population=4, generations=0, best=1, tournament=1)
         for name in ("elite", "crossover", "distinct", "mutation", "spread"):
-            demand_number(getattr(self, name), name)
+            require_number(getattr(self, name), name)
         for name in ("elite", "crossover", "distinct"):
             if not 0 <= getattr(self, name) <= 1:
                 raise PeriluneError(f"{name} must lie between 0 and 1", got=str(getattr(self, name)))
@@ -165,7 +165,7 @@ class Genetic:
                     genes, values = self._next(rng, genes, values, judge)
         except KeyboardInterrupt:
             interrupted = True
-        chosen = _distinct(genes, values, self.best, self.distinct)
+        chosen = _distinct_individuals(genes, values, self.best, self.distinct)
         return Survivors(
             points=lower + genes[chosen] * (upper - lower),
             values=values[chosen],
@@ -179,7 +179,7 @@ class Genetic:
         children = self._mutated(rng, self._crossed(rng, genes[self._selected(rng, values)]))
         child_values = judge(children)
         everyone, all_values = np.vstack([genes, children]), np.concatenate([values, child_values])
-        elite = _distinct(everyone, all_values, max(1, round(self.elite * size)), self.distinct)
+        elite = _distinct_individuals(everyone, all_values, max(1, round(self.elite * size)), self.distinct)
         taken = np.zeros(len(everyone), dtype=bool)
         taken[elite] = True
         order = size + np.argsort(child_values, kind="stable")
@@ -214,7 +214,7 @@ class Genetic:
         return np.clip(children + np.where(mutates, step, 0.0), 0.0, 1.0)
 
 
-def _distinct(genes: Matrix, values: Vector, count: int, distance: float) -> Indices:
+def _distinct_individuals(genes: Matrix, values: Vector, count: int, distance: float) -> Indices:
     """Return indices of the best individuals no two of which are nearer than `distance`; at least the best one."""
     chosen: list[int] = []
     for i in np.argsort(values, kind="stable").tolist():

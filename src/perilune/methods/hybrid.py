@@ -18,12 +18,12 @@ from perilune.methods.pseudospectral import Pseudospectral
 from perilune.problem.extremal import Extremal, Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.words.asked import called_in_words, demand_whole
+from perilune.words.asked import check_call, require_integers
 from perilune.words.outcome import NotConvergedError, PeriluneError
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True)
 class Hybrid:
     """A population search, then another method.
@@ -51,7 +51,7 @@ class Hybrid:
                 got=f"Hybrid({type(self.first).__name__}, {type(self.second).__name__})",
                 expected="Hybrid(Genetic(...), Pseudospectral(...)) or Hybrid(Genetic(...), Indirect(...))",
             )
-        demand_whole(self, nodes=2)
+        require_integers(self, nodes=2)
 
     def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
         """Solve from random values.
@@ -81,11 +81,11 @@ class Hybrid:
         """
         from perilune.methods.fitness import ControlFitness, CostateFitness
 
-        say = watch or silent
+        say = watch or ignore_events
         began = time.perf_counter()
         fitness = CostateFitness(problem) if isinstance(self.second, Indirect) else ControlFitness(problem, self.nodes)
-        survivors = self.first.search(fitness, fitness.lower, fitness.upper, lambda g: say(_line(g)))
-        tried = [_line(survivors.generations[-1])] if survivors.generations else []
+        survivors = self.first.search(fitness, fitness.lower, fitness.upper, lambda g: say(_generation_line(g)))
+        tried = [_generation_line(survivors.generations[-1])] if survivors.generations else []
         if survivors.interrupted:
             say("interrupted; " + (tried[0] if tried else "no generation was finished"))
             raise KeyboardInterrupt
@@ -104,10 +104,10 @@ class Hybrid:
             assert failure is not None
             failure.partial["tried"] = [*tried, *failure.partial.get("tried", ())]
             raise failure
-        return _best(answers, tuple(tried), time.perf_counter() - began)
+        return _choose_best_refined(answers, tuple(tried), time.perf_counter() - began)
 
 
-def _best(answers: list[Solution], tried: tuple[str, ...], wall_time: float) -> Solution:
+def _choose_best_refined(answers: list[Solution], tried: tuple[str, ...], wall_time: float) -> Solution:
     answers = sorted(answers, key=lambda s: s.objective)
     best = answers[0]
     known = list(best.extremals) or [_extremal(best, Nature.NEAR_GUESS)]
@@ -133,5 +133,5 @@ def _extremal(answer: Solution, nature: Nature) -> Extremal:
     return Extremal(free=answer.free, objective=answer.objective, nature=nature, unknowns=own)
 
 
-def _line(generation: Generation) -> str:
+def _generation_line(generation: Generation) -> str:
     return f"generation {generation.number}: fitness {generation.least:.4g}, median {generation.median:.4g}"

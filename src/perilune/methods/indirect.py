@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from perilune.methods.answer import Curves
-from perilune.methods.ladder import STRUCTURE, TRANSCRIBED, Ladder
+from perilune.methods.ladder import STRUCTURE, TRANSCRIBED, SearchSettings
 from perilune.methods.search import Search
 from perilune.problem.cautions import KNOWN_BETTER
 from perilune.problem.guess import fitting_guess
@@ -33,19 +33,19 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.wording import objective_text
 from perilune.shooting.continuation import Member
-from perilune.structures.carry import Joined
-from perilune.words.asked import called_in_words
+from perilune.structures.carry import JoinedTrajectories
+from perilune.words.asked import check_call
 from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
-from perilune.words.units import told
-from perilune.words.watch import TimeLimitReached, Watch, best_so_far, silent
+from perilune.words.units import format_quantity
+from perilune.words.watch import TimeLimitReached, Watch, ignore_events, remember_best
 
 _ROUGH = 1e-6  # relative: what flights of known arcs err in J
 _ALIKE = 1e-9  # relative difference of J: extremals that differ by less are the same
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
-class Indirect(Ladder):
+class Indirect(SearchSettings):
     """Settings of the indirect method.
 
     Parameters
@@ -88,7 +88,7 @@ class Indirect(Ladder):
             If bounds and conditions contradict each other, or if every extremal found breaks a condition and the
             direct method finds no flight either.
         """
-        search = Search(self, problem, watch or silent)
+        search = Search(self, problem, watch or ignore_events)
         if guess is not None and _may_be_structured(guess := fitting_guess(problem, guess)):
             found = self._structured(search, guess, guessed=True)
             if found is not None:
@@ -113,12 +113,12 @@ class Indirect(Ladder):
         drawn = [] if guess is not None or base is not None else self._of_known_arcs(search)
         search.answered = bool(drawn)
         for one in drawn:
-            _tell(search, one, "of arcs that the model knows")
+            _report_best(search, one, "of arcs that the model knows")
         try:
             solution = search.solve(guess, base)
         except (NotConvergedError, InfeasibleError) as error:
             if drawn:
-                return self._compared(search, _best(drawn, search))
+                return self._compared(search, _merge_searches(drawn, search))
             # What no single arc keeps, a structure of arcs may.
             rough = search.coarse.solution if guess is None else None
             if rough is not None and (found := self._structured(search, rough)) is not None:
@@ -133,8 +133,8 @@ class Indirect(Ladder):
             end.tried = (*search.tried, *end.tried)
             raise
         if drawn:
-            solution = _best([solution, *drawn], search)
-        _tell(search, solution, "and whether another is better is open")
+            solution = _merge_searches([solution, *drawn], search)
+        _report_best(search, solution, "and whether another is better is open")
         outdoing = () if any(solution.objective == one.objective for one in drawn) else search.outdoing()
         for rough in outdoing:
             if not rough.objective < solution.objective:
@@ -149,7 +149,7 @@ class Indirect(Ladder):
         """Return an answer; with a line that says so where a flight of known arcs is better by more than its error."""
         if not search.flown < solution.objective - _ROUGH * abs(solution.objective):
             return solution
-        gained = told(solution.objective - search.flown, search.problem.objective_unit, 3)
+        gained = format_quantity(solution.objective - search.flown, search.problem.objective_unit, 3)
         said = f"{KNOWN_BETTER} {gained}, but no extremal of its arcs was found"
         statistics = replace(solution.statistics, tried=(*solution.statistics.tried, said))
         return replace(solution, statistics=statistics)
@@ -166,7 +166,7 @@ class Indirect(Ladder):
 
     def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:
         """Return what the direct method leads to from nothing, where better than an extremal that is no minimum."""
-        search = Search(self, problem, watch or silent)
+        search = Search(self, problem, watch or ignore_events)
         rough = search.coarse.solve()
         if rough is None or not rough.objective < solution.objective:
             return None
@@ -189,14 +189,14 @@ class Indirect(Ladder):
         """Return the extremals that the problem's own guesses of known arcs lead to."""
         if search.problem.switching_guesses is None or is_neighbour(search.problem):
             return []
-        from perilune.methods.structured import Polish
+        from perilune.methods.structured import StructureRefinement
 
         search.watch("start: arcs that the problem's model knows")
         found = list[Solution]()
         try:
             for rough, structure in search.problem.switching_guesses(search.problem):
                 search.flown = min(search.flown, rough.objective)
-                polish = Polish(
+                polish = StructureRefinement(
                     settings=self, problem=search.problem, watch=search.watch, tried=search.tried, brief=True
                 )  # fmt: skip
                 found += filter(None, [polish.followed(rough, structure, set())])
@@ -209,9 +209,9 @@ class Indirect(Ladder):
     def _structured(
         self, search: Search, rough: Solution, *, guessed: bool = False, brief: bool = False
     ) -> Solution | None:
-        from perilune.methods.structured import Polish
+        from perilune.methods.structured import StructureRefinement
 
-        found = Polish(
+        found = StructureRefinement(
             settings=self, problem=search.problem, watch=search.watch, tried=search.tried, guessed=guessed,
             brief=brief or is_neighbour(search.problem),
         ).run(rough)  # fmt: skip
@@ -221,14 +221,14 @@ class Indirect(Ladder):
         return replace(found, statistics=replace(found.statistics, wall_time=took))
 
 
-def _tell(search: Search, one: Solution, beside: str) -> None:
+def _report_best(search: Search, one: Solution, beside: str) -> None:
     """Report an extremal that is the best so far."""
-    best_so_far(
+    remember_best(
         search.problem, one.objective, lambda: f"{objective_text(one, 9)}, {beside}", lambda: one, extremal=True
     )
 
 
-def _best(found: Sequence[Solution], search: Search) -> Solution:
+def _merge_searches(found: Sequence[Solution], search: Search) -> Solution:
     """Return the best of several answers, with the extremals of the others behind its own."""
     best = min(found, key=lambda one: one.objective)  # of equals the first
     alike = _ALIKE * abs(best.objective)
@@ -242,7 +242,7 @@ def _best(found: Sequence[Solution], search: Search) -> Solution:
 def _may_be_structured(guess: Solution) -> bool:
     """Return True if a guess may touch or ride along a condition on states; an indirect one says so itself."""
     return (
-        isinstance(guess.trajectories, Joined)  # an atlas's answer of arcs, too
+        isinstance(guess.trajectories, JoinedTrajectories)  # an atlas's answer of arcs, too
         or guess.statistics.rung.endswith(STRUCTURE)
         or guess.method != Indirect.name
     )

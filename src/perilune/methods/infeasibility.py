@@ -24,8 +24,8 @@ from perilune.problem.wording import limit_name, only_in_path, parameter_key, qu
 from perilune.structures.budgets import AT_END, with_budgets
 from perilune.words.outcome import NotConvergedError, PeriluneError
 from perilune.words.types import Vector
-from perilune.words.units import told, told_outwards
-from perilune.words.watch import Watch, silent
+from perilune.words.units import format_bound, format_quantity
+from perilune.words.watch import Watch, ignore_events
 
 _MOST = 320  # iterations of all limits together, of a problem of one phase; no seconds, so that it says the same again
 _PATIENT = 40  # iterations of each; what ends well takes 10 to 30
@@ -54,7 +54,7 @@ class Relaxed(NamedTuple):
     doubt: float = np.inf
 
 
-class Words(NamedTuple):
+class LimitReport(NamedTuple):
     """The texts of a limit: its name, by how much it is missed, with what all else can be kept, and what was stated.
 
     `possible` is False where what would be enough may not be stated: a throttle of 1.4 may not.
@@ -81,10 +81,10 @@ def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch 
     """
     if error.flight is None or not error.partial.get("missed") or not error.partial.get("settled", True):
         return error  # what is no least miss tells of no limit
-    watch = watch or silent
+    watch = watch or ignore_events
     watch("looking for the limit that stands in the way")
     try:
-        found = sorted(_each_alone(problem, error.flight, watch), key=lambda one: one.share)
+        found = sorted(_relax_each_limit(problem, error.flight, watch), key=lambda one: one.share)
     except (PeriluneError, ArithmeticError):  # what cannot be traced with a limit relaxed
         return error
     if not found:
@@ -92,10 +92,10 @@ def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch 
     best, *others = [_on_finer_meshes(one) for one in found[:_LISTED]]
     if not best.doubt <= _SETTLED * best.amount:
         return error  # meshes do not agree that anything is in the way
-    return _named(problem, error, [best, *(one for one in others if one.doubt <= _SETTLED * one.amount)])
+    return _name_limits(problem, error, [best, *(one for one in others if one.doubt <= _SETTLED * one.amount)])
 
 
-def _each_alone(problem: Problem, nearest: Solution, watch: Watch) -> Iterator[Relaxed]:
+def _relax_each_limit(problem: Problem, nearest: Solution, watch: Watch) -> Iterator[Relaxed]:
     """Yield flights with one limit relaxed each; ends only where no other limit helps."""
     left, found = _MOST // len(problem.phases), 0
     # What is used up binds where a phase ends, and no point of a mesh lies there.
@@ -114,7 +114,7 @@ def _each_alone(problem: Problem, nearest: Solution, watch: Watch) -> Iterator[R
             left -= _PATIENT
             continue
         left -= flight.statistics.iterations
-        one = Relaxed(limit, flight.objective, flight.objective / _own_size(problem, limit, flight), flight)
+        one = Relaxed(limit, flight.objective, flight.objective / _limit_magnitude(problem, limit, flight), flight)
         if one.share < _LARGEST:
             found += 1
             yield one
@@ -133,7 +133,7 @@ def _on_finer_meshes(one: Relaxed) -> Relaxed:
     return one
 
 
-def _own_size(problem: Problem, limit: ElasticLimit, flight: Solution) -> float:
+def _limit_magnitude(problem: Problem, limit: ElasticLimit, flight: Solution) -> float:
     """Return the size of what is limited [SI]: its range along the flight, or the range of a control."""
     if limit.kind in ("control", "free"):
         lower, upper = _bounds(limit, flight.parameters)
@@ -141,7 +141,7 @@ def _own_size(problem: Problem, limit: ElasticLimit, flight: Solution) -> float:
     least = 1e-3 * problem.size_of(limit.bounded)
     if limit.kind == "end":
         return 1e3 * least
-    return max([least, *(float(np.ptp(along)) for along in _along(problem, limit, flight, flight.parameters))])
+    return max([least, *(float(np.ptp(along)) for along in _limited_values(problem, limit, flight, flight.parameters))])
 
 
 def _bounds(limit: ElasticLimit, p: Any) -> tuple[float, float]:
@@ -150,7 +150,7 @@ def _bounds(limit: ElasticLimit, p: Any) -> tuple[float, float]:
     return (bounded.lower, bounded.upper) if limit.kind == "free" else bounded.limits(p)
 
 
-def _along(problem: Problem, limit: ElasticLimit, flight: Solution, p: Any) -> Iterator[Vector]:
+def _limited_values(problem: Problem, limit: ElasticLimit, flight: Solution, p: Any) -> Iterator[Vector]:
     """Yield values [SI] of a state or a condition of the path along each phase that has it, at any parameters."""
     for k, phase in enumerate(problem.phases):
         t = np.linspace(0.0, flight.trajectories[k].duration, _LOOKS)
@@ -161,9 +161,9 @@ def _along(problem: Problem, limit: ElasticLimit, flight: Solution, p: Any) -> I
             yield from (v for c, v in phase.path_along(x, u, p) if c.name in limit.names)
 
 
-def _named(problem: Problem, error: NotConvergedError, found: list[Relaxed]) -> NotConvergedError:
+def _name_limits(problem: Problem, error: NotConvergedError, found: list[Relaxed]) -> NotConvergedError:
     """Return the error, with the limit that gives least first."""
-    parts = [_words(problem, one) for one in found]
+    parts = [_describe_limit(problem, one) for one in found]
     first = parts[0]
     easier = "more thrust, less mass or a higher start" if "vehicle_thrust" in problem.given else ""
     ways = list(dict.fromkeys(part.enough for part in parts if part.possible))
@@ -185,36 +185,42 @@ def _named(problem: Problem, error: NotConvergedError, found: list[Relaxed]) -> 
     )
 
 
-def _words(problem: Problem, one: Relaxed) -> Words:
+def _describe_limit(problem: Problem, one: Relaxed) -> LimitReport:
     """Describe a limit that stands in the way, and what would be enough."""
     limit, unit, p = one.limit, one.limit.bounded.unit, one.flight.parameters
     if limit.kind == "end":
         given = relaxations(limit, one.flight.free)
         name, largest = next(iter(given.items()))
         missed = [
-            f"{n.replace('_', ' ')} missed by {told(v, unit, 3)}" for n, v in given.items() if v > _SHARE * largest
+            f"{n.replace('_', ' ')} missed by {format_quantity(v, unit, 3)}"
+            for n, v in given.items()
+            if v > _SHARE * largest
         ]
         called = name.replace("_", " ")
-        return Words(f"the end condition {called}", told(largest, unit, 3), ", ".join(missed), f"{called} met")
+        return LimitReport(
+            f"the end condition {called}", format_quantity(largest, unit, 3), ", ".join(missed), f"{called} met"
+        )
     if limit.kind == "path":
         if (found := _parameter_enough(problem, one)) is not None:
             name, value = found
             key, unit, stated = parameter_key(problem, name), problem.unit_of(name), getattr(p, name)
             further, side = (value - stated) * (1 + one.doubt / one.amount), "lower" if value < stated else "upper"
-            much = told(abs(value - stated), unit, 2)
-            enough = f"{key} {told_outwards(stated + further, unit, side, _DIGITS)}"
+            much = format_quantity(abs(value - stated), unit, 2)
+            enough = f"{key} {format_bound(stated + further, unit, side, _DIGITS)}"
             possible = _may_be_stated(problem, name, stated + further)
-            return Words(key, much, enough, f"{key} {told(stated, unit)}", possible)
+            return LimitReport(key, much, enough, f"{key} {format_quantity(stated, unit)}", possible)
         called = quantity_name(limit.bounded)
-        enough = f"{called} down to {told_outwards(-one.amount - one.doubt, unit, 'lower', _DIGITS)}"
-        return Words(called, told(one.amount, unit, 2), enough, f"{called} never below 0")
+        enough = f"{called} down to {format_bound(-one.amount - one.doubt, unit, 'lower', _DIGITS)}"
+        return LimitReport(called, format_quantity(one.amount, unit, 2), enough, f"{called} never below 0")
     lower, upper = _bounds(limit, p)
     at, name = lower if limit.side == "lower" else upper, limit_name(problem, limit.bounded, limit.side)
     give = one.amount + one.doubt
     reached = at - give if limit.side == "lower" else at + give
-    enough, stated = f"{name} {told_outwards(reached, unit, limit.side)}", getattr(limit.bounded, limit.side)
+    enough, stated = f"{name} {format_bound(reached, unit, limit.side)}", getattr(limit.bounded, limit.side)
     possible = not isinstance(stated, str) or _may_be_stated(problem, stated, reached)
-    return Words(name, told(one.amount, unit, 2), enough, f"{name} {told(at, unit)}", possible)
+    return LimitReport(
+        name, format_quantity(one.amount, unit, 2), enough, f"{name} {format_quantity(at, unit)}", possible
+    )
 
 
 def _may_be_stated(problem: Problem, name: str, value: float) -> bool:
@@ -230,14 +236,14 @@ def _parameter_enough(problem: Problem, one: Relaxed) -> tuple[str, float] | Non
     """Return the given parameter that states only the limit, and its nearest value with which the flight keeps it."""
     limit, p = one.limit, one.flight.parameters
     least = -_KEPT * problem.size_of(limit.bounded)
-    stated_values = [*_along(problem, limit, one.flight, p)]
+    stated_values = [*_limited_values(problem, limit, one.flight, p)]
     # Polynomials overshoot between the nodes of a mesh.
     kept = [along >= -_OVERSHOT * one.amount for along in stated_values]
 
     def room(name: str, value: float) -> float:
         here = SimpleNamespace(**{**vars(p), name: value})
         with np.errstate(all="ignore"):
-            values = zip(_along(problem, limit, one.flight, here), kept, strict=True)
+            values = zip(_limited_values(problem, limit, one.flight, here), kept, strict=True)
             return min(float(along[at].min(initial=np.inf)) for along, at in values) - least
 
     found = list[tuple[float, str, float]]()

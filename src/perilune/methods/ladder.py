@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from perilune.words.asked import demand_whole
+from perilune.words.asked import require_integers
 
 if TYPE_CHECKING:
     from perilune.methods.pseudospectral import Pseudospectral
@@ -16,7 +16,7 @@ TRANSCRIBED = "direct transcription"  # the same, from the direct method's answe
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ladder:
+class SearchSettings:
     """Settings of the search; `perilune.methods.indirect.Indirect` says what each means."""
 
     starts: int = 24
@@ -28,4 +28,4 @@ class Ladder:
     name = "indirect"
 
     def __post_init__(self) -> None:
-        demand_whole(self, starts=1, seed=0, scan_points=3, segments=1)
+        require_integers(self, starts=1, seed=0, scan_points=3, segments=1)

@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from perilune.conditions.canonical import extremal_parameters
-from perilune.methods.answer import Curves, composed
+from perilune.methods.answer import Curves, compose_solution
 from perilune.methods.trials import found_at
-from perilune.problem.neighbours import placed
+from perilune.problem.neighbours import with_given_unchecked
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
-from perilune.shooting.active import Limits, limits_of, settle
+from perilune.shooting.active import ActiveSetBounds, limits_of, solve_active_set
 from perilune.shooting.function import Root, Roots, Shooting
-from perilune.structures.carry import Joined, joined
-from perilune.structures.restate import refuse_unsaid, renumbered
+from perilune.structures.carry import JoinedTrajectories, join_solution
+from perilune.structures.restate import refuse_unstated_ends, renumber_restated
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix
@@ -47,8 +47,8 @@ class Nearby:
 
     def __init__(self, solution: Solution) -> None:
         known = solution.trajectories
-        self.solution, self.arcs = solution, known if isinstance(known, Joined) else None
-        curves = known.restated.trajectories if isinstance(known, Joined) else known
+        self.solution, self.arcs = solution, known if isinstance(known, JoinedTrajectories) else None
+        curves = known.restated.trajectories if isinstance(known, JoinedTrajectories) else known
         if not isinstance(curves, Curves):
             raise PeriluneError(
                 "of this solution nothing but its curves is known",
@@ -81,7 +81,7 @@ class Nearby:
                     advice="perilune.solve(problem.with_given(...), guess=solution), one by one",
                 )
         if self.arcs is not None:
-            refuse_unsaid(self.problem, self.solution.problem, self.arcs.structure, tuple(values))
+            refuse_unstated_ends(self.problem, self.solution.problem, self.arcs.structure, tuple(values))
         arrays = np.broadcast_arrays(np.zeros(1), *(np.asarray(value, dtype=float) for value in values.values()))[1:]
         found = np.tile(extremal_parameters(self.problem), (len(arrays[0]) if arrays else 1, 1))
         for name, array in zip(values, arrays, strict=True):
@@ -107,10 +107,12 @@ class Nearby:
         Y = np.tile(self.root.y, (len(p), 1)) if begin is None else begin
         each = self._limits(values, len(p))
         choice = np.array([limits.taken_over(self.root.choice, self.limits) for limits in each])
-        limits = Limits(lower=np.array([one.lower for one in each]), upper=np.array([one.upper for one in each]))
-        return settle(self.shooting, Y, p, choice, limits)
+        limits = ActiveSetBounds(
+            lower=np.array([one.lower for one in each]), upper=np.array([one.upper for one in each])
+        )
+        return solve_active_set(self.shooting, Y, p, choice, limits)
 
-    def _limits(self, values: Mapping[str, ArrayLike], lanes: int) -> list[Limits]:
+    def _limits(self, values: Mapping[str, ArrayLike], lanes: int) -> list[ActiveSetBounds]:
         """Return the limits of each lane: ranges of free parameters may follow from the given ones."""
         if self.solution.problem.ranges is None:
             return [self.limits] * lanes
@@ -118,18 +120,18 @@ class Nearby:
         rows = zip(*columns, strict=True) if columns else [()] * lanes
         return [self._limits_at(dict(zip(values, row, strict=True))) for row in rows]
 
-    def _limits_at(self, values: Mapping[str, float]) -> Limits:
+    def _limits_at(self, values: Mapping[str, float]) -> ActiveSetBounds:
         known, found = self.solution.problem, dict[str, tuple[Any, ...]]()
         assert known.ranges is not None, "they were asked for"
         with suppress(PeriluneError):  # nothing is said where the values make no sense
             found = known.ranges(SimpleNamespace(**{**vars(known.parameters({})), **values}), NUMERIC)
         if all(found.get(f.name, (f.lower, f.upper))[:2] == (f.lower, f.upper) for f in known.free):
             return self.limits
-        return limits_of(self._own(placed(known, values)), self.shooting.conditions)
+        return limits_of(self._own(with_given_unchecked(known, values)), self.shooting.conditions)
 
     def _own(self, problem: Problem) -> Problem:
         """Return the user's problem at other values as it is solved: with a phase for each arc."""
-        return problem if self.arcs is None else renumbered(self.problem, problem, self.arcs.structure)
+        return problem if self.arcs is None else renumber_restated(self.problem, problem, self.arcs.structure)
 
     def at(self, root: Root, values: Mapping[str, float]) -> Solution:
         """Return an extremal that was found as a solution of the problem with these values, unverified."""
@@ -137,8 +139,8 @@ class Nearby:
         own = self._own(problem)
         statistics = Statistics(rung="guess", iterations=len(root.history))
         extremal = found_at(self.shooting, own, root)
-        found = composed(self.solution.method, own, self.shooting.conditions, [extremal], statistics)
+        found = compose_solution(self.solution.method, own, self.shooting.conditions, [extremal], statistics)
         if self.arcs is None:
             return found
-        whole = joined(problem, found, self.arcs.structure)
+        whole = join_solution(problem, found, self.arcs.structure)
         return replace(whole, statistics=replace(whole.statistics, rung=self.solution.statistics.rung))

@@ -9,7 +9,7 @@ slope of J along these extremals is nearly a straight line in w (secant method).
 from __future__ import annotations
 
 from perilune.methods.search import Search
-from perilune.methods.starts import held_in, known
+from perilune.methods.starts import active_set_of_guess, unknowns_of_guess
 from perilune.methods.trials import found_at
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -57,8 +57,8 @@ def with_pair(search: Search, guess: Solution, duration: str) -> Solution | None
         Name of the free parameter that the length of the phase is.
     """
     trials, index = search.trials, search.problem.free_names.index(duration)
-    y = known(search.settings, trials, guess)
-    free = held_in(trials, guess, y)
+    y = unknowns_of_guess(search.settings, trials, guess)
+    free = active_set_of_guess(trials, guess, y)
     free[[index, trials.shooting.plan.held + index]] = 0.0
 
     def held(y: Vector, w: float) -> Root:

@@ -14,27 +14,27 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from perilune.methods.breaches import Breach
-from perilune.methods.coarse import often_switched
+from perilune.methods.breaches import ConstraintViolation
+from perilune.methods.coarse import switches_often
 from perilune.methods.first_mesh import ROUGHEST
 from perilune.methods.indirect import Indirect
-from perilune.methods.ladder import STRUCTURE, Ladder
+from perilune.methods.ladder import STRUCTURE, SearchSettings
 from perilune.methods.pseudospectral import Pseudospectral
 from perilune.methods.search import Search
 from perilune.methods.smoothing import SMOOTH
-from perilune.methods.structured import Polish
+from perilune.methods.structured import StructureRefinement
 from perilune.problem.extremal import Nature
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.structures.read import read
+from perilune.structures.read import detect_structure
 from perilune.words.outcome import NotConvergedError, PeriluneError
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 NEWTON = "Newton"  # ends the rung of an answer that was made exact in the user's own phases
 APART = 30.0  # times its mesh error J may be better than the exact one's: so far two good answers were seen apart
 
 
-def polished(
+def solve_and_polish(
     method: Pseudospectral, problem: Problem, guess: Solution | None = None, watch: Watch | None = None
 ) -> Solution:
     """Solve by the direct method and make its answer exact.
@@ -55,7 +55,7 @@ def polished(
     InfeasibleError, NotConvergedError
         As the direct method says, where nothing exact was reached from its best flight either.
     """
-    finish = _Finish(settings=Indirect(), problem=problem, watch=watch or silent, guided=guess is not None)
+    finish = _DirectPolish(settings=Indirect(), problem=problem, watch=watch or ignore_events, guided=guess is not None)
     direct, exact = None, None
     try:
         for direct in method.meshes(problem, guess, watch):
@@ -72,10 +72,10 @@ def polished(
 
 
 @dataclass(kw_only=True)
-class _Finish:
+class _DirectPolish:
     """The steps that make answers of one run exact; `tried` has a line for each failure."""
 
-    settings: Ladder
+    settings: SearchSettings
     problem: Problem
     watch: Watch
     guided: bool
@@ -88,7 +88,7 @@ class _Finish:
         """Return the exact answer in brief, from a mesh that may not be the last, for a structure not tried yet."""
         if not direct.statistics.residual < ROUGHEST:
             return None
-        structure = read(self.problem, direct)
+        structure = detect_structure(self.problem, direct)
         text = "" if structure is None else structure.text
         if text in self.seen:
             return None
@@ -104,7 +104,7 @@ class _Finish:
         ways = [(partial(self._structured, brief=brief), STRUCTURE), (self._in_one_piece, NEWTON)]
         if not brief and self.settled is direct:
             ways = []  # tried on the way
-        if not brief and not self.guided and often_switched(direct):
+        if not brief and not self.guided and switches_often(direct):
             ways.append((self._smoothed, SMOOTH))
         for way, name in ways:
             self.watch(f"polish: {name}")
@@ -126,7 +126,9 @@ class _Finish:
             return None
 
     def _structured(self, direct: Solution, *, brief: bool) -> Solution | None:
-        run = Polish(settings=self.settings, problem=self.problem, watch=self.watch, tried=self.tried, brief=brief)
+        run = StructureRefinement(
+            settings=self.settings, problem=self.problem, watch=self.watch, tried=self.tried, brief=brief
+        )
         return run.run(direct)
 
     def _in_one_piece(self, direct: Solution) -> Solution | None:
@@ -139,7 +141,7 @@ class _Finish:
     def _search(self) -> Search:
         return Search(self.settings, self.problem, self.watch, tried=self.tried)
 
-    def _kept(self, found: Solution, breach: Callable[[], Breach | None]) -> Solution | None:
+    def _kept(self, found: Solution, breach: Callable[[], ConstraintViolation | None]) -> Solution | None:
         """Return an extremal if it is a minimum that keeps every condition."""
         if found.extremals[0].nature is Nature.WORST:
             self.tried.append("polish: an extremal that is no minimum")

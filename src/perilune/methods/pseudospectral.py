@@ -17,18 +17,18 @@ from perilune.methods.first_mesh import FirstMesh
 from perilune.methods.transcription import Look, Run, Transcription
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.words.asked import called_in_words
+from perilune.words.asked import check_call
 from perilune.words.outcome import NotConvergedError
-from perilune.words.watch import Iteration, Watch, silent
+from perilune.words.watch import Iteration, Watch, ignore_events
 
 if TYPE_CHECKING:
-    from perilune.direct.nlp import Answer, Program
+    from perilune.direct.nlp import ProgramSolution, TranscribedProgram
 
 # Refinements in a row that do not halve the least error so far, before no more is expected of them.
 STALLED = 3
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Pseudospectral(Transcription):
     """Settings of the direct method.
@@ -87,20 +87,20 @@ class Pseudospectral(Transcription):
         from perilune.direct.contradictions import check_consistent
 
         check_consistent(problem)
-        yield from _Refined(settings=self, problem=problem, watch=watch or silent).answers(guess)
+        yield from _MeshRefinement(settings=self, problem=problem, watch=watch or ignore_events).answers(guess)
 
     def near(self, guess: Solution, watch: Watch | None = None, *, close: bool = False) -> Solution:
         """Solve near a guess for its problem, as `run`; no other start and no search for the least miss.
 
         With `close` the search does not leave where the guess lies next to bounds, as one does from anywhere.
         """
-        *_, finest = _Refined(settings=self, problem=guess.problem, watch=watch or silent).answers(
+        *_, finest = _MeshRefinement(settings=self, problem=guess.problem, watch=watch or ignore_events).answers(
             guess, near=True, close=close
         )
         return finest
 
 
-class _Refined(Run):
+class _MeshRefinement(Run):
     """A run with all its meshes."""
 
     def answers(self, guess: Solution | None, *, near: bool = False, close: bool = False) -> Iterator[Solution]:
@@ -128,20 +128,22 @@ class _Refined(Run):
             if not answer.converged:
                 self.fail_mesh(*best, f"{number} refinements, as the next was not solved")
 
-    def finer(self, program: Program, answer: Answer, look: Look, name: str) -> tuple[Program, Answer]:
+    def finer(
+        self, program: TranscribedProgram, answer: ProgramSolution, look: Look, name: str
+    ) -> tuple[TranscribedProgram, ProgramSolution]:
         """Return the same on a mesh that is better where this one is not good enough."""
-        from perilune.direct.mesh import refined
-        from perilune.direct.segments import sampled, sampler
+        from perilune.direct.mesh import refine_mesh
+        from perilune.direct.segments import sample_guess, sampler
 
         p = self.problem.parameters(answer.free_si(self.problem))
         meshes = tuple(
-            refined(phase, mesh, flown, r, self.settings.tolerance, p)
+            refine_mesh(phase, mesh, flown, r, self.settings.tolerance, p)
             for phase, mesh, flown, r in zip(
                 self.problem.phases, program.meshes, look.segments, look.relative, strict=True
             )
         )
         program = self.program(meshes)
-        first = sampled(program, [sampler(flown) for flown in look.segments])
+        first = sample_guess(program, [sampler(flown) for flown in look.segments])
         return program, self.attempt(program, answer.free, first, name)
 
     def fail_mesh(self, best: Solution, look: Look, after: str) -> NoReturn:
@@ -165,7 +167,7 @@ class _Refined(Run):
         )
 
 
-def _mesh_line(problem: Problem, program: Program, look: Look, number: int) -> str:
+def _mesh_line(problem: Problem, program: TranscribedProgram, look: Look, number: int) -> str:
     from perilune.direct.errors import error_text
 
     nodes = sum(mesh.nodes for mesh in program.meshes)

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
-from perilune.methods.assemble import beyond_shooting, free_values, residual_scales
-from perilune.methods.breaches import Breach
-from perilune.methods.chattering import chattering
-from perilune.methods.coarse import Coarse, along_path
-from perilune.methods.undetermined import undetermined
+from perilune.methods.assemble import free_values, residual_scales, unreachable_by_shooting
+from perilune.methods.breaches import ConstraintViolation
+from perilune.methods.chattering import detect_chattering
+from perilune.methods.coarse import Coarse, path_condition_values
+from perilune.methods.undetermined import undetermined_controls
 from perilune.problem.preflight import preflight
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
@@ -27,7 +27,7 @@ from perilune.shooting.function import Root
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import BEST_MISSES, InfeasibleError, NotConvergedError, PeriluneError
 from perilune.words.types import Vector
-from perilune.words.units import told
+from perilune.words.units import format_quantity
 
 _DEFECT = "the dynamics of "  # in a least miss: it is no flight, and nothing that was stated stands in the way
 _BROKEN = "every extremal found breaks a condition"
@@ -38,7 +38,7 @@ _ARRIVED = 1e-4  # canonical: an end that is missed by less is met, as far as me
 NOT_ISOLATED = "extremals are not isolated here: beside one lie others with the same J (spare time, a free angle)"
 
 
-def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
+def explain_refusal(coarse: Coarse, breaches: list[ConstraintViolation]) -> PeriluneError | None:
     """Return why no extremal that was found is an answer; None where none was found, and nothing else says why."""
     direct, bounds = coarse.refusal, [breach for breach in breaches if not breach.path]
     known = getattr(direct, "partial", {})
@@ -47,18 +47,22 @@ def refusal(coarse: Coarse, breaches: list[Breach]) -> PeriluneError | None:
         return direct
     if bounds and known.get("all_missed"):
         got = "the direct method found no flight either"
-        return best_misses(coarse.problem, bounds, len(breaches), got, {**known, "tried": list(coarse.tried)})
+        return best_misses_bound_error(
+            coarse.problem, bounds, len(breaches), got, {**known, "tried": list(coarse.tried)}
+        )
     flight = coarse.flight
-    if flight is not None and (priced := [b for b in bounds if better_within(coarse.problem, b) is not None]):
+    if flight is not None and (
+        priced := [b for b in bounds if bound_unreachable_objective(coarse.problem, b) is not None]
+    ):
         if _by_the_mesh_alone(coarse, flight, priced[0]):
             got = "the direct method's flight keeps it by less than the error of its mesh"
-            return best_misses(coarse.problem, priced, len(breaches), got, {"tried": list(coarse.tried)})
-    if flight is not None and (breaches or ridden_condition(coarse.problem, flight)):
-        return kept_flight(coarse.problem, flight, breaches, coarse.tried)
-    return undecided(coarse.problem, breaches, coarse.refusal, coarse.tried) if breaches else None
+            return best_misses_bound_error(coarse.problem, priced, len(breaches), got, {"tried": list(coarse.tried)})
+    if flight is not None and (breaches or active_path_condition(coarse.problem, flight)):
+        return no_extremal_error(coarse.problem, flight, breaches, coarse.tried)
+    return undecided_error(coarse.problem, breaches, coarse.refusal, coarse.tried) if breaches else None
 
 
-def better_within(problem: Problem, breach: Breach) -> float | None:
+def bound_unreachable_objective(problem: Problem, breach: ConstraintViolation) -> float | None:
     """Return J on a broken bound where each flight that keeps it is better than that, else None.
 
     So it is where J is the end of only one state, as the mass that is landed: an optimum that misses the bound says
@@ -80,16 +84,16 @@ def better_within(problem: Problem, breach: Breach) -> float | None:
     return None
 
 
-def _by_the_mesh_alone(coarse: Coarse, flight: Solution, breach: Breach) -> bool:
+def _by_the_mesh_alone(coarse: Coarse, flight: Solution, breach: ConstraintViolation) -> bool:
     """Return True if a rough flight keeps a bound, of which only J depends, by no more than its J changes."""
-    bound, finer = better_within(coarse.problem, breach), coarse.without_bounds(breach.name, flight)
+    bound, finer = bound_unreachable_objective(coarse.problem, breach), coarse.without_bounds(breach.name, flight)
     if bound is None or finer is None:
         return False
     return bound - finer.objective <= abs(finer.objective - flight.objective)
 
 
-def best_misses(
-    problem: Problem, bounds: Sequence[Breach], count: int, direct: str, partial: dict[str, Any]
+def best_misses_bound_error(
+    problem: Problem, bounds: Sequence[ConstraintViolation], count: int, direct: str, partial: dict[str, Any]
 ) -> InfeasibleError:
     """Return the error for no flight: the best of so many extremals misses a bound, and the direct method has none.
 
@@ -102,16 +106,18 @@ def best_misses(
     """
     best = min(bounds, key=lambda breach: breach.canonical)
     return InfeasibleError(
-        f"the best of {count} found misses {best.limit or best.name} by {told(best.miss, best.unit)}",
+        f"the best of {count} found misses {best.limit or best.name} by {format_quantity(best.miss, best.unit)}",
         got=f"{best.text}; {direct}",
         expected=best.kept,
-        advice="; or ".join(filter(None, (best.enough, _easier(problem)))),
+        advice="; or ".join(filter(None, (best.enough, _suggest_easier_problem(problem)))),
         reason=BEST_MISSES,
         partial=partial,
     )
 
 
-def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], tried: list[str]) -> NotConvergedError:
+def no_extremal_error(
+    problem: Problem, flight: Solution, breaches: list[ConstraintViolation], tried: list[str]
+) -> NotConvergedError:
     """Return the error for a flight that keeps every condition, but no extremal that does.
 
     Parameters
@@ -124,14 +130,16 @@ def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], trie
         Lines of what was tried.
     """
     words = [objective_text(flight), f"mesh error {flight.statistics.residual:.1g}"]
-    for condition, values in along_path(problem, flight):
+    for condition, values in path_condition_values(problem, flight):
         broken = -float(values.min())
         if broken > 1e-6 * np.ptp(values):
             called = quantity_name(condition)
-            words.append(f"{called} broken by {told(broken, condition.unit, 2)} between the points of the mesh")
+            words.append(
+                f"{called} broken by {format_quantity(broken, condition.unit, 2)} between the points of the mesh"
+            )
     best = "direct method: " + ", ".join(words)
-    ridden = ridden_condition(problem, flight)
-    parts = [_mildest(problem, flight, breaches)] if breaches else []
+    ridden = active_path_condition(problem, flight)
+    parts = [_describe_mildest_violation(problem, flight, breaches)] if breaches else []
     if ridden is not None:
         parts.append(f"the best path that keeps {ridden} rides along it ({best})")
     else:
@@ -140,33 +148,33 @@ def kept_flight(problem: Problem, flight: Solution, breaches: list[Breach], trie
         f"{_BROKEN} of the path" if breaches else NO_EXTREMAL,
         got="; ".join(parts),
         expected="an optimal flight that keeps every condition" if breaches else "a flight that no change improves",
-        advice="the direct method (--method direct, Pseudospectral()) may ride it; " + _easier(problem),
+        advice="the direct method (--method direct, Pseudospectral()) may ride it; " + _suggest_easier_problem(problem),
         partial={"tried": list(tried)},
         flight=flight,
     )
 
 
-def _mildest(problem: Problem, flight: Solution, breaches: list[Breach]) -> str:
+def _describe_mildest_violation(problem: Problem, flight: Solution, breaches: list[ConstraintViolation]) -> str:
     """Describe how extremals break a condition, by the one that breaks it least.
 
     What goes further beyond it than any flight that keeps it stays within is no flight, and its depth says nothing.
     """
     least = min(breaches, key=lambda breach: breach.canonical)
-    room = {condition.name: float(values.max()) for condition, values in along_path(problem, flight)}
+    room = {condition.name: float(values.max()) for condition, values in path_condition_values(problem, flight)}
     if least.path and least.miss > room.get(least.name, math.inf):
         return f"what is optimal where {least.limit or least.name} is left out does not come near to keeping it"
     return least.text
 
 
-def _easier(problem: Problem) -> str:
+def _suggest_easier_problem(problem: Problem) -> str:
     """Return what makes a problem easier, in its own terms."""
     if "vehicle_thrust" in problem.given:
         return "more thrust, less mass or a higher start"
     return "given values that leave more room"
 
 
-def undecided(
-    problem: Problem, breaches: list[Breach], direct: PeriluneError | None, tried: list[str]
+def undecided_error(
+    problem: Problem, breaches: list[ConstraintViolation], direct: PeriluneError | None, tried: list[str]
 ) -> NotConvergedError:
     """Return the error for extremals that all break something while no flight is known to keep everything.
 
@@ -184,13 +192,13 @@ def undecided(
         Lines of what was tried.
     """
     least = min(breaches, key=lambda breach: breach.canonical)
-    keys = _keys_of(problem, least)
+    keys = _stating_keys_of_violation(problem, least)
     called, stated = least.limit or least.name, f" ({', '.join(keys)})" if keys else ""
     ends = "its flight is too rough to tell" if direct is None else direct.what
     if _DEFECT in ends:
         ends = "it found none either"
     return NotConvergedError(
-        f"{_BROKEN}, the nearest {called}{stated} by {told(least.miss, least.unit)}, "
+        f"{_BROKEN}, the nearest {called}{stated} by {format_quantity(least.miss, least.unit)}, "
         "and whether any flight keeps them all is not settled",
         got=f"{least.text}; direct method: {ends}",
         expected=least.kept or f"{called} never below 0",
@@ -200,7 +208,7 @@ def undecided(
     )
 
 
-def _keys_of(problem: Problem, breach: Breach) -> list[str]:
+def _stating_keys_of_violation(problem: Problem, breach: ConstraintViolation) -> list[str]:
     """Return the keys that state a condition of the path, the limit's own first; none for a bound."""
     for k, phase in enumerate(problem.phases):
         for row, condition in enumerate(phase.path_conditions):
@@ -210,15 +218,17 @@ def _keys_of(problem: Problem, breach: Breach) -> list[str]:
     return []
 
 
-def ridden_condition(problem: Problem, flight: Solution) -> str | None:
+def active_path_condition(problem: Problem, flight: Solution) -> str | None:
     """Return the path condition along which a flight runs, away from its ends."""
-    for condition, values in along_path(problem, flight, ends=0.05):
+    for condition, values in path_condition_values(problem, flight, ends=0.05):
         if np.min(values) <= 1e-4 * problem.scales.of(condition.unit):
             return quantity_name(condition)
     return None
 
 
-def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, nearest: Root | None) -> NotConvergedError:
+def no_start_converged_error(
+    conditions: Conditions, coarse: Coarse, iterations: int, nearest: Root | None
+) -> NotConvergedError:
     """Return the error for starts that all failed: the nearest approach, in the user's words, and what to try.
 
     Parameters
@@ -252,24 +262,24 @@ def not_converged(conditions: Conditions, coarse: Coarse, iterations: int, neare
     if nearest is not None and nearly_open(nearest):
         got += f"; {NOT_ISOLATED}"
         advice = "a condition more at the end, a shorter or a free duration; " + advice
-    if coarse.solution is not None and (loose := undetermined(coarse.solution)):
+    if coarse.solution is not None and (loose := undetermined_controls(coarse.solution)):
         got += f"; in the direct method's flight nothing determines {' and '.join(loose)}: any that arrives is as good"
         advice = "minimise what depends on it, as the time of flight; " + advice
-    if flight is not None and (beyond := beyond_shooting(flight, conditions)) is not None:
+    if flight is not None and (beyond := unreachable_by_shooting(flight, conditions)) is not None:
         got, advice = beyond
-    elif flight is None and coarse.solution is not None and (found := chattering(coarse.solution)) is not None:
+    elif flight is None and coarse.solution is not None and (found := detect_chattering(coarse.solution)) is not None:
         what, got, advice = CHATTERS, f"in the best flight found {found.text}", found.advice
     return NotConvergedError(
         what,
         got=got,
         expected="a flight that meets every end condition, and that no change improves",
         advice=advice,
-        partial={**_missed(coarse), **partial},
+        partial={**_direct_misses(coarse), **partial},
         flight=flight or getattr(coarse.refusal, "flight", None),
     )
 
 
-def _missed(coarse: Coarse) -> dict[str, Any]:
+def _direct_misses(coarse: Coarse) -> dict[str, Any]:
     """Return what the direct method's flight misses, where it found none that misses nothing."""
     known = getattr(coarse.refusal, "partial", {}) if coarse.flight is None else {}
     return {name: known[name] for name in ("missed", "all_missed", "settled") if name in known}
@@ -282,7 +292,7 @@ def _nearest_approach(problem: Problem, conditions: Conditions, scaled: Vector, 
     if ends and (missed := float(np.abs(scaled[:ends]).max())) > max(_ARRIVED, 1e-2 * abs(float(scaled[worst]))):
         k = int(np.argmax(np.abs(scaled[:ends]) >= missed))
         name, unit = conditions.residuals[k]
-        return f"the nearest approach misses {name} by {told(abs(float(values[k])), unit, 4)}"
+        return f"the nearest approach misses {name} by {format_quantity(abs(float(values[k])), unit, 4)}"
     name, _ = conditions.residuals[worst]
     if name.startswith(_STATIONARITY):
         return f"the nearest approach arrives, but another {name.removeprefix(_STATIONARITY)} would be better"

@@ -12,18 +12,26 @@ from typing import NamedTuple
 import numpy as np
 
 from perilune.conditions.held import Held
-from perilune.methods.assemble import unknowns_from
+from perilune.methods.assemble import unknowns_from_solution
 from perilune.methods.coarse import Coarse
-from perilune.methods.durations import Lengthened, given_durations
-from perilune.methods.flown import may_be_cut
-from perilune.methods.ladder import TRANSCRIBED, Ladder
+from perilune.methods.durations import FinalTimeContinuation, given_durations
+from perilune.methods.flown import can_use_multiple_shooting
+from perilune.methods.ladder import TRANSCRIBED, SearchSettings
 from perilune.methods.smoothing import SMOOTH, Smoothing
-from perilune.methods.starts import PATIENCE, STRIDE, held_in, hold_ranges, leave_out, on_the_sphere, vanishing
+from perilune.methods.starts import (
+    PATIENCE,
+    STRIDE,
+    active_set_of_guess,
+    hold_ranges,
+    leave_out_vanishing,
+    random_costate_unknowns,
+    vanishing_durations,
+)
 from perilune.methods.trials import Trials
 from perilune.problem.solution import Solution
 from perilune.problem.wording import free_name, kept_text
 from perilune.shooting.continuation import Member
-from perilune.shooting.extremals import distinct
+from perilune.shooting.extremals import distinct_roots
 from perilune.shooting.function import Roots
 from perilune.words.outcome import InfeasibleError
 from perilune.words.types import Matrix
@@ -33,7 +41,7 @@ _DURATION = "continuation in the duration"
 _AGREED = 0.5  # of the random starts, ending at one and the same extremal, which is then called the only one
 
 
-class Met(NamedTuple):
+class StartMembers(NamedTuple):
     """Members of families that one way of starting led to, what it is called, and what was tried."""
 
     members: list[Member]
@@ -42,7 +50,7 @@ class Met(NamedTuple):
 
 
 @dataclass
-class Rungs:
+class ColdStarts:
     """The ways of starting, of one search.
 
     Parameters
@@ -57,7 +65,7 @@ class Rungs:
         Whether random costates led to any extremal, within the bounds or not.
     """
 
-    settings: Ladder
+    settings: SearchSettings
     trials: Trials
     keep: Held
     coarse: Coarse
@@ -65,7 +73,7 @@ class Rungs:
     agreed: bool = field(default=False, init=False)
     met: bool = field(default=False, init=False)
 
-    def from_random_costates(self) -> Iterator[Met]:
+    def from_random_costates(self) -> Iterator[StartMembers]:
         """Yield members from random costates, with the bounded parameter held at several values.
 
         One family need not reach from bound to bound, so each value gives a chance to meet another.
@@ -78,23 +86,23 @@ class Rungs:
             name = free_name(trials.problem, trials.problem.free[trials.scanned].name)
             where += f" with {name} held at {len(holds)} values"
         trials.watch(f"start: {_RANDOM}{where}")
-        Y = np.vstack([on_the_sphere(trials, count, settings.seed) for count in starts])
+        Y = np.vstack([random_costate_unknowns(trials, count, settings.seed) for count in starts])
         held = np.repeat(holds, starts)
         choices = np.tile(trials.shooting.holding({}), (len(Y), 1))
         if trials.scanned is not None:
             trials.shooting.plan.hold(choices, trials.scanned, held)
         roots = self._settled(Y, choices)
-        if not roots.converged.any() and vanishing(trials):
+        if not roots.converged.any() and vanishing_durations(trials):
             trials.watch(f"start: {_RANDOM}{where}, without what may be left out")
-            leave_out(trials, Y, choices)
+            leave_out_vanishing(trials, Y, choices)
             roots = self._settled(Y, choices)
         members: list[Member] = []
         for value in holds:
             lanes = np.nonzero((held == value) & roots.converged)[0].tolist()
-            members += [Member(value=value, root=root) for root in distinct(roots[lane] for lane in lanes)]
+            members += [Member(value=value, root=root) for root in distinct_roots(roots[lane] for lane in lanes)]
         self.met = bool(members)
         self.agreed = len(members) == 1 and bool(np.mean(roots.converged) >= _AGREED)
-        yield Met(members, _RANDOM, f"{_RANDOM}{where}: {len(Y)} starts")
+        yield StartMembers(members, _RANDOM, f"{_RANDOM}{where}: {len(Y)} starts")
 
     def _settled(self, Y: Matrix, choices: Matrix) -> Roots:
         """Return roots from starts with what they hold; where there is none, from where they came, with ranges held."""
@@ -106,19 +114,21 @@ class Rungs:
         hold_ranges(trials, holding)
         return trials.settled(roots.y, holding, limits=trials.others, limit=3 * PATIENCE, max_step=STRIDE)
 
-    def from_shorter_flights(self) -> Iterator[Met]:
+    def from_shorter_flights(self) -> Iterator[StartMembers]:
         """Yield members carried from shorter flights, and by way of smooth controls where there are several."""
         if not given_durations(self.trials):
             return
         self.trials.watch(f"start: {_DURATION}")
-        walk = Lengthened(trials=self.trials, starts=self.settings.starts, seed=self.settings.seed)
-        yield Met([Member(value=0.0, root=root) for root in walk.extremals()], _DURATION, walk.told)
+        walk = FinalTimeContinuation(trials=self.trials, starts=self.settings.starts, seed=self.settings.seed)
+        yield StartMembers([Member(value=0.0, root=root) for root in walk.extremals()], _DURATION, walk.told)
         if walk.met > 1 and not self.keep:  # where there are several, the best may not have arrived
             self.trials.watch(f"start: {_DURATION}, {SMOOTH}")
             smoothing = Smoothing(trials=self.trials, segments=1)
-            members = [Member(value=0.0, root=root) for root in distinct(smoothing.carried(walk.starts, walk.seed))]
+            members = [
+                Member(value=0.0, root=root) for root in distinct_roots(smoothing.carried(walk.starts, walk.seed))
+            ]
             if smoothing.told:
-                yield Met(members, f"{_DURATION}, {SMOOTH}", smoothing.told)
+                yield StartMembers(members, f"{_DURATION}, {SMOOTH}", smoothing.told)
 
     def from_transcription(self) -> Iterator[tuple[Member, str]]:
         """Yield an extremal from a direct solution, in one piece or by multiple shooting.
@@ -128,13 +138,13 @@ class Rungs:
         trials, some, smoothing = self.trials, self.settings.segments, None
         pieces = ((1, some), (some, 2 * some), (2 * some, 3 * some, 4 * some), (2 * some, 3 * some, 4 * some))
         for rough, counts in zip(self._rough(), pieces, strict=False):
-            y = unknowns_from(trials.problem, trials.conditions, rough)
-            choice, value = held_in(trials, rough, y), 0.0
+            y = unknowns_from_solution(trials.problem, trials.conditions, rough)
+            choice, value = active_set_of_guess(trials, rough, y), 0.0
             if trials.scanned is not None:
                 value = float(y[trials.conditions.free_at.start + trials.scanned])
                 trials.shooting.plan.hold(choice, trials.scanned, value)
             for segments in counts:
-                if not may_be_cut(trials.conditions, segments):
+                if not can_use_multiple_shooting(trials.conditions, segments):
                     continue
                 rung = TRANSCRIBED if segments == 1 else "multiple shooting"
                 trials.watch(f"start: {rung}")

@@ -15,24 +15,24 @@ from typing import Any
 import numpy as np
 
 from perilune.conditions.held import Held
-from perilune.conditions.pontryagin import keepable_conditions
-from perilune.methods.answer import composed
-from perilune.methods.assemble import free_values, unknowns_from
-from perilune.methods.breaches import Breach
-from perilune.methods.coarse import Coarse, touched
-from perilune.methods.flown import ends_well, may_be_cut, mended
-from perilune.methods.judge import ALLOWED, Judge
-from perilune.methods.ladder import Ladder
-from perilune.methods.refusals import NOT_ISOLATED, best_misses, better_within, not_converged, refusal
-from perilune.methods.rungs import Met, Rungs
-from perilune.methods.smoothing import SMOOTH, Smoothing
-from perilune.methods.starts import (
-    NEARLY,
-    beside_flat,
-    followed,
-    held_in,
-    known,
+from perilune.conditions.pontryagin import attainable_conditions
+from perilune.methods.answer import compose_solution
+from perilune.methods.assemble import free_values, unknowns_from_solution
+from perilune.methods.breaches import ConstraintViolation
+from perilune.methods.coarse import Coarse, nearly_active_conditions
+from perilune.methods.flown import can_use_multiple_shooting, correct_last_digits, ends_well
+from perilune.methods.judge import ALLOWED, AdmissibilityTest
+from perilune.methods.ladder import SearchSettings
+from perilune.methods.refusals import (
+    NOT_ISOLATED,
+    best_misses_bound_error,
+    bound_unreachable_objective,
+    explain_refusal,
+    no_start_converged_error,
 )
+from perilune.methods.rungs import ColdStarts, StartMembers
+from perilune.methods.smoothing import SMOOTH, Smoothing
+from perilune.methods.starts import NEARLY, active_set_of_guess, beside_flat, continue_from_guess, unknowns_of_guess
 from perilune.methods.trials import Trials, found_at
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
@@ -41,7 +41,7 @@ from perilune.problem.symbolic import free_scales
 from perilune.problem.wording import free_name, kept_text
 from perilune.shooting.continuation import Member
 from perilune.shooting.continuum import open_directions
-from perilune.shooting.extremals import Found, HeldFamily, new_among, same, scan
+from perilune.shooting.extremals import ExtremalRoot, HeldFamily, same_vector, scan_family, unknown_extremals
 from perilune.shooting.function import Root
 from perilune.shooting.newton import FINEST, ROUGHEST, TOLERANCE
 from perilune.words.outcome import NotConvergedError, PeriluneError
@@ -59,7 +59,7 @@ _NEXT = 40  # evaluations of Newton's method from an extremal to one beside it: 
 class Search:
     """One run on one problem."""
 
-    settings: Ladder
+    settings: SearchSettings
     problem: Problem
     watch: Watch
     keep: Held = ()
@@ -69,14 +69,14 @@ class Search:
     def __post_init__(self) -> None:
         self.began: float = time.perf_counter()
         self.trials: Trials = Trials(self.problem, self.watch, self.keep)
-        self.keepable: tuple[str, ...] = tuple(n for n in keepable_conditions(self.problem) if n not in self.keep)
-        self.judge: Judge = Judge(self.problem, self.trials.conditions, self.trials.p)
+        self.keepable: tuple[str, ...] = tuple(n for n in attainable_conditions(self.problem) if n not in self.keep)
+        self.judge: AdmissibilityTest = AdmissibilityTest(self.problem, self.trials.conditions, self.trials.p)
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
-        self.followed: list[Found] = []  # along all parameters between bounds, where there are several
+        self.followed: list[ExtremalRoot] = []  # along all parameters between bounds, where there are several
         self.base: Member | None = None
         self.rung: str = ""
         # By extremals met with the scanned parameter held, and these; which search answered; what it is outdone by.
-        self.broken: list[Breach] = []
+        self.broken: list[ConstraintViolation] = []
         self.breaking: list[Root] = []
         self.answering: Search = self
         self.answered: bool = False  # by an extremal of known arcs: what takes long is left out
@@ -96,7 +96,9 @@ class Search:
             raise search._refusal(found)
         return search.compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
 
-    def near(self, guess: Solution, *, family: bool = False) -> tuple[Solution, Callable[[], Breach | None]]:
+    def near(
+        self, guess: Solution, *, family: bool = False
+    ) -> tuple[Solution, Callable[[], ConstraintViolation | None]]:
         """Return what Newton's method reaches from a guess, and a callable for the first condition that it breaks.
 
         With `family` the best of all extremals on the family through it, along a free parameter between bounds.
@@ -108,31 +110,35 @@ class Search:
         found = sorted(found, key=lambda f: (not f.minimum, f.root.cost))
         return search.compose(found, "family"), lambda: search.judge.breach(found[0].root)
 
-    def along_families(self, known: Solution) -> tuple[list[Found], Callable[[Sequence[Found]], Solution]]:
+    def along_families(
+        self, known: Solution
+    ) -> tuple[list[ExtremalRoot], Callable[[Sequence[ExtremalRoot]], Solution]]:
         """Return the extremal of a solution, those on families through it, and what makes solutions of some of them."""
         search, found = self._from_guess(known)
         return [*found, *search._others(found[0])], lambda some: search.compose(some, "family")
 
-    def smoothed(self, rough: Solution) -> tuple[Solution, Callable[[], Breach | None]]:
+    def smoothed(self, rough: Solution) -> tuple[Solution, Callable[[], ConstraintViolation | None]]:
         """Solve as `near`, but by way of smooth controls, with what a rough answer of many switches holds."""
         trials = self.trials
         smoothing = Smoothing(trials=trials, segments=self.settings.segments)
         root = None
         if trials.scanned is None:
-            root = smoothing.root(held_in(trials, rough, unknowns_from(self.problem, trials.conditions, rough)))
+            root = smoothing.root(
+                active_set_of_guess(trials, rough, unknowns_from_solution(self.problem, trials.conditions, rough))
+            )
         self.tried += [smoothing.told] if smoothing.told else []
         if root is None or trials.outside(root) is not None:
             raise self._failure()
-        return self.compose([Found(root=root, minimum=True)], SMOOTH), lambda: self.judge.breach(root)
+        return self.compose([ExtremalRoot(root=root, minimum=True)], SMOOTH), lambda: self.judge.breach(root)
 
-    def all_extremals(self, base: Member | None = None, *, last: bool = False) -> tuple[Search, list[Found]]:
+    def all_extremals(self, base: Member | None = None, *, last: bool = False) -> tuple[Search, list[ExtremalRoot]]:
         """Return extremals from all starts, and their search: this one, or one whose control keeps more of the path.
 
         With `last` only by its last rung.
         """
-        found: list[Found] = []
+        found: list[ExtremalRoot] = []
         given = [(base, "continuation")] if base is not None else []
-        ways = Rungs(self.settings, self.trials, self.keep, self.coarse, self.tried)
+        ways = ColdStarts(self.settings, self.trials, self.keep, self.coarse, self.tried)
         rungs = [
             given,
             self._judged(ways.from_random_costates()),
@@ -153,22 +159,22 @@ class Search:
                     new, members = self._all_extremals(first)
                     if self._answers(new) and (self.base is None or self._alone_and_better(first)):
                         self.base, self.rung = first, name
-                    found += new_among(new, found)
+                    found += unknown_extremals(new, found)
                     for member in members:
                         self.walked.setdefault(member.value, []).append(member.root.y)
             if i > 0 and (more := self._worth_keeping(found)):
                 search, kept = self._keeping(more).all_extremals()
                 if search._answers(kept) or not self._answers(found):
                     answers = [f for f in found if self.judge.breach(f.root) is None]
-                    return search, [*kept, *new_among(answers, kept)]
+                    return search, [*kept, *unknown_extremals(answers, kept)]
         return self, found
 
     def _met_by(self, flight: Solution | None) -> Held:
         """Return conditions that the control could keep, which may hold a flight back."""
-        near = touched(flight) if self.keepable and flight is not None else set[str]()
+        near = nearly_active_conditions(flight) if self.keepable and flight is not None else set[str]()
         return tuple(name for name in self.keepable if name in near)
 
-    def _worth_keeping(self, found: list[Found]) -> Held:
+    def _worth_keeping(self, found: list[ExtremalRoot]) -> Held:
         """Return conditions that the control could keep, broken by extremals that are better than every answer."""
         if not self.keepable:
             return ()
@@ -185,7 +191,7 @@ class Search:
         grazed = self.judge.grazed(root) & {*self.keepable}
         return {breach.name for breach in self.judge.breaches(root)} | grazed
 
-    def _outdone(self, found: list[Found]) -> list[Root]:
+    def _outdone(self, found: list[ExtremalRoot]) -> list[Root]:
         """Return extremals that break the path and beat every answer: what keeps it near them may be better as well."""
         answers = (f.root.cost for f in found if f.minimum and self.judge.breach(f.root) is None)
         best = min(answers, default=math.inf)
@@ -200,7 +206,7 @@ class Search:
             return
         yield from filter(None, [self.coarse.solve()])
         for root in self.answering.outdone if self.trials.bounded else ():
-            guess = self.answering.compose([Found(root=root, minimum=True)], "")
+            guess = self.answering.compose([ExtremalRoot(root=root, minimum=True)], "")
             yield from filter(None, [Coarse(self.settings, self.problem, self.tried, self.watch).solve(guess)])
 
     def breaking_path(self) -> Iterator[Solution]:
@@ -208,17 +214,17 @@ class Search:
         search = self.answering
         for root in search.outdone:
             if all(breach.canonical <= _LITTLE for breach in search.judge.breaches(root)):
-                yield search.compose([Found(root=root, minimum=True)], "")
+                yield search.compose([ExtremalRoot(root=root, minimum=True)], "")
 
     def _keeping(self, more: Held) -> Search:
         """Return the same search with a control that keeps more conditions of the path."""
         self.watch(f"the flight is held back by {kept_text(self.problem, more)}: the control keeps to it")
-        keep = tuple(name for name in keepable_conditions(self.problem) if name in {*self.keep, *more})
+        keep = tuple(name for name in attainable_conditions(self.problem) if name in {*self.keep, *more})
         search = Search(self.settings, self.problem, self.watch, keep, self.tried)
         search.coarse, search.trials.history = self.coarse, self.trials.history
         return search
 
-    def _all_extremals(self, first: Member) -> tuple[list[Found], list[Member]]:
+    def _all_extremals(self, first: Member) -> tuple[list[ExtremalRoot], list[Member]]:
         trials, shooting = self.trials, self.trials.shooting
         if trials.scanned is None:
             return self._over_ranges(first.root), [first]
@@ -231,10 +237,10 @@ class Search:
         )
         return [replace(f, minimum=f.minimum and not is_down) for f, is_down in zip(found, down, strict=True)], members
 
-    def _along_others(self, found: list[Found]) -> list[Found]:
+    def _along_others(self, found: list[ExtremalRoot]) -> list[ExtremalRoot]:
         """Return more extremals: along one parameter the others stay in their basins, and at their bounds."""
-        trials, more = self.trials, list[Found]()
-        left = [(f, trials.scanned) for f in new_among(found, self.followed)]
+        trials, more = self.trials, list[ExtremalRoot]()
+        left = [(f, trials.scanned) for f in unknown_extremals(found, self.followed)]
         while left:
             if len(self.followed) >= _MOST_FOLLOWED:
                 self.tried.append(f"{len(left)} more extremals, from which no other family was followed")
@@ -243,19 +249,19 @@ class Search:
             self.followed.append(one)
             for index in trials.bounded:
                 if index != along and (here := self._held_at(one.root, index)) is not None:
-                    new = new_among(self._along(index, here)[0], [*found, *more, *self.followed])
+                    new = unknown_extremals(self._along(index, here)[0], [*found, *more, *self.followed])
                     more += new
                     left += [(f, index) for f in new]
         return more
 
-    def _others(self, known: Found) -> list[Found]:
+    def _others(self, known: ExtremalRoot) -> list[ExtremalRoot]:
         """Return extremals on the families through one, along parameters between bounds."""
         scanned = self.trials.scanned
         if scanned is None or (member := self._held_at(known.root, scanned)) is None:
             return []
-        return new_among(self._all_extremals(member)[0], [known])
+        return unknown_extremals(self._all_extremals(member)[0], [known])
 
-    def _along(self, index: int, first: Member) -> tuple[list[Found], list[Member]]:
+    def _along(self, index: int, first: Member) -> tuple[list[ExtremalRoot], list[Member]]:
         """Return extremals of the family through a member along one free parameter, and the members visited."""
         trials, free = self.trials, self.problem.free[index]
         self.watch(f"following the family of extremals along {free_name(self.problem, free.name)}")
@@ -263,10 +269,10 @@ class Search:
             shooting=trials.shooting, p=trials.p, index=index, limits=trials.limits.without(index), watch=self.watch,
             keeps=lambda root: trials.outside(root) is None,
         )  # fmt: skip
-        found, members = scan(family, first, trials.bounds(index), self.settings.scan_points)
+        found, members = scan_family(family, first, trials.bounds(index), self.settings.scan_points)
         scale = free_scales(self.problem.free, self.problem)[index]
         low, high = (members[end].value * scale for end in (0, -1))
-        ends, count = f"{low:.6g} to {high:.6g} {free.unit}", _extremals(len(found))
+        ends, count = f"{low:.6g} to {high:.6g} {free.unit}", _count_extremals(len(found))
         self.tried.append(f"a family along {free_name(self.problem, free.name)} from {ends}: {count}")
         return found, members
 
@@ -278,12 +284,12 @@ class Search:
         held = trials.settled(root.y[None], choice, limits=trials.limits.without(index))[0]
         return Member(value=value, root=held) if held.converged else None
 
-    def _over_ranges(self, root: Root) -> list[Found]:
+    def _over_ranges(self, root: Root) -> list[ExtremalRoot]:
         """Return an extremal, and those at the limits of ranges of an end over which J is at a maximum there."""
         trials, shooting = self.trials, self.trials.shooting
         if not (curved := shooting.curving_down(root, trials.p)):
-            return [Found(root=root, minimum=True)]
-        found, first = [Found(root=root, minimum=False)], shooting.plan.free
+            return [ExtremalRoot(root=root, minimum=True)]
+        found, first = [ExtremalRoot(root=root, minimum=False)], shooting.plan.free
         for i in (first + k for k in curved):
             for limit in (trials.limits.lower[i], trials.limits.upper[i]):
                 choice = root.choice.copy()
@@ -291,35 +297,35 @@ class Search:
                 held = trials.settled(root.y[None], choice, limits=trials.limits)[0] if np.isfinite(limit) else root
                 if held.converged and held.choice[i]:
                     minimum = not shooting.curving_down(held, trials.p)
-                    found += new_among([Found(root=held, minimum=minimum)], found)
+                    found += unknown_extremals([ExtremalRoot(root=held, minimum=minimum)], found)
         return found
 
     def _walked_through(self, member: Member) -> bool:
-        return any(same(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
+        return any(same_vector(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
 
     def _alone_and_better(self, first: Member) -> bool:
         """Return True if an extremal that is no member of a family is better than the one known."""
         return self.trials.scanned is None and self.base is not None and first.root.cost < self.base.root.cost
 
-    def _answers(self, found: list[Found]) -> bool:
+    def _answers(self, found: list[ExtremalRoot]) -> bool:
         return any(f.minimum and self.judge.breach(f.root) is None for f in found)
 
-    def _from_guess(self, guess: Solution) -> tuple[Search, list[Found]]:
+    def _from_guess(self, guess: Solution) -> tuple[Search, list[ExtremalRoot]]:
         """Solve from a guess; what lies on a bound there begins on it, what the path holds back there is kept."""
         own = guess.method == self.settings.name and guess.unknowns is not None  # which has costates
         if not own and any(flown.costate is None for flown in guess.trajectories):
             guess = self.coarse.solve(guess) or guess
         held = self._met_by(guess)
         search = self._keeping(held) if held else self
-        y = known(search.settings, search.trials, guess)
-        found = search._near(y, held_in(search.trials, guess, y), guess)
+        y = unknowns_of_guess(search.settings, search.trials, guess)
+        found = search._near(y, active_set_of_guess(search.trials, guess, y), guess)
         # A neighbour touches what its guess touches.
         if not is_neighbour(self.problem) and (more := search._worth_keeping(found)):
             search, root = search._keeping(more), found[0].root
             found = search._near(root.y, root.choice)
         return search, found
 
-    def _near(self, y: Vector, choice: Vector, guess: Solution | None = None) -> list[Found]:
+    def _near(self, y: Vector, choice: Vector, guess: Solution | None = None) -> list[ExtremalRoot]:
         """Solve from unknowns; by multiple shooting from the curves of a guess where that fails."""
         trials, attempts = self.trials, self._attempts(y, choice, guess)
         root = next(attempts)
@@ -354,13 +360,13 @@ class Search:
         finest |= {"limit": _NEXT} if self.compared else {}
 
         def led(accuracy: float, tolerance: float) -> Iterator[Root]:
-            if guess is not None and (there := followed(trials, guess, y)) is not None:
+            if guess is not None and (there := continue_from_guess(trials, guess, y)) is not None:
                 start, held, limits = there[0][None], there[1], trials.limits
                 yield trials.settled(start, held, limits=limits, accuracy=accuracy, tolerance=tolerance)[0]
 
         if (self.compared or is_neighbour(self.problem)) and (beside := beside_flat(trials, y, choice)) is not None:
             yield beside
-        if may_be_cut(trials.conditions):
+        if can_use_multiple_shooting(trials.conditions):
             yield trials.settled(y[None], choice, limits=trials.limits, **finest)[0]
             yield from led(ROUGHEST, TOLERANCE)
         else:
@@ -387,7 +393,7 @@ class Search:
         trials, segments = self.trials, self.settings.segments
         if np.abs(root.residual).max() <= _ROUNDED and trials.shooting.rounding(root):
             return replace(self._mended(root)[0], converged=True)
-        if segments == 1 or not may_be_cut(trials.conditions, segments):
+        if segments == 1 or not can_use_multiple_shooting(trials.conditions, segments):
             return root
         return trials.by_pieces(guess, y, choice, segments, trials.limits)
 
@@ -404,9 +410,9 @@ class Search:
 
     def _mended(self, root: Root) -> tuple[Root, float]:
         plan = self.trials.shooting.plan
-        return mended(self.problem, self.trials.conditions, root, plan.rows, plan.active)
+        return correct_last_digits(self.problem, self.trials.conditions, root, plan.rows, plan.active)
 
-    def _judged(self, ways: Iterable[Met]) -> Iterator[tuple[Member, str]]:
+    def _judged(self, ways: Iterable[StartMembers]) -> Iterator[tuple[Member, str]]:
         """Yield members within the bounds, start by start.
 
         Those that break a condition come last, and only where nothing else was found.
@@ -430,7 +436,7 @@ class Search:
                 self.broken.append(breach)
                 self.breaking.append(member.root)
         breaks = f"{len(breaking)} of them break{'s' if len(breaking) == 1 else ''} a condition" if met else ""
-        self.tried.append(", ".join(filter(None, (tried, _extremals(met), breaks))))
+        self.tried.append(", ".join(filter(None, (tried, _count_extremals(met), breaks))))
         if any(open_directions(member.root) for member in members):
             self.tried.append(NOT_ISOLATED)
         if self.base is None:
@@ -438,7 +444,7 @@ class Search:
 
     # -- the answer, or why there is none -------------------------------------------------------------------------
 
-    def compose(self, found: Sequence[Found], rung: str) -> Solution:
+    def compose(self, found: Sequence[ExtremalRoot], rung: str) -> Solution:
         """Make a solution of extremals, which says by which rung they were found."""
         statistics = Statistics(
             rung=rung,
@@ -448,24 +454,24 @@ class Search:
             wall_time=time.perf_counter() - self.began,
             history=tuple(self.trials.history),
         )
-        return composed(self.settings.name, self.problem, self.trials.conditions, found, statistics)
+        return compose_solution(self.settings.name, self.problem, self.trials.conditions, found, statistics)
 
-    def _refusal(self, found: list[Found]) -> PeriluneError:
+    def _refusal(self, found: list[ExtremalRoot]) -> PeriluneError:
         breaches = [breach for f in found if (breach := self.judge.breach(f.root)) is not None]
-        return refusal(self.coarse, breaches or self.broken) or self._failure()
+        return explain_refusal(self.coarse, breaches or self.broken) or self._failure()
 
     def refuse_if_missed(self, root: Root) -> None:
         """Raise `InfeasibleError` for an optimum that misses a bound, by however little, where no other can keep it."""
         grazing = (b for b in self.answering.judge.grazing(root) if b.canonical > ALLOWED)
-        missed = [b for b in grazing if better_within(self.problem, b) is not None]
+        missed = [b for b in grazing if bound_unreachable_objective(self.problem, b) is not None]
         if missed:
             told = "each flight that keeps it would be better than this optimum"
-            raise best_misses(self.problem, missed, 1, told, {"tried": list(self.tried)})
+            raise best_misses_bound_error(self.problem, missed, 1, told, {"tried": list(self.tried)})
 
     def _failure(self) -> NotConvergedError:
         trials = self.trials
-        return not_converged(trials.conditions, self.coarse, trials.shooting.iterations, trials.best_failure)
+        return no_start_converged_error(trials.conditions, self.coarse, trials.shooting.iterations, trials.best_failure)
 
 
-def _extremals(count: int) -> str:
+def _count_extremals(count: int) -> str:
     return f"{count} extremal{'' if count == 1 else 's'}"

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from perilune.conditions.pontryagin import Conditions
-from perilune.methods.assemble import joints_from, unknowns_from
-from perilune.methods.durations import Lengthened
-from perilune.methods.flown import may_be_cut
+from perilune.methods.assemble import joints_from_solution, unknowns_from_solution
+from perilune.methods.durations import FinalTimeContinuation
+from perilune.methods.flown import can_use_multiple_shooting
 from perilune.methods.trials import Trials
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.shooting.function import Root, Shooting
-from perilune.structures.smoothed import RATE, smoothed
+from perilune.structures.smoothed import RATE, smooth_problem
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
@@ -70,7 +70,7 @@ class Smoothing:
             What is held (`Shooting.holding`).
         """
         for share in _SHARES:
-            smooth = smoothed(self.trials.problem, share)
+            smooth = smooth_problem(self.trials.problem, share)
             found = None if smooth is None else self._by_mesh(smooth, choice)
             if smooth is None or found is not None:
                 return found
@@ -83,12 +83,12 @@ class Smoothing:
             self.told = "smoothed controls: no direct solution"
             return None
         there = Trials(smooth, self.trials.watch)
-        y = unknowns_from(smooth, there.conditions, rough)
+        y = unknowns_from_solution(smooth, there.conditions, rough)
         for segments in (self.segments, 2 * self.segments):
-            if not may_be_cut(there.conditions, segments):
+            if not can_use_multiple_shooting(there.conditions, segments):
                 break
             shooting = Shooting(there.conditions, segments=segments)
-            Y = np.concatenate([y, joints_from(smooth, there.conditions, rough, segments)])
+            Y = np.concatenate([y, joints_from_solution(smooth, there.conditions, rough, segments)])
             root = there.settled(Y[None], choice, limits=there.others, shooting=shooting)[0]
             self.told = (
                 f"smoothed controls, multiple shooting: Newton ended at residual {np.abs(root.residual).max():.2g}"
@@ -107,11 +107,11 @@ class Smoothing:
         starts, seed
             Of the random starts at each share of the duration.
         """
-        smooth = smoothed(self.trials.problem, _SHARES[0])
+        smooth = smooth_problem(self.trials.problem, _SHARES[0])
         if smooth is None:
             return []
         there = Trials(smooth, self.trials.watch)
-        walk = Lengthened(trials=there, starts=starts, seed=seed)
+        walk = FinalTimeContinuation(trials=there, starts=starts, seed=seed)
         roots = walk.extremals()[:_CARRIED]
         found = [root for near in roots if (root := self._sharpened(there, there.shooting, near)) is not None]
         self.told = f"smoothed controls: {walk.told}, {len(found)} of {len(roots)} with the smoothing taken back"
@@ -119,11 +119,11 @@ class Smoothing:
 
     def _rough(self, smooth: Problem) -> Solution | None:
         from perilune.direct.first_guess import first_guesses
-        from perilune.direct.flown_guess import fitting_segments, flown_guess
+        from perilune.direct.flown_guess import fitting_segments, simulate_guess
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
         free, lines, _ = next(first_guesses(smooth, None))
-        flown = flown_guess(smooth, free, lines)
+        flown = simulate_guess(smooth, free, lines)
         count = _FEW if flown is None else max(_FEW, *fitting_segments(flown))
         mesh = Pseudospectral(nodes=_NODES, segments=_FINER * count, refine=_REFINE, tolerance=_FOLLOWED)
         try:

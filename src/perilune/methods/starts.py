@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.conditions.canonical import extremal_parameters
-from perilune.methods.assemble import unknowns_from
-from perilune.methods.ladder import Ladder
+from perilune.methods.assemble import unknowns_from_solution
+from perilune.methods.ladder import SearchSettings
 from perilune.methods.trials import Trials
-from perilune.problem.neighbours import is_neighbour, moved, offset_of
+from perilune.problem.neighbours import is_neighbour, move_start, offset_of
 from perilune.problem.solution import Solution
 from perilune.problem.symbolic import canonical_free
-from perilune.shooting.active import Limits, limits_of
-from perilune.shooting.continuation import Member, follow
+from perilune.shooting.active import ActiveSetBounds, limits_of
+from perilune.shooting.continuation import Member, follow_family
 from perilune.shooting.flat import flat_direction, root_across
 from perilune.shooting.function import Root
 from perilune.words.types import Matrix, Vector
@@ -30,7 +30,7 @@ SIGNED = 1e-6  # canonical multiplier of a range beyond which a guess counts as 
 _OF_EXTREMAL = 1e-9  # the same of an extremal, whose neighbours are solved: J or the range may be stated in large units
 
 
-def on_the_sphere(trials: Trials, count: int, seed: int) -> Matrix:
+def random_costate_unknowns(trials: Trials, count: int, seed: int) -> Matrix:
     """Return unknowns with random costates of length one and free parameters around their typical values.
 
     Parameters
@@ -56,14 +56,14 @@ def on_the_sphere(trials: Trials, count: int, seed: int) -> Matrix:
     return Y
 
 
-def vanishing(trials: Trials) -> dict[int, float]:
+def vanishing_durations(trials: Trials) -> dict[int, float]:
     """Return free parameters that are lengths of phases which may shrink to an instant, and their least values."""
     lower, upper, problem = trials.limits.lower, trials.limits.upper, trials.problem
     lengths = [i for i, name in enumerate(problem.free_names) if name in problem.duration_names]
     return {i: float(lower[i]) for i in lengths if 0 < lower[i] < _VANISHING * upper[i]}
 
 
-def leave_out(trials: Trials, Y: Matrix, choices: Matrix) -> None:
+def leave_out_vanishing(trials: Trials, Y: Matrix, choices: Matrix) -> None:
     """Leave out the phases that may vanish; the phase before each then lasts for as long as both.
 
     Parameters
@@ -76,7 +76,7 @@ def leave_out(trials: Trials, Y: Matrix, choices: Matrix) -> None:
         What each start holds, changed in place.
     """
     problem, first = trials.problem, trials.conditions.free_at.start
-    for i, least in vanishing(trials).items():
+    for i, least in vanishing_durations(trials).items():
         k = problem.duration_names.index(problem.free_names[i])
         if k and problem.duration_names[k - 1] in problem.free_names:
             Y[:, first + problem.free_names.index(problem.duration_names[k - 1])] += Y[:, first + i]
@@ -97,7 +97,7 @@ def hold_ranges(trials: Trials, choices: Matrix) -> None:
         trials.shooting.plan.hold(choices[number :: len(bounds) + 1], i, bound)
 
 
-def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
+def unknowns_of_guess(settings: SearchSettings, trials: Trials, guess: Solution) -> Vector:
     """Return the unknowns of a guess: its own where it is of this method and form, else read off its curves.
 
     So do neighbours for a proof begin, which looks at the curves and believes no other numbers.
@@ -116,10 +116,10 @@ def known(settings: Ladder, trials: Trials, guess: Solution) -> Vector:
     same = own is not None and (guess.problem.scales, guess.problem.structure) == (problem.scales, problem.structure)
     if own is not None and same and len(own) == len(trials.conditions.unknowns):
         return np.array(own)
-    return unknowns_from(problem, trials.conditions, guess)
+    return unknowns_from_solution(problem, trials.conditions, guess)
 
 
-def held_in(trials: Trials, guess: Solution, y: Vector, limits: Limits | None = None) -> Vector:
+def active_set_of_guess(trials: Trials, guess: Solution, y: Vector, limits: ActiveSetBounds | None = None) -> Vector:
     """Return the active set of a guess: free parameters on a bound, and ranges whose multiplier says so.
 
     Parameters
@@ -149,7 +149,7 @@ def held_in(trials: Trials, guess: Solution, y: Vector, limits: Limits | None = 
     return trials.shooting.holding(held, ranges)
 
 
-def followed(trials: Trials, guess: Solution, y: Vector) -> tuple[Vector, Vector] | None:
+def continue_from_guess(trials: Trials, guess: Solution, y: Vector) -> tuple[Vector, Vector] | None:
     """Follow an extremal from other values of the parameters to those of the problem; return what it holds too.
 
     None where it ends on the way, or the guess is none of this form.
@@ -169,7 +169,7 @@ def followed(trials: Trials, guess: Solution, y: Vector) -> tuple[Vector, Vector
     if is_neighbour(problem) or guess.unknowns is None or not alike or len(guess.unknowns) != len(y):
         return None
     limits = limits_of(before, trials.conditions)
-    first = extremal_parameters(before), held_in(trials, guess, y, limits)
+    first = extremal_parameters(before), active_set_of_guess(trials, guess, y, limits)
     last = trials.p, trials.limits.taken_over(first[1], limits)
     way = last[0] - first[0], last[1] - first[1]
     parts = [np.abs(part) / (1.0 + np.abs(begin)) for part, begin in zip(way, first, strict=True)]
@@ -194,7 +194,7 @@ def followed(trials: Trials, guess: Solution, y: Vector) -> tuple[Vector, Vector
     begin = correct(y, 0.0)
     if not begin.converged:
         return None
-    reached = next(iter(follow(Member(value=0.0, root=begin), [1.0], correct, tangent)))
+    reached = next(iter(follow_family(Member(value=0.0, root=begin), [1.0], correct, tangent)))
     return None if reached is None else (reached.root.y, last[1])
 
 
@@ -214,6 +214,6 @@ def beside_flat(trials: Trials, y: Vector, choice: Vector) -> Root | None:
     names = {offset_of(state.name) for state in problem.phases[0].states} & {*problem.given}
     if not any(problem.given[name].value for name in names):
         return None
-    same = moved(problem, **dict.fromkeys(names, 0.0))
+    same = move_start(problem, **dict.fromkeys(names, 0.0))
     flat = flat_direction(shooting.at(y[None], extremal_parameters(same), choice)[0])
     return None if flat is None else root_across(shooting, y, trials.p, choice, flat)

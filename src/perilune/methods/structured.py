@@ -27,32 +27,32 @@ from functools import partial
 
 import numpy as np
 
-from perilune.methods.breaches import broken_by_control
-from perilune.methods.ladder import STRUCTURE, Ladder
+from perilune.methods.breaches import violation_by_control
+from perilune.methods.ladder import STRUCTURE, SearchSettings
 from perilune.methods.pair import begun_pair, with_pair
 from perilune.methods.search import Search
 from perilune.methods.trials import bounded_parameters
-from perilune.methods.way import Way
+from perilune.methods.way import ConstraintMargins
 from perilune.problem.neighbours import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.structures.carry import Joined, joined, split, timed
-from perilune.structures.chattering import chattering
-from perilune.structures.leaving import worth_riding
+from perilune.structures.carry import JoinedTrajectories, join_solution, split_solution, structure_with_times
+from perilune.structures.chattering import find_chattering_arc
+from perilune.structures.leaving import paying_intervals
 from perilune.structures.read import (
     NEAR,
     Contact,
     arcs_of,
-    broken,
-    contacts,
-    of_states,
-    own_readings,
-    readings,
-    room_along,
-    rounding,
+    broken_intervals,
+    detect_own_structures,
+    detect_structures,
+    find_contacts,
+    margin_along,
+    margin_rounding,
+    state_conditions,
 )
-from perilune.structures.regimes import revised_stays, stays_of, wavering
-from perilune.structures.restate import part_name, refuse_unsaid, renumbered, restate
+from perilune.structures.regimes import revised_stays, stays_between_bounds, stays_of
+from perilune.structures.restate import part_name, refuse_unstated_ends, renumber_restated, restate
 from perilune.structures.structure import Condition, Structure, conditions_of, margins
 from perilune.words.outcome import PeriluneError
 from perilune.words.watch import Watch
@@ -69,7 +69,7 @@ _FEW = 2  # arcs of multiple shooting in a trial that is to be cheap
 
 
 @dataclass(kw_only=True)
-class Polish:
+class StructureRefinement:
     """One run from one rough answer.
 
     Parameters
@@ -84,7 +84,7 @@ class Polish:
         Whether each structure is tried only from the rough answer, and on no mesh of its own.
     """
 
-    settings: Ladder
+    settings: SearchSettings
     problem: Problem
     watch: Watch
     tried: list[str]
@@ -106,7 +106,7 @@ class Polish:
         for known in self._known(rough):
             seen = set[str]()  # where one flight leads to nothing another one may
             own = known.problem.phases is self.problem.phases  # as of the guess that a neighbour begins with
-            structures = own_readings(known, least) if own else readings(self.problem, known, least)
+            structures = detect_own_structures(known, least) if own else detect_structures(self.problem, known, least)
             few = [structure for structure in structures if structure.count <= MOST_ARCS]
             for structure in few or structures:
                 if (found := self._hopping(known, structure)) is not None:
@@ -122,12 +122,12 @@ class Polish:
         """
         phases, hopped = [], list[tuple[int, str]]()
         for k, arcs in enumerate(structure.phases):
-            known, last = list(_contacts(structure, k)), arcs[-1].until
+            known, last = list(_structure_contacts(structure, k)), arcs[-1].until
             conditions = conditions_of(self.problem, k, [contact.name for contact in known])
             found = list[Contact]()
             for contact in known:
                 hops = contact.ridden and contact.end == last and conditions[contact.name].order > 1
-                found += _as_it_pays(contact, conditions[contact.name], last, []) if hops else [contact]
+                found += _keep_paying_parts(contact, conditions[contact.name], last, []) if hops else [contact]
                 hopped += [(k, contact.name)] if hops else []
             phases.append(arcs_of(self.problem, k, found, last, stays_of(structure, k)))
         if is_neighbour(self.problem) or (touching := Structure(tuple(phases))) == structure:
@@ -138,23 +138,25 @@ class Polish:
 
     def _leaves(self, answer: Solution, k: int, name: str) -> bool:
         """Return whether a condition is left behind its last touch: one that is not left is ridden after all."""
-        known, (t, room) = answer.trajectories, room_along(answer, k, name)
-        assert isinstance(known, Joined), "of arcs"
-        touch = max((c.end for c in _contacts(known.structure, k) if c.name == name), default=0.0)
-        return bool((room[t > touch] > rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))).any())
+        known, (t, room) = answer.trajectories, margin_along(answer, k, name)
+        assert isinstance(known, JoinedTrajectories), "of arcs"
+        touch = max((c.end for c in _structure_contacts(known.structure, k) if c.name == name), default=0.0)
+        return bool(
+            (room[t > touch] > margin_rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))).any()
+        )
 
     def _known_by_arcs(self, guess: Solution) -> Solution | None:
         """Solve from a guess known arc by arc, of a problem that differs in values of its parameters."""
         known = guess.trajectories
-        if self.brief or not isinstance(known, Joined) or not self.problem.differs_in_values(guess.problem):
+        if self.brief or not isinstance(known, JoinedTrajectories) or not self.problem.differs_in_values(guess.problem):
             return None
         structure = known.structure
         self.watch(f"structure: {structure.text}")
         try:
-            refuse_unsaid(known.restated.problem, self.problem, structure)
-            problem = renumbered(known.restated.problem, self.problem, structure)
+            refuse_unstated_ends(known.restated.problem, self.problem, structure)
+            problem = renumber_restated(known.restated.problem, self.problem, structure)
             solved = Search(self.settings, problem, self.watch).solve(known.restated)
-            return self._kept_to(structure, solved, joined(self.problem, solved, structure))[0]
+            return self._kept_to(structure, solved, join_solution(self.problem, solved, structure))[0]
         except PeriluneError as error:
             self.tried.append(f"structure {structure.text}: {error.what}")
             return None
@@ -166,7 +168,7 @@ class Polish:
         one may touch it twice. A rougher mesh shows it worse, so that a finer one comes last in any case.
         """
         exact = self.guessed or self.brief
-        wavers = not exact and wavering(rough)
+        wavers = not exact and stays_between_bounds(rough)
         finer = wavers or (not exact and self._rides(rough))
         if not (finer and rough.statistics.residual > _ROUGH):
             yield rough
@@ -187,7 +189,12 @@ class Polish:
 
     def _rides(self, rough: Solution) -> bool:
         phases = range(len(self.problem.phases))
-        return any(c.ridden for k in phases for name in of_states(self.problem, k) for c in contacts(rough, k, name))
+        return any(
+            c.ridden
+            for k in phases
+            for name in state_conditions(self.problem, k)
+            for c in find_contacts(rough, k, name)
+        )
 
     def followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
         """Follow the structures from the first that an answer has to the one that its extremal keeps to."""
@@ -200,13 +207,13 @@ class Polish:
             whole, revised = rough, None
             try:
                 for solved in self._extremals(rough, structure):
-                    whole = joined(self.problem, solved, structure, named=not is_neighbour(self.problem))
+                    whole = join_solution(self.problem, solved, structure, named=not is_neighbour(self.problem))
                     answer, revised = self._kept_to(structure, solved, whole)
                     if answer is not None:
                         return answer
             except PeriluneError as error:
                 if self.chattering is not None:
-                    return self._composed(joined(self.problem, self.chattering, structure))
+                    return self._composed(join_solution(self.problem, self.chattering, structure))
                 self.tried.append(f"structure {structure.text}: {error.what}")
                 return None
             rough, structure = whole, revised
@@ -216,13 +223,13 @@ class Polish:
         self, structure: Structure, solved: Solution, whole: Solution
     ) -> tuple[Solution | None, Structure | None]:
         """Return the answer if the extremal of a structure keeps to it; else the structure that it asks for, if any."""
-        kept = timed(structure, solved)
+        kept = structure_with_times(structure, solved)
         # A neighbour has the arcs of its guess.
         revised = kept if is_neighbour(self.problem) else self._revised(kept, solved, whole)
         if revised is not kept:
             self._say(f"structure {structure.text}: an extremal of another one")
             return None, revised
-        if not is_neighbour(self.problem) and (breach := broken_by_control(kept, whole)) is not None:
+        if not is_neighbour(self.problem) and (breach := violation_by_control(kept, whole)) is not None:
             self._say(f"structure {structure.text}: an extremal, but {breach.text}")
             return None, None
         self.tried.append(f"structure {structure.text}: an extremal")
@@ -240,7 +247,7 @@ class Polish:
         answers, left, seen = list[Solution](), [first], set[str]()
         while left and len(answers) < ATTEMPTS:
             known = left.pop(0).trajectories
-            assert isinstance(known, Joined), "of arcs"
+            assert isinstance(known, JoinedTrajectories), "of arcs"
             if known.structure.text in seen:
                 continue
             seen.add(known.structure.text)
@@ -249,13 +256,13 @@ class Polish:
             kept = found[:1]
             for one in found[1:]:
                 solved = solution_of([one])
-                whole = joined(self.problem, solved, known.structure)
+                whole = join_solution(self.problem, solved, known.structure)
                 answer, revised = self._kept_to(known.structure, solved, whole)
                 if answer is not None:
                     kept.append(one)
                 elif one.minimum and (turned := self.followed(whole, revised, {known.structure.text})) is not None:
                     left.append(turned)
-            answers.append(self._composed(joined(self.problem, solution_of(kept), known.structure)))
+            answers.append(self._composed(join_solution(self.problem, solution_of(kept), known.structure)))
         best = min(answers, key=lambda one: one.objective)
         others = (replace(e, nature=e.nature.outdone) for one in answers if one is not best for e in one.extremals)
         return replace(best, extremals=(*best.extremals, *others))
@@ -277,7 +284,7 @@ class Polish:
         from perilune.methods.pseudospectral import Pseudospectral  # and with it much of SciPy
 
         restated = restate(self.problem, structure, repeated=False)
-        guess, failure, found = split(rough, structure, restated), None, False
+        guess, failure, found = split_solution(rough, structure, restated), None, False
         if (pair := begun_pair(self.problem, structure)) is not None:
             self.watch("structure: a pair of switches that begins")
             search = Search(self.settings, guess.problem, self.watch)
@@ -312,7 +319,7 @@ class Polish:
                     return
                 continue
             exact = mesh is not None and start.statistics.residual < _WITHOUT_NEWTON
-            if exact and (name := chattering(start)) is not None:
+            if exact and (name := find_chattering_arc(start)) is not None:
                 self._say(
                     f"structure {structure.text}: no best flight follows it (chattering), as {name} switching to and "
                     "fro between its bounds along it lowers J, the faster the more: a flight along it, no extremal"
@@ -324,9 +331,9 @@ class Polish:
 
     def _revised(self, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
         """Return the structure if the extremal keeps to it; else the one that it asks for; None where that is none."""
-        phases, same, way = [], True, Way(self.problem, structure, solved, whole)
+        phases, same, way = [], True, ConstraintMargins(self.problem, structure, solved, whole)
         for k, arcs in enumerate(structure.phases):
-            known = list(_contacts(structure, k))
+            known = list(_structure_contacts(structure, k))
             found = list(self._borne_out(structure, solved, k, known))
             found = self._ridden(way, k, known, self._beside(way, k, found))
             stays = stays_of(structure, k)
@@ -348,8 +355,8 @@ class Polish:
             j = next(j for j, arc in enumerate(arcs) if arc.until == contact.end)
             if contact.ridden:
                 if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
-                    worth = worth_riding(solved, first + j, condition)
-                    yield from _as_it_pays(contact, condition, arcs[-1].until, worth)
+                    worth = paying_intervals(solved, first + j, condition)
+                    yield from _keep_paying_parts(contact, condition, arcs[-1].until, worth)
                 elif condition.order > 1:
                     yield replace(contact, end=contact.begin, ridden=False)
                 continue
@@ -357,12 +364,12 @@ class Polish:
             if solved.multipliers[at] <= 0:  # J falls where the condition gives way
                 yield contact
 
-    def _beside(self, way: Way, k: int, found: list[Contact]) -> list[Contact]:
+    def _beside(self, way: ConstraintMargins, k: int, found: list[Contact]) -> list[Contact]:
         """Return the contacts and those that are missing: where a condition is broken."""
         found = list(found)
-        for name in of_states(self.problem, k):
+        for name in state_conditions(self.problem, k):
             size = self.problem.size_of(margins(self.problem, k)[name][0])
-            for begin, end, at in broken(*way.room_along(k, name), size):
+            for begin, end, at in broken_intervals(*way.room_along(k, name), size):
                 reach = _BESIDE * (end - begin)
                 near = [c for c in found if c.name == name and begin - reach <= c.end and c.begin <= end + reach]
                 condition = conditions_of(self.problem, k, (name,))[name]
@@ -374,11 +381,11 @@ class Polish:
                 found.append(Contact(name=name, begin=begin, end=end, ridden=ridden))
         return found
 
-    def _ridden(self, way: Way, k: int, known: Sequence[Contact], found: list[Contact]) -> list[Contact]:
+    def _ridden(self, way: ConstraintMargins, k: int, known: Sequence[Contact], found: list[Contact]) -> list[Contact]:
         """Return the contacts, touches that the extremal does not leave between them joined to one arc."""
         for name in {c.name for c in known}:
             condition, (t, room) = conditions_of(self.problem, k, (name,))[name], way.room_along(k, name)
-            near = np.abs(room) <= rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))
+            near = np.abs(room) <= margin_rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))
             runs = list[list[Contact]]()
             for contact in (c for c in known if c.name == name):
                 before = runs[-1][-1] if runs else contact
@@ -392,7 +399,7 @@ class Polish:
         return found
 
 
-def _as_it_pays(
+def _keep_paying_parts(
     contact: Contact, condition: Condition, last: float, worth: list[tuple[float, float]] | None
 ) -> Iterator[Contact]:
     """Yield the parts of an arc that pay [s of the arc], or touches in its place; itself where this is unknown.
@@ -416,7 +423,7 @@ def _as_it_pays(
             )
 
 
-def _contacts(structure: Structure, k: int) -> Iterator[Contact]:
+def _structure_contacts(structure: Structure, k: int) -> Iterator[Contact]:
     """Yield what a structure with times rides along and touches in phase k."""
     begin = 0.0
     for arc in structure.phases[k]:

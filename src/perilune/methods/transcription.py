@@ -11,15 +11,15 @@ import numpy as np
 from perilune.direct.collocation import Mesh, Scheme, rule
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution, Statistics
-from perilune.words.asked import demand_number, demand_whole, refused
+from perilune.words.asked import require_integers, require_number, wrong_type_error
 from perilune.words.deferred import Deferred
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import Iteration, Watch, silent
+from perilune.words.watch import Iteration, Watch, ignore_events
 
 if TYPE_CHECKING:
     from perilune.direct.layout import PhaseValues
-    from perilune.direct.nlp import Answer, Program
+    from perilune.direct.nlp import ProgramSolution, TranscribedProgram
     from perilune.direct.segments import Segment
 
 
@@ -41,9 +41,9 @@ class Transcription:
     polish: bool = True
 
     def __post_init__(self) -> None:
-        demand_whole(self, nodes=1, segments=1, refine=0, iterations=1)
+        require_integers(self, nodes=1, segments=1, refine=0, iterations=1)
         if not isinstance(self.scheme, str):
-            raise refused(self.scheme, "'gauss' or 'radau'", "a collocation scheme")
+            raise wrong_type_error(self.scheme, "'gauss' or 'radau'", "a collocation scheme")
         if self.nodes > _MOST_NODES:
             raise PeriluneError(
                 "a segment has too many collocation points", got=str(self.nodes), expected=f"<= {_MOST_NODES}",
@@ -51,7 +51,7 @@ class Transcription:
             )  # fmt: skip
         rule(self.scheme, self.nodes)
         for name in ("tolerance", "nlp_tolerance"):
-            demand_number(getattr(self, name), name)
+            require_number(getattr(self, name), name)
             if not 0 < getattr(self, name) < 1:
                 raise PeriluneError(
                     f"{name} must lie between 0 and 1", got=str(getattr(self, name)),
@@ -80,34 +80,34 @@ class Run:
 
     settings: Transcription
     problem: Problem
-    watch: Watch = silent
+    watch: Watch = ignore_events
     began: float = field(default_factory=time.perf_counter)
     tried: list[str] = field(default_factory=list)
     history: list[Iteration] = field(default_factory=list)
     iterations: int = 0
-    _look: tuple[Answer, Look] | None = None
+    _look: tuple[ProgramSolution, Look] | None = None
 
     def say(self, line: str) -> None:
         """Report one line to the watcher and keep it in the history."""
         self.tried.append(line)
         self.watch(line)
 
-    def program(self, meshes: tuple[Mesh, ...]) -> Program:
+    def program(self, meshes: tuple[Mesh, ...]) -> TranscribedProgram:
         """Return the program on the given meshes."""
-        from perilune.direct.nlp import Program
+        from perilune.direct.nlp import TranscribedProgram
 
-        return Program(problem=self.problem, scheme=self.settings.scheme, meshes=meshes)
+        return TranscribedProgram(problem=self.problem, scheme=self.settings.scheme, meshes=meshes)
 
     def attempt(
         self,
-        program: Program,
+        program: TranscribedProgram,
         free: Vector,
         values: tuple[PhaseValues, ...],
         name: str,
         nearest: bool = False,
         most: int | None = None,
         close: bool = False,
-    ) -> Answer:
+    ) -> ProgramSolution:
         """Solve one NLP, from `close` by or anywhere; with `nearest`, path and ends are missed by the least."""
         s = self.settings
         self.watch(f"direct method: {name}")
@@ -120,13 +120,13 @@ class Run:
         self.say(f"{name}: {outcome} in {answer.iterations} iterations")
         return answer
 
-    def looked_at(self, program: Program, answer: Answer) -> Look:
+    def looked_at(self, program: TranscribedProgram, answer: ProgramSolution) -> Look:
         """Return an answer as a flight; it is simulated once."""
         if self._look is None or self._look[0] is not answer:
             self._look = answer, self._looked_at(program, answer)
         return self._look[1]
 
-    def _looked_at(self, program: Program, answer: Answer) -> Look:
+    def _looked_at(self, program: TranscribedProgram, answer: ProgramSolution) -> Look:
         from perilune.direct.errors import mesh_errors, relative_errors
         from perilune.direct.segments import flown_segments
 
@@ -134,9 +134,9 @@ class Run:
         errors = mesh_errors(self.problem, segments, p, self.settings.tolerance)
         return Look(segments, errors, relative_errors(self.problem, segments, errors))
 
-    def solution(self, program: Program, answer: Answer, look: Look) -> Solution:
+    def solution(self, program: TranscribedProgram, answer: ProgramSolution, look: Look) -> Solution:
         """Return the answer in SI."""
-        from perilune.direct.segments import trajectory
+        from perilune.direct.segments import interpolate_segments
 
         problem, worst = self.problem, look.worst
         # Interpolation adds a hundredth of the mesh error, so that what is exported is as good as what was solved.
@@ -155,7 +155,7 @@ class Run:
             free=answer.free_si(problem),
             trajectories=Deferred(
                 len(problem.phases),
-                lambda: tuple(trajectory(problem, k, flown, fine) for k, flown in enumerate(look.segments)),
+                lambda: tuple(interpolate_segments(problem, k, flown, fine) for k, flown in enumerate(look.segments)),
             ),
             multipliers=multipliers,
             statistics=Statistics(
@@ -168,7 +168,7 @@ class Run:
             ),
         )
 
-    def missing(self, program: Program, answer: Answer) -> Solution:
+    def missing(self, program: TranscribedProgram, answer: ProgramSolution) -> Solution:
         """Return a trajectory that misses conditions, whose multipliers are costates of nothing."""
         with np.errstate(all="ignore"):  # it may lead where the physics is not defined
             found = self.solution(program, answer, self.looked_at(program, answer))

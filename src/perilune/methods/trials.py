@@ -10,13 +10,13 @@ import numpy as np
 from perilune.conditions.canonical import extremal_parameters
 from perilune.conditions.held import Held
 from perilune.conditions.pontryagin import Conditions, derive
-from perilune.methods.assemble import joints_from
+from perilune.methods.assemble import joints_from_solution
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.symbolic import free_scales
-from perilune.shooting.active import Limits, limits_of, settle
-from perilune.shooting.continuum import completed
-from perilune.shooting.extremals import Found
+from perilune.shooting.active import ActiveSetBounds, limits_of, solve_active_set
+from perilune.shooting.continuum import complete_open_roots
+from perilune.shooting.extremals import ExtremalRoot
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.shooting.newton import FINEST
 from perilune.words.types import Matrix, Vector
@@ -49,14 +49,14 @@ class Trials:
         self.conditions: Conditions = derive(problem, keep, watch)
         self.p: Vector = extremal_parameters(problem)
         self.shooting: Shooting = Shooting(self.conditions)
-        self.limits: Limits = limits_of(problem, self.conditions)
+        self.limits: ActiveSetBounds = limits_of(problem, self.conditions)
         self.bounded: tuple[int, ...] = bounded_parameters(problem)
         self.scanned: int | None = next(iter(self.bounded), None)
         self.history: list[Iteration] = []
         self.best_failure: Root | None = None
 
     @cached_property
-    def others(self) -> Limits:
+    def others(self) -> ActiveSetBounds:
         """Limits of all but the parameter that is scanned."""
         return self.limits.without(self.scanned)
 
@@ -66,14 +66,16 @@ class Trials:
         choice: Matrix,
         p: Matrix | None = None,
         *,
-        limits: Limits,
+        limits: ActiveSetBounds,
         shooting: Shooting | None = None,
         **settings: float,
     ) -> Roots:
         """Return roots within their limits; count flights, keep the nearest failure at the problem's own numbers."""
         function = shooting or self.shooting
         numbers = self.p if p is None else p
-        roots = completed(function, settle(function, Y, numbers, choice, limits, self.watch, **settings), numbers)
+        roots = complete_open_roots(
+            function, solve_active_set(function, Y, numbers, choice, limits, self.watch, **settings), numbers
+        )
         self.history += roots.history
         if function is not self.shooting:
             self.shooting.arcs += function.arcs
@@ -85,12 +87,12 @@ class Trials:
                 self.best_failure = roots[nearest]
         return roots
 
-    def by_pieces(self, rough: Solution, y: Vector, choice: Vector, segments: int, limits: Limits) -> Root:
+    def by_pieces(self, rough: Solution, y: Vector, choice: Vector, segments: int, limits: ActiveSetBounds) -> Root:
         """Solve from a rough solution with so many segments for each phase, then in one piece."""
-        Y = np.concatenate([y, joints_from(self.problem, self.conditions, rough, segments)])
+        Y = np.concatenate([y, joints_from_solution(self.problem, self.conditions, rough, segments)])
         return self.from_pieces(Y, choice, segments, limits)
 
-    def from_pieces(self, Y: Vector, choice: Vector, segments: int, limits: Limits) -> Root:
+    def from_pieces(self, Y: Vector, choice: Vector, segments: int, limits: ActiveSetBounds) -> Root:
         """Solve from unknowns and states at the joints of so many segments for each phase, then in one piece."""
         shooting = Shooting(self.conditions, segments=segments)
         root = self.settled(Y[None], choice, limits=limits, shooting=shooting)[0]
@@ -119,7 +121,7 @@ class Trials:
         return None
 
 
-def found_at(shooting: Shooting, problem: Problem, root: Root) -> Found:
+def found_at(shooting: Shooting, problem: Problem, root: Root) -> ExtremalRoot:
     """Return a root with whether J is least there along the free parameters that are scanned, if any.
 
     Parameters
@@ -131,7 +133,7 @@ def found_at(shooting: Shooting, problem: Problem, root: Root) -> Found:
     root
         A root of the shooting function.
     """
-    return Found(root=root, minimum=shooting.curved_upwards(root, bounded_parameters(problem)))
+    return ExtremalRoot(root=root, minimum=shooting.curved_upwards(root, bounded_parameters(problem)))
 
 
 def bounded_parameters(problem: Problem) -> tuple[int, ...]:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from perilune.problem.controls import control_scales, placed
+from perilune.problem.controls import control_scales, control_slices
 from perilune.problem.solution import Solution
 
 _LOOKS = 40  # times of a phase
 _FLAT = 1e-6  # of the largest sum of the parts of H on the flight; what counts for little still has some 1e-4
 
 
-def undetermined(flight: Solution) -> tuple[str, ...]:
+def undetermined_controls(flight: Solution) -> tuple[str, ...]:
     """Name the controls of a flight with costates that nothing determines, each with its phase before it."""
     found, size = list[tuple[float, str]](), 0.0
     for k, (phase, flown) in enumerate(zip(flight.problem.phases, flight.trajectories, strict=True)):
@@ -27,7 +27,7 @@ def undetermined(flight: Solution) -> tuple[str, ...]:
         rates = np.array(np.broadcast_arrays(*phase.rates(x, u, p), t)[:-1])
         size = max(size, float(np.abs(costate * rates).sum(axis=0).max()))
         scales = control_scales(phase.controls, flight.problem.scales)
-        for at, control in placed(phase.controls):
+        for at, control in control_slices(phase.controls):
             changes = [0.0]
             for values in control.samples(u[at], float(scales[at.start]), p):
                 other = u.copy()

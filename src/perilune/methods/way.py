@@ -11,16 +11,16 @@ from itertools import pairwise
 import numpy as np
 
 from perilune.methods.answer import Curves
-from perilune.methods.flown import Aloft
+from perilune.methods.flown import PropagatedStates
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.structures.read import CLOSEST, EXACTLY, POINTS, closer, room_at, still
+from perilune.structures.read import CLOSEST, EXACTLY, POINTS, is_constant_condition, margin_at, refine_minima
 from perilune.structures.structure import Structure, margins
 from perilune.words.types import Matrix, Vector
 
 
 @dataclass
-class Way:
+class ConstraintMargins:
     """The margins to conditions of an extremal of a structure, whose curves need not be made for that.
 
     Parameters
@@ -38,7 +38,7 @@ class Way:
 
     def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
         """Return the times of phase k [s] and how far a condition is from its limit there [SI]."""
-        if still(self.problem, k, name):
+        if is_constant_condition(self.problem, k, name):
             return (t := np.zeros(1)), self._room(k, name, t, self._aloft.at(self._first(k), t))
         parts = [self._closely(k, name, *part) for part in self._phases(k)]
         return np.concatenate([t for t, _ in parts]), np.concatenate([room for _, room in parts])
@@ -47,7 +47,7 @@ class Way:
         """Return the times of an arc and S there, the closer together the nearer S may be to its limit between them."""
         room, begin, length = self._room(k, name, times, x), times[0], times[-1] - times[0]
         for _ in range(CLOSEST):
-            between = closer(times, room, EXACTLY * self._size(k, name)) if length > 0.0 else times[:0]
+            between = refine_minima(times, room, EXACTLY * self._size(k, name)) if length > 0.0 else times[:0]
             if not len(between):
                 break
             states = self._aloft.at(self._first(k) + j, np.clip((between - begin) / length, 0.0, 1.0))
@@ -56,13 +56,13 @@ class Way:
         return times, room
 
     def _room(self, k: int, name: str, t: Vector, x: Matrix) -> Vector:
-        return room_at(self.problem, self.whole.parameters, k, name, t, x)
+        return margin_at(self.problem, self.whole.parameters, k, name, t, x)
 
     def _size(self, k: int, name: str) -> float:
         return self.problem.size_of(margins(self.problem, k)[name][0])
 
     @cached_property
-    def _aloft(self) -> Aloft:
+    def _aloft(self) -> PropagatedStates:
         curves = self.solved.trajectories
         assert isinstance(curves, Curves), "of a search, which ends at a root"
         return curves.aloft()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from perilune.words.face import listed
+from perilune.words.face import public_names
 
 if TYPE_CHECKING:
     from perilune.models.atmosphere import Air
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
         Landing,
         Limits,
         Manoeuvre,
-        Orbit as ReturnOrbit,
         Parachute,
         Returner,
+        ReturnOrbit,
         Separation,
         Transition,
     )
@@ -52,7 +52,7 @@ _HOME = {
     "deorbit.opportunities": "Opportunity opportunities",
 }
 _PLACES = {name: (file, name) for file, names in _HOME.items() for name in names.split()}
-_PLACES["ReturnOrbit"] = ("deorbit.records", "Orbit")
+_PLACES["ReturnOrbit"] = ("deorbit.records", "ReturnOrbit")
 
 __all__ = [
     "BODIES",
@@ -108,4 +108,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return listed(__all__)
+    return public_names(__all__)

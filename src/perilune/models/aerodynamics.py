@@ -23,14 +23,14 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from perilune.models.rotating import Triple, combine, cross, dot
+from perilune.models.rotating import Triple, combine, cross_product, scalar_product
 
 SUTTON_GRAVES = 1.7415e-4  # kg^(1/2)/m, air; carbon dioxide has 1.9027e-4
 
 
 def dynamic_pressure(density: Any, velocity: Sequence[Any]) -> Any:
     """Dynamic pressure [Pa]."""
-    return 0.5 * density * dot(velocity, velocity)
+    return 0.5 * density * scalar_product(velocity, velocity)
 
 
 def drag_acceleration(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Any:
@@ -67,7 +67,7 @@ def drag(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Tr
     Triple
         Acceleration against the velocity [m/s^2], (3,).
     """
-    strength = drag_acceleration(density, velocity, mass, p, m) / m.sqrt(dot(velocity, velocity))
+    strength = drag_acceleration(density, velocity, mass, p, m) / m.sqrt(scalar_product(velocity, velocity))
     return combine((-strength, velocity))
 
 
@@ -83,12 +83,12 @@ def lift_axes(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> tuple
     m
         Maths namespace.
     """
-    across = cross(velocity, position)
-    level = combine((1 / m.sqrt(dot(across, across)), across))
-    return combine((1 / m.sqrt(dot(velocity, velocity)), cross(level, velocity))), level
+    across = cross_product(velocity, position)
+    level = combine((1 / m.sqrt(scalar_product(across, across)), across))
+    return combine((1 / m.sqrt(scalar_product(velocity, velocity)), cross_product(level, velocity))), level
 
 
-def load(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Any:
+def aerodynamic_load(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Any:
     """Load [m/s^2]: with lift (``vehicle_lift_to_drag``) where there is one.
 
     Parameters
@@ -114,7 +114,7 @@ def heat_rate(density: Any, velocity: Sequence[Any], p: Any, m: Any) -> Any:
     p, m
         Parameters [SI] and maths namespace.
     """
-    squared = dot(velocity, velocity)
+    squared = scalar_product(velocity, velocity)
     return p.heating_constant * m.sqrt(density / p.vehicle_nose_radius) * squared * m.sqrt(squared)
 
 

@@ -18,7 +18,7 @@ from perilune.words.delimited import CellRow, DelimitedTable, TextLine, delimite
 from perilune.words.outcome import PeriluneError
 from perilune.words.table_headings import TableHeading, table_heading, unit_as_written
 from perilune.words.types import Vector
-from perilune.words.units import unit
+from perilune.words.units import parse_unit
 
 LARGEST_FILE = 1_000_000  # bytes
 _SI = {"altitude": "m", "density": "kg/m^3"}
@@ -90,31 +90,31 @@ def read_air_table(path: Path) -> AirTable:
         raise PeriluneError(
             "the table of air needs rows", got="no line of numbers", expected="at least 3", advice=_EXPECTED
         )
-    count = _count(table)
+    count = _column_count(table)
     headings, units = _headings(table, count)
-    columns = _columns(table, headings, count)
-    columns = {name: _with_units(name, column, units) for name, column in columns.items()}
+    columns = _find_columns(table, headings, count)
+    columns = {name: _with_unit_row(name, column, units) for name, column in columns.items()}
     for name, column in columns.items():
         if not column.unit:
-            _refuse_said_elsewhere(name, [*table.comments, *table.below])
+            _refuse_conflicting_unit(name, [*table.comments, *table.below])
     values = {
         name: np.array([table.number(row, column.place) for row in table.body]) for name, column in columns.items()
     }
     lines = np.array([row.line for row in table.body])
     order = slice(None, None, -1) if (np.diff(values["altitude"]) < 0).all() else slice(None)
-    found = {name: values[name][order] * unit(column.unit or _SI[name])[0] for name, column in columns.items()}
+    found = {name: values[name][order] * parse_unit(column.unit or _SI[name])[0] for name, column in columns.items()}
     used = [column.place for column in columns.values()]
     ignored = [h.text or f"column {k + 1}" for k, h in enumerate(headings) if k not in used]
     return AirTable(
         altitude=found["altitude"], density=found["density"], lines=tuple(lines[order].tolist()),
-        said=_said(values, found, columns, ignored),
+        said=_describe_table(values, found, columns, ignored),
     )  # fmt: skip
 
 
 # -- headings -------------------------------------------------------------------------------------------------------
 
 
-def _count(table: DelimitedTable) -> int:
+def _column_count(table: DelimitedTable) -> int:
     """Return the number of columns, which all rows share; an empty last one is not counted."""
     counts = [len(row.cells) for row in table.body]
     count = max(set(counts), key=counts.count)
@@ -139,7 +139,7 @@ def _headings(table: DelimitedTable, count: int) -> tuple[list[TableHeading], li
             got=table.above[0].text[:60], expected=f"at most a row of {_EXPECTED}, and one of units",
             advice="a line that begins with # is a comment",
         )  # fmt: skip
-    rows = [(line, _cells(table, line, count)) for line in table.above]
+    rows = [(line, _heading_cells(table, line, count)) for line in table.above]
     units = next((cells for _, cells in rows[1:]), None)
     if len(rows) == 2 and not any(map(unit_as_written, rows[1][1])):
         line = rows[1][0]
@@ -152,19 +152,19 @@ def _headings(table: DelimitedTable, count: int) -> tuple[list[TableHeading], li
         cells = table.cells(line, count)
         if cells is None:
             continue
-        if not headings and _heads(found := [table_heading(cell, _KNOWN) for cell in cells]):
+        if not headings and _is_heading_row(found := [table_heading(cell, _KNOWN) for cell in cells]):
             headings = found
         elif units is None and sum(unit_as_written(cell) is not None for cell in cells) > 1:
             units = cells
     return headings, units
 
 
-def _cells(table: DelimitedTable, line: TextLine, count: int) -> list[str]:
+def _heading_cells(table: DelimitedTable, line: TextLine, count: int) -> list[str]:
     """Return the cells of a line of headings, one for each column; R writes none for the row number."""
     cells, longer, shorter = (table.cells(line, wanted) for wanted in (count, count + 1, count - 1))
     if cells is None and longer is not None and not longer[-1]:
         cells = longer[:-1]
-    if cells is None and shorter is not None and _numbered(table.body):
+    if cells is None and shorter is not None and _has_row_numbers(table.body):
         cells = ["", *shorter]
     if cells is not None:
         return cells
@@ -175,30 +175,32 @@ def _cells(table: DelimitedTable, line: TextLine, count: int) -> list[str]:
     )  # fmt: skip
 
 
-def _numbered(body: list[CellRow]) -> bool:
+def _has_row_numbers(body: list[CellRow]) -> bool:
     """Return True if the first column numbers the rows."""
     found = [row.cells[0] for row in body]
     return any(found == [str(k + begin) for k in range(len(found))] for begin in (0, 1))
 
 
-def _heads(headings: list[TableHeading]) -> bool:
+def _is_heading_row(headings: list[TableHeading]) -> bool:
     """Return True if a comment is a row of headings, not prose: both columns, their units in brackets or understood."""
     called = [{name for name in _SI if set(h.words[:1]) & set(_CALLED[name])} for h in headings
               if not h.unread or h.bracketed]  # fmt: skip
-    return len(set[str]().union(*called)) == len(_SI) or len({_role(h) for h in headings} & set(_SI)) == len(_SI)
+    return len(set[str]().union(*called)) == len(_SI) or len({_role_of_heading(h) for h in headings} & set(_SI)) == len(
+        _SI
+    )
 
 
-def _role(heading: TableHeading) -> str:
+def _role_of_heading(heading: TableHeading) -> str:
     """Return ``altitude`` or ``density`` where a heading says only that; "" otherwise."""
     named = {name for name, words in _CALLED.items() if not set(words).isdisjoint(heading.words)}
     if heading.unread or len(named) > 1 or (heading.words and not named):
         return ""
-    alike = {name for name, si in _SI.items() if heading.unit and unit(heading.unit)[1] == unit(si)[1]}
+    alike = {name for name, si in _SI.items() if heading.unit and parse_unit(heading.unit)[1] == parse_unit(si)[1]}
     found = (named & alike) if heading.unit and named else (named or alike)
     return next(iter(found), "")
 
 
-def _columns(table: DelimitedTable, headings: list[TableHeading], count: int) -> dict[str, _AirColumn]:
+def _find_columns(table: DelimitedTable, headings: list[TableHeading], count: int) -> dict[str, _AirColumn]:
     """Return the columns of altitude and density."""
     if not headings:
         if count != 2:
@@ -208,26 +210,30 @@ def _columns(table: DelimitedTable, headings: list[TableHeading], count: int) ->
                 advice=_EXPECTED,
             )  # fmt: skip
         return {name: _AirColumn(place=k, unit="") for k, name in enumerate(_SI)}
-    roles = [_role(heading) for heading in headings]
+    roles = [_role_of_heading(heading) for heading in headings]
     if roles.count("altitude") > 1:  # beside geometric ones H is geopotential, as in the US Standard Atmosphere 1976
-        roles = ["" if _is_capital(heading) else role for role, heading in zip(roles, headings, strict=True)]
+        roles = [
+            "" if _is_geopotential_symbol(heading) else role for role, heading in zip(roles, headings, strict=True)
+        ]
     for name in _SI:
         if roles.count(name) != 1:
             _refuse_role(name, headings, roles.count(name))
     return {
-        name: _AirColumn(place=(k := roles.index(name)), unit=headings[k].unit, unclear=_is_capital(headings[k]))
+        name: _AirColumn(
+            place=(k := roles.index(name)), unit=headings[k].unit, unclear=_is_geopotential_symbol(headings[k])
+        )
         for name in _SI
     }
 
 
-def _is_capital(heading: TableHeading) -> bool:
+def _is_geopotential_symbol(heading: TableHeading) -> bool:
     """Return True if a heading is ``H``, which also stands for geopotential altitudes."""
     return heading.words == ("h",) and heading.text.lstrip(" ([").startswith("H")
 
 
 def _refuse_role(name: str, headings: list[TableHeading], count: int) -> None:
     """Refuse a table with no column of a kind, or with more than one."""
-    named = [h for h in headings if not set(_CALLED[name]).isdisjoint(_words_of(h))]
+    named = [h for h in headings if not set(_CALLED[name]).isdisjoint(_heading_words(h))]
     got = ", ".join(repr(h.text) for h in headings[:_MOST_NAMED]) + (", …" if len(headings) > _MOST_NAMED else "")
     expected = f'one column "{name} [{_SI[name]}]", in any unit of that dimension'
     advice = _EXPECTED
@@ -239,24 +245,28 @@ def _refuse_role(name: str, headings: list[TableHeading], count: int) -> None:
     else:
         got = repr(named[0].text)
         what = f"the table of air has no {name} that can be read"
-        if "geopotential" in _words_of(named[0]):
+        if "geopotential" in _heading_words(named[0]):
             advice = "geopotential altitudes h are not heights: with the radius R of the body, z = R h/(R - h)"
         elif named[0].unit:
             expected = f"{name} in {_SI[name]}, or in another unit of that dimension"
     raise PeriluneError(what, got=got, expected=expected, advice=advice)
 
 
-def _words_of(heading: TableHeading) -> list[str]:
+def _heading_words(heading: TableHeading) -> list[str]:
     """Return all words of a heading, known or not."""
     return [*heading.words, *heading.text.casefold().replace("_", " ").replace("[", " ").replace("(", " ").split()]
 
 
-def _with_units(name: str, column: _AirColumn, units: list[str] | None) -> _AirColumn:
+def _with_unit_row(name: str, column: _AirColumn, units: list[str] | None) -> _AirColumn:
     """Return the column with the unit that is written below its heading."""
     if units is None or column.place >= len(units) or not units[column.place]:
         return column
     stated = unit_as_written(units[column.place])
-    if stated is None or unit(stated)[1] != unit(_SI[name])[1] or (column.unit and unit(column.unit) != unit(stated)):
+    if (
+        stated is None
+        or parse_unit(stated)[1] != parse_unit(_SI[name])[1]
+        or (column.unit and parse_unit(column.unit) != parse_unit(stated))
+    ):
         raise PeriluneError(
             f"the unit of the {name} cannot be read", got=repr(units[column.place][:60]),
             expected=f"{column.unit or _SI[name]}, or another unit of that dimension" if not column.unit else
@@ -265,12 +275,16 @@ def _with_units(name: str, column: _AirColumn, units: list[str] | None) -> _AirC
     return replace(column, unit=stated)
 
 
-def _refuse_said_elsewhere(name: str, comments: list[TextLine]) -> None:
+def _refuse_conflicting_unit(name: str, comments: list[TextLine]) -> None:
     """Refuse a comment that names another unit for a column whose heading states none."""
     for line in comments:
-        for written in _perhaps_units(line.text):
+        for written in _possible_units(line.text):
             stated = unit_as_written(written)
-            if stated is not None and unit(stated)[1] == unit(_SI[name])[1] and unit(stated) != unit(_SI[name]):
+            if (
+                stated is not None
+                and parse_unit(stated)[1] == parse_unit(_SI[name])[1]
+                and parse_unit(stated) != parse_unit(_SI[name])
+            ):
                 raise PeriluneError(
                     f"line {line.number} of the table of air names {stated}, and no heading the unit of the {name}",
                     got=line.text[:60], expected=f"a heading such as {name} [{stated}]",
@@ -278,7 +292,7 @@ def _refuse_said_elsewhere(name: str, comments: list[TextLine]) -> None:
                 )  # fmt: skip
 
 
-def _perhaps_units(comment: str) -> list[str]:
+def _possible_units(comment: str) -> list[str]:
     """Return the parts of a comment that may be the unit of a column."""
     parts = [part.strip(".-–—") for part in _IN_PROSE.findall(comment)]
     return [*_BRACKETED.findall(comment),
@@ -288,16 +302,16 @@ def _perhaps_units(comment: str) -> list[str]:
 # -- what is said ---------------------------------------------------------------------------------------------------
 
 
-def _said(
+def _describe_table(
     values: dict[str, Vector], found: dict[str, Vector], columns: dict[str, _AirColumn], ignored: list[str]
 ) -> str:
     """Describe rows, units and ranges, as ``51 rows; altitude in ft, 0 to 460 000 (0 to 140.208 km); …``."""
     parts = [f"{len(found['altitude'])} rows"]
     for name, column in columns.items():
-        low, high = (f"{_spaced(end(values[name]))}" for end in (np.min, np.max))
+        low, high = (f"{_group_thousands(end(values[name]))}" for end in (np.min, np.max))
         said = f"{name} in {column.unit or _SI[name]}{'' if column.unit else ' (no unit is stated)'}, {low} to {high}"
-        if column.unit and unit(column.unit)[0] != 1.0:
-            low, high = (f"{_spaced(end(found[name]))}" for end in (np.min, np.max))
+        if column.unit and parse_unit(column.unit)[0] != 1.0:
+            low, high = (f"{_group_thousands(end(found[name]))}" for end in (np.min, np.max))
             said += f" ({low} to {high} {_SI[name]})"
         parts.append(said + " (H is read as geometric, not geopotential)" * column.unclear)
     if ignored:
@@ -306,7 +320,7 @@ def _said(
     return "; ".join(parts)
 
 
-def _spaced(value: float) -> str:
+def _group_thousands(value: float) -> str:
     """Format a number in six digits, its thousands separated."""
     value = float(value)
     if 1e4 <= abs(value) < 1e9:

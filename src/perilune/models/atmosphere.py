@@ -77,7 +77,7 @@ class Air:
 
 def exponential(density: float, scale_height: float) -> Air:
     """Air whose density [kg/m^3] falls by e with each scale height [m]."""
-    given = _given("atmosphere_density", density, "atmosphere_scale_height", scale_height)
+    given = _air_parameters("atmosphere_density", density, "atmosphere_scale_height", scale_height)
     return Air(name=f"exponential air of scale height {scale_height / 1e3:g} km", given=given)
 
 
@@ -112,7 +112,7 @@ def from_file(path: str | Path) -> Air:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Way:
+class TrajectoryProfile:
     """Position and time of a flight at each altitude, where it passes that altitude for the last time.
 
     Parameters
@@ -131,13 +131,13 @@ class Way:
     time: Vector
 
     @classmethod
-    def over(cls, longitude: float, latitude: float) -> Way:
+    def over(cls, longitude: float, latitude: float) -> TrajectoryProfile:
         """Straight above a place [rad], at the epoch."""
         return cls(**{name: np.array([value]) for name, value in zip(
             cls.__annotations__, (0.0, longitude, latitude, 0.0), strict=True)})  # fmt: skip
 
     @classmethod
-    def down(cls, altitude: Vector, longitude: Vector, latitude: Vector, time: Vector) -> Way:
+    def down(cls, altitude: Vector, longitude: Vector, latitude: Vector, time: Vector) -> TrajectoryProfile:
         """Return the profile of a descending flight, from rows in the order of time."""
         lower = np.append(np.inf, np.minimum.accumulate(altitude)[:-1]) > altitude
         longitude = np.unwrap(longitude)
@@ -147,7 +147,7 @@ class Way:
         })  # fmt: skip
 
 
-def thermosphere(epoch: datetime, way: Way, *, f107: float, f107a: float, ap: float) -> Air:
+def thermosphere(epoch: datetime, way: TrajectoryProfile, *, f107: float, f107a: float, ap: float) -> Air:
     """Air of NRLMSIS 2.1 along a flight, from -0.5 to 1000 km; needs the extra ``msis``, and no network.
 
     At each altitude it is the air where and when the flight passes that; above and below it, where it begins and ends.
@@ -211,7 +211,7 @@ def tabulated(
         If the altitudes do not increase, a density is not positive, or no table of `MOST_KNOTS` knots follows them.
     """
     places = [f"row {k + 1}" for k in range(len(altitude))] if lines is None else [f"line {k}" for k in lines]
-    x, y = _checked(altitude, density, name, places)
+    x, y = _check_samples(altitude, density, name, places)
     knots = np.unique(np.linspace(0, len(x) - 1, _FIRST_KNOTS).astype(int)).tolist()
     while True:
         table = Table(x=tuple(x[knots]), y=tuple(y[knots]), kind="smoother")
@@ -221,16 +221,16 @@ def tabulated(
             break
         knots = sorted({*knots, worst})
     _refuse_rough(x, y, table, float(away[worst]), name, places)
-    given = _given("air_density", _SEA_LEVEL, "air_height", _KILOMETRE)
+    given = _air_parameters("air_density", _SEA_LEVEL, "air_height", _KILOMETRE)
     low, high = float(altitude[0]), float(altitude[-1])
     return Air(name=name, given=given, table=table, bottom=low, top=high, near=float(away[worst]))
 
 
-def _given(name: str, density: float, height_name: str, height: float) -> Mapping[str, Given]:
+def _air_parameters(name: str, density: float, height_name: str, height: float) -> Mapping[str, Given]:
     return MappingProxyType({name: Given(value=density, unit="kg/m^3"), height_name: Given(value=height, unit="m")})
 
 
-def _checked(altitude: Vector, density: Vector, name: str, places: Sequence[str]) -> tuple[Vector, Vector]:
+def _check_samples(altitude: Vector, density: Vector, name: str, places: Sequence[str]) -> tuple[Vector, Vector]:
     """Return the altitude in km and the logarithm of the density relative to sea level; refuse unusable samples."""
     if len(altitude) < 3:
         raise PeriluneError(f"{name}: a table needs rows", got=str(len(altitude)), expected="at least 3")

@@ -6,7 +6,7 @@ import math
 from dataclasses import fields, replace
 from typing import Any
 
-from perilune.words.declared import quantity, record, words
+from perilune.words.declared import quantity, record, text_field
 
 # Of each harmonic alone: above 1/(n + 1) a pole would push away, and far below 0 another place on the surface.
 _ZONAL: dict[int, dict[str, Any]] = {
@@ -21,7 +21,7 @@ _SAME = 1e-3  # of its pull and its rotation; radii are those of the mean, the e
 class Body:
     """A spherical, uniformly rotating body with point-mass gravity."""
 
-    name: str = words("moon", about="moon, mercury, mars, europa or ceres, in place of the quantities")
+    name: str = text_field("moon", about="moon, mercury, mars, europa or ceres, in place of the quantities")
     gravitational_parameter: float = quantity("m^3/s^2", "4902.8 km^3/s^2", above=0.0, about="mu")
     radius: float = quantity("m", "1737.4 km", above=0.0, about="altitudes are above it")
     rotation_rate: float = quantity(
@@ -70,7 +70,7 @@ class OblateBody(Body):
 class Planet(OblateBody):
     """A body with further zonal harmonics, and an ellipsoid for its surface where it has a flattening."""
 
-    name: str = words("earth", about="earth, in place of the quantities")
+    name: str = text_field("earth", about="earth, in place of the quantities")
     gravitational_parameter: float = quantity("m^3/s^2", "398600.4418 km^3/s^2", above=0.0, about="mu")
     radius: float = quantity("m", "6378.137 km", above=0.0, about="altitudes are above it; that of the equator")
     rotation_rate: float = quantity("rad/s", "7.292115e-5 rad/s", about="inertial (sidereal); negative is retrograde")
@@ -105,12 +105,12 @@ class UniformGravity:
         return f"flat ground under {self.gravity:g} m/s^2"
 
 
-def oblate(body: Body, j2: float) -> OblateBody:
+def with_j2(body: Body, j2: float) -> OblateBody:
     """The body with its second zonal harmonic."""
     return OblateBody(**{f.name: getattr(body, f.name) for f in fields(Body)}, j2=j2)
 
 
-def _sidereal(days: float) -> float:
+def _sidereal_rate(days: float) -> float:
     return 2 * math.pi / (days * 86400.0)
 
 
@@ -119,10 +119,12 @@ def _sidereal(days: float) -> float:
 # planetary fact sheets; those of Europa, Mercury and Ceres are no air to a lander.
 MOON = Body(name="moon", gravitational_parameter=4.902800118e12, radius=1737.4e3, rotation_rate=2.6616995e-6)
 MERCURY = Body(
-    name="mercury", gravitational_parameter=2.2031868551e13, radius=2439.4e3, rotation_rate=_sidereal(58.6461)
+    name="mercury", gravitational_parameter=2.2031868551e13, radius=2439.4e3, rotation_rate=_sidereal_rate(58.6461)
 )
 MARS = Body(name="mars", gravitational_parameter=4.282837362e13, radius=3389.5e3, rotation_rate=7.088218e-5, air=636.0)
-EUROPA = Body(name="europa", gravitational_parameter=3.20271e12, radius=1560.8e3, rotation_rate=_sidereal(3.551181))
+EUROPA = Body(
+    name="europa", gravitational_parameter=3.20271e12, radius=1560.8e3, rotation_rate=_sidereal_rate(3.551181)
+)
 CERES = Body(name="ceres", gravitational_parameter=6.26274e10, radius=470.0e3, rotation_rate=1.923e-4)
 
 BODIES = {body.name: body for body in (MOON, MERCURY, MARS, EUROPA, CERES)}
@@ -135,27 +137,27 @@ EARTH = Planet(
 PLANETS = {EARTH.name: EARTH}
 
 
-def known_like(body: Body) -> Body | None:
+def matching_known_body(body: Body) -> Body | None:
     """The known body of this size and pull."""
     return next((known for known in BODIES.values() if body.resembles(known)), None)
 
 
-def told_as(body: Body) -> str:
+def catalogue_name(body: Body) -> str:
     """Return the name under which other programs know a body: of the known one with its pull and turning, else its own.
 
     A model may leave out that the body turns. "" where its own is that of another.
     """
     known = {**BODIES, **PLANETS}
-    like = next((name for name, one in known.items() if body.resembles(one) and _same(body, one)), "")
+    like = next((name for name, one in known.items() if body.resembles(one) and _matches_known(body, one)), "")
     return like or ("" if body.name.lower() in known else body.name)
 
 
-def _same(body: Body, known: Body) -> bool:
+def _matches_known(body: Body, known: Body) -> bool:
     pulls = math.isclose(body.gravitational_parameter, known.gravitational_parameter, rel_tol=_SAME)
     return pulls and (body.rotation_rate == 0 or math.isclose(body.rotation_rate, known.rotation_rate, rel_tol=_SAME))
 
 
-def recognised(body: Body) -> Body:
+def recognise_body(body: Body) -> Body:
     """The body with the name and the air of the known one of its size and pull, if there is one."""
-    like = known_like(body)
+    like = matching_known_body(body)
     return replace(body, name=like.name, air=like.air) if like else body

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from perilune.models.rotating import dot
+from perilune.models.rotating import scalar_product
 from perilune.problem.variables import Variable
 
 # Below any speed, in any unit: at rest nothing is lost and no direction is asked for.
@@ -40,7 +40,7 @@ SPENT = (
 )
 
 
-def landing(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
+def landing_results(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
     """Values of `LANDING`, and of the times of a free fall before ignition and of the parts of a burn with a gate.
 
     Parameters
@@ -55,7 +55,9 @@ def landing(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
     return last.m, p.vehicle_mass - last.m, sum(parts) if parts else p.flight_time, *fall, *parts
 
 
-def spent(velocity: Sequence[Any], push: Any, direction: Sequence[Any], pull: Sequence[Any], m: Any) -> Sequence[Any]:
+def velocity_loss_rates(
+    velocity: Sequence[Any], push: Any, direction: Sequence[Any], pull: Sequence[Any], m: Any
+) -> Sequence[Any]:
     """Rates of `SPENT` [m/s^2].
 
     Parameters
@@ -67,5 +69,5 @@ def spent(velocity: Sequence[Any], push: Any, direction: Sequence[Any], pull: Se
     pull
         Gravity and centrifugal acceleration [m/s^2].
     """
-    speed = m.fmax(m.sqrt(dot(velocity, velocity)), _REST)
-    return push, dot(pull, velocity) / speed, push * (1 + dot(direction, velocity) / speed)
+    speed = m.fmax(m.sqrt(scalar_product(velocity, velocity)), _REST)
+    return push, scalar_product(pull, velocity) / speed, push * (1 + scalar_product(direction, velocity) / speed)

@@ -3,8 +3,9 @@
 In units of the ground's radius, the speed of a circle there and the first mass, with the flow q and the lengths of the
 burns, minimise what is burnt:
 
-    wait, burn, fall to the lowest point on or above the ground, fall on, burn to rest on it;         (`fall_grazes`)
-    wait, burn, fall, burn to a lowest point on or above the ground, burn on to rest on it.           (`burn_grazes`)
+    wait, burn, fall to the lowest point on or above the ground, fall on, burn to rest on it;
+    (`fall_grazing_program`) wait, burn, fall, burn to a lowest point on or above the ground, burn on to rest on it.
+    (`burn_grazing_program`)
 
 A second brief burn may come before the fall, with a fall between both.
 
@@ -52,7 +53,7 @@ class BurnProgram:
     brief: int
 
 
-class _Program:
+class _ProgramBuilder:
     """Symbols and conditions of a program, by name."""
 
     def __init__(self) -> None:
@@ -80,11 +81,11 @@ class _Program:
         return state
 
     def burnt(self, state: Any, law: Any, length: Any, steps: int = _STEPS) -> Any:
-        return _burnt(state, law, length, self.p[6], self.p[7], steps)
+        return _burn_end(state, law, length, self.p[6], self.p[7], steps)
 
     def raised(self, brief: int) -> tuple[Any, Any, list[Any], list[Any]]:
         """Fall and burn; return the axes, the state (7) behind the last brief burn, times of falls and of burns."""
-        state, fall = _falling(self.p[:6], self.unknown("fall1"))
+        state, fall = _fall_by_anomaly(self.p[:6], self.unknown("fall1"))
         axes, mass, falls, burns = orbital_axes(state), 1, [fall], list[Any]()
         state = ca.vertcat(ca.mtimes(axes.T, state[:3]), ca.mtimes(axes.T, state[3:]))
         for k in range(1, brief + 1):
@@ -96,7 +97,7 @@ class _Program:
             left = self.joined(f"left{k}", state[:7])
             burns, mass = [*burns, length], left[6]
             if k < brief:
-                state, fall = _falling(left[:6], self.unknown(f"fall{k + 1}"))
+                state, fall = _fall_by_anomaly(left[:6], self.unknown(f"fall{k + 1}"))
                 falls.append(fall)
         return axes, left, falls, burns
 
@@ -130,24 +131,24 @@ class _Program:
 
 
 @cache
-def fall_grazes(brief: int = 1) -> BurnProgram:
+def fall_grazing_program(brief: int = 1) -> BurnProgram:
     """Return the program whose fall has its lowest point on or above the ground, after so many brief burns."""
-    program = _Program()
+    program = _ProgramBuilder()
     axes, left, falls, burns = program.raised(brief)
     reached, seen = _lowest_point(left)
     lowest = program.joined("lowest", reached)
-    state, rest = _falling(ca.vertcat(lowest[0], 0, 0, 0, lowest[1], 0), program.unknown("rest"))
+    state, rest = _fall_by_anomaly(ca.vertcat(lowest[0], 0, 0, 0, lowest[1], 0), program.unknown("rest"))
     braked, law, second = program.joined("braked", state), program.primer(), program.unknown("second")
     end = program.burnt(ca.vertcat(braked, left[6]), law, second)
     return program.compiled(end, (axes, ca.mtimes(axes, seen)), sum(burns) + second, (*falls, rest))
 
 
 @cache
-def burn_grazes(brief: int = 1) -> BurnProgram:
+def burn_grazing_program(brief: int = 1) -> BurnProgram:
     """Return the program whose second burn has its lowest point on or above the ground before its end."""
-    program = _Program()
+    program = _ProgramBuilder()
     axes, left, falls, burns = program.raised(brief)
-    state, down = _falling(left[:6], program.unknown("down"))
+    state, down = _fall_by_anomaly(left[:6], program.unknown("down"))
     braked, law, early = program.joined("braked", state), program.primer(), program.unknown("early")
     end = program.burnt(ca.vertcat(braked, left[6]), law, early)
     lowest, height = program.joined("lowest", end[:7]), program.unknown("height")
@@ -162,13 +163,13 @@ def burn_grazes(brief: int = 1) -> BurnProgram:
 
 
 @cache
-def burn_flown() -> ca.Function:
-    """Return a burn as a function of state (7), law (6), length, thrust and flow, as `_burnt` returns it; canonical."""
+def compile_burn() -> ca.Function:
+    """Return a burn as a function of state (7), law (6), length, thrust and flow, as `_burn_end` returns it; canonical."""
     s, by, t, force, flow = (ca.SX.sym(name, n) for name, n in (("s", 7), ("by", 6), ("t", 1), ("f", 1), ("q", 1)))
-    return ca.Function("burn", [s, by, t, force, flow], [_burnt(s, by, t, force, flow, _STEPS)])
+    return ca.Function("burn", [s, by, t, force, flow], [_burn_end(s, by, t, force, flow, _STEPS)])
 
 
-def _falling(s: Any, x: Any) -> tuple[Any, Any]:
+def _fall_by_anomaly(s: Any, x: Any) -> tuple[Any, Any]:
     """Return place and velocity a difference x of eccentric anomalies on, and the time until then; canonical."""
     r, v = s[:3], s[3:6]
     distance = ca.norm_2(r)
@@ -181,7 +182,7 @@ def _falling(s: Any, x: Any) -> tuple[Any, Any]:
     return ca.vertcat(there, f_rate * r + g_rate * v), time
 
 
-def _burnt(state: Any, law: Any, time: Any, force: Any, flow: Any, steps: int) -> Any:
+def _burn_end(state: Any, law: Any, time: Any, force: Any, flow: Any, steps: int) -> Any:
     """Return state, costates of velocity and place, and what the costate of mass has lost; canonical."""
     y, h = ca.vertcat(state, law, 0), time / steps
 

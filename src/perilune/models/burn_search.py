@@ -15,9 +15,23 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.models.burn_programs import BurnProgram, burn_flown, burn_grazes, fall_grazes, orbital_axes
-from perilune.models.two_burns import NO_TIME, Burning, CanonicalUnits, Leg, TwoBurns, carried, length_of
-from perilune.models.two_impulses import Around, TwoImpulses, anomaly_after, fallen, time_down
+from perilune.models.burn_programs import (
+    BurnProgram,
+    burn_grazing_program,
+    compile_burn,
+    fall_grazing_program,
+    orbital_axes,
+)
+from perilune.models.two_burns import (
+    NO_TIME,
+    BurnArc,
+    Burning,
+    CanonicalUnits,
+    TwoBurns,
+    length_of,
+    propagate_with_costate,
+)
+from perilune.models.two_impulses import LandingStart, TwoImpulses, anomaly_after, propagate_kepler, time_to_periapsis
 from perilune.words.types import Matrix, Vector
 
 _LATE = 0.45  # of the length of the second burn: how long behind the lowest point it is expected to begin
@@ -29,7 +43,7 @@ _SHORT = 0.005  # of the last burn: another one as it is tried
 _LOCK = Lock()  # a compiled program serves one thread at a time
 
 
-def two_burns(around: Around, landing: TwoImpulses, burning: Burning, *, at_once: bool) -> TwoBurns | None:
+def two_burns(around: LandingStart, landing: TwoImpulses, burning: Burning, *, at_once: bool) -> TwoBurns | None:
     """Return the landing by two burns near one by two impulses, the second burn at or behind the lowest point.
 
     Parameters
@@ -44,13 +58,13 @@ def two_burns(around: Around, landing: TwoImpulses, burning: Burning, *, at_once
     TwoBurns
         None where none was found.
     """
-    given = _Given.of(around, burning, at_once)
-    expected = _expected(landing, given.units)
+    given = _SearchData.of(around, burning, at_once)
+    expected = _unknowns_of_impulses(landing, given.units)
     expected["fall1"] = _anomaly(given.start, landing.wait / given.units.time)
-    return given.solved(fall_grazes(), expected)
+    return given.solved(fall_grazing_program(), expected)
 
 
-def burning_sooner(known: TwoBurns, *, at_once: bool) -> TwoBurns:
+def advance_second_burn(known: TwoBurns, *, at_once: bool) -> TwoBurns:
     """Return a landing whose second burn begins before the ground is grazed, or the known one where that is best.
 
     Parameters
@@ -62,30 +76,30 @@ def burning_sooner(known: TwoBurns, *, at_once: bool) -> TwoBurns:
     """
     if known.lengths[-2] > NO_TIME * known.lengths.sum():
         return known
-    given = _Given.of(known.around, known.burning, at_once)
-    found = given.solved(burn_grazes(known.brief), given.burning_earlier(known))
+    given = _SearchData.of(known.around, known.burning, at_once)
+    found = given.solved(burn_grazing_program(known.brief), given.burning_earlier(known))
     return known if found is None else max(known, found, key=lambda one: one.landed)
 
 
-def burning_once_more(known: TwoBurns, *, at_once: bool) -> TwoBurns:
+def add_brief_burn(known: TwoBurns, *, at_once: bool) -> TwoBurns:
     """Return a landing with another burn before the ground is grazed, or the known one where none pays.
 
     Parameters
     ----------
     known, at_once
-        As for `burning_sooner`.
+        As for `advance_second_burn`.
     """
     place = _paying(known)
     if place is None:
         return known
-    given = _Given.of(known.around, known.burning, at_once)
-    found = given.solved(fall_grazes(known.brief + 1), given.burning_between(known, *place))
+    given = _SearchData.of(known.around, known.burning, at_once)
+    found = given.solved(fall_grazing_program(known.brief + 1), given.burning_between(known, *place))
     if found is None or (found.lengths[1 : 2 * found.brief + 1] < NO_TIME * found.lengths.sum()).any():
         return known
-    return max(known, burning_sooner(found, at_once=at_once), key=lambda one: one.landed)
+    return max(known, advance_second_burn(found, at_once=at_once), key=lambda one: one.landed)
 
 
-def _paying(known: TwoBurns) -> tuple[int, Leg, int, float] | None:
+def _paying(known: TwoBurns) -> tuple[int, BurnArc, int, float] | None:
     """Return the fall (its arc and rows) that another burn parts, the row where that begins, and its length [s]."""
     legs = list(known.legs(_LOOKS[:2] * known.brief + _LOOKS[2:]))
     arcs = [k for k in range(0, 2 * known.brief + 1, 2) if known.lengths[k] > NO_TIME * known.lengths.sum()]
@@ -100,24 +114,24 @@ def _paying(known: TwoBurns) -> tuple[int, Leg, int, float] | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Given:
+class _SearchData:
     """Data with which the programs are solved."""
 
     units: CanonicalUnits
     start: Vector
-    around: Around
+    around: LandingStart
     burning: Burning
     at_once: bool
 
     @classmethod
-    def of(cls, around: Around, burning: Burning, at_once: bool) -> _Given:
+    def of(cls, around: LandingStart, burning: Burning, at_once: bool) -> _SearchData:
         units = CanonicalUnits.of(around, burning)
         start = np.concatenate([around.position, around.velocity]) / units.states[:6]
         return cls(units=units, start=start, around=around, burning=burning, at_once=at_once)
 
     def solved(self, program: BurnProgram, expected: dict[str, Vector]) -> TwoBurns | None:
         """Solve a program from what is expected of its unknowns."""
-        lower, upper = _beside(expected)
+        lower, upper = _bounds_around(expected)
         if self.at_once:
             lower["fall1"], upper["fall1"] = np.zeros(1), np.zeros(1)
         units = self.units
@@ -159,15 +173,15 @@ class _Given:
             behind, last, height = (braked, (there, by)), (fall, early), heights[program.unknowns["height"]]
         else:
             braked[1][6] = -1.0 + self._burnt(*braked, second)[2]
-            down = time_down(arcs[-1][0][:3], arcs[-1][0][3:6], 1.0)
-            behind, last = (carried(*braked, 1.0, -fall), braked), (down, fall)
+            down = time_to_periapsis(arcs[-1][0][:3], arcs[-1][0][3:6], 1.0)
+            behind, last = (propagate_with_costate(*braked, 1.0, -fall), braked), (down, fall)
             height = heights[program.unknowns["lowest"]]
         by_mass = float(braked[1][6])
         for k in range(2 * program.brief - 1, 0, -2):
             arcs[k][1][6] = by_mass
             by_mass += self._burnt(*arcs[k - 1], lengths[k])[2]
             arcs[k - 1][1][6] = by_mass
-        arcs, units = [carried(*arcs[0], 1.0, -waits[0]), *arcs, *behind], self.units
+        arcs, units = [propagate_with_costate(*arcs[0], 1.0, -waits[0]), *arcs, *behind], self.units
         states, costates = (np.array([arc[i] for arc in arcs]) for i in (0, 1))
         return TwoBurns(
             lengths=np.array([*lengths, *last, second]) * units.time, states=states * units.states,
@@ -178,22 +192,28 @@ class _Given:
     def _burnt(self, state: Vector, costate: Vector, length: float) -> tuple[Vector, Vector, float]:
         """Return state and costate at the end of a burn, that of mass as it was, and what it has lost; canonical."""
         law = np.concatenate([costate[3:6], costate[:3]])
-        y = np.array(burn_flown()(state, law, length, self.units.force, self.units.flow)).ravel()
+        y = np.array(compile_burn()(state, law, length, self.units.force, self.units.flow)).ravel()
         return y[:7], np.concatenate([y[10:13], y[7:10], costate[6:]]), float(y[13])
 
     def burning_earlier(self, known: TwoBurns) -> dict[str, Vector]:
         """Return the unknowns of a burn that grazes the ground from a landing whose burn begins as it is grazed."""
         states, costates, times = self._canonical(known)
         early, second, axes = _EARLY * times[-1], (1 - _EARLY) * times[-1], np.array(orbital_axes(ca.DM(states[1][:6])))
-        there, by = carried(states[-1], costates[-1], 1.0, -early)
-        law = _seen(np.concatenate([by[3:6], by[:3]]), axes) / length_of(by[3:6])
+        there, by = propagate_with_costate(states[-1], costates[-1], 1.0, -early)
+        law = _state_in_axes(np.concatenate([by[3:6], by[:3]]), axes) / length_of(by[3:6])
         return self._risen(axes, states, costates, times) | {
-            "down": _anomaly(states[-3], times[-3] - early), "braked": _seen(there, axes)[:6], "law": law,
-            "early": np.array([early]), "lowest": _seen(self._burnt(there, by, early)[0], axes), "height": np.ones(1),
-            "jump": np.zeros(1), "bend": np.full(1, 0.5), "second": np.array([second]),
-        }  # fmt: skip
+            "down": _anomaly(states[-3], times[-3] - early),
+            "braked": _state_in_axes(there, axes)[:6],
+            "law": law,
+            "early": np.array([early]),
+            "lowest": _state_in_axes(self._burnt(there, by, early)[0], axes),
+            "height": np.ones(1),
+            "jump": np.zeros(1),
+            "bend": np.full(1, 0.5),
+            "second": np.array([second]),
+        }
 
-    def burning_between(self, known: TwoBurns, k: int, leg: Leg, row: int, length: float) -> dict[str, Vector]:
+    def burning_between(self, known: TwoBurns, k: int, leg: BurnArc, row: int, length: float) -> dict[str, Vector]:
         """Return the unknowns of another burn of so long [s] at a moment of a fall, arc k of a known landing."""
         states, costates, times = self._canonical(known)
         since = (leg.times[row] - leg.times[0]) / self.units.time
@@ -208,9 +228,11 @@ class _Given:
         axes = np.array(orbital_axes(ca.DM(lowest[:6])))
         return self._risen(np.array(orbital_axes(ca.DM(states[1][:6]))), states, costates, times) | {
             "lowest": np.array([length_of(lowest[:3]), length_of(lowest[3:6])]),
-            "rest": _anomaly(lowest, 0.0 if known.early else times[-2]), "braked": _seen(braked, axes)[:6],
-            "law": _seen(np.concatenate([by[3:6], by[:3]]), axes) / length_of(by[3:6]), "second": times[-1:],
-        }  # fmt: skip
+            "rest": _anomaly(lowest, 0.0 if known.early else times[-2]),
+            "braked": _state_in_axes(braked, axes)[:6],
+            "law": _state_in_axes(np.concatenate([by[3:6], by[:3]]), axes) / length_of(by[3:6]),
+            "second": times[-1:],
+        }
 
     def _canonical(self, known: TwoBurns) -> tuple[Matrix, Matrix, Vector]:
         costates = known.costates * self.units.states / self.burning.mass
@@ -224,20 +246,23 @@ class _Given:
             begun, left = states[2 * k - 1], states[2 * k]
             kick = left[3:6] - begun[3:6]
             found |= {
-                f"fall{k}": _anomaly(before, times[2 * k - 2]), f"begun{k}": _seen(begun, axes)[:6],
-                f"direction{k}": -kick @ axes / length_of(kick), f"burn{k}": times[2 * k - 1 : 2 * k],
-                f"left{k}": _seen(left, axes), f"slope{k}": slopes[2 * k - 1],
-            }  # fmt: skip
+                f"fall{k}": _anomaly(before, times[2 * k - 2]),
+                f"begun{k}": _state_in_axes(begun, axes)[:6],
+                f"direction{k}": -kick @ axes / length_of(kick),
+                f"burn{k}": times[2 * k - 1 : 2 * k],
+                f"left{k}": _state_in_axes(left, axes),
+                f"slope{k}": slopes[2 * k - 1],
+            }
             before = left
         return found
 
 
-def _seen(state: Vector, axes: Matrix) -> Vector:
+def _state_in_axes(state: Vector, axes: Matrix) -> Vector:
     """Return a state (6 or 7) in axes."""
     return np.concatenate([(state[:6].reshape(2, 3) @ axes).ravel(), state[6:]])
 
 
-def _expected(landing: TwoImpulses, units: CanonicalUnits) -> dict[str, Vector]:
+def _unknowns_of_impulses(landing: TwoImpulses, units: CanonicalUnits) -> dict[str, Vector]:
     """Return the unknowns of the landing by two impulses but for the wait, canonical."""
     scale, axes = units.states[:6], np.array(orbital_axes(ca.DM(np.concatenate(landing.before))))
 
@@ -251,7 +276,7 @@ def _expected(landing: TwoImpulses, units: CanonicalUnits) -> dict[str, Vector]:
     for change in (landing.first, landing.second):
         burnt.append((1 - sum(burnt)) * (1 - math.exp(-change / scale[3] / exhaust)))
     first, second = burnt[0] / units.flow, burnt[1] / units.flow
-    braked = np.concatenate(fallen(lowest[:3], lowest[3:], 1.0, _LATE * second))
+    braked = np.concatenate(propagate_kepler(lowest[:3], lowest[3:], 1.0, _LATE * second))
     # Down to the ground's velocity, and upwards against the weight that the fall's bend does not carry.
     over_ground = braked[3:] - landing.ground @ axes / scale[3]
     law = over_ground / length_of(over_ground) - 0.3 * braked[:3] / length_of(braked[:3]) / units.force
@@ -265,7 +290,7 @@ def _expected(landing: TwoImpulses, units: CanonicalUnits) -> dict[str, Vector]:
     }  # fmt: skip
 
 
-def _beside(expected: dict[str, Vector]) -> tuple[dict[str, Vector], dict[str, Vector]]:
+def _bounds_around(expected: dict[str, Vector]) -> tuple[dict[str, Vector], dict[str, Vector]]:
     """Return bounds of the unknowns around what is expected: farther off the way down is another."""
     lower, upper = ({name: value + side for name, value in expected.items()} for side in (-_NEAR, _NEAR))
     second = float((expected["second"] + expected.get("early", 0.0))[0])

@@ -45,7 +45,7 @@ def with_coast(burn: Phase, path: Physics, kept: Mapping[str, tuple[str, ...]]) 
     """
 
     def off(function: Physics | None) -> Physics | None:
-        return function and partial(_without_thrust, function=function, names=burn.control_names)
+        return function and partial(_engine_off, function=function, names=burn.control_names)
 
     conditions, outputs = (
         tuple(v for v in getattr(burn, name) if v.name in kept[name])
@@ -56,13 +56,13 @@ def with_coast(burn: Phase, path: Physics, kept: Mapping[str, tuple[str, ...]]) 
         burn,
         name="coast",
         controls=(),
-        dynamics=partial(_without_thrust, function=burn.dynamics, names=burn.control_names),
+        dynamics=partial(_engine_off, function=burn.dynamics, names=burn.control_names),
         duration=FREE.name,
         end=None,
         end_conditions=(),
         path=path,
         path_conditions=conditions,
-        outputs=partial(_picked, function=off(burn.outputs), places=places) if outputs else None,
+        outputs=partial(_select_values, function=off(burn.outputs), places=places) if outputs else None,
         output_variables=outputs,
         integrals=off(burn.integrals),
         inertial=off(burn.inertial),
@@ -76,11 +76,11 @@ def at_ignition(x: Any, p: Any, m: Any) -> Sequence[Any]:
     return tuple(x)
 
 
-def _without_thrust(x: Any, u: Any, *rest: Any, function: Physics, names: Sequence[str]) -> Sequence[Any]:
+def _engine_off(x: Any, u: Any, *rest: Any, function: Physics, names: Sequence[str]) -> Sequence[Any]:
     """A function of (x, u, p, m) or (x, u, t, p, m) with the engine off."""
     return function(x, SimpleNamespace(**{**dict.fromkeys(names, 0.0), "throttle": 0.0}), *rest)
 
 
-def _picked(x: Any, u: Any, p: Any, m: Any, *, function: Any, places: Sequence[int]) -> Sequence[Any]:
+def _select_values(x: Any, u: Any, p: Any, m: Any, *, function: Any, places: Sequence[int]) -> Sequence[Any]:
     values = function(x, u, p, m)
     return [values[k] for k in places]

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from perilune.models.descent_frames import variables
+from perilune.models.descent_frames import variables_of_unit
 from perilune.problem.variables import Variable
 from perilune.words.declared import quantity, record
 
@@ -40,11 +40,14 @@ NONE = Corridor()  # but the ground
 POINTING = Variable(name="pointing_margin", description="cosine of the thrust's tilt less that of corridor.tilt")
 
 
-def conditions(corridor: Corridor, *, to_gate: bool = False) -> tuple[Variable, ...]:
-    """Conditions of the path, in the order of `kept`; `to_gate` where a vertical descent follows."""
+def corridor_conditions(corridor: Corridor, *, to_gate: bool = False) -> tuple[Variable, ...]:
+    """Conditions of the path, in the order of `corridor_margins`; `to_gate` where a vertical descent follows."""
     heights = ("height_above_glide_slope",) if corridor.slope is not None else ()
     heights += ("height_above_gate",) if to_gate else ()
-    return (*variables("m", *(heights or ("height_above_site",))), *((POINTING,) if corridor.tilt is not None else ()))
+    return (
+        *variables_of_unit("m", *(heights or ("height_above_site",))),
+        *((POINTING,) if corridor.tilt is not None else ()),
+    )
 
 
 def above_slope(x: Any, p: Any, m: Any) -> Any:
@@ -53,14 +56,14 @@ def above_slope(x: Any, p: Any, m: Any) -> Any:
     return x.up - m.tan(p.corridor_slope) * (m.sqrt(x.east * x.east + x.north * x.north + a * a) - a)
 
 
-def kept(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    """Values of `conditions` where the engine burns."""
+def corridor_margins(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Values of `corridor_conditions` where the engine burns."""
     pointing = (u.toward_up - m.cos(p.corridor_tilt),) if hasattr(p, "corridor_tilt") else ()
-    return *kept_falling(x, u, p, m), *pointing
+    return *height_margins(x, u, p, m), *pointing
 
 
-def kept_falling(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    """Values of `conditions` that mean something without thrust: the heights."""
+def height_margins(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Values of `corridor_conditions` that mean something without thrust: the heights."""
     slope = (above_slope(x, p, m),) if hasattr(p, "corridor_slope") else ()
     gate = (x.up - p.final_height,) if hasattr(p, "final_height") else ()
     return (*slope, *gate) or (x.up,)

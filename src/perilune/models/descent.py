@@ -17,29 +17,29 @@ from typing import Any, Literal
 
 import numpy as np
 
-from perilune.models.bodies import MOON, Body, oblate, told_as
-from perilune.models.budget import FLIGHT_TIME, LANDED_MASS, LANDING, SPENT, landing
+from perilune.models.bodies import MOON, Body, catalogue_name, with_j2
+from perilune.models.budget import FLIGHT_TIME, LANDED_MASS, LANDING, SPENT, landing_results
 from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
-from perilune.models.descent_frames import AXIS, CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables
+from perilune.models.descent_frames import AXIS, CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables_of_unit
 from perilune.models.landing import mass_state
 from perilune.models.limits import (
     SLACK,
-    above_site,
-    air_left_out,
-    braking,
-    engine_holds_dry_mass,
-    late_ignition_costs,
+    braking_distance_and_time,
+    compare_dry_mass,
+    compare_late_ignition,
+    compare_neglected_air,
+    compare_propellant,
+    compare_start_height,
+    compare_stopping_distance,
+    compare_thrust_and_weight,
+    largest_mass_stopped,
     longest_burn,
-    mass_held,
-    propellant_stops,
     speed_of_ground,
     speed_to_lose,
-    stopping_distance,
-    thrust_against_weight,
     velocity_change,
 )
 from perilune.models.one_burn import one_burn_wastes
-from perilune.models.rotating import INERTIAL_AXES, dot, local_axes
+from perilune.models.rotating import INERTIAL_AXES, local_axes, scalar_product
 from perilune.models.rough_landing import rough_landing
 from perilune.models.vehicle import THROTTLE, Throttle, Vehicle
 from perilune.problem.controls import Bounded, Control, Direction
@@ -49,9 +49,9 @@ from perilune.problem.preflight import Finding
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given
 from perilune.problem.views import History, Space, Views
-from perilune.words.asked import called_in_words, demand_records
-from perilune.words.declared import quantity, record, span, words
-from perilune.words.maths import NUMERIC, refuted
+from perilune.words.asked import check_call, require_records
+from perilune.words.declared import quantity, record, span, text_field
+from perilune.words.maths import NUMERIC, comparison_fails
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Physics
 from perilune.words.units import Scales
@@ -101,15 +101,15 @@ _WITHOUT_THRUST = {
 class Choices:
     """Choices of coordinates, target and objective of a descent."""
 
-    coordinates: str = words(
+    coordinates: str = text_field(
         "cartesian", *_FRAMES, default="cartesian",
         about="cartesian, or spherical: the paper's, singular over a pole, for the direct method",
     )  # fmt: skip
-    target: str = words(
+    target: str = text_field(
         "site", *CARTESIAN.ends, default="site",
         about="site, downrange (on the great circle towards it) or anywhere, at its altitude",
     )  # fmt: skip
-    minimise: str = words(
+    minimise: str = text_field(
         "propellant", "propellant", "flight_time", default="propellant",
         about="propellant or flight_time, the same with constant thrust",
     )  # fmt: skip
@@ -173,37 +173,37 @@ class Steering:
     )  # fmt: skip
 
 
-def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
+def _propellant_objective(x: Any, p: Any, m: Any) -> Any:
     """Peng et al. (29): H = 0 along the optimum."""
     return -x.m
 
 
-def _flight_time(x: Any, p: Any, m: Any) -> Any:
+def _time_objective(x: Any, p: Any, m: Any) -> Any:
     """Peng et al. (19): H = -1 along the optimum."""
     return p.flight_time
 
 
-def _preflight(
+def _compare_descent(
     p: Any, m: Any, *, to_site: bool, waits: bool = False, burns_once: bool = False, body: Body = MOON
 ) -> tuple[Finding, ...]:
     """Bounds of `perilune.models.limits`, and how far the propellant reaches."""
     r_site = p.body_radius + p.site_altitude
     position, velocity = CARTESIAN.start(p, m)[:3], CARTESIAN.start(p, m)[3:6]
-    found = [above_site(p.start_altitude, p.site_altitude), thrust_against_weight(r_site, p)]
-    found += engine_holds_dry_mass(mass_held(r_site, p, m), p)
-    found.append(stopping_distance(position, velocity, AXIS, r_site, p, m))
+    found = [compare_start_height(p.start_altitude, p.site_altitude), compare_thrust_and_weight(r_site, p)]
+    found += compare_dry_mass(largest_mass_stopped(r_site, p, m), p)
+    found.append(compare_stopping_distance(position, velocity, AXIS, r_site, p, m))
     if hasattr(p, "vehicle_dry_mass"):
-        found.append(propellant_stops(position, velocity, AXIS, r_site, p, m))
+        found.append(compare_propellant(position, velocity, AXIS, r_site, p, m))
         if to_site and not hasattr(p, "throttle_lower") and not hasattr(p, "start_longest_coast"):
-            found.append(_reach(position, velocity, r_site, p, m))
+            found.append(_compare_reach(position, velocity, r_site, p, m))
     if waits:
-        found.append(late_ignition_costs(position, velocity, p, m))
+        found.append(compare_late_ignition(position, velocity, p, m))
     if burns_once:
         found.append(one_burn_wastes(position, velocity, AXIS, r_site, p, m))
-    return (*found, *air_left_out(body))
+    return (*found, *compare_neglected_air(body))
 
 
-def _reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding:
+def _compare_reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding:
     """Compare the distance to the site with that of a burn at full thrust, which ends with the propellant.
 
     The speed w of `perilune.models.limits` gains and loses at most the velocity change B that all propellant gives,
@@ -212,7 +212,7 @@ def _reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding
     start, site = (local_axes(*where, m)[0] for where in (
         (p.start_longitude, p.start_latitude), (p.site_longitude, p.site_latitude)
     ))  # fmt: skip
-    way = r_site * m.acos(m.fmin(1.0, m.fmax(-1.0, dot(start, site))))
+    way = r_site * m.acos(m.fmin(1.0, m.fmax(-1.0, scalar_product(start, site))))
     to_lose, ground = speed_to_lose(position, velocity, AXIS, r_site, p, m), speed_of_ground(r_site, p, m)
     fastest = 0.5 * (to_lose + 2 * ground + velocity_change(p, m)) + ground
     return Finding(
@@ -227,15 +227,15 @@ def _reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding
     )
 
 
-def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+def _descent_ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the times; refuses given values that make no sense together."""
-    if refuted(m.fmin(p.site_altitude, p.start_altitude) > -p.body_radius):
+    if comparison_fails(m.fmin(p.site_altitude, p.start_altitude) > -p.body_radius):
         raise PeriluneError(
             "an altitude lies below the centre of the body", expected=f"above {np.max(-p.body_radius):g} m"
         )
     speed = m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2 + p.start_vertical_speed**2)
     # To stop the whole speed (rocket equation), and part of the time to drop the height by burns down and up.
-    _, stop = braking(speed, p, m)
+    _, stop = braking_distance_and_time(speed, p, m)
     drop = m.sqrt(m.fabs(p.start_altitude - p.site_altitude) * p.vehicle_mass / p.vehicle_thrust)
     longest = math.inf if hasattr(p, "throttle_lower") else longest_burn(p)
     ranges = {"flight_time": (0.0, longest, m.fmin(stop + drop, 0.9 * longest_burn(p)))}
@@ -244,7 +244,7 @@ def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     return ranges
 
 
-def _controls(coordinates: str, throttled: bool) -> tuple[Control, ...]:
+def _descent_controls(coordinates: str, throttled: bool) -> tuple[Control, ...]:
     controls: tuple[Control, ...] = (Direction(names=("toward_x", "toward_y", "toward_z")),)
     if coordinates == "spherical":
         controls = tuple(
@@ -254,16 +254,16 @@ def _controls(coordinates: str, throttled: bool) -> tuple[Control, ...]:
     return (*controls, THROTTLE) if throttled else controls
 
 
-def _phase(
+def _descent_phase(
     coordinates: str, target: str, steering: Steering | None, controls: tuple[Control, ...], *, dry: bool
 ) -> Phase:
     frame = _FRAMES[coordinates]
     end, end_conditions = frame.ends[target]
-    path, path_conditions = frame.path, variables("m", "height_above_site")
+    path, path_conditions = frame.path, variables_of_unit("m", "height_above_site")
     if coordinates == "cartesian" and steering is not None:
         path = steered_path
-        path_conditions += variables("1", "elevation_above_lower", "elevation_below_upper")
-        path_conditions += variables("rad", "azimuth_above_lower", "azimuth_below_upper")
+        path_conditions += variables_of_unit("1", "elevation_above_lower", "elevation_below_upper")
+        path_conditions += variables_of_unit("rad", "azimuth_above_lower", "azimuth_below_upper")
     return Phase(
         name="descent",
         states=(*frame.states, mass_state(dry)),
@@ -289,7 +289,7 @@ def with_dry_mass(vehicle: Vehicle, dry_mass: float | None) -> Vehicle:
     return vehicle if dry_mass is None else replace(vehicle, dry_mass=dry_mass)
 
 
-def _at(given: Mapping[str, Given], ranges: Physics) -> Any:
+def _ranges_of_given(given: Mapping[str, Given], ranges: Physics) -> Any:
     return ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)
 
 
@@ -299,7 +299,7 @@ def _scales(start: Ignition, vehicle: Vehicle, ranges: Mapping[str, tuple[float,
     return Scales(length=(speed or 1.0) * time, time=time, mass=float(vehicle.mass))
 
 
-@called_in_words
+@check_call
 def powered_descent(
     vehicle: Vehicle,
     start: Ignition,
@@ -349,18 +349,18 @@ def powered_descent(
     PeriluneError
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
-    demand_records((vehicle, Vehicle), (start, Ignition), (site, Site), (body, Body))
+    require_records((vehicle, Vehicle), (start, Ignition), (site, Site), (body, Body))
     choices = Choices(coordinates=coordinates, target=target, minimise=minimise)
     if target != "anywhere":
         refuse_unplaced(site, 'state both of them, or the target "anywhere" for any place at site.altitude')
-    stated = [oblate(body, j2), with_dry_mass(vehicle, dry_mass), start, site]
+    stated = [with_j2(body, j2), with_dry_mass(vehicle, dry_mass), start, site]
     if steering is not None or coordinates == "spherical":
         stated.append(steering or Steering())
     if throttle is not None:
         stated.append(Throttle(lower=throttle[0], upper=throttle[1]))
     given = given_of(*stated)
-    controls = _controls(coordinates, throttle is not None)
-    burn = _phase(coordinates, target, steering, controls, dry="vehicle_dry_mass" in given)
+    controls = _descent_controls(coordinates, throttle is not None)
+    burn = _descent_phase(coordinates, target, steering, controls, dry="vehicle_dry_mass" in given)
     coasts = start.longest_coast is not None
     free_flight = coordinates == "cartesian" and target == "anywhere" and not coasts and steering is None
     waits = free_flight and throttle is not None and minimise == "propellant"
@@ -373,16 +373,16 @@ def powered_descent(
         start=_FRAMES[coordinates].start,
         given=given,
         free=(Free(name="flight_time", unit="s"), *((FREE,) if coasts else ())),
-        objective=_minus_landed_mass if minimise == "propellant" else _flight_time,
+        objective=_propellant_objective if minimise == "propellant" else _time_objective,
         objective_unit="kg" if minimise == "propellant" else "s",
-        results=landing,
+        results=landing_results,
         result_variables=(*LANDING, COAST_TIME) if coasts else LANDING,
         maximised=LANDED_MASS.name if minimise == "propellant" else "",
         minimised="" if minimise == "propellant" else FLIGHT_TIME.name,
-        views=replace(_VIEWS, space=replace(_SPACE, body=told_as(body))),
+        views=replace(_VIEWS, space=replace(_SPACE, body=catalogue_name(body))),
         declared=(choices, *stated),
         switching_guesses=rough_landing if waits else None,
-        ranges=_ranges,
-        preflight=partial(_preflight, to_site=target == "site", waits=waits, burns_once=burns_once, body=body),
-        scales=_scales(start, vehicle, _at(given, _ranges)),
+        ranges=_descent_ranges,
+        preflight=partial(_compare_descent, to_site=target == "site", waits=waits, burns_once=burns_once, body=body),
+        scales=_scales(start, vehicle, _ranges_of_given(given, _descent_ranges)),
     )

@@ -28,19 +28,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from perilune.models.budget import spent
-from perilune.models.limits import braking
+from perilune.models.budget import velocity_loss_rates
+from perilune.models.limits import braking_distance_and_time
 from perilune.models.rotating import (
     apparent_gravity,
     combine,
-    cross,
-    dot,
+    cross_product,
     free_acceleration,
-    gravity,
     heading_axes,
+    inertial_triples,
     local_axes,
-    place,
-    seen_inertially,
+    scalar_product,
+    spherical_coordinates,
+    zonal_gravity,
 )
 from perilune.problem.variables import Variable
 from perilune.words.types import Physics
@@ -52,14 +52,14 @@ AXIS = (0.0, 0.0, 1.0)  # of the rotation, in the Cartesian frame
 # -------------------------------------------------------------------------------
 
 
-def thrust(u: Any, p: Any) -> Any:
+def descent_thrust(u: Any, p: Any) -> Any:
     """Thrust [N]: constant, or throttled where `throttle` is a control."""
     return p.vehicle_thrust * getattr(u, "throttle", 1.0)
 
 
 def mass_rate(u: Any, p: Any) -> Any:
     """Rate of the mass [kg/s]."""
-    return -thrust(u, p) / (p.vehicle_specific_impulse * p.vehicle_standard_gravity)
+    return -descent_thrust(u, p) / (p.vehicle_specific_impulse * p.vehicle_standard_gravity)
 
 
 def _axes_at_start(p: Any, m: Any) -> Any:
@@ -76,40 +76,45 @@ def _likely_landing(p: Any, m: Any) -> Any:
         return _site_position(p, m)
     up, oy, oz = _axes_at_start(p, m)
     r_site = p.body_radius + p.site_altitude
-    _, time = braking(m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2), p, m)
+    _, time = braking_distance_and_time(m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2), p, m)
     ahead = combine((r_site, up), (0.5 * time * p.start_forward_speed, oy), (0.5 * time * p.start_sideways_speed, oz))
-    return combine((r_site / m.sqrt(dot(ahead, ahead)), ahead))
+    return combine((r_site / m.sqrt(scalar_product(ahead, ahead)), ahead))
 
 
 def _track_normal(p: Any, m: Any) -> Any:
     """Return the unit normal of the great circle from the point under the start to the site."""
-    normal = cross(_axes_at_start(p, m)[0], local_axes(p.site_longitude, p.site_latitude, m)[0])
-    return combine((1 / m.sqrt(dot(normal, normal)), normal))
+    normal = cross_product(_axes_at_start(p, m)[0], local_axes(p.site_longitude, p.site_latitude, m)[0])
+    return combine((1 / m.sqrt(scalar_product(normal, normal)), normal))
 
 
-def _track(above: Any, r: Any, p: Any, m: Any) -> Sequence[Any]:
+def _descent_track(above: Any, r: Any, p: Any, m: Any) -> Sequence[Any]:
     """Arc over the ground along the great circle of the first heading, arc to the left of it, height.
 
     No pole disturbs it. `above` is the unit vector to the vehicle.
     """
     up, oy, oz = _axes_at_start(p, m)
-    along, across = m.atan2(dot(above, oy), dot(above, up)), m.asin(dot(above, oz))
+    along, across = m.atan2(scalar_product(above, oy), scalar_product(above, up)), m.asin(scalar_product(above, oz))
     return p.body_radius * along, p.body_radius * across, r - p.body_radius
 
 
-def _seen(position: Any, velocity: Any, direction: Any, p: Any, m: Any) -> Sequence[Any]:
+def _descent_outputs(position: Any, velocity: Any, direction: Any, p: Any, m: Any) -> Sequence[Any]:
     """Return all of `OUTPUTS` but the last."""
-    r, longitude, latitude = place(position, m)
+    r, longitude, latitude = spherical_coordinates(position, m)
     up, oy, oz = heading_axes(longitude, latitude, p.start_heading, m)
     return (
-        r - p.body_radius, longitude, latitude, dot(velocity, oy), dot(velocity, oz), dot(velocity, up),
-        *_angles(direction, (up, oy, oz), m),
-    )  # fmt: skip
+        r - p.body_radius,
+        longitude,
+        latitude,
+        scalar_product(velocity, oy),
+        scalar_product(velocity, oz),
+        scalar_product(velocity, up),
+        *_elevation_and_azimuth(direction, (up, oy, oz), m),
+    )
 
 
-def _angles(direction: Any, axes: Any, m: Any) -> tuple[Any, Any]:
+def _elevation_and_azimuth(direction: Any, axes: Any, m: Any) -> tuple[Any, Any]:
     """Elevation and azimuth, the latter counted from straight retro: it jumps for pro-grade thrust only."""
-    vertical, forward, sideways = (dot(direction, axis) for axis in axes)
+    vertical, forward, sideways = (scalar_product(direction, axis) for axis in axes)
     horizontal = m.sqrt(forward * forward + sideways * sideways)
     return m.atan2(vertical, horizontal), m.atan2(-sideways, -forward) + math.pi
 
@@ -135,7 +140,7 @@ def _cartesian_dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     velocity = (x.vx, x.vy, x.vz)
     acceleration = combine(
         (1, free_acceleration((x.x, x.y, x.z), velocity, AXIS, p, m)),
-        (thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)),
+        (descent_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)),
     )
     return (*velocity, *acceleration, mass_rate(u, p))
 
@@ -153,7 +158,7 @@ def _cartesian_at_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _cartesian_on_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    return _cartesian_height(x, p, m), dot(_track_normal(p, m), (x.x, x.y, x.z)), x.vx, x.vy, x.vz
+    return _cartesian_height(x, p, m), scalar_product(_track_normal(p, m), (x.x, x.y, x.z)), x.vx, x.vy, x.vz
 
 
 def _cartesian_anywhere(x: Any, p: Any, m: Any) -> Sequence[Any]:
@@ -174,10 +179,10 @@ def steered_path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     Those of the elevation are differences of sines, linear in the direction, which the indirect method can hold.
     """
     r = m.sqrt(x.x * x.x + x.y * x.y + x.z * x.z)
-    upward = dot((x.x, x.y, x.z), (u.toward_x, u.toward_y, u.toward_z)) / r
-    _, longitude, latitude = place((x.x, x.y, x.z), m)
+    upward = scalar_product((x.x, x.y, x.z), (u.toward_x, u.toward_y, u.toward_z)) / r
+    _, longitude, latitude = spherical_coordinates((x.x, x.y, x.z), m)
     axes = heading_axes(longitude, latitude, p.start_heading, m)
-    _, azimuth = _angles((u.toward_x, u.toward_y, u.toward_z), axes, m)
+    _, azimuth = _elevation_and_azimuth((u.toward_x, u.toward_y, u.toward_z), axes, m)
     return (
         _cartesian_height(x, p, m),
         upward - m.sin(p.steering_elevation_lower), m.sin(p.steering_elevation_upper) - upward,
@@ -186,23 +191,25 @@ def steered_path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _cartesian_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    seen = _seen((x.x, x.y, x.z), (x.vx, x.vy, x.vz), (u.toward_x, u.toward_y, u.toward_z), p, m)
-    return (*seen, thrust(u, p) / x.m)
+    seen = _descent_outputs((x.x, x.y, x.z), (x.vx, x.vy, x.vz), (u.toward_x, u.toward_y, u.toward_z), p, m)
+    return (*seen, descent_thrust(u, p) / x.m)
 
 
 def _cartesian_spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     pull = apparent_gravity((x.x, x.y, x.z), AXIS, p, m)
-    return spent((x.vx, x.vy, x.vz), thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m)
+    return velocity_loss_rates(
+        (x.vx, x.vy, x.vz), descent_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m
+    )
 
 
 def _cartesian_inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
-    push = combine((thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)))
-    return seen_inertially((x.x, x.y, x.z), (x.vx, x.vy, x.vz), push, t, p, m)
+    push = combine((descent_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)))
+    return inertial_triples((x.x, x.y, x.z), (x.vx, x.vy, x.vz), push, t, p, m)
 
 
 def _cartesian_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
     r = m.sqrt(x.x * x.x + x.y * x.y + x.z * x.z)
-    return _track(combine((1 / r, (x.x, x.y, x.z))), r, p, m)
+    return _descent_track(combine((1 / r, (x.x, x.y, x.z))), r, p, m)
 
 
 def _cartesian_typical_end(p: Any, m: Any) -> Sequence[Any]:
@@ -218,9 +225,9 @@ def _spherical_dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     omega, sin_g, cos_g = p.body_rotation_rate, m.sin(p.start_heading), m.cos(p.start_heading)
     sin_phi, cos_phi, tan_phi = m.sin(x.phi), m.cos(x.phi), m.tan(x.phi)
     east, north = x.u * sin_g - x.v * cos_g, x.u * cos_g + x.v * sin_g
-    push = thrust(u, p) / x.m
+    push = descent_thrust(u, p) / x.m
     # In local axes up, north, east, where the rotation axis is (sin phi, cos phi, 0).
-    pull_up, pull_north, _ = gravity((x.r, 0.0, 0.0), (sin_phi, cos_phi, 0.0), p, m)
+    pull_up, pull_north, _ = zonal_gravity((x.r, 0.0, 0.0), (sin_phi, cos_phi, 0.0), p, m)
     northward = pull_north - omega * omega * x.r * sin_phi * cos_phi
     return (
         x.w,
@@ -252,7 +259,7 @@ def _spherical_at_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _spherical_on_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    across = x.r * dot(_track_normal(p, m), local_axes(x.theta, x.phi, m)[0])
+    across = x.r * scalar_product(_track_normal(p, m), local_axes(x.theta, x.phi, m)[0])
     return _spherical_height(x, p), across, x.u, x.v, x.w
 
 
@@ -265,7 +272,7 @@ def _spherical_path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def _spherical_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    speeds, acceleration = (x.u, x.v, x.w), thrust(u, p) / x.m
+    speeds, acceleration = (x.u, x.v, x.w), descent_thrust(u, p) / x.m
     return (x.r - p.body_radius, x.theta, x.phi, *speeds, u.alpha, u.beta, acceleration)
 
 
@@ -279,16 +286,18 @@ def _spherical_vectors(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, Any, Any]:
 
 def _spherical_spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     position, velocity, direction = _spherical_vectors(x, u, p, m)
-    return spent(velocity, thrust(u, p) / x.m, direction, apparent_gravity(position, AXIS, p, m), m)
+    return velocity_loss_rates(
+        velocity, descent_thrust(u, p) / x.m, direction, apparent_gravity(position, AXIS, p, m), m
+    )
 
 
 def _spherical_inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
     position, velocity, direction = _spherical_vectors(x, u, p, m)
-    return seen_inertially(position, velocity, combine((thrust(u, p) / x.m, direction)), t, p, m)
+    return inertial_triples(position, velocity, combine((descent_thrust(u, p) / x.m, direction)), t, p, m)
 
 
 def _spherical_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
-    return _track(local_axes(x.theta, x.phi, m)[0], x.r, p, m)
+    return _descent_track(local_axes(x.theta, x.phi, m)[0], x.r, p, m)
 
 
 def _spherical_typical_end(p: Any, m: Any) -> Sequence[Any]:
@@ -302,14 +311,14 @@ def _likely_landing_place(p: Any, m: Any) -> tuple[Any, Any]:
         return p.site_longitude, p.site_latitude
     x, y, z = _likely_landing(p, m)
     c, s = m.cos(p.start_longitude), m.sin(p.start_longitude)
-    return p.start_longitude + m.atan2(c * y - s * x, c * x + s * y), place((x, y, z), m)[2]
+    return p.start_longitude + m.atan2(c * y - s * x, c * x + s * y), spherical_coordinates((x, y, z), m)[2]
 
 
 # -- the two records
 # --------------------------------------------------------------------------------------------------
 
 
-def variables(unit: str, *names: str) -> tuple[Variable, ...]:
+def variables_of_unit(unit: str, *names: str) -> tuple[Variable, ...]:
     """Variables of one unit."""
     return tuple(Variable(name=name, unit=unit) for name in names)
 
@@ -334,19 +343,22 @@ class Coordinates:
 
 
 CARTESIAN = Coordinates(
-    states=(*variables("m", "x", "y", "z"), *variables("m/s", "vx", "vy", "vz")),
+    states=(*variables_of_unit("m", "x", "y", "z"), *variables_of_unit("m/s", "vx", "vy", "vz")),
     dynamics=_cartesian_dynamics,
     start=_cartesian_start,
     ends={
         "site": (
             _cartesian_at_site,
-            (*variables("m", "site_x", "site_y", "site_z"), *variables("m/s", "rest_x", "rest_y", "rest_z")),
+            (
+                *variables_of_unit("m", "site_x", "site_y", "site_z"),
+                *variables_of_unit("m/s", "rest_x", "rest_y", "rest_z"),
+            ),
         ),
         "downrange": (
             _cartesian_on_track,
-            (_HEIGHT, *variables("m", "cross_range"), *variables("m/s", "rest_x", "rest_y", "rest_z")),
+            (_HEIGHT, *variables_of_unit("m", "cross_range"), *variables_of_unit("m/s", "rest_x", "rest_y", "rest_z")),
         ),
-        "anywhere": (_cartesian_anywhere, (_HEIGHT, *variables("m/s", "rest_x", "rest_y", "rest_z"))),
+        "anywhere": (_cartesian_anywhere, (_HEIGHT, *variables_of_unit("m/s", "rest_x", "rest_y", "rest_z"))),
     },
     path=_cartesian_path,
     outputs=_cartesian_outputs,
@@ -356,7 +368,11 @@ CARTESIAN = Coordinates(
     typical_end=_cartesian_typical_end,
 )
 SPHERICAL = Coordinates(
-    states=(*variables("m", "r"), *variables("rad", "theta", "phi"), *variables("m/s", "u", "v", "w")),
+    states=(
+        *variables_of_unit("m", "r"),
+        *variables_of_unit("rad", "theta", "phi"),
+        *variables_of_unit("m/s", "u", "v", "w"),
+    ),
     dynamics=_spherical_dynamics,
     start=_spherical_start,
     ends={
@@ -364,21 +380,21 @@ SPHERICAL = Coordinates(
             _spherical_at_site,
             (
                 _HEIGHT,
-                *variables("rad", "site_longitude", "site_latitude"),
-                *variables("m/s", "rest_forward", "rest_sideways", "rest_vertical"),
+                *variables_of_unit("rad", "site_longitude", "site_latitude"),
+                *variables_of_unit("m/s", "rest_forward", "rest_sideways", "rest_vertical"),
             ),
         ),
         "downrange": (
             _spherical_on_track,
             (
                 _HEIGHT,
-                *variables("m", "cross_range"),
-                *variables("m/s", "rest_forward", "rest_sideways", "rest_vertical"),
+                *variables_of_unit("m", "cross_range"),
+                *variables_of_unit("m/s", "rest_forward", "rest_sideways", "rest_vertical"),
             ),
         ),
         "anywhere": (
             _spherical_anywhere,
-            (_HEIGHT, *variables("m/s", "rest_forward", "rest_sideways", "rest_vertical")),
+            (_HEIGHT, *variables_of_unit("m/s", "rest_forward", "rest_sideways", "rest_vertical")),
         ),
     },
     path=_spherical_path,

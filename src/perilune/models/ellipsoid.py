@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from perilune.models.rotating import Triple, combine, dot, local_axes
+from perilune.models.rotating import Triple, combine, local_axes, scalar_product
 
 
 def altitude(position: Sequence[Any], p: Any, m: Any) -> Any:
@@ -28,8 +28,8 @@ def altitude(position: Sequence[Any], p: Any, m: Any) -> Any:
         Parameters [SI] and maths namespace.
     """
     if not hasattr(p, "body_flattening"):
-        return m.sqrt(dot(position, position)) - p.body_radius
-    _, _, height = _vertical(position, p, m)
+        return m.sqrt(scalar_product(position, position)) - p.body_radius
+    _, _, height = _geodetic_vertical(position, p, m)
     return height
 
 
@@ -47,7 +47,7 @@ def latitude(position: Sequence[Any], p: Any, m: Any) -> Any:
     across = m.sqrt(x * x + y * y)
     if not hasattr(p, "body_flattening"):
         return m.atan2(z, across)
-    level, along, _ = _vertical(position, p, m)
+    level, along, _ = _geodetic_vertical(position, p, m)
     return m.atan2(along, across * level)
 
 
@@ -63,13 +63,13 @@ def geocentric(latitude: Any, distance: Any, p: Any, m: Any) -> Any:
     """
     if not hasattr(p, "body_flattening"):
         return latitude
-    x, _, z = at(0.0, latitude, 0.0, p, m)
+    x, _, z = geodetic_position(0.0, latitude, 0.0, p, m)
     outwards = x * m.cos(latitude) + z * m.sin(latitude)
     height = m.sqrt(outwards * outwards + distance * distance - x * x - z * z) - outwards
     return m.atan2(z + height * m.sin(latitude), x + height * m.cos(latitude))
 
 
-def at(longitude: Any, latitude: Any, height: Any, p: Any, m: Any) -> Triple:
+def geodetic_position(longitude: Any, latitude: Any, height: Any, p: Any, m: Any) -> Triple:
     """Position [m] of a place by its geodetic latitude [rad] and its altitude [m].
 
     Parameters
@@ -92,7 +92,7 @@ def at(longitude: Any, latitude: Any, height: Any, p: Any, m: Any) -> Triple:
     return combine((normal + height, up), (-squared * normal * up[2], (0.0, 0.0, 1.0)))
 
 
-def _vertical(position: Sequence[Any], p: Any, m: Any) -> tuple[Any, Any, Any]:
+def _geodetic_vertical(position: Sequence[Any], p: Any, m: Any) -> tuple[Any, Any, Any]:
     """The tangent of the geodetic latitude as n and Z, cos phi : sin phi = rho n : Z; and the altitude."""
     x, y, z = position
     a, squared = p.body_radius, p.body_flattening * (2 - p.body_flattening)  # e^2

@@ -19,8 +19,8 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-from perilune.models.corridor import Corridor, conditions
-from perilune.models.descent_frames import variables
+from perilune.models.corridor import Corridor, corridor_conditions
+from perilune.models.descent_frames import variables_of_unit
 from perilune.models.limits import gravity_at
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Free, Variable
@@ -57,10 +57,10 @@ def with_final_descent(burn: Phase, corridor: Corridor) -> tuple[Phase, Phase]:
         duration=GATE_TIME.name,
         end=_gate,
         end_conditions=(
-            *variables("m", "gate_east", "gate_north", "gate_up"),
-            *variables("m/s", "gate_east_speed", "gate_north_speed"),
+            *variables_of_unit("m", "gate_east", "gate_north", "gate_up"),
+            *variables_of_unit("m/s", "gate_east_speed", "gate_north_speed"),
         ),
-        path_conditions=conditions(corridor, to_gate=True),
+        path_conditions=corridor_conditions(corridor, to_gate=True),
         typical_end=_typical_gate,
     )
     kept = [burn.state_names.index(name) for name in _STATES]
@@ -73,16 +73,16 @@ def with_final_descent(burn: Phase, corridor: Corridor) -> tuple[Phase, Phase]:
         name="final_descent",
         states=tuple(burn.states[k] for k in kept),
         controls=tuple(c for c in burn.controls if c.names == ("throttle",)),
-        dynamics=partial(_rates, function=burn.dynamics, kept=kept),
+        dynamics=partial(_vertical_rates, function=burn.dynamics, kept=kept),
         duration=FINAL_TIME.name,
-        end=_touchdown,
-        end_conditions=(*variables("m", "site_up"), *variables("m/s", "touchdown_speed")),
-        path=_above_ground,
-        path_conditions=variables("m", "height_above_site"),
+        end=_vertical_touchdown,
+        end_conditions=(*variables_of_unit("m", "site_up"), *variables_of_unit("m/s", "touchdown_speed")),
+        path=_vertical_height,
+        path_conditions=variables_of_unit("m", "height_above_site"),
         outputs=seen(burn.outputs),
         integrals=seen(burn.integrals),
         inertial=seen(burn.inertial),
-        track=burn.track and partial(_track, function=burn.track),
+        track=burn.track and partial(_vertical_track, function=burn.track),
         typical_end=_typical_touchdown,
     )
     return to_gate, descent
@@ -112,7 +112,7 @@ def _typical_gate(p: Any, m: Any) -> Sequence[Any]:
     return 0.0, 0.0, p.final_height, 0.0, 0.0, 0.0, 0.8 * p.vehicle_mass
 
 
-def _touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _vertical_touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
     return x.up, x.v_up + p.final_touchdown_speed
 
 
@@ -120,29 +120,29 @@ def _typical_touchdown(p: Any, m: Any) -> Sequence[Any]:
     return 0.0, -p.final_touchdown_speed, 0.8 * p.vehicle_mass
 
 
-def _above_ground(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _vertical_height(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     return (x.up,)
 
 
-def _vertical(x: Any) -> Any:
+def _expand_states(x: Any) -> Any:
     """Return all states of the burn from those on the vertical."""
     return SimpleNamespace(east=0.0, north=0.0, up=x.up, v_east=0.0, v_north=0.0, v_up=x.v_up, m=x.m)
 
 
-def _upright(u: Any) -> Any:
+def _expand_controls(u: Any) -> Any:
     """Return all components of the burn's control from an upright one."""
     return SimpleNamespace(toward_east=0.0, toward_north=0.0, toward_up=1.0, throttle=u.throttle)
 
 
 def _on_the_vertical(x: Any, u: Any, *rest: Any, function: Physics) -> Sequence[Any]:
     """A function of (x, u, p, m) or (x, u, t, p, m) of the burn."""
-    return function(_vertical(x), _upright(u), *rest)
+    return function(_expand_states(x), _expand_controls(u), *rest)
 
 
-def _rates(x: Any, u: Any, p: Any, m: Any, *, function: Physics, kept: Sequence[int]) -> Sequence[Any]:
-    rates = function(_vertical(x), _upright(u), p, m)
+def _vertical_rates(x: Any, u: Any, p: Any, m: Any, *, function: Physics, kept: Sequence[int]) -> Sequence[Any]:
+    rates = function(_expand_states(x), _expand_controls(u), p, m)
     return [rates[k] for k in kept]
 
 
-def _track(x: Any, p: Any, m: Any, *, function: Physics) -> Sequence[Any]:
-    return function(_vertical(x), p, m)
+def _vertical_track(x: Any, p: Any, m: Any, *, function: Physics) -> Sequence[Any]:
+    return function(_expand_states(x), p, m)

@@ -3,7 +3,7 @@
 V is the speed relative to the body, gamma its angle above the horizon, psi its course from east towards north, r the
 distance from the centre, Theta the longitude, Phi the latitude. The axis of the rotation is z.
 
-The printed (1) has slips, which a comparison with Newton's law in Cartesian coordinates shows; `rates` is
+The printed (1) has slips, which a comparison with Newton's law in Cartesian coordinates shows; `flight_path_rates` is
 
     V'   = (T cos a cos b - X)/m - g_r sin g - g_F cos g sin psi + w^2 r cos F (sin g cos F - cos g sin F sin psi)
     g'   = (T sin a + Y)/(m V) + V cos g/r - g_r cos g/V + g_F sin g sin psi/V + 2 w cos F cos psi
@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from perilune.models.rotating import Triple, combine, dot, local_axes, place
+from perilune.models.rotating import Triple, combine, local_axes, scalar_product, spherical_coordinates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,17 +47,17 @@ def flight_path(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> Fli
     m
         Maths namespace.
     """
-    distance, longitude, latitude = place(position, m)
+    distance, longitude, latitude = spherical_coordinates(position, m)
     up, north, east = local_axes(longitude, latitude, m)
-    rise, to_north, to_east = (dot(velocity, axis) for axis in (up, north, east))
+    rise, to_north, to_east = (scalar_product(velocity, axis) for axis in (up, north, east))
     level = m.sqrt(to_north * to_north + to_east * to_east)
     return FlightPath(
-        speed=m.sqrt(dot(velocity, velocity)), angle=m.atan2(rise, level), course=m.atan2(to_north, to_east),
+        speed=m.sqrt(scalar_product(velocity, velocity)), angle=m.atan2(rise, level), course=m.atan2(to_north, to_east),
         distance=distance, longitude=longitude, latitude=latitude,
     )  # fmt: skip
 
 
-def cartesian(path: FlightPath, m: Any) -> tuple[Triple, Triple]:
+def to_cartesian(path: FlightPath, m: Any) -> tuple[Triple, Triple]:
     """Return position [m] and velocity [m/s] of flight-path coordinates.
 
     Parameters
@@ -97,7 +97,7 @@ def gravity_components(distance: Any, latitude: Any, p: Any, m: Any) -> tuple[An
     return strength * (1 - oblate * (3 * sine * sine - 1)), strength * oblate * m.sin(2 * latitude)
 
 
-def rates(path: FlightPath, pushed: Sequence[Any], p: Any, m: Any) -> tuple[Any, ...]:
+def flight_path_rates(path: FlightPath, pushed: Sequence[Any], p: Any, m: Any) -> tuple[Any, ...]:
     """Rates of the six coordinates; `pushed` is all acceleration but gravity along `path_axes` [m/s^2].
 
     Parameters

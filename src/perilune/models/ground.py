@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from perilune.models.descent_frames import thrust
+from perilune.models.descent_frames import descent_thrust
 from perilune.models.limits import is_flat
-from perilune.models.rotating import Triple, combine, free_acceleration, local_axes, seen_inertially
+from perilune.models.rotating import Triple, combine, free_acceleration, inertial_triples, local_axes
 
 
-def centre_to(x: Any, p: Any) -> Triple:
+def position_from_centre(x: Any, p: Any) -> Triple:
     """Position [m] from the centre of a round body."""
     return x.east, x.north, x.up + p.body_radius + p.site_altitude
 
@@ -25,23 +25,23 @@ def axis(p: Any, m: Any) -> Triple:
     return 0.0, m.cos(p.site_latitude), m.sin(p.site_latitude)
 
 
-def without_thrust(x: Any, velocity: Sequence[Any], p: Any, m: Any) -> Triple:
+def ground_free_acceleration(x: Any, velocity: Sequence[Any], p: Any, m: Any) -> Triple:
     """Return the acceleration [m/s^2] of a free fall relative to the ground."""
     if is_flat(p):
         return 0.0, 0.0, -p.body_gravity
-    return free_acceleration(centre_to(x, p), velocity, axis(p, m), p, m)
+    return free_acceleration(position_from_centre(x, p), velocity, axis(p, m), p, m)
 
 
 def over_ground(x: Any, p: Any, m: Any) -> tuple[Triple, Triple, Any]:
     """Return the place in the form of `perilune.models.limits`: position, axis of the rotation, radius of the site."""
     if is_flat(p):
         return (0.0, 0.0, x.up), (0.0, 0.0, 0.0), 0.0
-    return centre_to(x, p), axis(p, m), p.body_radius + p.site_altitude
+    return position_from_centre(x, p), axis(p, m), p.body_radius + p.site_altitude
 
 
-def inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+def inertial_over_round_body(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
     """`perilune.problem.phase.Phase.inertial` over a round body."""
     up, north, east = local_axes(p.site_longitude, p.site_latitude, m)
-    vectors = (centre_to(x, p), (x.v_east, x.v_north, x.v_up), (u.toward_east, u.toward_north, u.toward_up))
+    vectors = (position_from_centre(x, p), (x.v_east, x.v_north, x.v_up), (u.toward_east, u.toward_north, u.toward_up))
     position, velocity, direction = (combine((a, east), (b, north), (c, up)) for a, b, c in vectors)
-    return seen_inertially(position, velocity, combine((thrust(u, p) / x.m, direction)), t, p, m)
+    return inertial_triples(position, velocity, combine((descent_thrust(u, p) / x.m, direction)), t, p, m)

@@ -21,8 +21,8 @@ from perilune.models.precision import Approach, Corridor, precision_landing
 from perilune.models.vehicle import Retro, Throttle, Vehicle
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
-from perilune.words.asked import demand
-from perilune.words.declared import Key, keys_of, parameter_name, record
+from perilune.words.asked import require_type
+from perilune.words.declared import Key, parameter_name, record, record_keys
 from perilune.words.outcome import PeriluneError, UnknownKindError, unknown_name
 
 GROUP = "perilune.models"  # of entry points
@@ -72,16 +72,19 @@ class Section:
     @property
     def keys(self) -> Mapping[str, Key]:
         """Return all keys that the section may have, in order."""
-        return {**keys_of(self.record), **self._others}
+        return {**record_keys(self.record), **self._others}
 
     @property
     def _others(self) -> Mapping[str, Key]:
-        return {} if self.instead is None else keys_of(self.instead)
+        return {} if self.instead is None else record_keys(self.instead)
 
     @property
     def alone(self) -> tuple[str, ...]:
         """Keys that stand in place of the others."""
-        return (*(("name",) if self.known else ()), *(key for key in self._others if key not in keys_of(self.record)))
+        return (
+            *(("name",) if self.known else ()),
+            *(key for key in self._others if key not in record_keys(self.record)),
+        )
 
     def stated(self, keys: Iterable[str]) -> type:
         """Class of the record that has these keys; where no one class has them all, of the first."""
@@ -128,7 +131,9 @@ class Kind:
                 f"the sections of the kind {self.name} are not what a file has", got=", ".join(map(str, sections)),
                 expected=f"problem, which states the kind, among them, and {PROOF} not: every file may have that",
             )  # fmt: skip
-        demand(self.example, Mapping, f"what the example of the kind {self.name} can be", '{"section.key": "value"}')
+        require_type(
+            self.example, Mapping, f"what the example of the kind {self.name} can be", '{"section.key": "value"}'
+        )
         known = [f"{name}.{key}" for name, section in self.in_file.items() for key in section.keys]
         for key in self.example:
             if key not in known:
@@ -140,13 +145,13 @@ class Kind:
         return {**self.sections, PROOF: Section(record=Tolerance, required=False, otherwise=Tolerance())}
 
 
-def _hybrid(
+def _make_hybrid(
     problem: Undecided, body: Body, vehicle: Vehicle, retro: Retro | None, orbit: Orbit, landing: LandingSite
 ) -> Problem:
     return hybrid_landing(vehicle, retro, orbit, body, landing.altitude)
 
 
-def _descent(
+def _make_descent(
     problem: Choices,
     body: OblateBody,
     vehicle: Vehicle,
@@ -161,7 +166,7 @@ def _descent(
     )  # fmt: skip
 
 
-def _precision(
+def _make_precision(
     problem: Undecided,
     body: OblateBody | UniformGravity,
     vehicle: Vehicle,
@@ -175,10 +180,10 @@ def _precision(
     return precision_landing(vehicle, approach, site, corridor, shares, body, final=final, j2=j2)
 
 
-def _deorbit(
+def _make_deorbit(
     problem: deorbit.Aim,
     body: Planet,
-    orbit: deorbit.Orbit,
+    orbit: deorbit.ReturnOrbit,
     manoeuvre: deorbit.Manoeuvre | None,
     vehicle: deorbit.Returner,
     throttle: Throttle | None,
@@ -210,7 +215,7 @@ HYBRID = Kind(
         "orbit": Section(record=Orbit),
         "landing": Section(record=LandingSite, required=False, otherwise=LandingSite()),
     },
-    make=_hybrid,
+    make=_make_hybrid,
     example={"retro.specific_impulse": "310 s", "landing.altitude": "0 km"},
 )
 DESCENT = Kind(
@@ -227,7 +232,7 @@ DESCENT = Kind(
         "steering": Section(record=Steering, required=False),
         "throttle": Section(record=Throttle, required=False),
     },
-    make=_descent,
+    make=_make_descent,
     example={
         "problem.target": "site",
         "vehicle.mass": "15 t",
@@ -252,7 +257,7 @@ PRECISION = Kind(
         "corridor": Section(record=Corridor, required=False),
         "final": Section(record=FinalDescent, required=False),
     },
-    make=_precision,
+    make=_make_precision,
     example={
         "vehicle.mass": "2 t",
         "vehicle.thrust": "8 kN",
@@ -271,7 +276,7 @@ DEORBIT = Kind(
     sections={
         "problem": Section(record=deorbit.Aim),
         "body": Section(record=Planet, known=PLANETS),
-        "orbit": Section(record=deorbit.Orbit),
+        "orbit": Section(record=deorbit.ReturnOrbit),
         "manoeuvre": Section(record=deorbit.Manoeuvre, required=False, absent="left out where [orbit] says it"),
         "vehicle": Section(record=deorbit.Returner),
         "throttle": Section(record=Throttle, required=False, absent="left out, the engine burns at full thrust"),
@@ -286,7 +291,7 @@ DEORBIT = Kind(
         "parachute": Section(record=deorbit.Parachute, required=False, absent="left out, the entry ends at the site"),
         "site": Section(record=deorbit.Landing, required=False, absent="left out, any place will do"),
     },
-    make=_deorbit,
+    make=_make_deorbit,
     example={
         "problem.minimise": "propellant",
         "body.name": "earth",
@@ -333,7 +338,7 @@ def kind_named(name: str) -> Kind:
     """
     if name in KINDS:
         return KINDS[name]
-    brought = {_told(entry): entry for entry in entry_points(group=GROUP, name=name)}
+    brought = {_describe_entry_point(entry): entry for entry in entry_points(group=GROUP, name=name)}
     if not brought:
         raise unknown_kind("problem.kind", name)
     if len(brought) > 1:
@@ -346,26 +351,26 @@ def kind_named(name: str) -> Kind:
         found = entry.load()
     except (Exception, SystemExit) as error:
         raise PeriluneError(
-            f"the kind of problem {name} cannot be loaded", got=f"{package}: {in_a_line(error)}"
+            f"the kind of problem {name} cannot be loaded", got=f"{package}: {one_line_error(error)}"
         ) from error
     if not isinstance(found, Kind) or found.name != name:
         raise PeriluneError(f"what {package} brings is no kind of problem", expected=f"Kind(name={name!r}, ...)")
-    found = replace(found, make=_of_package(found, package), package=package)
+    found = replace(found, make=_check_package_kind(found, package), package=package)
     KINDS[name] = found  # its keys are known like those of the others from now on
-    _keys.cache_clear()
+    _keys_by_parameter.cache_clear()
     return found
 
 
-def _told(entry: EntryPoint) -> str:
+def _describe_entry_point(entry: EntryPoint) -> str:
     return f"{entry.value} of {entry.dist.name if entry.dist is not None else 'a package'}"
 
 
-def in_a_line(error: BaseException) -> str:
+def one_line_error(error: BaseException) -> str:
     """Return the message of a package's error in one line, to be quoted in our own."""
     return f"{type(error).__name__}: {'; '.join(map(str.strip, str(error).splitlines()))}"[:300]
 
 
-def _of_package(kind: Kind, package: str) -> Callable[..., Problem]:
+def _check_package_kind(kind: Kind, package: str) -> Callable[..., Problem]:
     """Return the kind's `make`, with errors in it reported as the package's, not as ones of this program."""
 
     @wraps(kind.make)
@@ -376,7 +381,7 @@ def _of_package(kind: Kind, package: str) -> Callable[..., Problem]:
             raise
         except Exception as error:
             raise PeriluneError(
-                f"the kind of problem {kind.name} fails", got=f"{package}: {in_a_line(error)}",
+                f"the kind of problem {kind.name} fails", got=f"{package}: {one_line_error(error)}",
                 advice="it is called with the record of each section by its name; PERILUNE_TRACEBACK=1 shows where",
             ) from error  # fmt: skip
         if not isinstance(made, Problem):
@@ -388,7 +393,7 @@ def _of_package(kind: Kind, package: str) -> Callable[..., Problem]:
 
 
 @cache
-def _keys() -> dict[str, str]:
+def _keys_by_parameter() -> dict[str, str]:
     """Keys of all files by the names of the parameters that they state."""
     stated = [
         f"{name}.{key}" for kind in KINDS.values() for name, section in kind.sections.items() for key in section.keys
@@ -398,4 +403,4 @@ def _keys() -> dict[str, str]:
 
 def key_of(parameter: str) -> str:
     """The key of a file that states a parameter, as ``vehicle.thrust``; its name where it is of another making."""
-    return _keys().get(parameter, parameter)
+    return _keys_by_parameter().get(parameter, parameter)

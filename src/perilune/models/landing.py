@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from perilune.models.bodies import MOON, Body, told_as
-from perilune.models.budget import FLIGHT_TIME, LANDED_MASS, PROPELLANT, SPENT, spent
+from perilune.models.bodies import MOON, Body, catalogue_name
+from perilune.models.budget import FLIGHT_TIME, LANDED_MASS, PROPELLANT, SPENT, velocity_loss_rates
 from perilune.models.landing_preflight import compare_landing, perilune_speed
-from perilune.models.limits import braking, exhaust_speed
+from perilune.models.limits import braking_distance_and_time, exhaust_speed
 from perilune.models.vehicle import Retro, Vehicle
 from perilune.problem.controls import Direction
 from perilune.problem.declared import given_of
@@ -32,9 +32,9 @@ from perilune.problem.solution import Solution
 from perilune.problem.variables import Free, Variable
 from perilune.problem.verification import Check
 from perilune.problem.views import Beside, History, Space, Views
-from perilune.words.asked import called_in_words, demand_records
+from perilune.words.asked import check_call, require_records
 from perilune.words.declared import quantity, record
-from perilune.words.maths import NUMERIC, refuted
+from perilune.words.maths import NUMERIC, comparison_fails
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import Scales
 
@@ -64,7 +64,7 @@ class LandingSite:
     altitude: float = quantity("m", "0 km", default=0.0, about="of the landing site, above the body's radius")
 
 
-def _dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """Cho et al. (1)-(5)."""
     acceleration = p.vehicle_thrust / x.m
     return (
@@ -76,7 +76,7 @@ def _dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     )
 
 
-def _start(p: Any, m: Any) -> Sequence[Any]:
+def _perilune_state(p: Any, m: Any) -> Sequence[Any]:
     """Cho et al. (8) and (9) with u0 = V0 - delta_v."""
     exhaust_speed = p.retro_specific_impulse * p.vehicle_standard_gravity
     return (
@@ -88,17 +88,17 @@ def _start(p: Any, m: Any) -> Sequence[Any]:
     )
 
 
-def _touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
     """Rest on the rotating ground, Cho et al. (10)."""
     r_ground = p.body_radius + p.landing_altitude
     return (x.r - r_ground, x.u - r_ground * p.body_rotation_rate, x.v)
 
 
-def _above_ground(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_altitude(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     return (x.r - p.body_radius - p.landing_altitude,)
 
 
-def _outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     # beta in [0, 2 pi) would jump at 0; measured from straight retro (180 deg) it jumps only for pro-grade thrust.
     return (
         x.r - p.body_radius,
@@ -107,18 +107,18 @@ def _outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     )
 
 
-def _results(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
+def _hybrid_results(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
     return last.m, p.vehicle_mass - last.m, p.retro_delta_v, p.flight_time, perilune_speed(p, m)
 
 
-def _spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_loss_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     omega = p.body_rotation_rate
     over_ground = (x.u - omega * x.r, x.v, 0.0)
     pull = (0.0, omega * omega * x.r - p.body_gravitational_parameter / (x.r * x.r), 0.0)
-    return spent(over_ground, p.vehicle_thrust / x.m, (u.transverse, u.radial, 0.0), pull, m)
+    return velocity_loss_rates(over_ground, p.vehicle_thrust / x.m, (u.transverse, u.radial, 0.0), pull, m)
 
 
-def _inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
     sine, cosine, push = m.sin(x.phi), m.cos(x.phi), p.vehicle_thrust / x.m
     vectors = ((0.0, x.r), (x.u, x.v), (push * u.transverse, push * u.radial))
     return tuple(
@@ -153,7 +153,7 @@ _SPACE = Space(
 )
 
 
-def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
+def _hybrid_objective(x: Any, p: Any, m: Any) -> Any:
     """Cho et al. (6)."""
     return -x.m
 
@@ -164,22 +164,22 @@ def mass_state(dry: bool) -> Variable:
     return Variable(name="m", unit="kg", lower=lower, description="mass", label="mass")
 
 
-def _typical_end(p: Any, m: Any) -> Sequence[Any]:
+def _hybrid_typical_end(p: Any, m: Any) -> Sequence[Any]:
     r_ground = p.body_radius + p.landing_altitude
     return (r_ground, math.pi + 0.3, r_ground * p.body_rotation_rate, 0.0, 0.5 * p.vehicle_mass)
 
 
-def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+def _hybrid_ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the free parameters; refuses given values that make no sense together."""
     lowest = m.fmin(m.fmin(p.landing_altitude, p.orbit_perilune_altitude), p.orbit_parking_altitude)
-    if refuted(lowest > -p.body_radius):
+    if comparison_fails(lowest > -p.body_radius):
         raise PeriluneError(
             "an altitude lies below the centre of the body", expected=f"above {np.max(-p.body_radius):g} m"
         )
     speed = perilune_speed(p, m)
     exhausted = p.vehicle_mass * exhaust_speed(p) / p.vehicle_thrust  # all mass gone: the longest burn there can be
     # To stop the whole speed (rocket equation), and to drop the height by a burn down and a burn up.
-    _, stop = braking(m.fmax(speed - getattr(p, "retro_delta_v", 0.0), 0.0), p, m)
+    _, stop = braking_distance_and_time(m.fmax(speed - getattr(p, "retro_delta_v", 0.0), 0.0), p, m)
     height = m.fmax(p.orbit_perilune_altitude - p.landing_altitude, 0.0)
     drop = 2 * m.sqrt(height * p.vehicle_mass / p.vehicle_thrust)
     return {
@@ -188,7 +188,7 @@ def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     }
 
 
-@called_in_words
+@check_call
 def hybrid_landing(
     vehicle: Vehicle, retro: Retro | None, orbit: Orbit, body: Body = MOON, landing_altitude: float = 0.0
 ) -> Problem:
@@ -207,9 +207,9 @@ def hybrid_landing(
         States r [m], phi [rad], u, v [m/s], m [kg]; free `retro_delta_v` [m/s] and `flight_time` [s]; J = -m(t_f) [kg],
         Cho et al. (6). Parameters are named like the scenario's keys with ``_`` for the dot.
     """
-    demand_records((vehicle, Vehicle), (orbit, Orbit), (body, Body))
+    require_records((vehicle, Vehicle), (orbit, Orbit), (body, Body))
     burn = Retro(specific_impulse=vehicle.specific_impulse, delta_v=0.0) if retro is None else retro
-    demand_records((burn, Retro))
+    require_records((burn, Retro))
     stated = (body, vehicle, replace(burn, delta_v=None), orbit, LandingSite(altitude=landing_altitude))
     given = given_of(*stated)
     descent = Phase(
@@ -222,17 +222,17 @@ def hybrid_landing(
             mass_state("vehicle_dry_mass" in given),
         ),
         controls=(Direction(names=("transverse", "radial")),),
-        dynamics=_dynamics,
+        dynamics=_planar_dynamics,
         duration="flight_time",
-        end=_touchdown,
+        end=_planar_touchdown,
         end_conditions=(
             Variable(name="touchdown_altitude", unit="m"),
             Variable(name="touchdown_transverse_velocity", unit="m/s"),
             Variable(name="touchdown_radial_velocity", unit="m/s"),
         ),
-        path=_above_ground,
+        path=_planar_altitude,
         path_conditions=(Variable(name="height_above_site", unit="m"),),
-        outputs=_outputs,
+        outputs=_planar_outputs,
         output_variables=(
             Variable(name="altitude", unit="m"),
             Variable(
@@ -243,24 +243,24 @@ def hybrid_landing(
             ),
             Variable(name="thrust_acceleration", unit="m/s^2"),
         ),
-        integrals=_spent,
+        integrals=_planar_loss_rates,
         integral_variables=SPENT,
-        inertial=_inertial,
-        typical_end=_typical_end,
+        inertial=_planar_inertial,
+        typical_end=_hybrid_typical_end,
     )
     p = SimpleNamespace(**{name: g.value for name, g in given.items()})
-    ranges = _ranges(p, NUMERIC)
+    ranges = _hybrid_ranges(p, NUMERIC)
     speed, time = ranges["retro_delta_v"][1], ranges["flight_time"][2]
     problem = Problem(
         name="hybrid_landing",
         title=f"{vehicle.mass:g} kg lander from {orbit.perilune_altitude / 1e3:g} km to {body.titled}",
         phases=(descent,),
-        start=_start,
+        start=_perilune_state,
         given=given,
         free=(Free(name="retro_delta_v", unit="m/s"), Free(name="flight_time", unit="s")),
-        objective=_minus_landed_mass,
+        objective=_hybrid_objective,
         objective_unit="kg",
-        results=_results,
+        results=_hybrid_results,
         result_variables=(
             LANDED_MASS,
             PROPELLANT,
@@ -270,16 +270,16 @@ def hybrid_landing(
         ),
         maximised=LANDED_MASS.name,
         declared=stated,
-        ranges=_ranges,
+        ranges=_hybrid_ranges,
         preflight=partial(compare_landing, body=body),
-        bookkeeping=bookkeeping,
-        views=replace(_VIEWS, space=replace(_SPACE, body=told_as(body))),
+        bookkeeping=mass_consistency_checks,
+        views=replace(_VIEWS, space=replace(_SPACE, body=catalogue_name(body))),
         scales=Scales(length=speed * time, time=time, mass=float(vehicle.mass)),
     )
     return problem if burn.delta_v is None else problem.with_given(retro_delta_v=burn.delta_v)
 
 
-def bookkeeping(solution: Solution) -> tuple[Check, ...]:
+def mass_consistency_checks(solution: Solution) -> tuple[Check, ...]:
     """The exported masses against the rocket equation, which integrates to closed form: nothing is flown.
 
     Parameters

@@ -14,13 +14,13 @@ from typing import Any
 
 from perilune.models.bodies import MOON, Body
 from perilune.models.limits import (
-    air_left_out,
-    braking,
+    braking_distance_and_time,
+    compare_neglected_air,
+    compare_thrust_and_weight,
     exhaust_speed,
-    mass_held,
+    largest_mass_stopped,
     speed_of_ground,
     speed_with_fall,
-    thrust_against_weight,
 )
 from perilune.models.one_burn import SPENDS, full_burn
 from perilune.problem.preflight import Finding
@@ -37,10 +37,10 @@ def perilune_speed(p: Any, m: Any) -> Any:
 
 def compare_landing(p: Any, m: Any, body: Body = MOON) -> tuple[Finding, ...]:
     """Return every comparison of a landing from perilune, for `Problem.preflight`."""
-    return (*_geometry(p), *_burns(p, m), *_warnings(p, m), *air_left_out(body))
+    return (*_compare_altitudes(p), *_compare_burns(p, m), *_compare_unusual_values(p, m), *compare_neglected_air(body))
 
 
-def _geometry(p: Any) -> tuple[Finding, ...]:
+def _compare_altitudes(p: Any) -> tuple[Finding, ...]:
     """Comparisons of the three altitudes above the body's radius, all binding."""
 
     def at_least(name: str, value: Any, limit: float, meaning: str, advice: str) -> Finding:
@@ -67,7 +67,7 @@ def _geometry(p: Any) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-def _burns(p: Any, m: Any) -> tuple[Finding, ...]:
+def _compare_burns(p: Any, m: Any) -> tuple[Finding, ...]:
     """Comparisons of velocity changes and masses, binding but for those with an assumed mass."""
     speed, stated = perilune_speed(p, m), hasattr(p, "vehicle_dry_mass")
     least, said = p.vehicle_dry_mass if stated else LEAST_LANDED_SHARE * p.vehicle_mass, "vehicle.dry_mass"
@@ -97,7 +97,7 @@ def _burns(p: Any, m: Any) -> tuple[Finding, ...]:
             )
     for name, value, meaning, advice in (
         (
-            "landed mass that the thrust can hold", mass_held(p.body_radius + p.landing_altitude, p, m),
+            "landed mass that the thrust can hold", largest_mass_stopped(p.body_radius + p.landing_altitude, p, m),
             f"the lander is too weak: its thrust cannot carry {said} at touchdown",
             "raise vehicle.thrust, lower vehicle.mass, or state what must land as vehicle.dry_mass",
         ),
@@ -135,7 +135,7 @@ def _mass_by_rocket_equation(p: Any, m: Any, speed: Any) -> Any:
     return p.vehicle_mass * m.exp(-p.retro_delta_v / impulsive - rest / main)
 
 
-def _warnings(p: Any, m: Any) -> tuple[Finding, ...]:
+def _compare_unusual_values(p: Any, m: Any) -> tuple[Finding, ...]:
     """Comparisons that make a landing hard or look like a slip, none binding."""
 
     def at_most(name: str, unit: str, value: Any, limit: Any, meaning: str, advice: str) -> Finding:
@@ -146,42 +146,55 @@ def _warnings(p: Any, m: Any) -> tuple[Finding, ...]:
 
     r = p.body_radius + p.landing_altitude
     return (
-        thrust_against_weight(r, p),
+        compare_thrust_and_weight(r, p),
         at_most(
-            "mass when braking has taken the speed", "kg",
-            _mass_by_rocket_equation(p, m, perilune_speed(p, m)), mass_held(r, p, m),
+            "mass when braking has taken the speed",
+            "kg",
+            _mass_by_rocket_equation(p, m, perilune_speed(p, m)),
+            largest_mass_stopped(r, p, m),
             "braking alone leaves the lander heavier than its thrust can hold: the rest has to be burnt before it can"
             " come down, and the best flight may run along the ground, which is hard to solve",
             "lower vehicle.mass, raise vehicle.thrust",
         ),
         at_most(
-            "braking distance without gravity", "km",
-            braking(perilune_speed(p, m), p, m)[0] / 1e3, math.pi * p.body_radius / 1e3,
+            "braking distance without gravity",
+            "km",
+            braking_distance_and_time(perilune_speed(p, m), p, m)[0] / 1e3,
+            math.pi * p.body_radius / 1e3,
             "braking takes more than half a revolution: expect a long spiral that is hard to solve",
             "raise vehicle.thrust",
         ),
         at_most(
-            "speed of the ground", "m/s",
-            speed_of_ground(r, p, m), 0.1 * m.sqrt(p.body_gravitational_parameter / r),
+            "speed of the ground",
+            "m/s",
+            speed_of_ground(r, p, m),
+            0.1 * m.sqrt(p.body_gravitational_parameter / r),
             "the ground moves at more than a tenth of orbital speed",
             "check that body.rotation_rate is in rad/s and not in deg/s",
         ),
         at_most(
-            "perilune altitude", "km", p.orbit_perilune_altitude / 1e3, 0.2 * p.body_radius / 1e3,
+            "perilune altitude",
+            "km",
+            p.orbit_perilune_altitude / 1e3,
+            0.2 * p.body_radius / 1e3,
             "the perilune is very high for a landing",
             "altitudes are above the surface, not distances from the centre",
         ),
         Finding(
-            name="velocity change of two impulses", value=coasting_first(p, m), limit=one_burn(p, m) / SPENDS,
-            at_least=True, unit="m/s", binding=False,
+            name="velocity change of two impulses",
+            value=two_impulse_velocity_change(p, m),
+            limit=one_burn_velocity_change(p, m) / SPENDS,
+            at_least=True,
+            unit="m/s",
+            binding=False,
             meaning="coasting first, until the fall grazes the ground, would need so little: full throttle from the"
             f" perilune to the ground is one burn and spends more than {SPENDS:g} times as much",
             advice="a perilune next to the ground; or the kind powered_descent with throttle.lower = 0, which coasts",
         ),
-    )  # fmt: skip
+    )
 
 
-def one_burn(p: Any, m: Any) -> Any:
+def one_burn_velocity_change(p: Any, m: Any) -> Any:
     """Return roughly the velocity change [m/s] of full thrust from the perilune to rest on the ground.
 
     Parameters
@@ -193,7 +206,7 @@ def one_burn(p: Any, m: Any) -> Any:
     return full_burn(speed, 0.0, p.orbit_perilune_altitude - p.landing_altitude, p, m)
 
 
-def coasting_first(p: Any, m: Any) -> Any:
+def two_impulse_velocity_change(p: Any, m: Any) -> Any:
     """Return the velocity change [m/s] of two impulses from the orbit of the perilune.
 
     The first where it is highest, so that the fall grazes the ground half a turn later; the second stops there.

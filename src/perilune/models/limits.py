@@ -34,7 +34,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from perilune.models.bodies import Body
-from perilune.models.rotating import combine, cross, dot
+from perilune.models.rotating import combine, cross_product, scalar_product
 from perilune.problem.preflight import Finding
 
 SLACK = 1.02  # of what the rocket equation allows, for J2, which the speed w leaves out
@@ -76,8 +76,8 @@ def exhaust_speed(p: Any) -> Any:
 
 def inertial_speed(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
     """Speed [m/s] in inertial axes, of a position from the centre and a velocity relative to the turning body."""
-    seen = velocity if is_flat(p) else combine((1, velocity), (p.body_rotation_rate, cross(axis, position)))
-    return m.sqrt(dot(seen, seen))
+    seen = velocity if is_flat(p) else combine((1, velocity), (p.body_rotation_rate, cross_product(axis, position)))
+    return m.sqrt(scalar_product(seen, seen))
 
 
 def speed_with_fall(speed: Any, r_start: Any, r_site: Any, p: Any, m: Any) -> Any:
@@ -92,13 +92,13 @@ def speed_of_ground(r_site: Any, p: Any, m: Any) -> Any:
     return 0.0 if is_flat(p) else m.fabs(p.body_rotation_rate) * r_site
 
 
-def mass_held(r_site: Any, p: Any, m: Any) -> Any:
+def largest_mass_stopped(r_site: Any, p: Any, m: Any) -> Any:
     """Largest mass [kg] that can come to rest on the ground from above, anywhere at this radius."""
     lifted = _centrifugal(speed_of_ground(r_site, p, m), r_site, p)
     return greatest_thrust(p) / m.fmax(gravity_at(r_site, p) - _pull_of_j2(r_site, p, m) - lifted, 0.0)
 
 
-def thrust_against_weight(r_site: Any, p: Any) -> Finding:
+def compare_thrust_and_weight(r_site: Any, p: Any) -> Finding:
     """Compare the thrust at ignition with the weight at the site: whether the vehicle could hover."""
     return Finding(
         name="thrust against weight at ignition",
@@ -111,7 +111,7 @@ def thrust_against_weight(r_site: Any, p: Any) -> Finding:
     )
 
 
-def engine_holds_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
+def compare_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
     """Compare the dry mass with the largest mass [kg] that the engine can stop; empty where no dry mass is given."""
     if not hasattr(p, "vehicle_dry_mass"):
         return ()
@@ -129,7 +129,7 @@ def engine_holds_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
     )
 
 
-def above_site(start: Any, site: Any) -> Finding:
+def compare_start_height(start: Any, site: Any) -> Finding:
     """Compare the altitudes [m] of start and site; a millimetre stands for "strictly above"."""
     return Finding(
         name="start above the site",
@@ -143,7 +143,7 @@ def above_site(start: Any, site: Any) -> Finding:
     )
 
 
-def air_left_out(body: Body) -> tuple[Finding, ...]:
+def compare_neglected_air(body: Body) -> tuple[Finding, ...]:
     """Warn about the air of a body that has some: no model here has drag, lift or heat."""
     if not body.air:
         return ()
@@ -162,7 +162,7 @@ def air_left_out(body: Body) -> tuple[Finding, ...]:
     )
 
 
-def braking(speed: Any, p: Any, m: Any, lever: Any = 1.0) -> tuple[Any, Any]:
+def braking_distance_and_time(speed: Any, p: Any, m: Any, lever: Any = 1.0) -> tuple[Any, Any]:
     """Distance [m] and time [s] to stop from `speed` by full thrust in free space, each push times a lever."""
     tau = p.vehicle_mass * exhaust_speed(p) / greatest_thrust(p)
     exhaust = lever * exhaust_speed(p)
@@ -183,16 +183,16 @@ def velocity_change(p: Any, m: Any) -> Any:
 def speed_to_lose(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
 ) -> Any:
-    """Least ideal velocity change [m/s] from a start to rest on the ground; arguments as `stopping_distance`."""
-    r = m.sqrt(dot(position, position))
+    """Least ideal velocity change [m/s] from a start to rest on the ground; arguments as `compare_stopping_distance`."""
+    r = m.sqrt(scalar_product(position, position))
     speed = inertial_speed(position, velocity, axis, p, m)
     return speed_with_fall(speed, r, r_site, p, m) - speed_of_ground(r_site, p, m)
 
 
-def propellant_stops(
+def compare_propellant(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
 ) -> Finding:
-    """Compare the speed to lose with the velocity change of the propellant; arguments as `stopping_distance`."""
+    """Compare the speed to lose with the velocity change of the propellant; arguments as `compare_stopping_distance`."""
     return Finding(
         name="speed to lose",
         value=speed_to_lose(position, velocity, axis, r_site, p, m) - left,
@@ -205,7 +205,7 @@ def propellant_stops(
     )
 
 
-def stopping_distance(
+def compare_stopping_distance(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
 ) -> Finding:
     """Compare the least stopping distance with the height above the site: the proof is at the head of this file.
@@ -222,9 +222,9 @@ def stopping_distance(
     left
         Speed [m/s] straight down that may be left on the ground.
     """
-    r = m.sqrt(dot(position, position))
-    down = m.fmax(-dot(position, velocity) / r - left, 0.0)
-    distance, time = braking(down, p, m)
+    r = m.sqrt(scalar_product(position, position))
+    down = m.fmax(-scalar_product(position, velocity) / r - left, 0.0)
+    distance, time = braking_distance_and_time(down, p, m)
     oblate = _pull_of_j2(r_site, p, m)
     fastest = inertial_speed(position, velocity, axis, p, m) + down + (gravity_at(r_site, p) + oblate) * time
     pull = gravity_at(r, p) - oblate - _centrifugal(fastest, r_site, p)
@@ -240,7 +240,7 @@ def stopping_distance(
     )
 
 
-def late_ignition_costs(position: Any, velocity: Any, p: Any, m: Any) -> Finding:
+def compare_late_ignition(position: Any, velocity: Any, p: Any, m: Any) -> Finding:
     """Compare what the place and the time of the first burn change with nothing, for a landing anywhere.
 
     On a circular orbit over a sphere that does not turn every place is as good as every other, so that a flight that
@@ -258,13 +258,16 @@ def late_ignition_costs(position: Any, velocity: Any, p: Any, m: Any) -> Finding
     Finding
         The eccentricity, the speed of the ground over that of the orbit, and the least throttle, added up.
     """
-    mu, square = p.body_gravitational_parameter, dot(velocity, velocity)
-    r, rising = m.sqrt(dot(position, position)), dot(position, velocity)
+    mu, square = p.body_gravitational_parameter, scalar_product(velocity, velocity)
+    r, rising = m.sqrt(scalar_product(position, position)), scalar_product(position, velocity)
     apse = [((square - mu / r) * place - rising * rate) / mu for place, rate in zip(position, velocity, strict=True)]
     ground = m.fabs(p.body_rotation_rate) * r / m.sqrt(mu / r)
     return Finding(
         name="cost of a later ignition",
-        value=m.sqrt(dot(apse, apse)) + ground + m.fabs(p.throttle_lower) + m.fabs(getattr(p, "body_j2", 0.0)),
+        value=m.sqrt(scalar_product(apse, apse))
+        + ground
+        + m.fabs(p.throttle_lower)
+        + m.fabs(getattr(p, "body_j2", 0.0)),
         limit=_SAME_ORBIT,
         at_least=True,
         unit="1",

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from perilune.models.limits import exhaust_speed, greatest_thrust, speed_of_ground
-from perilune.models.rotating import combine, cross, dot
+from perilune.models.rotating import combine, cross_product, scalar_product
 from perilune.problem.preflight import Finding
 
 SPENDS = 1.5  # times the velocity change of impulses: more of one burn is worth a word
@@ -50,13 +50,13 @@ def one_burn_wastes(
     Parameters
     ----------
     position, velocity, axis, r_site
-        As for `limits.stopping_distance`.
+        As for `limits.compare_stopping_distance`.
     p, m
         Parameters of a descent, and the maths namespace.
     """
-    mu, r = p.body_gravitational_parameter, m.sqrt(dot(position, position))
-    inertial = combine((1.0, velocity), (p.body_rotation_rate, cross(axis, position)))
-    square, rising = dot(inertial, inertial), dot(inertial, position) / r
+    mu, r = p.body_gravitational_parameter, m.sqrt(scalar_product(position, position))
+    inertial = combine((1.0, velocity), (p.body_rotation_rate, cross_product(axis, position)))
+    square, rising = scalar_product(inertial, inertial), scalar_product(inertial, position) / r
     speed = m.sqrt(m.fmax(square - rising * rising, 0.0))
     semi, momentum = 1 / m.fmax(2 / r - square / mu, 1e-9 / r), r * speed
     eccentricity = m.sqrt(m.fmax(1 - momentum * momentum / (mu * semi), 0.0))

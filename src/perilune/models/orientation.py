@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from perilune.models.time_scales import tdb_minus_utc, told_tdb
+from perilune.models.time_scales import describe_tdb, tdb_minus_utc
 from perilune.words.outcome import unknown_name
 from perilune.words.types import Matrix
 
@@ -119,19 +119,21 @@ def axes_in_space(body: str, epoch: datetime) -> Matrix:
         If the body's orientation is not known here.
     """
     if body == "earth":
-        return _earth(epoch)
-    found = _elements(body)
+        return _earth_axes(epoch)
+    found = _orientation_elements(body)
     days = ((epoch - _J2000).total_seconds() + tdb_minus_utc(epoch)) / 86400
     centuries = days / 36525
     angles = np.radians([constant + rate * centuries for constant, rate in found.angles])
-    ascension = _sum(found.pole_right_ascension, centuries) + float(np.dot(found.right_ascension, np.sin(angles)))
-    declination = _sum(found.pole_declination, centuries) + float(np.dot(found.declination, np.cos(angles)))
-    meridian = _sum(found.meridian, days) + float(np.dot(found.turned, np.sin(angles)))
+    ascension = _cosine_series(found.pole_right_ascension, centuries) + float(
+        np.dot(found.right_ascension, np.sin(angles))
+    )
+    declination = _cosine_series(found.pole_declination, centuries) + float(np.dot(found.declination, np.cos(angles)))
+    meridian = _cosine_series(found.meridian, days) + float(np.dot(found.turned, np.sin(angles)))
     node, tilt, turn = np.radians([ascension + 90, 90 - declination, meridian])
     return _about_z(node) @ _about_x(tilt) @ _about_z(turn)
 
 
-def told_orientation(body: str, epoch: datetime) -> str:
+def describe_orientation(body: str, epoch: datetime) -> str:
     """Describe the source of a body's orientation, and its accuracy.
 
     Parameters
@@ -141,10 +143,10 @@ def told_orientation(body: str, epoch: datetime) -> str:
     epoch
         With its time zone.
     """
-    return _EARTH if body == "earth" else f"{_elements(body).told}; {told_tdb(epoch)}"
+    return _EARTH if body == "earth" else f"{_orientation_elements(body).told}; {describe_tdb(epoch)}"
 
 
-def _elements(body: str) -> Elements:
+def _orientation_elements(body: str) -> Elements:
     known = sorted((*ELEMENTS, "earth"))
     if body not in ELEMENTS:
         raise unknown_name(
@@ -155,11 +157,11 @@ def _elements(body: str) -> Elements:
     return ELEMENTS[body]
 
 
-def _sum(coefficients: Sequence[float], x: float) -> float:
+def _cosine_series(coefficients: Sequence[float], x: float) -> float:
     return sum(c * x**k for k, c in enumerate(coefficients))
 
 
-def _earth(epoch: datetime) -> Matrix:
+def _earth_axes(epoch: datetime) -> Matrix:
     days = (epoch - _J2000).total_seconds() / 86400
     t = (days + tdb_minus_utc(epoch) / 86400) / 36525
     node = np.radians(125.04455501 - 1934.13626197 * t)

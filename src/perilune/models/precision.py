@@ -16,12 +16,12 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-from perilune.models.bodies import MOON, Body, UniformGravity, oblate, told_as
-from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing, spent
+from perilune.models.bodies import MOON, Body, UniformGravity, catalogue_name, with_j2
+from perilune.models.budget import LANDED_MASS, LANDING, SPENT, landing_results, velocity_loss_rates
 from perilune.models.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast
-from perilune.models.corridor import NONE, Corridor, above_slope, conditions, kept, kept_falling
+from perilune.models.corridor import NONE, Corridor, above_slope, corridor_conditions, corridor_margins, height_margins
 from perilune.models.descent import SPEED, Site, refuse_unplaced, with_dry_mass
-from perilune.models.descent_frames import mass_rate, thrust, variables
+from perilune.models.descent_frames import descent_thrust, mass_rate, variables_of_unit
 from perilune.models.final_descent import (
     FINAL_TIME,
     GATE_TIME,
@@ -31,7 +31,7 @@ from perilune.models.final_descent import (
     final_ranges,
     with_final_descent,
 )
-from perilune.models.ground import inertial, without_thrust
+from perilune.models.ground import ground_free_acceleration, inertial_over_round_body
 from perilune.models.landing import mass_state
 from perilune.models.limits import gravity_at
 from perilune.models.precision_preflight import compare_precision
@@ -43,7 +43,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Variable
 from perilune.problem.views import History, Space, ValidRange, Views
-from perilune.words.asked import called_in_words, demand_records
+from perilune.words.asked import check_call, require_records
 from perilune.words.declared import quantity, record
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -63,31 +63,31 @@ class Approach:
     longest_coast: float | None = LONGEST
 
 
-def _dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _precision_dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     velocity = (x.v_east, x.v_north, x.v_up)
     acceleration = combine(
-        (1, without_thrust(x, velocity, p, m)),
-        (thrust(u, p) / x.m, (u.toward_east, u.toward_north, u.toward_up)),
+        (1, ground_free_acceleration(x, velocity, p, m)),
+        (descent_thrust(u, p) / x.m, (u.toward_east, u.toward_north, u.toward_up)),
     )
     return (*velocity, *acceleration, mass_rate(u, p))
 
 
-def _start(p: Any, m: Any) -> Sequence[Any]:
+def _approach_state(p: Any, m: Any) -> Sequence[Any]:
     position = (p.approach_east, p.approach_north, p.approach_up)
     return (*position, p.approach_east_speed, p.approach_north_speed, p.approach_up_speed, p.vehicle_mass)
 
 
-def _touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _site_touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
     return x.east, x.north, x.up, x.v_east, x.v_north, x.v_up
 
 
-def _spent(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    pull = without_thrust(x, (0.0, 0.0, 0.0), p, m)
+def _precision_loss_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    pull = ground_free_acceleration(x, (0.0, 0.0, 0.0), p, m)
     direction = (u.toward_east, u.toward_north, u.toward_up)
-    return spent((x.v_east, x.v_north, x.v_up), thrust(u, p) / x.m, direction, pull, m)
+    return velocity_loss_rates((x.v_east, x.v_north, x.v_up), descent_thrust(u, p) / x.m, direction, pull, m)
 
 
-def _track(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _approach_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
     """Return the distances along the line from start to site and left of it, height, and the glide slope's height.
 
     From straight above the site the line is to the east. Without a glide slope there is no least height.
@@ -117,24 +117,24 @@ _WITHOUT_THRUST = {
 }
 
 
-def _outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _precision_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     horizontal = m.sqrt(u.toward_east * u.toward_east + u.toward_north * u.toward_north)
-    return m.atan2(horizontal, u.toward_up), thrust(u, p) / x.m
+    return m.atan2(horizontal, u.toward_up), descent_thrust(u, p) / x.m
 
 
-def _minus_landed_mass(x: Any, p: Any, m: Any) -> Any:
+def _precision_objective(x: Any, p: Any, m: Any) -> Any:
     return -x.m
 
 
-def _typical_end(p: Any, m: Any) -> Sequence[Any]:
+def _precision_typical_end(p: Any, m: Any) -> Sequence[Any]:
     return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.8 * p.vehicle_mass
 
 
-def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+def _precision_ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the times."""
-    ranges = {_FLIGHT_TIME.name: (0.0, math.inf, _typical_time(p))}
+    ranges = {_FLIGHT_TIME.name: (0.0, math.inf, _typical_approach_time(p))}
     if hasattr(p, "final_height"):
-        ranges = final_ranges(p, _typical_time(p))
+        ranges = final_ranges(p, _typical_approach_time(p))
     if hasattr(p, "approach_longest_coast"):
         ranges[FREE.name] = coast_range(p.approach_longest_coast)
     return ranges
@@ -143,41 +143,41 @@ def _ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
 _FLIGHT_TIME = Free(name="flight_time", unit="s")
 
 
-def _burn(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
+def _approach_burn(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
     """Return the phase from ignition to rest on the site."""
     return Phase(
         name="landing",
         states=(
-            *variables("m", "east", "north", "up"),
+            *variables_of_unit("m", "east", "north", "up"),
             Variable(name="v_east", unit="m/s", label="east"),
             Variable(name="v_north", unit="m/s", label="north"),
             Variable(name="v_up", unit="m/s", label="up"),
             mass_state(dry),
         ),
         controls=(Direction(names=("toward_east", "toward_north", "toward_up")), THROTTLE),
-        dynamics=_dynamics,
+        dynamics=_precision_dynamics,
         duration=_FLIGHT_TIME.name,
-        end=_touchdown,
+        end=_site_touchdown,
         end_conditions=(
-            *variables("m", "site_east", "site_north", "site_up"),
-            *variables("m/s", "rest_east", "rest_north", "rest_up"),
+            *variables_of_unit("m", "site_east", "site_north", "site_up"),
+            *variables_of_unit("m/s", "rest_east", "rest_north", "rest_up"),
         ),
-        path=kept,
-        path_conditions=conditions(corridor),
-        outputs=_outputs,
+        path=corridor_margins,
+        path_conditions=corridor_conditions(corridor),
+        outputs=_precision_outputs,
         output_variables=(
             Variable(name="thrust_tilt", unit="rad", description="of the thrust from the vertical", label="tilt"),
-            *variables("m/s^2", "thrust_acceleration"),
+            *variables_of_unit("m/s^2", "thrust_acceleration"),
         ),
-        integrals=_spent,
+        integrals=_precision_loss_rates,
         integral_variables=SPENT,
-        inertial=None if flat else inertial,
-        track=_track,
-        typical_end=_typical_end,
+        inertial=None if flat else inertial_over_round_body,
+        track=_approach_track,
+        typical_end=_precision_typical_end,
     )
 
 
-@called_in_words
+@check_call
 def precision_landing(
     vehicle: Vehicle,
     approach: Approach,
@@ -219,37 +219,44 @@ def precision_landing(
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
     corridor = NONE if corridor is None else corridor
-    demand_records((vehicle, Vehicle), (approach, Approach), (corridor, Corridor))
+    require_records((vehicle, Vehicle), (approach, Approach), (corridor, Corridor))
     lander, shares = with_dry_mass(vehicle, dry_mass), Throttle(lower=throttle[0], upper=throttle[1])
-    stated = (*_ground(body, site, j2), lander, approach, corridor, shares, *(() if final is None else (final,)))
+    stated = (
+        *_ground_records(body, site, j2),
+        lander,
+        approach,
+        corridor,
+        shares,
+        *(() if final is None else (final,)),
+    )
     given, flat = given_of(*stated), isinstance(body, UniformGravity)
     if corridor.slope is None:
         del given["corridor_pad_radius"]  # it is the tip of nothing
-    ranges = _ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)
+    ranges = _precision_ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)
     way = math.hypot(approach.east, approach.north, approach.up)
-    burn = _burn(corridor, dry="vehicle_dry_mass" in given, flat=flat)
+    burn = _approach_burn(corridor, dry="vehicle_dry_mass" in given, flat=flat)
     phases, links, free = (burn,), (), (_FLIGHT_TIME,)
     if final is not None:
         phases, links, free = with_final_descent(burn, corridor), (at_gate,), (GATE_TIME, FINAL_TIME)
     if approach.longest_coast is not None:
-        fall = with_coast(phases[0], kept_falling, _WITHOUT_THRUST)
+        fall = with_coast(phases[0], height_margins, _WITHOUT_THRUST)
         phases, links, free = (*fall, *phases[1:]), (at_ignition, *links), (*free, FREE)
-    views = _seen(body)
+    views = _precision_views(body)
     return Problem(
         name="precision_landing",
         title=f"{vehicle.mass:g} kg lander, {way / 1e3:.3g} km from its site on {body.titled}",
         phases=phases,
         links=links,
-        start=_start,
+        start=_approach_state,
         given=given,
         free=free,
-        objective=_minus_landed_mass,
+        objective=_precision_objective,
         objective_unit="kg",
-        results=landing,
+        results=landing_results,
         result_variables=(*LANDING, *(v for v in (COAST_TIME, *TIMES) if v.name in {f.name for f in free})),
         maximised=LANDED_MASS.name,
         declared=stated,
-        ranges=_ranges,
+        ranges=_precision_ranges,
         preflight=partial(compare_precision, body=body),
         views=views if corridor.slope is None else replace(views, floor="glide slope"),
         scales=Scales(length=way or 1.0, time=ranges[free[0].name][2], mass=float(vehicle.mass)),
@@ -271,14 +278,14 @@ _FLAT = tuple(
 )
 
 
-def _seen(body: Body | UniformGravity) -> Views:
+def _precision_views(body: Body | UniformGravity) -> Views:
     """The views; flat ground is nowhere in space."""
     if isinstance(body, UniformGravity):
         return replace(_VIEWS, radius="", frame="", meant_for=_FLAT)
-    return replace(_VIEWS, space=Space(body=told_as(body), rotation="body_rotation_rate"))
+    return replace(_VIEWS, space=Space(body=catalogue_name(body), rotation="body_rotation_rate"))
 
 
-def _ground(body: Body | UniformGravity, site: Site | None, j2: float) -> tuple[Any, ...]:
+def _ground_records(body: Body | UniformGravity, site: Site | None, j2: float) -> tuple[Any, ...]:
     """The records that state where the site is."""
     if not isinstance(body, UniformGravity):
         if site is None:
@@ -287,9 +294,9 @@ def _ground(body: Body | UniformGravity, site: Site | None, j2: float) -> tuple[
                 expected="where on its body the landing ends: a section [site], or Site(...)",
                 advice="only flat ground, which body.gravity states, is the same everywhere",
             )
-        demand_records((site, Site), (body, Body))
+        require_records((site, Site), (body, Body))
         refuse_unplaced(site)
-        return oblate(body, j2), site
+        return with_j2(body, j2), site
     if site is not None or j2:
         raise PeriluneError(
             "flat ground has no longitude, latitude or oblateness",
@@ -300,7 +307,7 @@ def _ground(body: Body | UniformGravity, site: Site | None, j2: float) -> tuple[
     return (body,)
 
 
-def _typical_time(p: Any) -> float:
+def _typical_approach_time(p: Any) -> float:
     """Time in which the mean of start and end speed covers the way, or a fall from rest does."""
     way = math.hypot(p.approach_east, p.approach_north, p.approach_up)
     speed = math.hypot(p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)

@@ -11,21 +11,21 @@ from typing import Any
 
 from perilune.models.bodies import MOON, Body, UniformGravity
 from perilune.models.corridor import above_slope
-from perilune.models.ground import over_ground, without_thrust
+from perilune.models.ground import ground_free_acceleration, over_ground
 from perilune.models.limits import (
-    above_site,
-    air_left_out,
-    braking,
-    engine_holds_dry_mass,
+    braking_distance_and_time,
+    compare_dry_mass,
+    compare_neglected_air,
+    compare_propellant,
+    compare_start_height,
+    compare_stopping_distance,
+    compare_thrust_and_weight,
     gravity_at,
     greatest_thrust,
     is_flat,
-    mass_held,
-    propellant_stops,
-    stopping_distance,
-    thrust_against_weight,
+    largest_mass_stopped,
 )
-from perilune.models.rotating import dot
+from perilune.models.rotating import scalar_product
 from perilune.problem.preflight import Finding
 
 
@@ -35,23 +35,23 @@ def compare_precision(p: Any, m: Any, *, body: Body | UniformGravity = MOON) -> 
     velocity = (p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
     position, axis, r_site = over_ground(start, p, m)
     left = getattr(p, "final_touchdown_speed", 0.0)
-    held = _mass_held_at_end(p, m) if hasattr(p, "final_height") else mass_held(r_site, p, m)
-    found = [above_site(p.approach_up, 0.0), thrust_against_weight(r_site, p), *engine_holds_dry_mass(held, p)]
+    held = _largest_mass_to_touchdown(p, m) if hasattr(p, "final_height") else largest_mass_stopped(r_site, p, m)
+    found = [compare_start_height(p.approach_up, 0.0), compare_thrust_and_weight(r_site, p), *compare_dry_mass(held, p)]
     if hasattr(p, "corridor_tilt") and not hasattr(p, "approach_longest_coast"):
-        found.append(_throttle_floor(p, m))  # with its engine off it comes down all the same
+        found.append(_compare_throttle_floor(p, m))  # with its engine off it comes down all the same
     if hasattr(p, "corridor_slope"):
-        found.append(_above_slope_at_start(start, p, m))
+        found.append(_compare_start_with_slope(start, p, m))
     if hasattr(p, "final_height"):
-        found += [_above_gate_at_start(p), _tilt_on_the_vertical(p, m)]
-    found.append(stopping_distance(position, velocity, axis, r_site, p, m, left))
+        found += [_compare_start_with_gate(p), _compare_vertical_tilt(p, m)]
+    found.append(compare_stopping_distance(position, velocity, axis, r_site, p, m, left))
     if hasattr(p, "corridor_slope"):
-        found.append(_stops_above_slope(start, velocity, left, p, m))
+        found.append(_compare_stop_above_slope(start, velocity, left, p, m))
     if hasattr(p, "vehicle_dry_mass"):
-        found.append(propellant_stops(position, velocity, axis, r_site, p, m, left))
-    return (*found, *(air_left_out(body) if isinstance(body, Body) else ()))
+        found.append(compare_propellant(position, velocity, axis, r_site, p, m, left))
+    return (*found, *(compare_neglected_air(body) if isinstance(body, Body) else ()))
 
 
-def _above_slope_at_start(start: Any, p: Any, m: Any) -> Finding:
+def _compare_start_with_slope(start: Any, p: Any, m: Any) -> Finding:
     return Finding(
         name="height above the glide slope",
         value=above_slope(start, p, m),
@@ -64,7 +64,7 @@ def _above_slope_at_start(start: Any, p: Any, m: Any) -> Finding:
     )
 
 
-def _stops_above_slope(start: Any, velocity: Any, left: Any, p: Any, m: Any) -> Finding:
+def _compare_stop_above_slope(start: Any, velocity: Any, left: Any, p: Any, m: Any) -> Finding:
     """Compare the distance in which full thrust stops the approach with that to the glide slope.
 
     The room above a slope is convex: it lies above the tangent plane below the start, whose normal (-, -, 1) has the
@@ -74,12 +74,12 @@ def _stops_above_slope(start: Any, velocity: Any, left: Any, p: Any, m: Any) -> 
     away = m.sqrt(start.east * start.east + start.north * start.north)
     steep = m.tan(p.corridor_slope) / m.sqrt(away * away + p.corridor_pad_radius * p.corridor_pad_radius)
     normal = (-steep * start.east, -steep * start.north, 1.0)
-    lever = m.sqrt(dot(normal, normal))
-    closing = m.fmax(-dot(normal, velocity) - left, 0.0)
-    distance, time = braking(closing, p, m, lever)
-    pull = -dot(normal, without_thrust(start, velocity, p, m))
+    lever = m.sqrt(scalar_product(normal, normal))
+    closing = m.fmax(-scalar_product(normal, velocity) - left, 0.0)
+    distance, time = braking_distance_and_time(closing, p, m, lever)
+    pull = -scalar_product(normal, ground_free_acceleration(start, velocity, p, m))
     if not is_flat(p):
-        pull -= lever * _turn_of_gravity(velocity, closing / lever, time, p, m)
+        pull -= lever * _change_of_gravity(velocity, closing / lever, time, p, m)
     return Finding(
         name="way to the glide slope before full thrust can stop it",
         value=distance + 0.5 * pull * time * time,
@@ -92,23 +92,23 @@ def _stops_above_slope(start: Any, velocity: Any, left: Any, p: Any, m: Any) -> 
     )
 
 
-def _turn_of_gravity(velocity: Any, gained: Any, time: Any, p: Any, m: Any) -> Any:
+def _change_of_gravity(velocity: Any, gained: Any, time: Any, p: Any, m: Any) -> Any:
     """Return the most [m/s^2] that the acceleration without thrust changes in a time, with a speed gained by thrust.
 
     By the gradient of gravity, 2 mu/r^3 (and half as much again for J2), and by the turning of the body.
     """
     r, omega = p.body_radius + p.site_altitude, m.fabs(p.body_rotation_rate)
     gained += 1.1 * gravity_at(r, p) * time
-    way = (m.sqrt(dot(velocity, velocity)) + gained) * time
+    way = (m.sqrt(scalar_product(velocity, velocity)) + gained) * time
     return 3 * gravity_at(r, p) / r * way + 2 * omega * gained + omega * omega * way
 
 
-def _mass_held_at_end(p: Any, m: Any) -> Any:
+def _largest_mass_to_touchdown(p: Any, m: Any) -> Any:
     """Largest mass [kg] that comes down the vertical from the gate with no more than the touchdown speed u.
 
     Where full thrust leaves an acceleration b downwards, the way h from the gate makes it as fast as sqrt(2 b h).
     """
-    weight = -without_thrust(_on_vertical(p.final_height), (0.0, 0.0, 0.0), p, m)[2]
+    weight = -ground_free_acceleration(_on_vertical(p.final_height), (0.0, 0.0, 0.0), p, m)[2]
     u = p.final_touchdown_speed
     return greatest_thrust(p) / m.fmax(weight - 0.5 * u * u / p.final_height, 0.0)
 
@@ -117,7 +117,7 @@ def _on_vertical(up: Any) -> Any:
     return SimpleNamespace(east=0.0, north=0.0, up=up)
 
 
-def _above_gate_at_start(p: Any) -> Finding:
+def _compare_start_with_gate(p: Any) -> Finding:
     return Finding(
         name="height above the final descent",
         value=p.approach_up - p.final_height,
@@ -130,12 +130,12 @@ def _above_gate_at_start(p: Any) -> Finding:
     )
 
 
-def _tilt_on_the_vertical(p: Any, m: Any) -> Finding:
+def _compare_vertical_tilt(p: Any, m: Any) -> Finding:
     """Compare the tilt that keeps the vehicle on the vertical, hovering and at the speed of a fall from the gate."""
     fall = m.sqrt(2 * gravity_at(getattr(p, "body_radius", 0.0), p) * p.final_height)
     tilts = []
     for speed in (0.0, fall):
-        east, north, up = without_thrust(_on_vertical(0.0), (0.0, 0.0, -speed), p, m)
+        east, north, up = ground_free_acceleration(_on_vertical(0.0), (0.0, 0.0, -speed), p, m)
         tilts.append(m.atan2(m.sqrt(east * east + north * north), -up) * (180.0 / math.pi))
     return Finding(
         name="tilt that holds it on the vertical",
@@ -149,13 +149,13 @@ def _tilt_on_the_vertical(p: Any, m: Any) -> Finding:
     )
 
 
-def _throttle_floor(p: Any, m: Any) -> Finding:
+def _compare_throttle_floor(p: Any, m: Any) -> Finding:
     """Compare the descent speed with the most that the throttle floor lets come down to the site.
 
     Within the pointing limit the throttle's floor lifts by at least this much, more on a lighter vehicle and more
     higher up, and ends the descent on the way v^2/(2 a). A hundredth is left to the Coriolis acceleration.
     """
-    weight = -without_thrust(_on_vertical(0.0), (0.0, 0.0, 0.0), p, m)[2]
+    weight = -ground_free_acceleration(_on_vertical(0.0), (0.0, 0.0, 0.0), p, m)[2]
     lift = p.throttle_lower * p.vehicle_thrust * m.cos(p.corridor_tilt) / p.vehicle_mass - weight
     return Finding(
         name="speed of descent that reaches the site with the throttle at its floor",

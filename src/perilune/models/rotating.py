@@ -7,7 +7,7 @@ that turns with the body; `axis` is the unit vector of the rotation, Omega = ome
     U   = -(mu/r) (1 - sum of J_n (R/r)^n P_n(s)),   s = r.axis/r,   g = -grad U
 
 with J2, and J3 and J4 where a body has them (Vallado, Fundamentals of Astrodynamics, 2013, section 8.7). The gradient
-stands in closed form in `gravity`, because the numeric namespace cannot differentiate; the tests differentiate
+stands in closed form in `zonal_gravity`, because the numeric namespace cannot differentiate; the tests differentiate
 `potential` and compare.
 """
 
@@ -19,12 +19,12 @@ from typing import Any
 Triple = tuple[Any, Any, Any]
 
 
-def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+def scalar_product(a: Sequence[Any], b: Sequence[Any]) -> Any:
     """Scalar product of two triples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def cross(a: Sequence[Any], b: Sequence[Any]) -> Triple:
+def cross_product(a: Sequence[Any], b: Sequence[Any]) -> Triple:
     """Vector product of two triples."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
@@ -45,8 +45,8 @@ def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> A
     p, m
         Parameters [SI] and maths namespace.
     """
-    r = m.sqrt(dot(position, position))
-    s = dot(position, axis) / r
+    r = m.sqrt(scalar_product(position, position))
+    s = scalar_product(position, axis) / r
     ratio = p.body_radius / r
     zonal = p.body_j2 * ratio**2 * (3 * s * s - 1) / 2
     if hasattr(p, "body_j3"):
@@ -56,7 +56,7 @@ def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> A
     return -p.body_gravitational_parameter / r * (1 - zonal)
 
 
-def gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
+def zonal_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
     """-grad U: along the position with J_n (R/r)^n P'_n+1, and along the axis with -P'_n.
 
     Parameters
@@ -71,8 +71,8 @@ def gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Tri
     Triple
         Acceleration [m/s^2], (3,).
     """
-    r = m.sqrt(dot(position, position))
-    s = dot(position, axis) / r
+    r = m.sqrt(scalar_product(position, position))
+    s = scalar_product(position, axis) / r
     ratio = p.body_radius / r
     oblate = 1.5 * p.body_j2 * ratio**2
     strength = -p.body_gravitational_parameter / (r * r)
@@ -101,9 +101,9 @@ def free_acceleration(position: Sequence[Any], velocity: Sequence[Any], axis: Se
     """
     omega = p.body_rotation_rate
     return combine(
-        (1, gravity(position, axis, p, m)),
-        (-2 * omega, cross(axis, velocity)),
-        (-omega * omega, cross(axis, cross(axis, position))),
+        (1, zonal_gravity(position, axis, p, m)),
+        (-2 * omega, cross_product(axis, velocity)),
+        (-omega * omega, cross_product(axis, cross_product(axis, position))),
     )
 
 
@@ -140,7 +140,7 @@ def heading_axes(longitude: Any, latitude: Any, heading: Any, m: Any) -> tuple[T
     return up, combine((cosine, north), (sine, east)), combine((sine, north), (-cosine, east))
 
 
-def place(position: Sequence[Any], m: Any) -> tuple[Any, Any, Any]:
+def spherical_coordinates(position: Sequence[Any], m: Any) -> tuple[Any, Any, Any]:
     """Distance, longitude and latitude of a position in the frame whose z is the rotation axis.
 
     Parameters
@@ -157,7 +157,7 @@ def place(position: Sequence[Any], m: Any) -> tuple[Any, Any, Any]:
     """
     x, y, z = position
     across = m.sqrt(x * x + y * y)
-    return m.sqrt(dot(position, position)), m.atan2(y, x), m.atan2(z, across)
+    return m.sqrt(scalar_product(position, position)), m.atan2(y, x), m.atan2(z, across)
 
 
 def apparent_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
@@ -178,7 +178,7 @@ INERTIAL_AXES = (
 )
 
 
-def seen_inertially(
+def inertial_triples(
     position: Sequence[Any], velocity: Sequence[Any], push: Sequence[Any], t: Any, p: Any, m: Any
 ) -> tuple[Any, ...]:
     """Position, velocity and a third vector in `INERTIAL_AXES` as nine values, t seconds after the begin of the flight.
@@ -196,7 +196,7 @@ def seen_inertially(
     """
     omega = p.body_rotation_rate
     sine, cosine = m.sin(omega * t), m.cos(omega * t)
-    carried = combine((1, velocity), (omega, cross((0.0, 0.0, 1.0), position)))
+    carried = combine((1, velocity), (omega, cross_product((0.0, 0.0, 1.0), position)))
     return tuple(
         value for x, y, z in (position, carried, push) for value in (cosine * x - sine * y, sine * x + cosine * y, z)
     )

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from perilune.models.limits import exhaust_speed, greatest_thrust
-from perilune.models.two_impulses import around_body, two_impulses
+from perilune.models.two_impulses import landing_start_of, two_impulses
 from perilune.problem.guess import guess
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution
@@ -23,7 +23,7 @@ from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix
 
 if TYPE_CHECKING:
-    from perilune.models.two_burns import Leg, TwoBurns
+    from perilune.models.two_burns import BurnArc, TwoBurns
 
 _GROUND = "height_above_site"  # the condition that the coast touches
 _MOST = 2  # of the best, of which better ones are looked for
@@ -45,7 +45,7 @@ def rough_landing(problem: Problem) -> list[tuple[Solution, Structure]]:
     list
         Rough flights with their arcs; none where there is no landing by two impulses, or the engine cannot be off.
     """
-    from perilune.models.burn_search import burning_once_more, burning_sooner, two_burns  # and with it CasADi
+    from perilune.models.burn_search import add_brief_burn, advance_second_burn, two_burns  # and with it CasADi
     from perilune.models.two_burns import Burning
 
     p = problem.parameters({f.name: f.typical for f in problem.free})
@@ -53,17 +53,17 @@ def rough_landing(problem: Problem) -> list[tuple[Solution, Structure]]:
     if p.throttle_lower > 0.0:
         return []
     burning = Burning(mass=float(start[6]), force=greatest_thrust(p), exhaust=exhaust_speed(p))
-    landings = two_impulses(around := around_body(p, start))
+    landings = two_impulses(around := landing_start_of(p, start))
     at_once = bool(landings) and landings[0].wait == 0.0  # else it lies on an apsis, and waits for a moment
     found = (two_burns(around, landing, burning, at_once=at_once and landing.wait == 0.0) for landing in landings)
-    best = _unlike(filter(None, found))
-    for another in (burning_sooner, burning_once_more):
+    best = _distinct_landings(filter(None, found))
+    for another in (advance_second_burn, add_brief_burn):
         more = [another(one, at_once=at_once and one.lengths[0] == 0.0) for one in best[:_MOST]]
-        best = _unlike([*more, *best[_MOST:]])
-    return [_drawn(problem, one, p.body_rotation_rate, (p.throttle_lower, p.throttle_upper)) for one in best]
+        best = _distinct_landings([*more, *best[_MOST:]])
+    return [_guess_of_flight(problem, one, p.body_rotation_rate, (p.throttle_lower, p.throttle_upper)) for one in best]
 
 
-def _unlike(found: Iterable[TwoBurns]) -> list[TwoBurns]:
+def _distinct_landings(found: Iterable[TwoBurns]) -> list[TwoBurns]:
     """Return landings of different masses, the greatest first; of those alike the shortest, as a turn later is."""
     kept: list[TwoBurns] = []
     for one in sorted(found, key=lambda one: float(one.lengths.sum())):
@@ -72,7 +72,7 @@ def _unlike(found: Iterable[TwoBurns]) -> list[TwoBurns]:
     return sorted(kept, key=lambda one: -one.landed)
 
 
-def _drawn(
+def _guess_of_flight(
     problem: Problem, flight: TwoBurns, rate: float, throttle: tuple[float, float]
 ) -> tuple[Solution, Structure]:
     """Return a flight as a guess in axes that turn at a rate [rad/s], with its arcs and costates."""
@@ -86,7 +86,7 @@ def _drawn(
         for leg, after in zip(legs, [*legs[1:], None], strict=True)
         if leg.touches or after is None or after.burns is not leg.burns
     )
-    seen = [_seen(leg, rate) for leg in legs]
+    seen = [_leg_in_body_axes(leg, rate) for leg in legs]
     rows = [(0 if k == 0 else 1, leg, one) for k, (leg, one) in enumerate(zip(legs, seen, strict=True))]
     times = np.concatenate([leg.times[first:] for first, leg, _ in rows])
     states = np.concatenate([one[0][first:] for first, _, one in rows])
@@ -107,7 +107,7 @@ def _drawn(
     return replace(solution, objective=-landed, trajectories=trajectories), Structure((arcs,))
 
 
-def _seen(leg: Leg, rate: float) -> tuple[Matrix, Matrix]:
+def _leg_in_body_axes(leg: BurnArc, rate: float) -> tuple[Matrix, Matrix]:
     """Return the states and costates (n, 7) of an arc in axes that turn with the body."""
     turning = np.array([0.0, 0.0, rate])
     states, costates = leg.states.T.copy(), leg.costates.T.copy()

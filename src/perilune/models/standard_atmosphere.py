@@ -69,8 +69,8 @@ _EDDY = 120.0  # m^2/s
 def density(altitude: Any) -> Any:
     """Density [kg/m^3] at altitudes [m] between -5 and 1000 km; NaN elsewhere."""
     z = np.asarray(altitude, dtype=float)
-    scale, pressure = _mixed(np.clip(z, LOWEST, Z7))
-    found = np.where(z <= Z7, pressure * M0 / (R * scale), np.exp(np.interp(z, *_above())))
+    scale, pressure = _lower_atmosphere(np.clip(z, LOWEST, Z7))
+    found = np.where(z <= Z7, pressure * M0 / (R * scale), np.exp(np.interp(z, *_upper_density_table())))
     return np.where((z >= LOWEST) & (z <= HIGHEST), found, np.nan)
 
 
@@ -78,18 +78,20 @@ def temperature(altitude: Any) -> Any:
     """Kinetic temperature [K] at altitudes [m] between -5 and 1000 km; NaN elsewhere."""
     z = np.asarray(altitude, dtype=float)
     lighter = np.interp(z, np.linspace(80e3, Z7, len(LIGHTER)), LIGHTER)
-    found = np.where(z <= Z7, _mixed(np.clip(z, LOWEST, Z7))[0] * lighter, _diffusing(np.clip(z, Z7, HIGHEST)))
+    found = np.where(
+        z <= Z7, _lower_atmosphere(np.clip(z, LOWEST, Z7))[0] * lighter, _upper_temperature(np.clip(z, Z7, HIGHEST))
+    )
     return np.where((z >= LOWEST) & (z <= HIGHEST), found, np.nan)
 
 
 def speed_of_sound(altitude: Any) -> Any:
     """Speed of sound [m/s] at altitudes [m] up to 86 km; beyond, where the standard has none, NaN."""
     z = np.asarray(altitude, dtype=float)
-    scale, _ = _mixed(np.clip(z, LOWEST, Z7))
+    scale, _ = _lower_atmosphere(np.clip(z, LOWEST, Z7))
     return np.where((z >= LOWEST) & (z <= Z7), np.sqrt(RATIO_OF_HEATS * R / M0 * scale), np.nan)
 
 
-def _mixed(z: Any) -> tuple[Any, Any]:
+def _lower_atmosphere(z: Any) -> tuple[Any, Any]:
     """Molecular-scale temperature [K] and pressure [Pa] up to 86 km; equations (23) and (33)."""
     h = R0 * z / (R0 + z)
     base, pressures = [288.15], [101325.0]
@@ -110,15 +112,15 @@ def _layer(rise: Any, temperature: Any, gradient: Any) -> tuple[Any, Any]:
     return found, np.where(gradient == 0.0, cold, (temperature / found) ** (weight / steep))
 
 
-def _diffusing(z: Any) -> Any:
+def _upper_temperature(z: Any) -> Any:
     """Kinetic temperature [K] from 86 km on; equations (25) to (31)."""
     rounded = 263.1905 - 76.3232 * np.sqrt(np.maximum(1 - ((z - Z8) / -19942.9) ** 2, 0.0))
     far = _T_FAR - (_T_FAR - _T10) * np.exp(-_FAR * (z - Z10) * (R0 + Z10) / (R0 + z))
     return np.select([z <= Z8, z <= Z9, z <= Z10], [_T7, rounded, _T9 + _STEEP * (z - Z9)], far)
 
 
-def _gradient(z: Any) -> Any:
-    """Derivative of `_diffusing` [K/m]."""
+def _temperature_gradient(z: Any) -> Any:
+    """Derivative of `_upper_temperature` [K/m]."""
     there = (z - Z8) / -19942.9
     rounded = 76.3232 * there / -19942.9 / np.sqrt(np.maximum(1 - there * there, 1e-12))
     turned = ((R0 + Z10) / (R0 + z)) ** 2
@@ -126,7 +128,7 @@ def _gradient(z: Any) -> Any:
     return np.select([z <= Z8, z <= Z9, z <= Z10], [0.0, rounded, _STEEP], far)
 
 
-def _integrated(values: Any, z: Any) -> Any:
+def _cumulative_trapezoids(values: Any, z: Any) -> Any:
     """Integrals from the lowest altitude on, by trapezoids."""
     from scipy.integrate import cumulative_trapezoid  # only who flies through this air waits for it
 
@@ -134,10 +136,10 @@ def _integrated(values: Any, z: Any) -> Any:
 
 
 @cache
-def _above() -> tuple[Any, Any]:
+def _upper_density_table() -> tuple[Any, Any]:
     """Altitudes [m] from 86 km on, and the logarithm of the density there."""
     z = np.concatenate([np.arange(Z7, 150e3, 10.0), np.arange(150e3, Z11, 100.0), np.arange(Z11, HIGHEST + 1, 500.0)])
-    t, slope, g = _diffusing(z), _gradient(z), G0 * (R0 / (R0 + z)) ** 2
+    t, slope, g = _upper_temperature(z), _temperature_gradient(z), G0 * (R0 / (R0 + z)) ** 2
     numbers: dict[str, Any] = {}
     for gas, (mass, first, thermal, molecular) in _GASES.items():
         through = ("N2", "O", "O2") if gas in ("Ar", "He") else ("N2",)
@@ -147,8 +149,8 @@ def _above() -> tuple[Any, Any]:
             rate = mixed * g / (R * t)
         else:
             own = _diffusion(molecular, sum(beside.values()), t)
-            rate = _settling(z, g, t, slope, mass, thermal, own, mixed) + _flux(gas, z / 1e3) / 1e3
-        numbers[gas] = first * (_T7 / t) * np.exp(-_integrated(rate, z))
+            rate = _diffusive_settling(z, g, t, slope, mass, thermal, own, mixed) + _flux(gas, z / 1e3) / 1e3
+        numbers[gas] = first * (_T7 / t) * np.exp(-_cumulative_trapezoids(rate, z))
     numbers["H"] = _hydrogen(z, g, t, sum(numbers.values()))
     return z, np.log(_mean_mass(numbers) * sum(numbers.values()) / AVOGADRO)
 
@@ -163,7 +165,7 @@ def _diffusion(molecular: tuple[float, float], background: Any, t: Any) -> Any:
     return molecular[0] / background * (t / 273.15) ** molecular[1]
 
 
-def _settling(z: Any, g: Any, t: Any, slope: Any, mass: float, thermal: float, own: Any, beside: Any) -> Any:
+def _diffusive_settling(z: Any, g: Any, t: Any, slope: Any, mass: float, thermal: float, own: Any, beside: Any) -> Any:
     """f of equation (36) [1/m]; above 115 km there are no eddies."""
     eddies = _EDDY * np.exp(1 - 4e8 / np.maximum(4e8 - (z - 95e3) ** 2, 1e6))
     eddies = np.select([z < 95e3, z < 115e3], [_EDDY, eddies], 0.0)
@@ -185,7 +187,7 @@ def _hydrogen(z: Any, g: Any, t: Any, background: Any) -> Any:
     from_500 = np.searchsorted(z, Z11)
 
     def since(values: Any) -> Any:
-        total = _integrated(values, z)
+        total = _cumulative_trapezoids(values, z)
         return total - total[from_500]
 
     tau, warmer = since(_HYDROGEN * g / (R * t)), (t / _T11) ** (1 + _H_THERMAL)

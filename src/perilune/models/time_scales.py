@@ -42,7 +42,7 @@ def tdb_minus_utc(epoch: datetime) -> float:
     return sum(c * (year - origin) ** k for k, c in enumerate(powers))
 
 
-def told_tdb(epoch: datetime) -> str:
+def describe_tdb(epoch: datetime) -> str:
     """Describe TDB - UTC in words, with what is neglected."""
     ahead = tdb_minus_utc(epoch)
     if epoch < _LEAPS[0]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.models.burn_programs import burn_flown
-from perilune.models.two_impulses import Around, fallen
+from perilune.models.burn_programs import compile_burn
+from perilune.models.two_impulses import LandingStart, propagate_kepler
 from perilune.words.types import Matrix, Vector
 
 _DIFFERENCE = 1e-5  # of place or velocity: how far apart neighbouring falls begin
@@ -26,7 +26,7 @@ class Burning:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Leg:
+class BurnArc:
     """Propagated arc in inertial axes.
 
     Parameters
@@ -78,7 +78,7 @@ class TwoBurns:
     brief: int
     early: bool
     touch: float
-    around: Around
+    around: LandingStart
     burning: Burning
 
     @property
@@ -93,7 +93,7 @@ class TwoBurns:
         burnt = self.burning.force / self.burning.exhaust * sum(self.lengths[k] for k in self.burns)
         return self.burning.mass - float(burnt)
 
-    def legs(self, counts: Sequence[int]) -> Iterator[Leg]:
+    def legs(self, counts: Sequence[int]) -> Iterator[BurnArc]:
         """Fly the arcs, with so many rows each.
 
         Parameters
@@ -109,7 +109,7 @@ class TwoBurns:
             rows = [(self._burnt if burns else self._fallen)(k, share * length) for share in shares]
             states, costates = (np.array([row[i] for row in rows]).T for i in (0, 1))
             touches = self.touch > 0.0 and k == len(self.lengths) - (2 if self.early else 3)
-            yield Leg(
+            yield BurnArc(
                 burns=burns, touches=touches, times=begin + shares * length, states=states, costates=costates,
                 exhaust=self.burning.exhaust,
             )  # fmt: skip
@@ -117,14 +117,14 @@ class TwoBurns:
 
     def _fallen(self, k: int, t: float) -> tuple[Vector, Vector]:
         """Fall from the start of an arc."""
-        return carried(self.states[k], self.costates[k], self.around.mu, t)
+        return propagate_with_costate(self.states[k], self.costates[k], self.around.mu, t)
 
     def _burnt(self, k: int, t: float) -> tuple[Vector, Vector]:
         """Burn from the start of an arc."""
         units = CanonicalUnits.of(self.around, self.burning)
         state, costate = self.states[k] / units.states, self.costates[k] * units.states / self.burning.mass
         law = np.concatenate([costate[3:6], costate[:3]])
-        y = np.array(burn_flown()(state, law, t / units.time, units.force, units.flow)).ravel()
+        y = np.array(compile_burn()(state, law, t / units.time, units.force, units.flow)).ravel()
         costates = np.concatenate([y[10:13], y[7:10], [costate[6] - y[13]]])
         return y[:7] * units.states, costates * self.burning.mass / units.states
 
@@ -139,7 +139,7 @@ class CanonicalUnits:
     flow: float
 
     @classmethod
-    def of(cls, around: Around, burning: Burning) -> CanonicalUnits:
+    def of(cls, around: LandingStart, burning: Burning) -> CanonicalUnits:
         """Return those of a start and of what burns."""
         speed = math.sqrt(around.mu / around.radius)
         states = np.array([around.radius] * 3 + [speed] * 3 + [burning.mass])
@@ -152,11 +152,11 @@ def length_of(vector: Vector) -> float:
     return float(np.linalg.norm(vector)) + 1e-300
 
 
-def carried(state: Vector, costate: Vector, mu: float, t: float) -> tuple[Vector, Vector]:
+def propagate_with_costate(state: Vector, costate: Vector, mu: float, t: float) -> tuple[Vector, Vector]:
     """Return a state and its costate after a free fall: costates (rate, primer) follow from two neighbouring falls."""
     place, velocity, primer, rate = state[:3], state[3:6], costate[3:6], -costate[:3]
     size = _DIFFERENCE * min(length_of(place) / length_of(primer), length_of(velocity) / length_of(rate))
-    ahead, behind = (fallen(place + s * primer, velocity + s * rate, mu, t) for s in (size, -size))
+    ahead, behind = (propagate_kepler(place + s * primer, velocity + s * rate, mu, t) for s in (size, -size))
     moved = [(after - before) / (2 * size) for after, before in zip(ahead, behind, strict=True)]
-    there = np.concatenate([*fallen(place, velocity, mu, t), state[6:]])
+    there = np.concatenate([*propagate_kepler(place, velocity, mu, t), state[6:]])
     return there, np.concatenate([-moved[1], moved[0], costate[6:]])

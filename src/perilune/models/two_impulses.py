@@ -28,7 +28,7 @@ _KEPLER_STEPS = 60  # of Newton's method for Kepler's equation
 
 
 @dataclass(frozen=True, kw_only=True)
-class Around:
+class LandingStart:
     """State at the begin of a landing, in inertial axes that agree with the body's at that instant.
 
     Parameters
@@ -87,7 +87,7 @@ class TwoImpulses:
         return self.first + self.second
 
 
-def fallen(position: Vector, velocity: Vector, mu: float, time: float) -> tuple[Vector, Vector]:
+def propagate_kepler(position: Vector, velocity: Vector, mu: float, time: float) -> tuple[Vector, Vector]:
     """Return place and velocity after free fall on an ellipse, by Lagrange's f and g (Battin 1999, section 4.3)."""
     r = float(np.linalg.norm(position))
     semi = 1 / (2 / r - float(velocity @ velocity) / mu)
@@ -121,12 +121,12 @@ def orbit_shape(position: Vector, velocity: Vector, mu: float) -> tuple[float, f
     return 1 / (2 / r - speed / mu), float(np.linalg.norm(eccentric))
 
 
-def _lowest(position: Vector, velocity: Vector, mu: float) -> float:
+def _lowest_radius(position: Vector, velocity: Vector, mu: float) -> float:
     semi, eccentricity = orbit_shape(position, velocity, mu)
     return semi * (1 - eccentricity)
 
 
-def time_down(position: Vector, velocity: Vector, mu: float) -> float:
+def time_to_periapsis(position: Vector, velocity: Vector, mu: float) -> float:
     """Return the time [s] to the lowest point of an ellipse, less than one turn."""
     semi, _ = orbit_shape(position, velocity, mu)
     sine, cosine = float(position @ velocity) / math.sqrt(mu * semi), 1 - float(np.linalg.norm(position)) / semi
@@ -134,29 +134,29 @@ def time_down(position: Vector, velocity: Vector, mu: float) -> float:
     return (-mean % (2 * math.pi)) * math.sqrt(semi**3 / mu)
 
 
-def _landing(around: Around, wait: float) -> TwoImpulses:
+def _landing_after_wait(around: LandingStart, wait: float) -> TwoImpulses:
     """Return the landing that begins after a wait [s]."""
-    mu, before = around.mu, fallen(around.position, around.velocity, around.mu, wait)
+    mu, before = around.mu, propagate_kepler(around.position, around.velocity, around.mu, wait)
     position, velocity = before
     low, high = 0.0, _FASTER  # shares of the velocity that is left
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if _lowest(position, middle * velocity, mu) > around.radius else (middle, high)
+        low, high = (low, middle) if _lowest_radius(position, middle * velocity, mu) > around.radius else (middle, high)
     after = low * velocity
-    fall = time_down(position, after, mu)
-    lowest = fallen(position, after, mu, fall)
+    fall = time_to_periapsis(position, after, mu)
+    lowest = propagate_kepler(position, after, mu, fall)
     ground = np.cross(around.turning, lowest[0])
     return TwoImpulses(wait=wait, fall=fall, before=before, after=after, lowest=lowest, ground=ground)
 
 
-def _may_graze(around: Around, wait: float) -> bool:
+def _may_graze(around: LandingStart, wait: float) -> bool:
     """Return True if a flight is above the ground after a wait [s], and may be made to graze it."""
-    position, velocity = fallen(around.position, around.velocity, around.mu, wait)
+    position, velocity = propagate_kepler(around.position, around.velocity, around.mu, wait)
     above = float(np.linalg.norm(position)) > around.radius
-    return above and _lowest(position, _FASTER * velocity, around.mu) > around.radius
+    return above and _lowest_radius(position, _FASTER * velocity, around.mu) > around.radius
 
 
-def two_impulses(around: Around) -> list[TwoImpulses]:
+def two_impulses(around: LandingStart) -> list[TwoImpulses]:
     """Return the landings by two impulses whose velocity change is least among those that begin sooner or later.
 
     Over a body that turns these are several within one turn of the orbit. Long burns choose another wait than impulses
@@ -186,23 +186,26 @@ def two_impulses(around: Around) -> list[TwoImpulses]:
         return []
 
     def spent(wait: float) -> float:
-        return _landing(around, wait).velocity_change
+        return _landing_after_wait(around, wait).velocity_change
 
     changes = np.array([spent(wait) for wait in waits])
     if changes.max() <= changes.min() * (1 + _SAME):
-        return [_landing(around, 0.0)]
+        return [_landing_after_wait(around, 0.0)]
     ahead, behind = (np.append(changes[1:], np.inf), np.append(np.inf, changes[:-1]))
     least = np.nonzero((changes <= ahead) & (changes <= behind))[0].tolist()
     found = list[TwoImpulses]()
     for k in least[:-1] if {0, _LOOKS} <= {*least} else least:  # the first, a turn later
         near = waits[max(k - 1, 0)], waits[min(k + 1, last)]
         nearest: Any = minimize_scalar(spent, method="bounded", bounds=near)
-        found.append(_landing(around, min((float(waits[k]), float(nearest.x)), key=spent)))
+        found.append(_landing_after_wait(around, min((float(waits[k]), float(nearest.x)), key=spent)))
     between = (k for k in range(0, last, _LOOKS // 4) if min(abs(k - known) for known in least) > _LOOKS // 8)
-    return [*sorted(found, key=lambda one: one.velocity_change), *(_landing(around, float(waits[k])) for k in between)]
+    return [
+        *sorted(found, key=lambda one: one.velocity_change),
+        *(_landing_after_wait(around, float(waits[k])) for k in between),
+    ]
 
 
-def around_body(p: Any, state: Any) -> Around:
+def landing_start_of(p: Any, state: Any) -> LandingStart:
     """Return where a flight begins.
 
     Parameters
@@ -214,7 +217,7 @@ def around_body(p: Any, state: Any) -> Around:
     """
     position, seen = (np.array(state[a : a + 3], dtype=float) for a in (0, 3))
     turning = np.array([0.0, 0.0, p.body_rotation_rate])
-    return Around(
+    return LandingStart(
         position=position, velocity=seen + np.cross(turning, position), mu=p.body_gravitational_parameter,
         radius=p.body_radius + p.site_altitude, turning=turning,
     )  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 from perilune.problem.wording import free_name, limit_name, parameter_key, quantity_name
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Vector
-from perilune.words.units import told
+from perilune.words.units import format_quantity
 
 KNOWN_BETTER = "a flight is known that is better by"  # with which a line of `Statistics.tried` begins that says so
 _AT_BOUND = 1e-7  # of its range: a parameter that is nearer to its bound is on it
@@ -40,26 +40,34 @@ def warnings_of(solution: Any) -> tuple[str, ...]:
         Of any method, with curves that are numbers.
     """
     with np.errstate(all="ignore"):
-        looks = (_left_out, _undercut, _outdone, _held_parameters, _below_ground, _outside, _reached)
+        looks = (
+            _warn_of_model_omissions,
+            _warn_of_chattering,
+            _warn_of_better_flight,
+            _held_parameters,
+            _warn_of_ground,
+            _warn_of_valid_ranges,
+            _warn_of_reached_limits,
+        )
         found = [said for look in looks for said in look(solution)]
     return tuple(dict.fromkeys(found))
 
 
-def _left_out(solution: Any) -> Iterator[str]:
+def _warn_of_model_omissions(solution: Any) -> Iterator[str]:
     """Yield what the model leaves out, as its own comparisons say."""
     problem = solution.problem
     stated = () if problem.preflight is None else problem.preflight(solution.parameters, NUMERIC)
     yield from (finding.meaning for finding in stated if finding.lasting and not finding.passed)
 
 
-def _undercut(solution: Any) -> Iterator[str]:
+def _warn_of_chattering(solution: Any) -> Iterator[str]:
     """Yield a warning that chattering next to a limit is better: the proof has found that no flight is optimal."""
     for check in solution.verification.failed:
         if check.meaning.endswith("(chattering)"):
             yield f"flights that chatter are better than this one: {check.meaning.rpartition('; ')[2]}"
 
 
-def _outdone(solution: Any) -> Iterator[str]:
+def _warn_of_better_flight(solution: Any) -> Iterator[str]:
     """Yield a sentence for each better flight that is known: the proved local optimum is dominated."""
     yield from (line for line in solution.statistics.tried if line.startswith(KNOWN_BETTER))
 
@@ -71,7 +79,7 @@ def _held_parameters(solution: Any) -> Iterator[str]:
         for side, bound in (("lower", free.lower), ("upper", free.upper)):
             near = _AT_BOUND * (both if math.isfinite(both) else max(abs(bound), size))
             if math.isfinite(bound) and abs(value - bound) <= near:
-                name, limit = free_name(solution.problem, free.name), told(bound, free.unit)
+                name, limit = free_name(solution.problem, free.name), format_quantity(bound, free.unit)
                 phase = next((x.name for x in solution.problem.phases if x.duration == free.name), None)
                 if phase is not None and side == "lower" and 0 <= bound <= _NO_LENGTH * solution.duration:
                     yield f"{name} is at its lower bound of {limit}: the best flight leaves out the phase {phase}"
@@ -89,10 +97,10 @@ def _stated_by(problem: Any, bound: float, unit: str) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
-def _below_ground(solution: Any) -> Iterator[str]:
+def _warn_of_ground(solution: Any) -> Iterator[str]:
     """Yield a warning if the flight goes below the ground: the body's radius, or its start and end if lower."""
     problem = solution.problem
-    heights = _heights(solution)
+    heights = _height_along(solution)
     if heights is None:
         return
     called, of, radius = heights
@@ -100,7 +108,7 @@ def _below_ground(solution: Any) -> Iterator[str]:
     ends = (0.0, float(of(0, np.zeros(1))[0]), float(of(last, np.array([solution.trajectories[last].duration]))[0]))
     lowest, when, since = math.inf, 0.0, 0.0
     for k, flown in enumerate(solution.trajectories):
-        least, at = _least(lambda t, k=k: of(k, t), flown.duration)
+        least, at = _least_along(lambda t, k=k: of(k, t), flown.duration)
         lowest, when = min((lowest, when), (least, since + at))
         since += flown.duration
     depth = min(ends) - lowest
@@ -109,7 +117,7 @@ def _below_ground(solution: Any) -> Iterator[str]:
         yield f"{said}: a path condition would keep it above"
 
 
-def _heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], float] | None:
+def _height_along(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], float] | None:
     """Return (description of a low flight, height [m] of a phase k at times, body's radius [m]); None without these."""
     problem, p = solution.problem, solution.parameters
     seen = problem.views.height or any(phase.inertial is not None for phase in problem.phases)
@@ -146,7 +154,7 @@ def _guessed_heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector
     return f"if {radii[0]} is the radius of the body, the flight goes", of, radius
 
 
-def _outside(solution: Any) -> Iterator[str]:
+def _warn_of_valid_ranges(solution: Any) -> Iterator[str]:
     """Yield a sentence for each quantity beyond the range that the model is meant for."""
     problem = solution.problem
     for meant in problem.views.meant_for:
@@ -166,15 +174,15 @@ def _outside(solution: Any) -> Iterator[str]:
 
             unit, duration = known[name].unit, solution.trajectories[k].duration
             for sign, limit in ((1.0, meant.lower), (-1.0, -meant.upper)):
-                least, _ = _least(lambda t, sign=sign: of(t, sign), duration)
+                least, _ = _least_along(lambda t, sign=sign: of(t, sign), duration)
                 if limit - least > max(worst, 1e-9 * abs(limit)):
                     worst, reached = limit - least, sign * least
         if worst > 0:
             said = meant.title or name.replace("_", " ")
-            yield f"{said} reaches {told(reached, unit, 3)}, beyond what the model is meant for: {meant.because}"
+            yield f"{said} reaches {format_quantity(reached, unit, 3)}, beyond what the model is meant for: {meant.because}"
 
 
-def _reached(solution: Any) -> Iterator[str]:
+def _warn_of_reached_limits(solution: Any) -> Iterator[str]:
     """Yield a sentence for each limit that the flight reaches: of the path, of states and of ends."""
     problem, p, since = solution.problem, solution.parameters, 0.0
     for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
@@ -182,12 +190,12 @@ def _reached(solution: Any) -> Iterator[str]:
         x, u = solution.flown(k, t)
         rows = [(quantity_name(c), v, _room_of(solution, k, i)) for i, (c, v) in enumerate(phase.path_along(x, u, p))]
         for name, values, of in rows:
-            yield from _contact(name, t, values, of, since)
+            yield from _warn_of_contact(name, t, values, of, since)
         for j, state in enumerate(phase.states):
             for side, sign, bound in zip(("lower", "upper"), (1.0, -1.0), state.limits(p), strict=True):
                 last = sign * (float(flown.state.values[-1][j]) - bound)
                 if isinstance(getattr(state, side), str) and last <= _CONTACT * float(np.ptp(x[j])):
-                    yield f"{limit_name(problem, state, side)} of {told(bound, state.unit)} is reached"
+                    yield f"{limit_name(problem, state, side)} of {format_quantity(bound, state.unit)} is reached"
         yield from _ends_reached(solution, k)
         since += flown.duration
 
@@ -200,7 +208,7 @@ def _ends_reached(solution: Any, k: int) -> Iterator[str]:
         for side, bound in zip(("lower", "upper"), limits, strict=True):
             wide = limits[1] - limits[0] if np.isfinite(limits).all() else abs(bound)
             if condition.ranged and np.isfinite(bound) and abs(float(value) - bound) <= _CONTACT * max(wide, 1e-9):
-                yield f"{limit_name(problem, condition, side)} of {told(bound, condition.unit)} is reached"
+                yield f"{limit_name(problem, condition, side)} of {format_quantity(bound, condition.unit)} is reached"
 
 
 def _room_of(solution: Any, k: int, i: int) -> Callable[[Vector], Vector]:
@@ -213,7 +221,9 @@ def _room_of(solution: Any, k: int, i: int) -> Callable[[Vector], Vector]:
     return of
 
 
-def _contact(name: str, t: Vector, values: Vector, of: Callable[[Vector], Vector], since: float) -> Iterator[str]:
+def _warn_of_contact(
+    name: str, t: Vector, values: Vector, of: Callable[[Vector], Vector], since: float
+) -> Iterator[str]:
     """Yield the sentence for a condition that has no room left away from the ends of its phase."""
     reach, i = float(np.ptp(values)), int(np.argmin(values))
     if not reach > 0 or i in (0, len(t) - 1):
@@ -222,23 +232,23 @@ def _contact(name: str, t: Vector, values: Vector, of: Callable[[Vector], Vector
         else:
             return
     low, high = float(t[max(i - 1, 0)]), float(t[min(i + 1, len(t) - 1)])
-    least, when = _least(lambda s: of(low + s), high - low, _NEARER)
+    least, when = _least_along(lambda s: of(low + s), high - low, _NEARER)
     on = np.flatnonzero(values <= _CONTACT * reach)
     if len(on) > 1:
         between = [values[a : b + 1].max() for a, b in itertools.pairwise(on)]
         rides = np.split(on, np.flatnonzero(np.array(between) > _LEFT * reach) + 1)
-        yield f"{name} is at its limit {' and '.join(_while(since + t[ride[[0, -1]]]) for ride in rides)}"
+        yield f"{name} is at its limit {' and '.join(_format_instants(since + t[ride[[0, -1]]]) for ride in rides)}"
     elif least <= _CONTACT * reach:
-        yield f"{name} is at its limit {_while(np.full(2, since + low + when))}"
+        yield f"{name} is at its limit {_format_instants(np.full(2, since + low + when))}"
 
 
-def _while(ends: Vector) -> str:
+def _format_instants(ends: Vector) -> str:
     """Format instants: the first and the last, which may be one."""
     first, last = ends
     return f"at {first:.4g} s" if first == last else f"between {first:.4g} and {last:.4g} s"
 
 
-def _least(of: Callable[[Vector], Vector], duration: float, first: int = _POINTS) -> tuple[float, float]:
+def _least_along(of: Callable[[Vector], Vector], duration: float, first: int = _POINTS) -> tuple[float, float]:
     """Return the least value of a quantity along a duration, and the time at which it is taken [s]."""
     low, high, least, when = 0.0, duration, math.inf, 0.0
     for count in (first, *(_NEARER,) * _ROUNDS):

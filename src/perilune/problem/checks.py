@@ -13,42 +13,44 @@ from typing import Any, NoReturn
 
 from perilune.problem.controls import scalars
 from perilune.problem.dimensions import Clash, clash, mixed_comparison
-from perilune.problem.form import Stated, stated
+from perilune.problem.form import StatedFunction, stated_functions
 from perilune.problem.names import check_names
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.views import Views, check_views
-from perilune.words.asked import demand, demand_callable, demand_row, refused
+from perilune.words.asked import require_callable, require_row, require_type, wrong_type_error
 from perilune.words.declared import check_values
 from perilune.words.outcome import PeriluneError, unknown_name
-from perilune.words.units import Scales, unit
+from perilune.words.units import Scales, parse_unit
 
 HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight", "switching_guesses")  # functions that are not formulas
 
 
 def check_parts(problem: Any) -> None:
     """Refuse parts of types that a problem does not have."""
-    demand_row(problem.phases, "phases", Phase)
-    demand_row(problem.links, "links", Callable)
-    demand_row(problem.free, "free parameters", Free)
-    demand_row(problem.result_variables, "result variables", Variable)
+    require_row(problem.phases, "phases", Phase)
+    require_row(problem.links, "links", Callable)
+    require_row(problem.free, "free parameters", Free)
+    require_row(problem.result_variables, "result variables", Variable)
     for name, kind, advice in (
         ("given", Mapping, 'given={"mass": pl.Given(value=300.0, unit="kg")}'),
         ("declared", Sequence, ""),
         ("views", Views, "pl.Views(...), or leave it out"),
         ("scales", Scales, "pl.Scales(length=1e3, time=60.0, mass=300.0), or leave it out"),
     ):
-        demand(getattr(problem, name), kind, f"what {name} of a problem can be", advice)
+        require_type(getattr(problem, name), kind, f"what {name} of a problem can be", advice)
     for name in HOOKS:
-        demand_callable(getattr(problem, name), f"what {name} of a problem can be")
+        require_callable(getattr(problem, name), f"what {name} of a problem can be")
     for record in problem.declared:
         if not hasattr(record, "__section__"):
-            raise refused(record, "a record of a class below @record(...)", "what declares numbers of a problem")
+            raise wrong_type_error(
+                record, "a record of a class below @record(...)", "what declares numbers of a problem"
+            )
     for name, value in problem.given.items():
-        demand(name, str, "the name of a given parameter")
+        require_type(name, str, "the name of a given parameter")
         shown = value if isinstance(value, float | int) else 3000.0
         advice = f'write pl.Given(value={shown}, unit="m/s"), with its own SI unit'
-        demand(value, Given, f"what is given of {name}", advice)
+        require_type(value, Given, f"what is given of {name}", advice)
 
 
 def check_structure(problem: Any) -> None:
@@ -134,7 +136,7 @@ def _check_meant_units(problem: Any) -> None:
 
 def _demand_unit(problem: Any, name: str, wanted: str, what: str) -> None:
     of = problem.unit_of(name)
-    if unit(of)[1] != unit(wanted)[1]:
+    if parse_unit(of)[1] != parse_unit(wanted)[1]:
         raise PeriluneError(f"{what} has another dimension", got=f"{name} in {of}", expected=f"a parameter in {wanted}")
 
 
@@ -192,14 +194,14 @@ def _sample(problem: Any, scales: Scales, place: int) -> tuple[SimpleNamespace, 
     return p, points
 
 
-def _values(problem: Any, scales: Scales, place: int) -> list[tuple[Stated, int, float]]:
+def _sampled_results(problem: Any, scales: Scales, place: int) -> list[tuple[StatedFunction, int, float]]:
     """Return (function, result's place, value) of all that the user's functions return at the sample, canonical."""
     p, points = _sample(problem, scales, place)
     everywhere = {
         "p": p, "t": 0.7 * problem.scales.time / scales.time, "first": points[0][0], "last": points[-1][0]
     }  # fmt: skip
-    found: list[tuple[Stated, int, float]] = []
-    for function in stated(problem):
+    found: list[tuple[StatedFunction, int, float]] = []
+    for function in stated_functions(problem):
         if not function.rough:
             x, u = points[function.phase]
             values = function.numbers({"x": x, "u": u, **everywhere})
@@ -212,7 +214,7 @@ def check_homogeneous(problem: Any) -> None:
     # Incommensurate with each other, so that no product of their powers is 1 by accident.
     scales, undefined = Scales(length=7.3, time=0.19, mass=23.0, temperature=1.7), []
     for place in range(_PLACES):
-        values = _values(problem, Scales(), place)
+        values = _sampled_results(problem, Scales(), place)
         undefined = [function.told(k) for function, k, si in values if math.isnan(si)]
         if not undefined:
             break
@@ -223,7 +225,7 @@ def check_homogeneous(problem: Any) -> None:
             expected="a number for states of the size of the problem's scales",
             advice="look for the root or logarithm of something negative, and for 0/0; check units, scales and values",
         )
-    for (function, k, si), (_, _, other) in zip(values, _values(problem, scales, place), strict=True):
+    for (function, k, si), (_, _, other) in zip(values, _sampled_results(problem, scales, place), strict=True):
         unit_text = function.results[k][1]
         scaled = other * scales.of(unit_text)
         if math.isfinite(si) and not math.isclose(
@@ -231,14 +233,14 @@ def check_homogeneous(problem: Any) -> None:
         ):
             wanted = function.results[k][1]
             parameters = sorted({*problem.given, *problem.free_names})
-            found = clash(function.traced(parameters), k, _units(problem, function), wanted)
+            found = clash(function.traced(parameters), k, _component_units(problem, function), wanted)
             raise _inhomogeneous(function.told(k), found, wanted)
-    for function in stated(problem):
-        if mixed := mixed_comparison(problem.form.expressions[function.key], _units(problem, function)):
+    for function in stated_functions(problem):
+        if mixed := mixed_comparison(problem.form.expressions[function.key], _component_units(problem, function)):
             raise _inhomogeneous(function.what, mixed)
 
 
-def _units(problem: Any, function: Stated) -> Callable[[str, str], str]:
+def _component_units(problem: Any, function: StatedFunction) -> Callable[[str, str], str]:
     """Return the unit of each component that a function takes, as a function of role and name."""
     phase = problem.phases[function.phase]
     units = {

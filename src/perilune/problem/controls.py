@@ -17,16 +17,16 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from perilune.words.asked import called_in_words, computing_in_words, demand_identifier, demand_si, refused
+from perilune.words.asked import check_call, check_operands, require_identifier, require_si_number, wrong_type_error
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
-from perilune.words.units import Scales, demand_si_unit
+from perilune.words.units import Scales, require_si_unit
 
 Regime = Literal["lower", "low_interior", "interior", "upper", "held", "direction", "singular"]
 # A limit: a number in SI, or the name of the parameter that holds it.
 Limit = float | str
 
-_computing = computing_in_words(
+_computing = check_operands(
     "arrays of NumPy whose first axis is the components, and the record p of all parameters, as solution.parameters",
     "limits", "box", "normalised", "admissible", "admissible_rates", "broken", "tangents", "samples", "example",
     "rough", "middle",
@@ -52,10 +52,10 @@ def demand_limits(bounded: Any) -> None:
     for side in ("lower", "upper"):
         if not isinstance(limit := getattr(bounded, side), str):
             advice = f"leave {side} out where nothing bounds it, or name the parameter that holds it"
-            demand_si(limit, f"the {side} bound of {bounded.name}", advice)
+            require_si_number(limit, f"the {side} bound of {bounded.name}", advice)
 
 
-@called_in_words
+@check_call
 @_computing
 @dataclass(frozen=True, kw_only=True)
 class Direction:
@@ -71,9 +71,11 @@ class Direction:
 
     def __post_init__(self) -> None:
         if isinstance(self.names, str) or not isinstance(self.names, Sequence):
-            raise refused(self.names, '("toward_x", "toward_y", "toward_z"), or two of them', "names of components")
+            raise wrong_type_error(
+                self.names, '("toward_x", "toward_y", "toward_z"), or two of them', "names of components"
+            )
         for name in self.names:
-            demand_identifier(name)
+            require_identifier(name)
         if len(self.names) not in (2, 3):
             raise PeriluneError("a direction has two or three components", got=str(len(self.names)))
 
@@ -144,7 +146,7 @@ class Direction:
         return 0.0, math.inf
 
 
-@called_in_words
+@check_call
 @_computing
 @dataclass(frozen=True, kw_only=True)
 class Bounded:
@@ -165,7 +167,7 @@ class Bounded:
     freedom: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
-        demand_si_unit(self.unit, self.name)
+        require_si_unit(self.unit, self.name)
         demand_limits(self)
         if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower <= self.upper):
             raise PeriluneError(
@@ -284,7 +286,7 @@ class Settled(Bounded):
 Control = Direction | Bounded
 
 
-def placed(controls: Sequence[Control]) -> Iterator[tuple[slice, Control]]:
+def control_slices(controls: Sequence[Control]) -> Iterator[tuple[slice, Control]]:
     """Yield each control with the slice of its components."""
     at = 0
     for control in controls:
@@ -294,14 +296,14 @@ def placed(controls: Sequence[Control]) -> Iterator[tuple[slice, Control]]:
 
 def scalars(controls: Sequence[Control]) -> Iterator[tuple[int, Bounded]]:
     """Yield each scalar with the place of its component."""
-    for here, control in placed(controls):
+    for here, control in control_slices(controls):
         if isinstance(control, Bounded):
             yield here.start, control
 
 
 def _each(controls: Sequence[Control], u: Any, change: Callable[[Control, slice, Any], Any]) -> Any:
     out = np.array(u)
-    for here, control in placed(controls):
+    for here, control in control_slices(controls):
         out[here] = change(control, here, out[here])
     return out
 
@@ -384,7 +386,7 @@ def tangents(controls: Sequence[Control], scales: Vector, u: Matrix) -> Any:
         Directions, (components, k, N).
     """
     columns = []
-    for here, control in placed(controls):
+    for here, control in control_slices(controls):
         for vectors in control.tangents(u[here], float(scales[here.start])):
             column = np.zeros(u.shape)
             column[here] = vectors
@@ -394,4 +396,4 @@ def tangents(controls: Sequence[Control], scales: Vector, u: Matrix) -> Any:
 
 def directions(controls: Sequence[Control]) -> tuple[tuple[int, int], ...]:
     """Return the first and last place of the components of each direction."""
-    return tuple((here.start, here.stop) for here, control in placed(controls) if not control.scalar)
+    return tuple((here.start, here.stop) for here, control in control_slices(controls) if not control.scalar)

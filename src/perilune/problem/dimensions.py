@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from perilune.problem.tape import ROLES, Expression, Tape, operands
-from perilune.words.units import Dimension, dimension_text, unit
+from perilune.words.units import Dimension, dimension_text, parse_unit
 
 _NONE: Dimension = (0, 0, 0, 0)
 _COMPARISONS = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
@@ -43,15 +43,15 @@ def clash(expression: Expression, output: int, unit_of: Callable[[str, str], str
     wanted
         Unit that the value should have.
     """
-    walk = _Walk(expression.tape, unit_of)
+    walk = _DimensionWalk(expression.tape, unit_of)
     place = expression.tape.outputs[output]
     for number in sorted(_needed(expression.tape, place)):
         if (found := walk.visit(number)) is not None:
             return found
     has = walk.dimensions[place]
-    if has is None or has == unit(wanted)[1]:
+    if has is None or has == parse_unit(wanted)[1]:
         return None
-    return Clash(walk.told(place), f"a quantity in {_spoken(unit(wanted)[1])}")
+    return Clash(walk.told(place), f"a quantity in {_dimension_name(parse_unit(wanted)[1])}")
 
 
 def mixed_comparison(expression: Expression, unit_of: Callable[[str, str], str]) -> Clash | None:
@@ -59,7 +59,7 @@ def mixed_comparison(expression: Expression, unit_of: Callable[[str, str], str])
     instructions = expression.tape.instructions
     if not any(op[0] in _COMPARISONS for op in instructions):
         return None
-    walk = _Walk(expression.tape, unit_of)
+    walk = _DimensionWalk(expression.tape, unit_of)
     found = ((op[0], walk.visit(number)) for number, op in enumerate(instructions))
     return next((mixed for name, mixed in found if mixed is not None and name in _COMPARISONS), None)
 
@@ -75,7 +75,7 @@ def _needed(tape: Tape, place: int) -> set[int]:
 
 
 @dataclass
-class _Walk:
+class _DimensionWalk:
     """Dimensions of the values met so far, by their place; None fits anything."""
 
     tape: Tape
@@ -89,7 +89,7 @@ class _Walk:
         found: Dimension | None = _NONE
         wrong: Clash | None = None
         if name in ROLES:
-            found = unit("s" if name == "t" else self.unit_of(name, rest[0]))[1]
+            found = parse_unit("s" if name == "t" else self.unit_of(name, rest[0]))[1]
         elif name == "const":
             found = _NONE if math.isfinite(float(rest[0])) and float(rest[0]) else None
         elif name in _ALIKE:
@@ -101,9 +101,9 @@ class _Walk:
         elif name in ("mul", "div"):
             found = _product(of[0], of[1], 1 if name == "mul" else -1)
         elif name == "pow" and (power := self._number(rest[1])) is not None:
-            found = _power(of[0], power)
+            found = _raise_dimension(of[0], power)
         elif name == "sqrt":
-            found = _power(of[0], 0.5)
+            found = _raise_dimension(of[0], 0.5)
         elif name in _SAME:
             found = of[0]
         elif any(dimension not in (None, _NONE) for dimension in of):
@@ -115,7 +115,7 @@ class _Walk:
     def told(self, place: int) -> str:
         """Format a value and its unit."""
         dimension = self.dimensions[place] or _NONE
-        return f"{self.text(place)} {'without a unit' if dimension == _NONE else 'in ' + _spoken(dimension)}"
+        return f"{self.text(place)} {'without a unit' if dimension == _NONE else 'in ' + _dimension_name(dimension)}"
 
     def text(self, place: int) -> str:
         """Format a value as its formula, shortened where it is long."""
@@ -149,8 +149,8 @@ class _Walk:
         return f"{parts[0]}{sign}{parts[1]}" if binds > 2 else f"{parts[0]} {sign} {parts[1]}"
 
 
-def _spoken(dimension: Dimension) -> str:
-    return next((name for name in ("N", "J", "W", "Pa") if unit(name)[1] == dimension), dimension_text(dimension))
+def _dimension_name(dimension: Dimension) -> str:
+    return next((name for name in ("N", "J", "W", "Pa") if parse_unit(name)[1] == dimension), dimension_text(dimension))
 
 
 def _product(a: Dimension | None, b: Dimension | None, sign: int) -> Dimension | None:
@@ -160,7 +160,7 @@ def _product(a: Dimension | None, b: Dimension | None, sign: int) -> Dimension |
     return length, time, mass, temperature
 
 
-def _power(a: Dimension | None, power: float) -> Dimension | None:
+def _raise_dimension(a: Dimension | None, power: float) -> Dimension | None:
     if a is None:
         return None
     length, time, mass, temperature = (x * power for x in a)

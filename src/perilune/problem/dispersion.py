@@ -25,7 +25,7 @@ import numpy as np
 
 from perilune.problem.variables import Variable
 from perilune.problem.views import Dispersion, Disturbance
-from perilune.words.derivatives import COMPLEX, STEP, jacobian, stacked
+from perilune.words.derivatives import COMPLEX, STEP, complex_step_jacobian, stack_broadcast
 from perilune.words.types import Matrix, Vector
 
 _FEWEST = 401  # nodes of a phase
@@ -33,7 +33,7 @@ _BLOCK = 2000  # pieces that are computed at once
 _PERCENT = 0.01
 
 
-def _told(views: Any) -> tuple[Variable, ...]:
+def _dispersion_variables(views: Any) -> tuple[Variable, ...]:
     """Return the two results of each disturbance, as variables."""
     asked: Dispersion | None = views.dispersion
     if asked is None:
@@ -50,12 +50,12 @@ def _told(views: Any) -> tuple[Variable, ...]:
 
 def dispersion(solution: Any) -> tuple[tuple[Variable, ...], list[float]]:
     """Return the requested results of a flight, and their values: metres along the track and to the left of it."""
-    variables, problem = _told(solution.problem.views), solution.problem
+    variables, problem = _dispersion_variables(solution.problem.views), solution.problem
     if not variables:
         return (), []
     with np.errstate(all="ignore"):  # a file may hold values with which nothing can be computed
         moved = _moved_at_the_end(solution, problem.views.dispersion)
-        values = _on_the_ground(solution, problem.views.dispersion) @ moved
+        values = _ground_directions(solution, problem.views.dispersion) @ moved
     return variables, [float(v) for v in values.T.ravel()]
 
 
@@ -66,22 +66,24 @@ def _moved_at_the_end(solution: Any, asked: Dispersion) -> Matrix:
     moved: Any = np.zeros((0, len(disturbed)))
     for k, phase in enumerate(problem.phases):
         before = solution.trajectories[k - 1].state.values[-1] if k else np.zeros(0)
-        moved = _through(partial(_begin, problem, k), before, moved, disturbed) + _late(solution, k, p, asked)
-        moved = _carried(solution, k, moved, disturbed)
+        moved = _push_forward(partial(_phase_begin, problem, k), before, moved, disturbed) + _delay_change(
+            solution, k, p, asked
+        )
+        moved = _propagate_changes(solution, k, moved, disturbed)
         if phase.end_conditions:
-            moved = _stopped(solution, k, moved, disturbed)
+            moved = _shift_to_end_condition(solution, k, moved, disturbed)
     states = problem.phases[-1].state_names
     return moved[[states.index(name) for name in asked.position]]
 
 
-def _begin(problem: Any, k: int, before: Any, p: Any) -> Any:
+def _phase_begin(problem: Any, k: int, before: Any, p: Any) -> Any:
     """Return the state at which a phase begins, from the end of the one before."""
     if k == 0:
         return problem.start(p, COMPLEX)
     return problem.links[k - 1](problem.phases[k - 1].state_record(*before), p, COMPLEX)
 
 
-def _stopped(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
+def _shift_to_end_condition(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
     """Return the changes where the first end condition of a phase is met, from those at its time."""
     phase, p = solution.problem.phases[k], solution.parameters
     x, u = (row[:, 0] for row in solution.flown(k, np.array([solution.trajectories[k].duration])))
@@ -90,7 +92,7 @@ def _stopped(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespa
     def condition(z: Any, q: Any) -> Any:
         return phase.evaluate("end", z, (), q, COMPLEX)[:1]
 
-    return moved - np.outer(rates, _through(condition, x, moved, disturbed)) / _through(
+    return moved - np.outer(rates, _push_forward(condition, x, moved, disturbed)) / _push_forward(
         condition, x, rates[:, None], [p]
     )
 
@@ -101,13 +103,13 @@ def _disturbed(p: Any, by: Disturbance) -> SimpleNamespace:
     return SimpleNamespace(**{**vars(p), **changed})
 
 
-def _through(function: Any, x: Vector, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
+def _push_forward(function: Any, x: Vector, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
     """Return the changes of a function of the state and the parameters, shape (values, disturbances)."""
     found = [function(x + 1j * STEP * column, q) for column, q in zip(moved.T, disturbed, strict=True)]
     return np.array([[float(np.imag(v)) / STEP for v in values] for values in found]).T
 
 
-def _late(solution: Any, k: int, p: Any, asked: Dispersion) -> Matrix:
+def _delay_change(solution: Any, k: int, p: Any, asked: Dispersion) -> Matrix:
     """Return the change of the state for each second by which a phase begins later, (states, disturbances)."""
     phase, t = solution.problem.phases[k], np.zeros(1)
     x, u = solution.flown(k, t)
@@ -119,7 +121,7 @@ def _late(solution: Any, k: int, p: Any, asked: Dispersion) -> Matrix:
     return found
 
 
-def _carried(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
+def _propagate_changes(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
     """Propagate changes `moved` at the begin of a phase to its end."""
     flown = solution.trajectories[k]
     nodes = np.unique(np.concatenate([flown.time, flown.control.time, np.linspace(0.0, flown.duration, _FEWEST)]))
@@ -137,10 +139,12 @@ def _transition(solution: Any, k: int, nodes: Vector, disturbed: list[SimpleName
     size = len(x)
 
     def rates(z: Any, p: Any) -> Any:
-        return stacked(phase.rates(z, u.reshape(len(u), *(1,) * (z.ndim - 2), len(t)), p, COMPLEX), z.shape[1:])
+        return stack_broadcast(phase.rates(z, u.reshape(len(u), *(1,) * (z.ndim - 2), len(t)), p, COMPLEX), z.shape[1:])
 
     slopes = np.zeros((len(t), size + len(disturbed), size + len(disturbed)))
-    slopes[:, :size, :size] = np.moveaxis(jacobian(lambda z: rates(z, solution.parameters), x, np.ones(size)), -1, 0)
+    slopes[:, :size, :size] = np.moveaxis(
+        complex_step_jacobian(lambda z: rates(z, solution.parameters), x, np.ones(size)), -1, 0
+    )
     for i, p in enumerate(disturbed):
         slopes[:, :size, size + i] = np.imag(rates(x + 0j, p)).T / STEP
     left, right, middle = slopes[: count - 1], slopes[1:count], slopes[count:]
@@ -148,10 +152,10 @@ def _transition(solution: Any, k: int, nodes: Vector, disturbed: list[SimpleName
     second = middle @ (one + h / 2 * left)
     third = middle @ (one + h / 2 * second)
     fourth = right @ (one + h * third)
-    return _product(one + h / 6 * (left + 2 * second + 2 * third + fourth))
+    return _ordered_product(one + h / 6 * (left + 2 * second + 2 * third + fourth))
 
 
-def _product(matrices: Any) -> Matrix:
+def _ordered_product(matrices: Any) -> Matrix:
     """Multiply all matrices, the last one leftmost, in pairs."""
     while len(matrices) > 1:
         odd = matrices[-1:] if len(matrices) % 2 else matrices[:0]
@@ -159,7 +163,7 @@ def _product(matrices: Any) -> Matrix:
     return matrices[0]
 
 
-def _on_the_ground(solution: Any, asked: Dispersion) -> Matrix:
+def _ground_directions(solution: Any, asked: Dispersion) -> Matrix:
     """Return unit vectors along the track and to the left of it at the landing point, one in each row.
 
     The track is the great circle above which the named phase begins.

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from perilune.words.asked import called_in_words
+from perilune.words.asked import check_call
 
 
 class Nature(Enum):
@@ -41,7 +41,7 @@ class Nature(Enum):
         return {"global optimum": cls.BEST, "global optimum, at a bound": cls.BEST_AT_BOUND}.get(str(value))
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Extremal:
     """One root of the necessary conditions: free parameters [SI], objective, and classification.

@@ -53,7 +53,7 @@ _KINDS = {"u": "control", "p": "parameter", "m": "function of m"}  # the others 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stated:
+class StatedFunction:
     """One function of a problem, with what it is called in messages.
 
     Attributes
@@ -190,22 +190,24 @@ class Stated:
 
 
 def roles_of(key: Any) -> tuple[str, ...]:
-    """Return the records that a function takes before `m`, by its `Stated.key`."""
+    """Return the records that a function takes before `m`, by its `StatedFunction.key`."""
     name = key if isinstance(key, str) else key[0]
     return _OTHER_FUNCTIONS[name] if name in _OTHER_FUNCTIONS else PHASE_FUNCTIONS[key[1]][0]
 
 
-def stated(problem: Any) -> Iterator[Stated]:
+def stated_functions(problem: Any) -> Iterator[StatedFunction]:
     """Yield every function of a problem that is a formula."""
     phases = problem.phases
     shared = {"p": None, "t": None, "first": phases[0].state_record, "last": phases[-1].state_record}
 
-    def one(key: Any, what: str, function: Any, k: int, results: Any) -> Stated:
+    def one(key: Any, what: str, function: Any, k: int, results: Any) -> StatedFunction:
         of = {"x": phases[k].state_record, "u": phases[k].control_record, **shared}
         records, rough = {role: of[role] for role in roles_of(key)}, what.startswith("typical_end")
-        return Stated(key=key, what=what, function=function, phase=k, records=records, results=results, rough=rough)
+        return StatedFunction(
+            key=key, what=what, function=function, phase=k, records=records, results=results, rough=rough
+        )
 
-    yield one("start", "start", problem.start, 0, _named(phases[0].states))
+    yield one("start", "start", problem.start, 0, _names_and_units(phases[0].states))
     for k, phase in enumerate(phases):
         for name, (_, field) in PHASE_FUNCTIONS.items():
             function, what = getattr(phase, name), f"{name} of {phase.name}"
@@ -213,18 +215,18 @@ def stated(problem: Any) -> Iterator[Stated]:
             if function is not None:
                 yield one((k, name), what, function, k, results)
             elif results and (name == "dynamics" or field not in ("", "states")):
-                raise _missing(what, results)
+                raise _missing_function_error(what, results)
     for k, link in enumerate(problem.links):
-        yield one(("links", k), f"link to {phases[k + 1].name}", link, k, _named(phases[k + 1].states))
+        yield one(("links", k), f"link to {phases[k + 1].name}", link, k, _names_and_units(phases[k + 1].states))
     objective = (("J", problem.objective_unit),)
     yield one("objective", "objective", problem.objective, len(phases) - 1, objective)
     if problem.results is not None:
-        yield one("results", "results", problem.results, 0, _named(problem.result_variables))
+        yield one("results", "results", problem.results, 0, _names_and_units(problem.result_variables))
     elif problem.result_variables:
-        raise _missing("results", _named(problem.result_variables))
+        raise _missing_function_error("results", _names_and_units(problem.result_variables))
 
 
-def _named(variables: Sequence[Any], per: str = "") -> tuple[tuple[str, str], ...]:
+def _names_and_units(variables: Sequence[Any], per: str = "") -> tuple[tuple[str, str], ...]:
     return tuple((v.name, v.unit + per) for v in variables)
 
 
@@ -234,16 +236,16 @@ def _results_of(problem: Any, phase: Any, name: str, field: str) -> tuple[tuple[
         return _INERTIAL
     if name == "track":
         return _TRACK[: 4 if problem.views.floor else 3]
-    return _named(getattr(phase, field), "/s" if name in _RATES else "")
+    return _names_and_units(getattr(phase, field), "/s" if name in _RATES else "")
 
 
-def _missing(what: str, results: Sequence[tuple[str, str]]) -> PeriluneError:
+def _missing_function_error(what: str, results: Sequence[tuple[str, str]]) -> PeriluneError:
     wanted = f"a function that returns {len(results)}: " + ", ".join(name for name, _ in results)
     return PeriluneError(f"{what} is missing", got="None", expected=wanted)
 
 
 @dataclass(frozen=True, eq=False)
-class Form:
+class TracedProblem:
     """A problem without its numbers; forms are equal when their digests are.
 
     Attributes
@@ -251,7 +253,7 @@ class Form:
     structure
         Names, units, kinds of controls, and what each function takes and returns: a tree for JSON.
     expressions
-        Every function of the problem by its `Stated.key`.
+        Every function of the problem by its `StatedFunction.key`.
     """
 
     structure: Mapping[str, Any]
@@ -273,7 +275,7 @@ class Form:
         return path is not None and any(op[0] == "u" for op in path.tape.instructions)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Form) and self.digest == other.digest
+        return isinstance(other, TracedProblem) and self.digest == other.digest
 
     def __hash__(self) -> int:
         return hash(self.digest)
@@ -286,7 +288,7 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def trace(problem: Any) -> Form:
+def trace(problem: Any) -> TracedProblem:
     """Call every function of a problem once with symbols.
 
     Raises
@@ -295,7 +297,7 @@ def trace(problem: Any) -> Form:
         Naming the function that is no formula, misspells a name or returns the wrong number of values.
     """
     parameters = sorted({*problem.given, *problem.free_names})
-    functions = list(stated(problem))
+    functions = list(stated_functions(problem))
     structure = {
         "parameters": [[name, problem.unit_of(name)] for name in parameters],
         "phases": [
@@ -312,18 +314,18 @@ def trace(problem: Any) -> Form:
         ],
         "functions": [[str(s.key), list(s.records), s.results] for s in functions],
     }
-    return Form(structure, {s.key: s.traced(parameters) for s in functions})
+    return TracedProblem(structure, {s.key: s.traced(parameters) for s in functions})
 
 
 def canonical_expressions(problem: Any) -> dict[Any, Expression]:
-    """Return every function of a problem, by its `Stated.key`, as an expression of canonical values.
+    """Return every function of a problem, by its `StatedFunction.key`, as an expression of canonical values.
 
     It is the traced one but for what has a scale of its own, which is in other units inside the function.
     """
     phases, ratio = problem.phases, lambda variable: problem.size_of(variable) / problem.scales.of(variable.unit)
     objective = problem.objective_size / problem.scales.of(problem.objective_unit)
     found = {}
-    for s in stated(problem):
+    for s in stated_functions(problem):
         taken = {"x": phases[s.phase].states, "first": phases[0].states, "last": phases[-1].states}
         inputs = {(role, v.name): ratio(v) for role in s.records for v in taken.get(role, ())}
         outputs = [objective] if s.key == "objective" else [ratio(v) for v in _returned(problem, s.key)]

@@ -10,14 +10,14 @@ import numpy as np
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
-from perilune.words.asked import called_in_words, demand
+from perilune.words.asked import check_call, require_type
 from perilune.words.outcome import Outcome, PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
 
 BY_HAND = "by hand"
 
 
-@called_in_words
+@check_call
 def guess(problem: Problem, times: Any, states: Any, controls: Any = None, **free: float) -> Solution:
     """Make a guess of a flight by hand, for `solve` to start from. It need not meet the dynamics.
 
@@ -45,18 +45,18 @@ def guess(problem: Problem, times: Any, states: Any, controls: Any = None, **fre
     PeriluneError
         If shapes do not fit, a number is not finite, or a name is no free parameter.
     """
-    demand(problem, Problem, "a problem to guess a flight of")
+    require_type(problem, Problem, "a problem to guess a flight of")
     for name in free:
         if name not in problem.free_names:
             raise unknown_name("free parameter", name, sorted(problem.free_names))
     values = {f.name: f.typical for f in problem.free} | {
-        name: float(_numbers(value, (), name)) for name, value in free.items()
+        name: float(_check_guess_array(value, (), name)) for name, value in free.items()
     }
     count, flown = len(problem.phases), list[Trajectory]()
     split = [_by_phase(given, count, what) for given, what in ((times, "times"), (states, "states"))]
     steered = [None] * count if controls is None else _by_phase(controls, count, "controls")
     for phase, t, x, u in zip(problem.phases, *split, steered, strict=True):
-        trajectory = _flown(problem, phase, t, x, u)
+        trajectory = _guess_trajectory(problem, phase, t, x, u)
         flown.append(trajectory)
         if phase.duration in problem.free_names and phase.duration not in free:
             values[phase.duration] = trajectory.duration
@@ -77,23 +77,27 @@ def _by_phase(given: Any, count: int, what: str) -> Sequence[Any]:
     )
 
 
-def _flown(problem: Problem, phase: Phase, times: Any, states: Any, controls: Any) -> Trajectory:
-    t = _numbers(times, (None,), f"times of {phase.name}")
+def _guess_trajectory(problem: Problem, phase: Phase, times: Any, states: Any, controls: Any) -> Trajectory:
+    t = _check_guess_array(times, (None,), f"times of {phase.name}")
     if len(t) < 2 or t[0] != 0 or not (np.diff(t) > 0).all():
         raise PeriluneError(
             f"times of {phase.name} are no flight",
             got=f"{len(t)} times" + (f" from {t[0]:g} to {t[-1]:g} s" if len(t) else ""),
             expected="at least two, from 0 on, increasing",
         )
-    x = _numbers(states, (len(t), len(phase.states)), f"states of {phase.name} ({', '.join(phase.state_names)})")
+    x = _check_guess_array(
+        states, (len(t), len(phase.states)), f"states of {phase.name} ({', '.join(phase.state_names)})"
+    )
     names = f"controls of {phase.name} ({', '.join(phase.control_names)})"
-    u = _middle(problem, phase, len(t)) if controls is None else controls
+    u = _middle_controls(problem, phase, len(t)) if controls is None else controls
     return Trajectory(
-        phase=phase.name, state=_curve(t, x), control=_curve(t, _numbers(u, (len(t), len(phase.control_names)), names))
+        phase=phase.name,
+        state=_curve(t, x),
+        control=_curve(t, _check_guess_array(u, (len(t), len(phase.control_names)), names)),
     )
 
 
-def _numbers(given: Any, shape: tuple[int | None, ...], what: str) -> Any:
+def _check_guess_array(given: Any, shape: tuple[int | None, ...], what: str) -> Any:
     try:
         found = np.array(given, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -106,7 +110,7 @@ def _numbers(given: Any, shape: tuple[int | None, ...], what: str) -> Any:
     return found
 
 
-def _middle(problem: Problem, phase: Phase, count: int) -> Matrix:
+def _middle_controls(problem: Problem, phase: Phase, count: int) -> Matrix:
     """Return controls in the middle of their ranges; a direction has none, and takes its first axis."""
     p, columns = problem.parameters({f.name: f.typical for f in problem.free}), list[float]()
     for control in phase.controls:

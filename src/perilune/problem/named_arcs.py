@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from perilune.words.asked import called_in_words
+from perilune.words.asked import check_call
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class NamedArc:
     """A condition or regime that holds on an interval of a phase, or at an instant.
@@ -35,7 +35,7 @@ class NamedArc:
         return f"{self.words} {when}"
 
 
-def told(arcs: Sequence[NamedArc]) -> str:
+def format_arcs(arcs: Sequence[NamedArc]) -> str:
     """Format all arcs as one line; for several phases, each after its name."""
     phases = dict.fromkeys(arc.phase for arc in arcs)
     lines = ["; ".join(arc.text for arc in arcs if arc.phase == phase) for phase in phases]

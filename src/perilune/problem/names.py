@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from perilune.problem.phase import Phase
-from perilune.words.asked import demand_identifier, refused
+from perilune.words.asked import require_identifier, wrong_type_error
 from perilune.words.outcome import PeriluneError
 
 _OWN = {"time": "the time since the phase began", "phase": "the phase of a row", "H": "the Hamiltonian"}
@@ -26,17 +26,17 @@ def check_names(problem: Any) -> None:
         For the first.
     """
     if not isinstance(problem.name, str):
-        raise refused(problem.name, "a text", "the name of a problem")
+        raise wrong_type_error(problem.name, "a text", "the name of a problem")
     if not problem.name.strip() or not problem.name.isprintable():
         raise PeriluneError("a problem needs a name of one line", got=repr(problem.name)[:60], expected='as "landing"')
     if not isinstance(problem.title, str):
-        raise refused(problem.title, "a text", "the title of a problem")
+        raise wrong_type_error(problem.title, "a text", "the title of a problem")
     for phase in problem.phases:
-        demand_identifier(phase.name.replace("-", "_") if isinstance(phase.name, str) else phase.name)
+        require_identifier(phase.name.replace("-", "_") if isinstance(phase.name, str) else phase.name)
         for kind, names in (("state", phase.state_names), ("control", phase.control_names)):
             _check_distinct(f"{kind}s of the phase {phase.name}", names)
             for name in names:
-                demand_identifier(name)
+                require_identifier(name)
         _check_columns(phase)
     _check_distinct("phases", [phase.name for phase in problem.phases])
     _check_distinct("free parameters", problem.free_names)

@@ -1,8 +1,8 @@
 """Neighbours of a problem, with its start moved or free parameters held, without any new derivation.
 
 A moved start is one more given parameter ``offset_<state>`` for each state, so a neighbour is a problem like any other.
-Whatever is derived from a problem includes such offsets from the beginning (`unmoved`, `offsets`), and with any set of
-free parameters held: all neighbours share what was derived and compiled for the problem itself.
+Whatever is derived from a problem includes such offsets from the beginning (`without_start_offsets`, `start_offsets`),
+and with any set of free parameters held: all neighbours share what was derived and compiled for the problem itself.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ class MovedStart:
         return tuple(a + getattr(p, name) for a, name in zip(self.problem.start(p, m), self.names, strict=True))
 
 
-def movable(problem: Problem) -> Problem:
+def with_start_offsets(problem: Problem) -> Problem:
     """Return the problem with a given parameter ``offset_<state>``, 0, for each component of its initial state."""
     offsets = {offset_of(s.name): Given(value=0.0, unit=s.unit) for s in problem.phases[0].states}
     given = MappingProxyType({**problem.given, **offsets})
     return problem.changed(start=MovedStart(problem), given=given, form=None)
 
 
-def moved(problem: Problem, **values: float) -> Problem:
-    """Return a `movable` problem with other offsets [SI]. Nothing else in it depends on them."""
+def move_start(problem: Problem, **values: float) -> Problem:
+    """Return a `with_start_offsets` problem with other offsets [SI]. Nothing else in it depends on them."""
     return _with_values(problem, values)
 
 
-def unmoved(problem: Problem) -> Problem:
+def without_start_offsets(problem: Problem) -> Problem:
     """Return the problem without the offsets of its start."""
     if not isinstance(problem.start, MovedStart):
         return problem
@@ -63,7 +63,7 @@ def unmoved(problem: Problem) -> Problem:
     return of.changed(given=given, free=problem.free, **same)
 
 
-def offsets(problem: Problem) -> Vector:
+def start_offsets(problem: Problem) -> Vector:
     """Return by how much each state is moved at the start [SI]."""
     if not isinstance(problem.start, MovedStart):
         return np.zeros(len(problem.phases[0].states))
@@ -71,21 +71,21 @@ def offsets(problem: Problem) -> Vector:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held(Free):
+class FixedFree(Free):
     """A free parameter that a neighbour fixes at its value in an answer; a user's range may be one value as well."""
 
 
-def held(problem: Problem, **values: float) -> Problem:
+def fix_free_parameters(problem: Problem, **values: float) -> Problem:
     """Return a neighbour whose free parameters may take only these values [SI]."""
-    return _at(problem, values, Held)
+    return _with_fixed_free(problem, values, FixedFree)
 
 
-def narrowed(problem: Problem, **values: float) -> Problem:
+def narrow_free_parameters(problem: Problem, **values: float) -> Problem:
     """Return the problem, to be solved as any other, with free parameters that take only these values [SI]."""
-    return _at(problem, values, Free)
+    return _with_fixed_free(problem, values, Free)
 
 
-def _at(problem: Problem, values: Mapping[str, float], kind: type[Free]) -> Problem:
+def _with_fixed_free(problem: Problem, values: Mapping[str, float], kind: type[Free]) -> Problem:
     free = tuple(
         kind(name=f.name, unit=f.unit, lower=v, upper=v, typical=v) if (v := values.get(f.name)) is not None else f
         for f in problem.free
@@ -93,7 +93,7 @@ def _at(problem: Problem, values: Mapping[str, float], kind: type[Free]) -> Prob
     return _with_free(problem, free)
 
 
-def released(problem: Problem, names: Collection[str]) -> Problem:
+def release_free_parameters(problem: Problem, names: Collection[str]) -> Problem:
     """Return the problem without the bounds of these free parameters."""
     free = tuple(replace(f, lower=-math.inf, upper=math.inf) if f.name in names else f for f in problem.free)
     return _with_free(problem, free)
@@ -105,7 +105,7 @@ def _with_free(problem: Problem, free: tuple[Free, ...]) -> Problem:
     return problem.changed(free=free, **same)
 
 
-def placed(problem: Problem, values: Mapping[str, float]) -> Problem:
+def with_given_unchecked(problem: Problem, values: Mapping[str, float]) -> Problem:
     """Return the problem at other values [SI] of given parameters without checks: those of a table were made.
 
     One that is free here is fixed, as by `Problem.with_given`.
@@ -125,4 +125,4 @@ def _with_values(problem: Problem, values: Mapping[str, float]) -> Problem:
 
 def is_neighbour(problem: Problem) -> bool:
     """Return True if the start is moved, or a free parameter held."""
-    return isinstance(problem.start, MovedStart) or any(isinstance(f, Held) for f in problem.free)
+    return isinstance(problem.start, MovedStart) or any(isinstance(f, FixedFree) for f in problem.free)

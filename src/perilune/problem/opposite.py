@@ -12,11 +12,11 @@ from functools import partial
 from typing import Any
 
 from perilune.problem.problem import Problem
-from perilune.words.asked import called_in_words, demand
+from perilune.words.asked import check_call, require_type
 from perilune.words.types import Physics
 
 
-@called_in_words
+@check_call
 def opposite(problem: Problem) -> Problem:
     """Return the same problem with its objective negated.
 
@@ -35,10 +35,10 @@ def opposite(problem: Problem) -> Problem:
     PeriluneError
         If it is no problem.
     """
-    demand(problem, Problem, "a problem")
+    require_type(problem, Problem, "a problem")
     return replace(
         problem,
-        objective=partial(_minus, of=problem.objective),
+        objective=partial(_negated_objective, of=problem.objective),
         maximised="",
         minimised="",
         switching_guesses=None,
@@ -46,5 +46,5 @@ def opposite(problem: Problem) -> Problem:
     )
 
 
-def _minus(x: Any, p: Any, m: Any, *, of: Physics) -> Any:
+def _negated_objective(x: Any, p: Any, m: Any, *, of: Physics) -> Any:
     return -of(x, p, m)

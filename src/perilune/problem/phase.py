@@ -13,7 +13,7 @@ import numpy as np
 from perilune.problem.controls import Control
 from perilune.problem.shown import ShownPhase
 from perilune.problem.variables import Variable
-from perilune.words.asked import called_in_words, demand_row
+from perilune.words.asked import check_call, require_row
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Physics, Vector
 
@@ -23,7 +23,7 @@ _ROWS = (
 )  # fmt: skip
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Phase(ShownPhase):
     """One arc with smooth dynamics.
@@ -85,9 +85,9 @@ class Phase(ShownPhase):
     typical_end: Physics | None = None
 
     def __post_init__(self) -> None:
-        demand_row(self.controls, "controls", *get_args(Control))
+        require_row(self.controls, "controls", *get_args(Control))
         for row in _ROWS:
-            demand_row(getattr(self, row), row.replace("_", " "), Variable)
+            require_row(getattr(self, row), row.replace("_", " "), Variable)
 
     @property
     def state_names(self) -> tuple[str, ...]:

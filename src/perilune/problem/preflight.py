@@ -20,16 +20,16 @@ from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
 from perilune.problem.wording import limit_name, quantity_name, stating_keys
-from perilune.words.asked import called_in_words, demand, refused
+from perilune.words.asked import check_call, require_type, wrong_type_error
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError, unknown_name
-from perilune.words.units import told
+from perilune.words.units import format_quantity
 
 _BEGUN = 1e-9  # canonical: by so little a start is on its limits
 _ROUNDOFF = 1e-13  # of the greater of two numbers that are compared
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Finding:
     """One comparison: ``value <= limit``, or ``value >= limit`` where `at_least`.
@@ -53,10 +53,10 @@ class Finding:
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "meaning", "advice"):
-            demand(getattr(self, text), str, f"the {text} of a comparison")
+            require_type(getattr(self, text), str, f"the {text} of a comparison")
         for side in ("at_least", "binding", "lasting", "contradiction"):
             if not isinstance(stated := getattr(self, side), bool | np.bool_):
-                raise refused(
+                raise wrong_type_error(
                     stated, "True or False, whatever the parameters are", f"what {side} of a comparison can be"
                 )
             object.__setattr__(self, side, bool(stated))
@@ -70,7 +70,7 @@ class Finding:
     def told(self) -> tuple[str, str]:
         """The value and the limit of one problem, formatted; one that is round-off relative to the other is zero."""
         roundoff = _ROUNDOFF * max((abs(x) for x in (self.value, self.limit) if math.isfinite(x)), default=0.0)
-        value, limit = (told(0.0 if abs(x) < roundoff else x, self.unit) for x in (self.value, self.limit))
+        value, limit = (format_quantity(0.0 if abs(x) < roundoff else x, self.unit) for x in (self.value, self.limit))
         return value, f"{'at least' if self.at_least else 'at most'} {limit}"
 
     @property
@@ -79,7 +79,7 @@ class Finding:
         return "ok" if self.passed else "impossible" if self.binding else "warning"
 
 
-@called_in_words
+@check_call
 def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[Finding, ...]:
     """Compare a problem with what physics allows; nothing is solved, and no error is raised for a failed comparison.
 
@@ -96,9 +96,9 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
     tuple of Finding
         All comparisons, in the order in which they make sense; with arrays inside where `over` has arrays.
     """
-    demand(problem, Problem, "a problem to compare with what physics allows")
+    require_type(problem, Problem, "a problem to compare with what physics allows")
     if over is not None and not isinstance(over, Mapping):
-        raise refused(over, "{name: values} of parameters, in SI", "what a problem can be compared at")
+        raise wrong_type_error(over, "{name: values} of parameters, in SI", "what a problem can be compared at")
     for name in over or ():
         if name not in problem.given and name not in problem.free_names:
             raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
@@ -109,7 +109,7 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
     with np.errstate(all="ignore"):
         stated = () if problem.preflight is None else problem.preflight(p, NUMERIC)
         # Of a start that its kind refuses, in better words, no more is said.
-        begun = at_start(problem, p) if np.any(possible(stated)) else ()
+        begun = at_start(problem, p) if np.any(is_possible(stated)) else ()
         general = (*between_bounds(problem, p), *begun, *_of_constant(problem))
         return (*stated, *(f for f in general if not np.all(f.passed)))
 
@@ -192,12 +192,12 @@ def _of_constant(problem: Problem) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-def possible(found: Sequence[Finding]) -> Any:
+def is_possible(found: Sequence[Finding]) -> Any:
     """Return True if no binding comparison is missed; an array for findings of arrays."""
     return np.logical_and.reduce(np.broadcast_arrays(True, *(f.passed for f in found if f.binding)))
 
 
-def member(found: Sequence[Finding], index: int) -> tuple[Finding, ...]:
+def select_findings(found: Sequence[Finding], index: int) -> tuple[Finding, ...]:
     """Return the findings of one of many problems that were judged together.
 
     Parameters

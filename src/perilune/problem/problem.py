@@ -31,7 +31,7 @@ import numpy as np
 
 from perilune.problem.checks import HOOKS, check_free, check_given, check_homogeneous, check_parts, check_structure
 from perilune.problem.controls import Control, scalars
-from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, Form, canonical_expressions, trace
+from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, TracedProblem, canonical_expressions, trace
 from perilune.problem.phase import Phase
 from perilune.problem.shown import ShownProblem
 from perilune.problem.simulated import SimulatedProblem
@@ -39,7 +39,7 @@ from perilune.problem.tape import Expression
 from perilune.problem.variables import Free, Given, Variable, given_as, positive_scale
 from perilune.problem.verification import Check
 from perilune.problem.views import Views
-from perilune.words.asked import called_in_words, demand, refused
+from perilune.words.asked import check_call, require_type, wrong_type_error
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, unknown_name
 from perilune.words.types import Matrix, Physics
@@ -49,7 +49,7 @@ _TRACED = ("form", "structure")  # properties found once for a problem, and poss
 _SIZED, _BOUNDED = (Variable, Free, *get_args(Control)), (Variable, *get_args(Control))
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Problem(ShownProblem, SimulatedProblem):
     """Phases, links, parameters and the objective.
@@ -138,7 +138,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
     def __post_init__(self) -> None:
         check_parts(self)
-        object.__setattr__(self, "given", _given(self.given))
+        object.__setattr__(self, "given", _read_only_given(self.given))
         object.__setattr__(self, "objective_scale", positive_scale("the objective", self.objective_scale))
         check_given(self)
         self.take_ranges()
@@ -155,12 +155,12 @@ class Problem(ShownProblem, SimulatedProblem):
             free = (
                 replace(f, lower=r[0], upper=r[1], typical=r[2]() if callable(r[2]) else r[2])
                 for f in self.free
-                if (r := found.get(f.name, _range(f)))
+                if (r := found.get(f.name, _free_range(f)))
             )
             object.__setattr__(self, "free", tuple(free))
 
     @cached_property
-    def form(self) -> Form:
+    def form(self) -> TracedProblem:
         """Return the problem without its numbers: traced once, and shared by all `with_given`."""
         return trace(self)
 
@@ -225,7 +225,7 @@ class Problem(ShownProblem, SimulatedProblem):
         new.__dict__["expressed"] = new
         return new
 
-    @called_in_words
+    @check_call
     def changed(self, **changes: Any) -> Problem:
         """Return a changed problem, not checked again; of the same form, or traced on demand with `form=None`.
 
@@ -240,7 +240,7 @@ class Problem(ShownProblem, SimulatedProblem):
             if name not in kept and name not in _TRACED:
                 raise unknown_name("part of a problem", name, sorted(kept))
             if kind := next((kind for kind in (Mapping, tuple) if isinstance(kept.get(name), kind)), None):
-                demand(value, kind, f"what {name} of a problem can be")
+                require_type(value, kind, f"what {name} of a problem can be")
         new.__dict__.update(kept, **{"form": self.__dict__.get("form"), **changes})
         if new.__dict__["form"] is None:
             del new.__dict__["form"]
@@ -254,7 +254,7 @@ class Problem(ShownProblem, SimulatedProblem):
         return {**state, "given": dict(self.given), "form": self.form, **hooks}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, given=_given(state["given"]))
+        self.__dict__.update(state, given=_read_only_given(state["given"]))
 
     def __deepcopy__(self, memo: Any) -> Problem:
         return self  # nothing in it can change
@@ -266,7 +266,7 @@ class Problem(ShownProblem, SimulatedProblem):
     def numbers(self) -> tuple[Any, ...]:
         """Every number of the problem, in order."""
         given = sorted((name, g.value) for name, g in self.given.items())
-        free = tuple((f.name, *_range(f)) for f in self.free)
+        free = tuple((f.name, *_free_range(f)) for f in self.free)
         return (self.name, tuple(given), free, tuple(self._bounds), (*astuple(self.scales), *self._own_scales))
 
     def __eq__(self, other: object) -> bool:
@@ -294,7 +294,7 @@ class Problem(ShownProblem, SimulatedProblem):
         sized.append((self.objective_unit, self.objective_scale))
         return tuple((place, unit, scale) for place, (unit, scale) in enumerate(sized) if scale is not None)
 
-    @called_in_words
+    @check_call
     def size_of(self, named: Variable | Free | Control) -> float:
         """Return the SI size of the canonical unit of a state, condition, control or free parameter.
 
@@ -306,7 +306,7 @@ class Problem(ShownProblem, SimulatedProblem):
             If it is none of these.
         """
         if not isinstance(named, _SIZED):
-            raise refused(
+            raise wrong_type_error(
                 named, "its record, as problem.phases[0].states[0]", "a state, condition, control or parameter"
             )
         own = named.scale if isinstance(named, Variable) else None
@@ -317,7 +317,7 @@ class Problem(ShownProblem, SimulatedProblem):
         """SI size of the canonical unit of J."""
         return self.scales.of(self.objective_unit) if self.objective_scale is None else self.objective_scale
 
-    @called_in_words
+    @check_call
     def unit_of(self, parameter: str) -> str:
         """Return the unit text of a parameter.
 
@@ -327,7 +327,7 @@ class Problem(ShownProblem, SimulatedProblem):
             If there is no such parameter.
         """
         if not isinstance(parameter, str):
-            raise refused(parameter, "a text", "the name of a parameter")
+            raise wrong_type_error(parameter, "a text", "the name of a parameter")
         if parameter in self.given:
             return self.given[parameter].unit
         for f in self.free:
@@ -335,7 +335,7 @@ class Problem(ShownProblem, SimulatedProblem):
                 return f.unit
         raise unknown_name("parameter", parameter, sorted({*self.given, *self.free_names}))
 
-    @called_in_words
+    @check_call
     def bounds(self, bounded: Any) -> tuple[float, float]:
         """Return the lower and upper bound [SI] of a state or a scalar control, which may name a given parameter.
 
@@ -345,10 +345,10 @@ class Problem(ShownProblem, SimulatedProblem):
             If it is neither.
         """
         if not isinstance(bounded, _BOUNDED):
-            raise refused(bounded, "its record, as problem.phases[0].states[0]", "a state or a control")
+            raise wrong_type_error(bounded, "its record, as problem.phases[0].states[0]", "a state or a control")
         return bounded.limits(self.parameters({}))
 
-    @called_in_words
+    @check_call
     def parameters(self, free: Mapping[str, Any]) -> SimpleNamespace:
         """Return the record ``p`` of all parameters in SI, with the free ones' values as passed.
 
@@ -360,11 +360,11 @@ class Problem(ShownProblem, SimulatedProblem):
         try:
             return SimpleNamespace(**{name: g.value for name, g in self.given.items()}, **free)
         except TypeError:
-            demand(free, Mapping, "what holds the values of free parameters")
+            require_type(free, Mapping, "what holds the values of free parameters")
             wrong = next(name for name in free if name in self.given or not isinstance(name, str))
             raise unknown_name("free parameter", wrong, self.free_names) from None
 
-    @called_in_words
+    @check_call
     def with_given(self, **values: float) -> Problem:
         """Give parameters new values in SI; a free parameter named here is fixed.
 
@@ -381,7 +381,7 @@ class Problem(ShownProblem, SimulatedProblem):
         free = tuple(f for f in self.free if f.name not in values)
         # Values do not enter it.
         same = {"structure": self.structure} if len(free) == len(self.free) and "form" in self.__dict__ else {}
-        new = self.changed(given=_given(given), free=free, **same)
+        new = self.changed(given=_read_only_given(given), free=free, **same)
         check_given(new)
         new.take_ranges()
         check_free(new)
@@ -397,9 +397,9 @@ def _by_name(function: Any) -> Any:
     return None if b"__main__" in name else function
 
 
-def _given(values: Mapping[str, Given]) -> Mapping[str, Given]:
+def _read_only_given(values: Mapping[str, Given]) -> Mapping[str, Given]:
     return MappingProxyType(Named("given parameter", values))
 
 
-def _range(f: Free) -> tuple[float, float, float]:
+def _free_range(f: Free) -> tuple[float, float, float]:
     return f.lower, f.upper, f.typical

@@ -51,39 +51,41 @@ _UNARY: dict[str, Callable[[Any, Any, Any, Any], Any]] = {
 }
 
 
-def _sum(one: Any, other: Any) -> Any:
+def _add_rates(one: Any, other: Any) -> Any:
     return other if one is None else one if other is None else one + other
 
 
-def _minus(one: Any) -> Any:
+def _negate_rate(one: Any) -> Any:
     return None if one is None else -one
 
 
-def _times(one: Any, factor: Any) -> Any:
+def _scale_rate(one: Any, factor: Any) -> Any:
     return None if one is None else one * factor
 
 
-def _power(m: Any, v: Any, a: Any, b: Any, da: Any, db: Any) -> Any:
+def _power_rate(m: Any, v: Any, a: Any, b: Any, da: Any, db: Any) -> Any:
     """Return d(a^b) = b a^(b-1) da + a^b log(a) db; of no term that does not change is a logarithm taken."""
     first = None
     if da is not None:
         first = 2.0 * a * da if isinstance(b, float) and b == 2.0 else b * a ** (b - 1.0) * da
-    return first if db is None else _sum(first, v * m.log(a) * db)
+    return first if db is None else _add_rates(first, v * m.log(a) * db)
 
 
-def _either(m: Any, condition: Any, da: Any, db: Any) -> Any:
+def _select_rate(m: Any, condition: Any, da: Any, db: Any) -> Any:
     return m.where(condition, 0.0 if da is None else da, 0.0 if db is None else db)
 
 
 _BINARY: dict[str, Callable[[Any, Any, Any, Any, Any, Any], Any]] = {
-    "add": lambda m, v, a, b, da, db: _sum(da, db),
-    "sub": lambda m, v, a, b, da, db: _minus(db) if da is None else da if db is None else da - db,
-    "mul": lambda m, v, a, b, da, db: _sum(_times(da, b), _times(db, a)),
-    "div": lambda m, v, a, b, da, db: (da if db is None else _sum(da, -(v * db))) / b,
-    "pow": _power,
-    "atan2": lambda m, v, a, b, da, db: _sum(_times(da, b), _minus(_times(db, a))) / (a * a + b * b),
-    "fmin": lambda m, v, a, b, da, db: _either(m, a <= b, da, db),
-    "fmax": lambda m, v, a, b, da, db: _either(m, a >= b, da, db),
+    "add": lambda m, v, a, b, da, db: _add_rates(da, db),
+    "sub": lambda m, v, a, b, da, db: _negate_rate(db) if da is None else da if db is None else da - db,
+    "mul": lambda m, v, a, b, da, db: _add_rates(_scale_rate(da, b), _scale_rate(db, a)),
+    "div": lambda m, v, a, b, da, db: (da if db is None else _add_rates(da, -(v * db))) / b,
+    "pow": _power_rate,
+    "atan2": lambda m, v, a, b, da, db: (
+        _add_rates(_scale_rate(da, b), _negate_rate(_scale_rate(db, a))) / (a * a + b * b)
+    ),
+    "fmin": lambda m, v, a, b, da, db: _select_rate(m, a <= b, da, db),
+    "fmax": lambda m, v, a, b, da, db: _select_rate(m, a >= b, da, db),
 }
 
 
@@ -92,7 +94,7 @@ def _rate_of(m: Any, name: str, value: Any, of: Sequence[Any], rates: Sequence[A
     if all(rate is None for rate in rates) or name in ("lt", "le", "eq", "ne"):
         return None
     if name == "where":
-        return None if rates[1] is None and rates[2] is None else _either(m, of[0], *rates[1:])
+        return None if rates[1] is None and rates[2] is None else _select_rate(m, of[0], *rates[1:])
     if name == "table":
         return table.slope(of[0], m.where) * rates[0]
     if name in _UNARY:
@@ -100,7 +102,7 @@ def _rate_of(m: Any, name: str, value: Any, of: Sequence[Any], rates: Sequence[A
     return _BINARY[name](m, value, *of, *rates)
 
 
-def run(expression: Expression, recorder: Recorder, inputs: Inputs | None = None) -> list[Any]:
+def run_expression(expression: Expression, recorder: Recorder, inputs: Inputs | None = None) -> list[Any]:
     """Return the values of an expression as symbols of a recorder, with `inputs` in place of those of these names.
 
     Parameters
@@ -123,26 +125,26 @@ def run(expression: Expression, recorder: Recorder, inputs: Inputs | None = None
     return [found] if expression.scalar else list(found)
 
 
-def gathered(parts: Sequence[Expression], roles: tuple[str, ...]) -> Expression:
+def gather_expressions(parts: Sequence[Expression], roles: tuple[str, ...]) -> Expression:
     """Return all values of several expressions as those of one, which takes the records `roles`."""
     recorder = Recorder()
-    values = [value for part in parts for value in run(part, recorder)]
+    values = [value for part in parts for value in run_expression(part, recorder)]
     return Expression(recorder.tape(values), roles, origin=parts[0].origin if parts else "")
 
 
 def component(expression: Expression, k: int) -> Expression:
     """Return one value of an expression."""
     recorder = Recorder()
-    tape = recorder.tape([run(expression, recorder)[k]])
+    tape = recorder.tape([run_expression(expression, recorder)[k]])
     return Expression(tape, expression.roles, origin=expression.origin)
 
 
-def acts(expression: Expression) -> bool:
+def depends_on_control(expression: Expression) -> bool:
     """Return True if an expression has a control in it."""
     return any(op[0] == "u" for op in expression.tape.instructions)
 
 
-def acts_linearly(expression: Expression, control: str) -> bool:
+def depends_linearly_on_control(expression: Expression, control: str) -> bool:
     """Return True if a control is in each value of an expression, with a slope that does not depend on it.
 
     Judged by the operations, so that a slope which only cancels does not count as linear.
@@ -166,7 +168,7 @@ def acts_linearly(expression: Expression, control: str) -> bool:
     return max((degree[k] for k in expression.tape.outputs), default=0) == 1
 
 
-def rate(function: Expression, dynamics: Expression, states: Sequence[str]) -> Expression:
+def total_derivative(function: Expression, dynamics: Expression, states: Sequence[str]) -> Expression:
     """Derive the total derivatives of a function's values along the flight.
 
     Parameters
@@ -180,7 +182,7 @@ def rate(function: Expression, dynamics: Expression, states: Sequence[str]) -> E
     """
     recorder = Recorder()
     m = recorder.namespace
-    rates = dict(zip(states, run(dynamics, recorder), strict=True))
+    rates = dict(zip(states, run_expression(dynamics, recorder), strict=True))
     tables = {table.digest: table for table in function.tape.tables}
     values, found = list[Any](), list[Any]()
     for operation in function.tape.instructions:
@@ -188,7 +190,7 @@ def rate(function: Expression, dynamics: Expression, states: Sequence[str]) -> E
         at = operands(operation)
         if name in ROLES:
             values.append(recorder.input(name, rest[0]))
-            found.append(_changing(rates[rest[0]]) if name == "x" else None)
+            found.append(_nonzero_rate(rates[rest[0]]) if name == "x" else None)
         elif name == "const":
             values.append(float(rest[0]))
             found.append(None)
@@ -202,18 +204,18 @@ def rate(function: Expression, dynamics: Expression, states: Sequence[str]) -> E
     return Expression(recorder.tape(outputs), ("x", "u", "p"), origin=function.origin)
 
 
-def _changing(value: Any) -> Any:
+def _nonzero_rate(value: Any) -> Any:
     """Return a rate that may be other than zero, else None."""
     return value if isinstance(value, Symbol) or value != 0 else None
 
 
-def derivatives(function: Expression, dynamics: Expression, states: Sequence[str]) -> tuple[Expression, ...]:
+def derivatives_to_control(function: Expression, dynamics: Expression, states: Sequence[str]) -> tuple[Expression, ...]:
     """Return (S, S', ..., S^(q)), the last being the first with a control in it: q is the order of S.
 
     Parameters
     ----------
     function, dynamics, states
-        As of `rate`; a function with a control in it is of order 0.
+        As of `total_derivative`; a function with a control in it is of order 0.
 
     Returns
     -------
@@ -221,26 +223,26 @@ def derivatives(function: Expression, dynamics: Expression, states: Sequence[str
         Where no control appears, (S, S', S'') without one: by these a flight that touches S = 0 is detected.
     """
     found = [function]
-    steered = acts(function) or acts(dynamics)
-    while not acts(found[-1]):
+    steered = depends_on_control(function) or depends_on_control(dynamics)
+    while not depends_on_control(found[-1]):
         if len(found) > (MOST_ORDER if steered else _TOUCHED):
             return tuple(found[: _TOUCHED + 1])
-        found.append(_next(found[-1], dynamics, tuple(states)))
+        found.append(_next_derivative(found[-1], dynamics, tuple(states)))
     return tuple(found)
 
 
 @lru_cache(maxsize=64)
-def _next(function: Expression, dynamics: Expression, states: tuple[str, ...]) -> Expression:
+def _next_derivative(function: Expression, dynamics: Expression, states: tuple[str, ...]) -> Expression:
     """Return the rate of one value, without a control whose effects on it cancel."""
-    found = rate(function, dynamics, states)
-    if not acts(found) or not _cancels(function, dynamics, states):
+    found = total_derivative(function, dynamics, states)
+    if not depends_on_control(found) or not _control_effect_cancels(function, dynamics, states):
         return found
     recorder = Recorder()
     fixed = {operation: 1.0 for operation in found.tape.instructions if operation[0] == "u"}
-    return Expression(recorder.tape(run(found, recorder, fixed)), found.roles, origin=found.origin)
+    return Expression(recorder.tape(run_expression(found, recorder, fixed)), found.roles, origin=found.origin)
 
 
-def _cancels(function: Expression, dynamics: Expression, states: tuple[str, ...]) -> bool:
+def _control_effect_cancels(function: Expression, dynamics: Expression, states: tuple[str, ...]) -> bool:
     """Return True if dS/dx (f(x, u) - f(x, v)) vanishes, term against term, wherever it can be computed."""
     rng = np.random.default_rng(0)
     names = {op for tape in (function.tape, dynamics.tape) for op in tape.instructions if op[0] in ROLES}
@@ -252,7 +254,7 @@ def _cancels(function: Expression, dynamics: Expression, states: tuple[str, ...]
     x, p, one, other = drawn("x"), drawn("p"), drawn("u"), drawn("u")
     with np.errstate(all="ignore"):
         slopes = [_slope(function, name, states, x, p) for name in states]
-        change = _values(dynamics, x, one, p) - _values(dynamics, x, other, p)
+        change = _expression_values(dynamics, x, one, p) - _expression_values(dynamics, x, other, p)
         effects = np.array(slopes) * change
         size, total = np.abs(effects).sum(axis=0), np.abs(effects.sum(axis=0))
     known = np.isfinite(size) & (size > 0)
@@ -263,10 +265,10 @@ def _slope(function: Expression, name: str, states: tuple[str, ...], x: Any, p: 
     """Return dS/dx_i at points: the rate of S where only that state changes."""
     one = Recorder()
     alone = Expression(one.tape([float(name == state) for state in states]), ("x", "u", "p"))
-    return _values(rate(function, alone, states), x, SimpleNamespace(), p)[0]
+    return _expression_values(total_derivative(function, alone, states), x, SimpleNamespace(), p)[0]
 
 
-def _values(expression: Expression, x: Any, u: Any, p: Any) -> Matrix:
+def _expression_values(expression: Expression, x: Any, u: Any, p: Any) -> Matrix:
     """Evaluate an expression at points, (values, points)."""
     records = {"x": x, "u": u, "p": p}
     found = expression(*(records[role] for role in expression.roles), NUMERIC)

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from perilune.problem.declared import given_of
-from perilune.words.asked import called_in_words
+from perilune.words.asked import check_call
 from perilune.words.bounded import one_line
-from perilune.words.face import method
-from perilune.words.units import told, told_range
+from perilune.words.face import method_function
+from perilune.words.units import format_quantity, format_value_range
 
 if TYPE_CHECKING:
     import pandas
@@ -37,7 +37,7 @@ class ShownProblem:
         """
         made = given_of(*self.declared)
         later = [
-            f"{name} {one_line(told(g.value, g.unit, 10))}"
+            f"{name} {one_line(format_quantity(g.value, g.unit, 10))}"
             for name, g in self.given.items()
             if name in made and made[name].value != g.value
         ]
@@ -55,7 +55,7 @@ class ShownProblem:
         return f"<Problem {self.name}: {self.heading}; {phases}; free: {free}; least J in {self.objective_unit}>"
 
     def _repr_html_(self) -> str:
-        return method("problem_page")(self)
+        return method_function("problem_page")(self)
 
 
 class ShownPhase:
@@ -72,7 +72,7 @@ class ShownCurve:
 
     def __repr__(self: Any) -> str:
         nodes, components = self.values.shape
-        return f"<Curve of {components} values at {nodes} nodes, {told_range(self.time, 's')}>"
+        return f"<Curve of {components} values at {nodes} nodes, {format_value_range(self.time, 's')}>"
 
 
 class ShownTrajectory:
@@ -81,7 +81,7 @@ class ShownTrajectory:
     def __repr__(self: Any) -> str:
         curves = {"states": self.state, "values of the control": self.control, "costates": self.costate}
         parts = ", ".join(f"{curve.values.shape[1]} {name}" for name, curve in curves.items() if curve is not None)
-        return f"<Trajectory of {self.phase}: {len(self.time)} nodes, {told_range(self.time, 's')}; {parts}>"
+        return f"<Trajectory of {self.phase}: {len(self.time)} nodes, {format_value_range(self.time, 's')}; {parts}>"
 
 
 class ShownSolution:
@@ -89,12 +89,12 @@ class ShownSolution:
 
     def __repr__(self: Any) -> str:
         problem = self.problem
-        free = [f"{name} = {told(value, problem.unit_of(name))}" for name, value in self.free.items()]
-        numbers = [f"J = {told(self.objective, problem.objective_unit)}", *free]
+        free = [f"{name} = {format_quantity(value, problem.unit_of(name))}" for name, value in self.free.items()]
+        numbers = [f"J = {format_quantity(self.objective, problem.objective_unit)}", *free]
         proof = f"{self.outcome.name}, {self.verification.title}"
         return f"<Solution of {problem.name} by {self.method}: {proof}; {', '.join(numbers)}>"
 
-    @called_in_words
+    @check_call
     def plot(self, name: str = "") -> Figure:
         """Draw a figure of the flight; see `perilune.report.shown.plot`.
 
@@ -108,9 +108,9 @@ class ShownSolution:
         PeriluneError
             If there is no figure of that name; the names that there are stand in it.
         """
-        return method("plot")(self, name)
+        return method_function("plot")(self, name)
 
-    @called_in_words
+    @check_call
     def animate(self, file: str | Path | None = None, *, seconds: float = 8.0, force: bool = False) -> FuncAnimation:
         """Animate the flight; see `perilune.report.animated.animate`.
 
@@ -123,9 +123,9 @@ class ShownSolution:
         force
             Whether a file that is there may be replaced.
         """
-        return method("animate")(self, file, seconds=seconds, force=force)
+        return method_function("animate")(self, file, seconds=seconds, force=force)
 
-    @called_in_words
+    @check_call
     def to_xarray(self, *, epoch: str | datetime | None = None) -> xarray.Dataset:
         """Return the flight as a data set of xarray; see `perilune.io.exports.writing.to_xarray`.
 
@@ -139,9 +139,9 @@ class ShownSolution:
         PeriluneError
             If xarray is not installed.
         """
-        return method("to_xarray")(self, epoch=epoch)
+        return method_function("to_xarray")(self, epoch=epoch)
 
-    @called_in_words
+    @check_call
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the flight as a frame of pandas, its index the time from the begin of the flight [s].
 
@@ -150,7 +150,7 @@ class ShownSolution:
         PeriluneError
             If pandas is not installed.
         """
-        return method("to_dataframe")(self)
+        return method_function("to_dataframe")(self)
 
     def _repr_html_(self) -> str:
-        return method("solution_page")(self)
+        return method_function("solution_page")(self)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from perilune.words.asked import called_in_words, demand_numbers
+from perilune.words.asked import check_call, require_numbers
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.types import Matrix, Vector
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class SimulatedProblem:
     """The functions by which a problem is flown from outside."""
 
-    @called_in_words
+    @check_call
     def rates(
         self: Any,
         x: Any,
@@ -58,7 +58,7 @@ class SimulatedProblem:
         stated = self.phases[_number_of(self, phase)]
         state = _components(x, stated.state_names, f"the state of {stated.name}")
         control = _components(u, stated.control_names, f"the control of {stated.name}")
-        demand_numbers(t, "a time [s]")
+        require_numbers(t, "a time [s]")
         passed = {} if free is None else free
         if isinstance(passed, Mapping) and (strange := set(passed) - set(self.free_names)):
             raise unknown_name("free parameter", min(strange, key=str), list(self.free_names))
@@ -106,7 +106,7 @@ def _number_of(problem: Any, phase: str | int | None) -> int:
 
 def _components(values: Any, names: Sequence[str], what: str) -> Matrix:
     """Return the values as numbers, one row for each name."""
-    found = demand_numbers(values, what, most=2) if len(names) or np.size(values) else np.empty(0)
+    found = require_numbers(values, what, most=2) if len(names) or np.size(values) else np.empty(0)
     found = np.asarray(found, dtype=float)
     if found.ndim == 0 or len(found) != len(names):
         raise PeriluneError(

@@ -21,7 +21,7 @@ BEYOND = 1e3  # largest scale, in units of what the state reaches or of the size
 ROUNDS = 1e-4  # of what a state reaches: some hundred times the last digit, with limits of 3e-10 of a size
 
 
-def borne_out(scale: float, unit: float, reached: float) -> float:
+def supported_scale(scale: float, unit: float, reached: float) -> float:
     """Return a stated scale [SI] as far as a flight bears it out, so that no limit is loosened at will.
 
     Parameters
@@ -34,7 +34,7 @@ def borne_out(scale: float, unit: float, reached: float) -> float:
     return min(scale, max(BEYOND * reached, unit))
 
 
-def likely(unit: float, reached: float) -> float:
+def supported_unit(unit: float, reached: float) -> float:
     """Return a canonical unit [SI] within a factor of what a flight reaches in it: `Scales` loosen no limit at will.
 
     What is rounding relative to any unit that may be stated counts as nothing reached.
@@ -78,7 +78,7 @@ def reached_sizes(
         if together <= STILL * (other := elsewhere.get(v.unit, 0.0)):
             together = other
         together = together or max(reached[i] for i in alike)
-        unit = likely(scales.of(v.unit), together)
-        own = unit if v.scale is None else borne_out(v.scale, unit, span) / BEYOND
-        sizes.append(max(borne_out(most, unit, span), own, ROUNDS * most))
+        unit = supported_unit(scales.of(v.unit), together)
+        own = unit if v.scale is None else supported_scale(v.scale, unit, span) / BEYOND
+        sizes.append(max(supported_scale(most, unit, span), own, ROUNDS * most))
     return np.array(sizes)

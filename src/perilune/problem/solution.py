@@ -25,10 +25,10 @@ from perilune.problem.problem import Problem
 from perilune.problem.shown import ShownCurve, ShownSolution, ShownTrajectory
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Verification
-from perilune.words.asked import called_in_words, demand_index, demand_numbers
+from perilune.words.asked import check_call, require_index, require_numbers
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Named, Outcome, PeriluneError
-from perilune.words.same import same_fields
+from perilune.words.same import equal_fields
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration
 
@@ -36,7 +36,7 @@ _TIMES = "a time at which to look at a curve"
 _ROUNDING = 1e-9  # of a curve's length: by so much a time may lie beyond its ends
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Curve(ShownCurve):
     """A vector function of time: values and rates at nodes, cubic Hermite between them. Its arrays are read-only.
@@ -62,12 +62,12 @@ class Curve(ShownCurve):
         self.__post_init__()
 
     def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Curve) and same_fields(self, other))
+        return self is other or (isinstance(other, Curve) and equal_fields(self, other))
 
     def __hash__(self) -> int:
         return hash((self.values.shape, self.time.shape))
 
-    @called_in_words
+    @check_call
     def __call__(self, t: float | Vector) -> Any:
         """Return the value at times t [s]: shape (k,) for a number, (len(t), k) for an array.
 
@@ -76,7 +76,7 @@ class Curve(ShownCurve):
         PeriluneError
             If a time lies outside the curve by more than 1e-9 of its length, or is NaN.
         """
-        t = demand_numbers(t, _TIMES, most=1)
+        t = require_numbers(t, _TIMES, most=1)
         first, last = self.time[0], self.time[-1]
         slack = _ROUNDING * (last - first)
         # A curve whose nodes are not numbers has no ends to compare with: its values are NaN, which a proof will see.
@@ -89,7 +89,7 @@ class Curve(ShownCurve):
             )
         return self.extended(t)
 
-    @called_in_words
+    @check_call
     def extended(self, t: float | Vector) -> Any:
         """Return the extrapolated value: before the first and after the last node their cubics continue.
 
@@ -100,7 +100,7 @@ class Curve(ShownCurve):
         PeriluneError
             If these are no times.
         """
-        at = np.atleast_1d(demand_numbers(t, _TIMES, most=1))
+        at = np.atleast_1d(require_numbers(t, _TIMES, most=1))
         i = np.minimum(np.maximum(self.time.searchsorted(at, side="right") - 1, 0), len(self.time) - 2)
         h = self.time[i + 1] - self.time[i]
         # A last piece without length, as of an arc shorter than rounding, is its end.
@@ -115,7 +115,7 @@ class Curve(ShownCurve):
         return out if np.ndim(t) else out[0]
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Trajectory(ShownTrajectory):
     """One phase of a solution, in SI, time from the phase's ignition.
@@ -155,7 +155,7 @@ def _read_only(values: Any) -> Any:
     return array
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Result:
     """A number requested of a solution, in SI; `label` is its name where that is not the result's with blanks."""
@@ -166,7 +166,7 @@ class Result:
     label: str = ""
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
     """A record of how the answer was found; `claimed` where only a file says so.
@@ -185,7 +185,7 @@ class Statistics:
     claimed: bool = False
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Solution(ShownSolution):
     """An answer of any method. Solutions are equal when everything in them is.
@@ -247,7 +247,7 @@ class Solution(ShownSolution):
         self.__post_init__()
 
     def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Solution) and same_fields(self, other))
+        return self is other or (isinstance(other, Solution) and equal_fields(self, other))
 
     def __hash__(self) -> int:
         return hash((self.problem, self.method, self.outcome, tuple(self.free)))
@@ -283,13 +283,13 @@ class Solution(ShownSolution):
             found = results_between(problem, first, last, p)
         for k, phase in enumerate(problem.phases):
             with np.errstate(all="ignore"):
-                found |= _named(
+                found |= _results_by_name(
                     phase.mark_variables, phase.evaluate("marks", self.trajectories[k].state.values[-1], (), p)
                 )
-            for name, part in _named(phase.integral_variables, self._integrals(k)).items():
+            for name, part in _results_by_name(phase.integral_variables, self._integrals(k)).items():
                 so_far = found[name].value if name in found else 0.0
                 found[name] = replace(part, value=so_far + part.value)
-        return found | _named(*peaks(self)) | _named(*dispersion(self))
+        return found | _results_by_name(*peaks(self)) | _results_by_name(*dispersion(self))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -299,18 +299,18 @@ class Solution(ShownSolution):
         """
         return warnings_of(self)
 
-    @called_in_words
+    @check_call
     def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
         """Return the state (states, n) and control (components, n) at times t [s], as the physics receives them.
 
         Cubic Hermite between nodes, then each `Direction` normalised.
         """
-        demand_index(phase, len(self.trajectories), f"a phase of {self.problem.name}")
+        require_index(phase, len(self.trajectories), f"a phase of {self.problem.name}")
         trajectory = self.trajectories[phase]
         control = normalised(self.problem.phases[phase].controls, np.asarray(trajectory.control(t), dtype=float).T)
         return np.asarray(trajectory.state(t), dtype=float).T, control
 
-    @called_in_words
+    @check_call
     def outputs(self, phase: int, t: Vector) -> dict[str, Vector]:
         """Return the phase's named outputs at times t, in SI."""
         flown = self.flown(phase, t)
@@ -318,7 +318,7 @@ class Solution(ShownSolution):
         values = definition.evaluate("outputs", *flown, self.parameters)
         return {v.name: full(value, t) for v, value in zip(definition.output_variables, values, strict=True)}
 
-    @called_in_words
+    @check_call
     def inertial(self, phase: int, t: Vector) -> tuple[Matrix, Matrix, Matrix]:
         """Return position [m], velocity [m/s] and acceleration by thrust [m/s^2] in inertial axes, each (3, n).
 
@@ -400,10 +400,10 @@ def results_between(problem: Problem, first: Sequence[float], last: Sequence[flo
             values = problem.results(*ends, p, NUMERIC)
     except ArithmeticError:  # a file may hold what nothing can be computed with
         values = [np.nan] * len(problem.result_variables)
-    return _named(problem.result_variables, values)
+    return _results_by_name(problem.result_variables, values)
 
 
-def _named(variables: Sequence[Variable], values: Sequence[Any]) -> dict[str, Result]:
+def _results_by_name(variables: Sequence[Variable], values: Sequence[Any]) -> dict[str, Result]:
     return {
         v.name: Result(value=float(value), unit=v.unit, description=v.description, label=v.label)
         for v, value in zip(variables, values, strict=True)

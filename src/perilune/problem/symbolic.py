@@ -26,11 +26,11 @@ from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
 
-def _read(table: Table, value: Any) -> Any:
+def _read_table(table: Table, value: Any) -> Any:
     return table.chosen(value, ca.if_else)
 
 
-SYMBOLIC = SimpleNamespace(**{name: getattr(ca, name) for name in NUMPY_NAMES}, where=ca.if_else, table=_read)
+SYMBOLIC = SimpleNamespace(**{name: getattr(ca, name) for name in NUMPY_NAMES}, where=ca.if_else, table=_read_table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +186,7 @@ def _on_side(
         argument = ca.SX(argument)
         if not ca.depends_on(argument, x) or ca.depends_on(argument, u):
             return None
-        number = _number(Choice(argument=argument, knots=knots, steady=steady, bent=bent), choices, most)
+        number = _place_of_choice(Choice(argument=argument, knots=knots, steady=steady, bent=bent), choices, most)
         return None if number is None else sides[number] if number < len(sides) else 0
 
     def where(condition: Any, yes: Any, no: Any) -> Any:
@@ -221,7 +221,7 @@ def _on_side(
     return column(phase.rates(elements(x), elements(u), p, namespace))
 
 
-def _number(new: Choice, choices: list[Choice], most: int) -> int | None:
+def _place_of_choice(new: Choice, choices: list[Choice], most: int) -> int | None:
     """Return the place of a choice among all; None where it cannot be held."""
     for number, known in enumerate(choices):
         if known.knots == new.knots and ca.is_equal(known.argument, new.argument, 30):

@@ -102,7 +102,7 @@ class Symbol:
 
 def _sign(name: str, reflected: bool = False) -> Callable[[Symbol, Any], Any]:
     def method(self: Symbol, other: Any) -> Any:
-        if not _is_number(other):
+        if not _is_scalar_number(other):
             return NotImplemented
         return self._recorder.do(name, other, self) if reflected else self._recorder.do(name, self, other)
 
@@ -117,7 +117,7 @@ for _name in ("lt", "le", "eq", "ne"):
 Symbol.__gt__, Symbol.__ge__ = _sign("lt", reflected=True), _sign("le", reflected=True)  # type: ignore[attr-defined]
 
 
-def _is_number(value: Any) -> bool:
+def _is_scalar_number(value: Any) -> bool:
     return isinstance(value, (Symbol, Real, np.number, np.bool_)) or (isinstance(value, np.ndarray) and not value.ndim)
 
 
@@ -142,7 +142,7 @@ class Recorder:
 
     def _function(self, name: str) -> Callable[..., Symbol]:
         def function(*operands: Any) -> Symbol:
-            if len(operands) != ARITY[name] or not all(_is_number(o) for o in operands):
+            if len(operands) != ARITY[name] or not all(_is_scalar_number(o) for o in operands):
                 raise NotAFormula(
                     f"m.{name} gets {', '.join(type(o).__name__ for o in operands) or 'nothing'}",
                     f"m.{name} of {ARITY[name]} single value{'s' if ARITY[name] > 1 else ''}",
@@ -152,7 +152,7 @@ class Recorder:
         return function
 
     def _table(self, table: Any, value: Any) -> Any:
-        if not isinstance(table, Table) or not _is_number(value):
+        if not isinstance(table, Table) or not _is_scalar_number(value):
             raise NotAFormula(
                 f"m.table gets {type(table).__name__} and {type(value).__name__}",
                 "m.table(table, value) with a perilune.Table and a single value",

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from perilune.words.declared import keys_of, quantity, record, values_of
-from perilune.words.units import dimension_text, unit
+from perilune.words.declared import quantity, record, record_keys, record_values
+from perilune.words.units import dimension_text, parse_unit
 
 _NO_PROOF = "is no tolerance but no proof"
 LARGEST = 1e-3  # of the range of a quantity along the flight
@@ -49,25 +49,25 @@ class Tolerance:
     @property
     def stated(self) -> dict[str, float]:
         """Return the stated values, in SI, by name."""
-        return {name: float(value) for name, value in values_of(self).items() if value is not None}
+        return {name: float(value) for name, value in record_values(self).items() if value is not None}
 
     def told(self, names: Iterable[str] = ()) -> str:
         """Format what is stated of these (of all, if none is named): ``position 1 mm, mass 1 g``."""
         shown = {name: value for name, value in self.stated.items() if name in (tuple(names) or self.stated)}
-        return ", ".join(f"{name} {told(name, value)}" for name, value in shown.items())
+        return ", ".join(f"{name} {format_tolerance(name, value)}" for name, value in shown.items())
 
 
 def unit_of(name: str) -> str:
     """Return the SI unit of a quantity of the tolerance."""
-    declared: Any = keys_of(Tolerance)[name].declared
+    declared: Any = record_keys(Tolerance)[name].declared
     return declared.unit
 
 
-def told(name: str, value: float) -> str:
+def format_tolerance(name: str, value: float) -> str:
     """Format a value in the unit in which it is best read, the same however it was stated."""
     choices = _SPOKEN.get(unit_of(name), ("1",))
-    best = next((text for text in choices if value >= unit(text)[0]), choices[-1])
-    return f"{value / unit(best)[0]:.6g} {best}".removesuffix(" 1")
+    best = next((text for text in choices if value >= parse_unit(text)[0]), choices[-1])
+    return f"{value / parse_unit(best)[0]:.6g} {best}".removesuffix(" 1")
 
 
 def quantity_in(unit_text: str) -> str:
@@ -75,5 +75,5 @@ def quantity_in(unit_text: str) -> str:
 
     An angle is what is in radians: a number without a unit is none.
     """
-    spoken = unit_text if unit_text == "rad" else dimension_text(unit(unit_text)[1])
-    return next((name for name in keys_of(Tolerance) if unit_of(name) == spoken != "1"), "")
+    spoken = unit_text if unit_text == "rad" else dimension_text(parse_unit(unit_text)[1])
+    return next((name for name in record_keys(Tolerance) if unit_of(name) == spoken != "1"), "")

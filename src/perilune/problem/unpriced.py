@@ -19,7 +19,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from perilune.problem.problem import Problem
-from perilune.problem.rates import rate, run
+from perilune.problem.rates import run_expression, total_derivative
 from perilune.problem.tape import ROLES, Expression, Recorder, operands
 
 _ASKING = ("end", "path", "held")  # functions of a phase that state requirements on a flight
@@ -90,7 +90,7 @@ def priced_rates(problem: Problem, k: int) -> Expression:
 @lru_cache(maxsize=64)
 def _rates_without(dynamics: Expression, priced: tuple[bool, ...]) -> Expression:
     recorder = Recorder()
-    values = [rate for rate, own in zip(run(dynamics, recorder), priced, strict=True) if own]
+    values = [rate for rate, own in zip(run_expression(dynamics, recorder), priced, strict=True) if own]
     return Expression(recorder.tape(values), dynamics.roles, origin=dynamics.origin)
 
 
@@ -100,7 +100,7 @@ def _numeric_slopes(expression: Expression, state: str) -> tuple[float | None, .
     names = sorted({op[1] for op in expression.tape.instructions if op[0] == "x"} | {state})
     recorder = Recorder()
     alone = Expression(recorder.tape([float(name == state) for name in names]), ("x", "u", "p"))
-    tape = rate(expression, alone, names).tape
+    tape = total_derivative(expression, alone, names).tape
     found = [tape.instructions[k] for k in tape.outputs]
     return tuple(float(op[1]) if op[0] == "const" else None for op in found)
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from perilune.problem.controls import Limit, demand_limits, limit_value
-from perilune.words.asked import called_in_words, demand, demand_identifier, demand_si
+from perilune.words.asked import check_call, require_identifier, require_si_number, require_type
 from perilune.words.declared import stated_text
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import demand_si_unit
+from perilune.words.units import require_si_unit
 
 
 def positive_scale(name: str, scale: Any) -> float | None:
@@ -35,7 +35,7 @@ def positive_scale(name: str, scale: Any) -> float | None:
     return float(scale)
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Variable:
     """A named component with its unit: a state, a condition at the end or on the way, or an output.
@@ -57,8 +57,8 @@ class Variable:
     scale: float | None = None
 
     def __post_init__(self) -> None:
-        demand_identifier(self.name)
-        demand_si_unit(self.unit, self.name)
+        require_identifier(self.name)
+        require_si_unit(self.unit, self.name)
         object.__setattr__(self, "scale", positive_scale(self.name, self.scale))
         demand_limits(self)
         if not (isinstance(self.lower, str) or isinstance(self.upper, str) or self.lower < self.upper):
@@ -83,7 +83,7 @@ class Variable:
         return value - NUMERIC.fmin(NUMERIC.fmax(value, lower), upper) if self.ranged else value
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Given:
     """A parameter with a value in SI and its SI unit.
@@ -96,10 +96,10 @@ class Given:
     stated: str = ""
 
     def __post_init__(self) -> None:
-        demand_si_unit(self.unit, "a given value")
+        require_si_unit(self.unit, "a given value")
         if not self.stated:
             object.__setattr__(self, "stated", stated_text(self.value))
-        demand_si(self.value, "a given value")
+        require_si_number(self.value, "a given value")
         object.__setattr__(self, "value", float(self.value))
 
 
@@ -115,11 +115,11 @@ def given_as(name: str, value: Any, unit: str) -> Given:
     unit
         Its SI unit.
     """
-    demand_si(value, f"a value of {name}")
+    require_si_number(value, f"a value of {name}")
     return Given(value=value, unit=unit)
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Free:
     """A parameter that the optimiser chooses, in SI.
@@ -135,8 +135,10 @@ class Free:
     typical: float = 1.0
 
     def __post_init__(self) -> None:
-        demand(self.name, str, "the name of a free parameter")
-        demand_si_unit(self.unit, self.name)
+        require_type(self.name, str, "the name of a free parameter")
+        require_si_unit(self.unit, self.name)
         for side in ("lower", "upper"):
-            demand_si(getattr(self, side), f"the {side} bound of {self.name}", f"leave {side} out where there is none")
-        demand_si(self.typical, f"the typical value of {self.name}")
+            require_si_number(
+                getattr(self, side), f"the {side} bound of {self.name}", f"leave {side} out where there is none"
+            )
+        require_si_number(self.typical, f"the typical value of {self.name}")

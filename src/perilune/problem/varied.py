@@ -15,14 +15,14 @@ from typing import Any
 
 from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
-from perilune.problem.rates import run
+from perilune.problem.rates import run_expression
 from perilune.problem.tape import Expression, Recorder
 from perilune.problem.variables import Free, Given
 
 _FAR = 1e4  # canonical: a range that is so much wider or narrower than 1 has a size of its own
 
 
-def varied(problem: Problem, names: Sequence[str], sizes: Mapping[str, float]) -> Problem:
+def parametric_problem(problem: Problem, names: Sequence[str], sizes: Mapping[str, float]) -> Problem:
     """Return the problem with these parameters free without bounds; other free ones keep their places before them.
 
     Parameters
@@ -42,7 +42,7 @@ def varied(problem: Problem, names: Sequence[str], sizes: Mapping[str, float]) -
     free = tuple(replace(f, lower=-math.inf, upper=math.inf) if f.name in names else f for f in problem.free)
     if not sizes:
         return problem.changed(given=MappingProxyType(given), free=(*free, *new), ranges=None, form=None)
-    given |= {_size_of(name): Given(value=size, unit=units[name]) for name, size in sizes.items()}
+    given |= {_size_name(name): Given(value=size, unit=units[name]) for name, size in sizes.items()}
     shares = {key: _with_shares(e, sizes) for key, e in problem.form.expressions.items()}
     stated = problem.stated_by(shares)
     return stated.changed(given=MappingProxyType(given), free=(*free, *new), ranges=None, form=None)
@@ -81,7 +81,7 @@ def sizes_of(problem: Problem, names: Sequence[str], widths: Sequence[float]) ->
     return found
 
 
-def _size_of(name: str) -> str:
+def _size_name(name: str) -> str:
     return f"size_of_{name}"
 
 
@@ -91,9 +91,9 @@ def _with_shares(expression: Expression, sizes: Mapping[str, float]) -> Expressi
     if not inside:
         return expression
     recorder = Recorder()
-    values: list[Any] = run(
+    values: list[Any] = run_expression(
         expression,
         recorder,
-        {("p", n): recorder.do("mul", recorder.input("p", n), recorder.input("p", _size_of(n))) for n in inside},
+        {("p", n): recorder.do("mul", recorder.input("p", n), recorder.input("p", _size_name(n))) for n in inside},
     )
     return Expression(recorder.tape(values), expression.roles, expression.scalar, expression.origin)

@@ -11,15 +11,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from perilune.problem.tolerance import Tolerance
-from perilune.words.asked import called_in_words
-from perilune.words.face import method
+from perilune.words.asked import check_call
+from perilune.words.face import method_function
 
 LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked", "theorem")
 LEVELS = tuple(range(1, len(LEVEL_NAMES)))  # levels that may be requested
 THEOREM = 5  # with those up to 3
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Check:
     """One test of a solution.
@@ -66,12 +66,12 @@ class Check:
         return f"limit {self.limit:.{digits}g}{own}"
 
 
-def slips_told(passed: Sequence[bool]) -> str:
+def format_failed_checks(passed: Sequence[bool]) -> str:
     """Format what stands behind a level where checks failed, also those of a higher one; else nothing."""
     return f", NOT_PROVED: {passed.count(False)} of {len(passed)} checks failed" if False in passed else ""
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Verification:
     """All checks made of one solution.
@@ -120,7 +120,7 @@ class Verification:
     @property
     def told(self) -> str:
         """The title with what failed, as it stands in exports."""
-        return self.title + slips_told([check.passed for check in self.checks])
+        return self.title + format_failed_checks([check.passed for check in self.checks])
 
     @property
     def headline(self) -> str:
@@ -158,7 +158,7 @@ class Verification:
         return f"<Verification {self.title}{checks}{failed}>"
 
     def _repr_html_(self) -> str:
-        return method("verification_page")(self)
+        return method_function("verification_page")(self)
 
     def __str__(self) -> str:
         lines = [self.headline + (f", flown: {self.text}" if self.text else "")]

@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields
 from string import Formatter
 from typing import Any
 
-from perilune.words.asked import called_in_words, demand, demand_row, demand_si
-from perilune.words.face import listed
+from perilune.words.asked import check_call, require_row, require_si_number, require_type
+from perilune.words.face import public_names
 from perilune.words.instants import instant
 from perilune.words.outcome import unknown_name
 
@@ -21,10 +21,10 @@ __all__ = ["Beside", "Corridor", "Dispersion", "Disturbance", "Ground", "History
 
 
 def __dir__() -> list[str]:
-    return listed(__all__)
+    return public_names(__all__)
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class History:
     """A figure of quantities against time, one panel below the other.
@@ -44,7 +44,7 @@ class History:
     caption: str = ""
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Beside:
     """A plainer flight of the same problem, drawn into the same figures: parameters held at values [SI]."""
@@ -53,7 +53,7 @@ class Beside:
     label: str
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Ground:
     """A map of the point below the vehicle: names of its longitude and latitude, on the Earth with its coasts."""
@@ -63,7 +63,7 @@ class Ground:
     coasts: bool = False
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Corridor:
     """Height against speed in the atmosphere, with contour lines of other outputs.
@@ -86,7 +86,7 @@ class Corridor:
     velocity: tuple[str, ...]
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Disturbance:
     """A deviation of the flight from what was planned.
@@ -107,7 +107,7 @@ class Disturbance:
     without: tuple[str, ...] = ()
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Dispersion:
     """The disturbances that move the landing point (`perilune.problem.dispersion`).
@@ -128,7 +128,7 @@ class Dispersion:
     track: str
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Space:
     """The place and time of a flight, for programs that know bodies and times: what `Phase.inertial` is relative to.
@@ -164,7 +164,7 @@ class Space:
             instant(self.epoch)
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class ValidRange:
     """The range of a quantity that a model is meant for; beyond it an answer is given with a warning.
@@ -192,12 +192,12 @@ class ValidRange:
 
     def __post_init__(self) -> None:
         _demand_texts(self, "ValidRange", "quantity", "because", "title")
-        demand_row(self.phases, "phases", str)
+        require_row(self.phases, "phases", str)
         for side in ("lower", "upper"):
-            demand_si(getattr(self, side), f"the {side} end of a range")
+            require_si_number(getattr(self, side), f"the {side} end of a range")
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Views:
     """The ways in which a problem is looked at.
@@ -251,14 +251,14 @@ class Views:
     meant_for: tuple[ValidRange, ...] = ()
 
     def __post_init__(self) -> None:
-        demand_row(self.histories, "figures", History)
-        demand_row(self.peaks, "peaks", str)
-        demand_row(self.inputs, "sentences on files", str)
-        demand_row(self.meant_for, "ranges", ValidRange)
+        require_row(self.histories, "figures", History)
+        require_row(self.peaks, "peaks", str)
+        require_row(self.inputs, "sentences on files", str)
+        require_row(self.meant_for, "ranges", ValidRange)
         _demand_texts(self, "Views", "height", "radius", "frame", "label", "floor")
         for name, kind in _PARTS.items():
             if (part := getattr(self, name)) is not None:
-                demand(part, kind, f"what {name} of Views can be", f"pl.views.{kind.__name__}(...), or None")
+                require_type(part, kind, f"what {name} of Views can be", f"pl.views.{kind.__name__}(...), or None")
 
 
 _PARTS = {"beside": Beside, "ground": Ground, "corridor": Corridor, "dispersion": Dispersion, "space": Space}
@@ -266,7 +266,7 @@ _PARTS = {"beside": Beside, "ground": Ground, "corridor": Corridor, "dispersion"
 
 def _demand_texts(record: Any, called: str, *names: str) -> None:
     for name in names:
-        demand(getattr(record, name), str, f"what {name} of {called} can be")
+        require_type(getattr(record, name), str, f"what {name} of {called} can be")
 
 
 def check_views(

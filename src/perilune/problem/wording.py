@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from perilune.problem.problem import Problem
-from perilune.words.declared import keys_of, section_of
-from perilune.words.units import told
+from perilune.words.declared import record_keys, section_of
+from perilune.words.units import format_quantity
 
 _SHOWN = ("outputs", "integrals", "marks", "inertial", "track", "typical_end")  # functions that decide no optimum
 
@@ -28,7 +28,7 @@ def parameter_key(problem: Problem, name: str) -> str:
     for record in problem.declared:
         section = section_of(type(record))
         key = name.removeprefix(f"{section}_")
-        if key != name and key in keys_of(type(record)):
+        if key != name and key in record_keys(type(record)):
             return f"{section}.{key}"
     return name
 
@@ -90,7 +90,7 @@ def end_text(problem: Problem, name: str) -> str:
     limits = [limit for one in ends for limit in (one.name, one.lower, one.upper) if isinstance(limit, str)]
     stated = {name: problem.given[name] for name in limits if name in problem.given}
     return ", ".join(
-        f"{parameter_key(problem, name)} {g.stated or told(g.value, g.unit)}" for name, g in stated.items()
+        f"{parameter_key(problem, name)} {g.stated or format_quantity(g.value, g.unit)}" for name, g in stated.items()
     )
 
 
@@ -118,5 +118,5 @@ def objective_text(solution: Any, digits: int = 6) -> str:
     name = problem.maximised or problem.minimised
     result = solution.results.get(name) if name else None
     if result is not None and math.isfinite(result.value):
-        return f"{result.label or name.replace('_', ' ')} {told(result.value, result.unit, digits)}"
-    return f"J = {told(solution.objective, problem.objective_unit, digits)}"
+        return f"{result.label or name.replace('_', ' ')} {format_quantity(result.value, result.unit, digits)}"
+    return f"J = {format_quantity(solution.objective, problem.objective_unit, digits)}"

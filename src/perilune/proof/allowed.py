@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import Bounded, admissible, normalised, placed, tangents
+from perilune.problem.controls import Bounded, admissible, control_slices, normalised, tangents
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable
-from perilune.words.derivatives import COMPLEX, STEP, jacobian, stacked
+from perilune.words.derivatives import COMPLEX, STEP, complex_step_jacobian, stack_broadcast
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
@@ -61,7 +61,7 @@ class Multipliers:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Allowed:
+class MixedConstraints:
     """The conditions of one phase in which its control appears; `along` makes it.
 
     Attributes
@@ -84,7 +84,9 @@ class Allowed:
     sizes: Vector
 
     @classmethod
-    def along(cls, phase: Phase, p: Any, scales: tuple[Vector, Vector], x: Matrix, u: Matrix) -> Allowed | None:
+    def along(
+        cls, phase: Phase, p: Any, scales: tuple[Vector, Vector], x: Matrix, u: Matrix
+    ) -> MixedConstraints | None:
         """Return the constraints of a phase; None if none depends on the control at the points x (n, N), u (k, N)."""
         count = len(phase.path_conditions) + len(phase.held_conditions)
         every = cls(
@@ -118,7 +120,7 @@ class Allowed:
         p = self.p if p is None else p
         values = [v for which in ("path", "held") for v in self.phase.evaluate(which, list(x), list(u), p, m)]
         shape = np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:])
-        return stacked([values[place] for place in self.places], shape, dtype)
+        return stack_broadcast([values[place] for place in self.places], shape, dtype)
 
     def slopes(self, x: Matrix, u: Matrix, moves: Any = None) -> Any:
         """Derivatives (r, k, N) as the control moves along `moves` (components, k, N), by default its tangents."""
@@ -131,7 +133,9 @@ class Allowed:
 
     def by_state(self, x: Matrix, u: Matrix) -> Any:
         """Derivatives (r, n, N) in the states, each over its size."""
-        return jacobian(lambda z: self.values(z, u.reshape(len(u), *(1,) * (z.ndim - 2), -1)), x, self.state_scale)
+        return complex_step_jacobian(
+            lambda z: self.values(z, u.reshape(len(u), *(1,) * (z.ndim - 2), -1)), x, self.state_scale
+        )
 
     def active(self, x: Matrix, u: Matrix) -> Any:
         """Return True where each condition is active, (r, N)."""
@@ -148,17 +152,17 @@ class Allowed:
             x, u, lam = x[:, at], u[:, at], lam[:, at]
             slopes[:, :, at] = C = self.slopes(x, u) * active[:, None, at]
             g = self._moved(lambda x, u: (lam[:, None] * self._rates(x, u)).sum(axis=0), x, u)
-            least = _least(C / self.sizes[:, None, None] * self._open(u), g * self._open(u), self.equal)
+            least = _least_multipliers(C / self.sizes[:, None, None] * self._open(u), g * self._open(u), self.equal)
             mu[:, at] = least / self.sizes[:, None]
         return Multipliers(mu=mu, slopes=slopes)
 
     def _rates(self, x: Any, u: Any) -> Any:
-        return stacked(self.phase.rates(x, u, self.p, COMPLEX), np.shape(u)[1:])
+        return stack_broadcast(self.phase.rates(x, u, self.p, COMPLEX), np.shape(u)[1:])
 
     def _open(self, u: Matrix) -> Matrix:
         """Tangents (k, N) along which no bound of a scalar holds: 1 or 0."""
         rows = []
-        for here, control in placed(self.phase.controls):
+        for here, control in control_slices(self.phase.controls):
             held = np.zeros(u.shape[1], dtype=bool)
             if isinstance(control, Bounded):
                 near = ON_BOUND * float(self.control_scale[here.start])
@@ -182,7 +186,7 @@ class Allowed:
             if not len(far):
                 break
             C = self.slopes(x[:, far], u[:, far])[rows] * along[:, None] / sizes[:, None]
-            step = _least(C.swapaxes(0, 1), -c, np.ones(len(along), dtype=bool))
+            step = _least_multipliers(C.swapaxes(0, 1), -c, np.ones(len(along), dtype=bool))
             long = np.sqrt((step**2).sum(axis=0)) / _FARTHEST
             moves = tangents(controls, self.control_scale, u[:, far])
             moved = u[:, far] + (moves * (step / np.maximum(long, 1.0))).sum(axis=1)
@@ -199,7 +203,7 @@ class Allowed:
         return out
 
 
-def _least(C: Any, g: Matrix, equal: Any) -> Matrix:
+def _least_multipliers(C: Any, g: Matrix, equal: Any) -> Matrix:
     """Return mu (r, N) with g = sum of mu C in the sense of least squares: C (r, k, N), g (k, N).
 
     Where conditions whose slopes depend on each other leave it open, the shortest; where that is negative but where

@@ -13,11 +13,11 @@ import numpy as np
 from perilune.problem.controls import control_scales, normalised
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.sizes import BEYOND, ROUNDS, STILL, borne_out, likely, reached_sizes
+from perilune.problem.sizes import BEYOND, ROUNDS, STILL, reached_sizes, supported_scale, supported_unit
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Variable
-from perilune.proof.allowed import ON_BOUND, Allowed
-from perilune.proof.crossings import Crossing, Guarded
+from perilune.proof.allowed import ON_BOUND, MixedConstraints
+from perilune.proof.crossings import GuardCrossing, Guarded
 from perilune.proof.pieces import (
     BLOCK,
     IN_HALVES,
@@ -26,12 +26,12 @@ from perilune.proof.pieces import (
     Pieces,
     Sampled,
     Slopes,
-    just_before,
+    interpolating_cubics,
     polynomial,
     slopes_joined,
-    through,
+    time_just_before,
 )
-from perilune.words.derivatives import COMPLEX, STEP, jacobian, stacked
+from perilune.words.derivatives import COMPLEX, STEP, complex_step_jacobian, stack_broadcast
 from perilune.words.types import Matrix, Vector
 
 # Halves of a piece may differ from the whole by so much, scaled, before they are looked at apart; by how much they
@@ -44,7 +44,7 @@ _TRIED = 100  # of the pieces: whether a condition depends on the control
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arc:
+class PhaseData:
     """One phase of a solution with what the checks evaluate on it. Arrays are (components, times)."""
 
     solution: Solution
@@ -110,8 +110,8 @@ class Arc:
         """Sizes of the held conditions [SI]; what they go through are their terms, as together these vanish."""
         t, n = self.trajectory.state.time, len(self.phase.states)
         size = np.concatenate([self.state_scale, self.control_scale])
-        slopes = jacobian(
-            lambda z: stacked(self.phase.evaluate("held", z[:n], z[n:], self.p, COMPLEX), np.shape(z)[1:]),
+        slopes = complex_step_jacobian(
+            lambda z: stack_broadcast(self.phase.evaluate("held", z[:n], z[n:], self.p, COMPLEX), np.shape(z)[1:]),
             np.concatenate([self.state(t), self.control(t)]), size,
         )  # fmt: skip
         return self._sizes(self.phase.held_conditions, np.abs(slopes).sum(axis=1).max(axis=1))
@@ -126,12 +126,12 @@ class Arc:
 
         def conditions_at(x: Any, t: Vector, p: Any = self.p) -> Any:
             values = self.phase.evaluate(function, list(x), list(self.control(t)), p, COMPLEX)
-            return stacked(values, x.shape[1:])
+            return stack_broadcast(values, x.shape[1:])
 
         reached = np.maximum(np.abs(conditions_at(self.state(t), t).real).max(axis=1), least)
         some = t[:: 1 + len(t) // _SAMPLES]
         x = self.state(some)
-        slopes = jacobian(lambda z: conditions_at(z, some), x, np.ones(len(x)))
+        slopes = complex_step_jacobian(lambda z: conditions_at(z, some), x, np.ones(len(x)))
         terms = np.abs(slopes * x).sum(axis=1)
         by_states = np.median((np.abs(slopes) * self.state_scale[:, None]).sum(axis=1), axis=1)
         reached = np.where(reached <= STILL * by_states, by_states, reached)
@@ -144,9 +144,11 @@ class Arc:
 
     def _sizes(self, conditions: Sequence[Variable], reached: Vector) -> Vector:
         """Canonical units, or scales of their own; no more than what the conditions go through bears out."""
-        units = [likely(self.problem.scales.of(c.unit), most) for c, most in zip(conditions, reached, strict=True)]
+        units = [
+            supported_unit(self.problem.scales.of(c.unit), most) for c, most in zip(conditions, reached, strict=True)
+        ]
         return np.array([
-            unit if c.scale is None else borne_out(c.scale, unit, float(most))
+            unit if c.scale is None else supported_scale(c.scale, unit, float(most))
             for c, unit, most in zip(conditions, units, reached, strict=True)
         ])  # fmt: skip
 
@@ -160,17 +162,19 @@ class Arc:
         """Sizes of the control components [SI]."""
         units = control_scales(self.phase.controls, self.problem.scales)
         reached = np.abs(self.trajectory.control.values).max(axis=0)
-        return np.array([likely(unit, most) for unit, most in zip(units.tolist(), reached.tolist(), strict=True)])
+        return np.array(
+            [supported_unit(unit, most) for unit, most in zip(units.tolist(), reached.tolist(), strict=True)]
+        )
 
     @property
     def time_scale(self) -> float:
         """Size of a time [s]."""
-        return likely(self.problem.scales.time, self.duration)
+        return supported_unit(self.problem.scales.time, self.duration)
 
     @cached_property
     def objective_scale(self) -> float:
         """Size of J [SI]."""
-        return objective_scale(self.solution)
+        return objective_size(self.solution)
 
     @cached_property
     def rate_scale(self) -> float:
@@ -189,7 +193,7 @@ class Arc:
         return Pieces.between([curve.time for curve in self.curves], self.duration)
 
     @cached_property
-    def crossings(self) -> tuple[Crossing, ...]:
+    def crossings(self) -> tuple[GuardCrossing, ...]:
         """Return the crossings of a kink or a jump of the physics."""
         return self._guarded.crossings(self.cut)
 
@@ -224,7 +228,7 @@ class Arc:
 
         Nor is what jumps where the physics does: it is no switch, whose time is chosen.
         """
-        change = self.control(self.breaks) - self.control(just_before(self.breaks))
+        change = self.control(self.breaks) - self.control(time_just_before(self.breaks))
         change = change / self.control_scale[:, None]
         return np.where((np.abs(change) > ON_BOUND) & ~np.isin(self.breaks, self.crossed), change, 0.0)
 
@@ -250,7 +254,7 @@ class Arc:
     def rates(self, x: Any, u: Any, p: Any = None) -> Any:
         """Dynamics, complex-safe, (n, ...) for x (n, ...) and u (k, ...)."""
         values = self.phase.rates(x, u, self.p if p is None else p, COMPLEX)
-        return stacked(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]))
+        return stack_broadcast(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]))
 
     def hamiltonian(self, x: Any, u: Any, lam: Any) -> Any:
         """lam.f of real values, (...), for x and lam (n, ...) and u (k, ...)."""
@@ -266,15 +270,17 @@ class Arc:
 
     def _along(self, function: str, x: Any, u: Any) -> Matrix:
         values = self.phase.evaluate(function, list(x), list(u), self.p)
-        return stacked(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]), float)
+        return stack_broadcast(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]), float)
 
     @cached_property
-    def allowed(self) -> Allowed | None:
+    def allowed(self) -> MixedConstraints | None:
         """The conditions in which the control appears, if there are any."""
         phase, t = self.phase, self.cut.left[:: len(self.cut) // _TRIED + 1]
         if not (phase.path_conditions or phase.held_conditions) or not phase.controls:
             return None
-        return Allowed.along(phase, self.p, (self.state_scale, self.control_scale), self.state(t), self.control(t))
+        return MixedConstraints.along(
+            phase, self.p, (self.state_scale, self.control_scale), self.state(t), self.control(t)
+        )
 
     def read(self, pieces: Pieces, shares: Vector = POINTS) -> tuple[Matrix, Matrix, Matrix]:
         """State, control (directions normalised) and costate on pieces, (components, N, shares)."""
@@ -318,7 +324,9 @@ class Arc:
             whole, parts = (s.rows() @ WEIGHTS * p.width for s, p in ((own, pieces), (finer, halves)))
             difference = np.abs(whole - parts.reshape(*whole.shape, 2).sum(axis=-1))
             # What vanishes at the points, and integrates to nothing over either half, shows at those of the halves.
-            bent = polynomial(through(own.rows())[:, :, None], IN_HALVES) - finer.rows().reshape(*whole.shape, 8)
+            bent = polynomial(interpolating_cubics(own.rows())[:, :, None], IN_HALVES) - finer.rows().reshape(
+                *whole.shape, 8
+            )
             again = (difference > _SETTLED).any(axis=0) | (np.abs(bent).max(axis=2) * pieces.width > _BENT).any(axis=0)
             again &= (left > 0) & (len(pieces) < _MOST_OPEN)
             found.append(pieces[~again])
@@ -337,32 +345,32 @@ class Arc:
         return Sampled(t=pieces.times().ravel(), weights=(pieces.width[:, None] * WEIGHTS).ravel(), x=x, u=u, lam=lam)
 
 
-def objective_scale(solution: Solution) -> float:
+def objective_size(solution: Solution) -> float:
     """Size of J [SI]: what it is, and at least its canonical unit or the scale of its own.
 
     A constant in it, as of a clock that does not begin at 0, is no size: beyond a thousand canonical units, J counts up
     to a thousand times what the flight changes of it.
     """
-    problem, reached, changed = solution.problem, abs(solution.objective), _changed(solution)
+    problem, reached, changed = solution.problem, abs(solution.objective), _flight_change_of_objective(solution)
     unit = problem.scales.of(problem.objective_unit)
-    unit = min(unit, likely(unit, max(reached, changed)))
+    unit = min(unit, supported_unit(unit, max(reached, changed)))
     if reached > BEYOND * max(unit, problem.objective_size):
-        reached = borne_out(reached, BEYOND * unit, changed)
+        reached = supported_scale(reached, BEYOND * unit, changed)
     if problem.objective_scale is None:
         return max(reached, unit)
-    return max(reached, borne_out(problem.objective_scale, unit, reached))
+    return max(reached, supported_scale(problem.objective_scale, unit, reached))
 
 
 def free_size(solution: Solution, free: Free) -> float:
     """Size of a free parameter [SI]: its canonical unit, as far as its value and bounds bear it out."""
     told = [abs(v) for v in (solution.free[free.name], free.lower, free.upper) if np.isfinite(v)]
-    return likely(solution.problem.scales.of(free.unit), max(told))
+    return supported_unit(solution.problem.scales.of(free.unit), max(told))
 
 
-def _changed(solution: Solution) -> float:
+def _flight_change_of_objective(solution: Solution) -> float:
     """Return how much the flight and the free parameters change J, to first order [SI]."""
     problem, p = solution.problem, solution.parameters
-    last = Arc(solution=solution, index=len(problem.phases) - 1)
+    last = PhaseData(solution=solution, index=len(problem.phases) - 1)
     spans = np.zeros(len(last.phase.states))
     for phase, flown in zip(problem.phases, solution.trajectories, strict=True):
         of_phase = dict(zip(phase.state_names, np.ptp(flown.state.values, axis=0).tolist(), strict=True))
@@ -376,23 +384,23 @@ def _changed(solution: Solution) -> float:
     return changed
 
 
-def slopes_at_end(arc: Arc, function: Callable[[Any], Any]) -> Matrix:
+def slopes_at_end(arc: PhaseData, function: Callable[[Any], Any]) -> Matrix:
     """Derivatives (values, n) of a function of the states at the end of the phase, a change by their sizes."""
     return slopes_at(arc, np.array([arc.duration]), function)
 
 
-def slopes_at(arc: Arc, t: Vector, function: Callable[[Any], Any]) -> Matrix:
+def slopes_at(arc: PhaseData, t: Vector, function: Callable[[Any], Any]) -> Matrix:
     """Derivatives (values, n) of a function of the states at one time [s], (1,), a change by their sizes."""
     x = arc.state(t)
-    return jacobian(lambda z: stacked(function(z), z.shape[1:]), x, arc.state_scale)[:, :, 0]
+    return complex_step_jacobian(lambda z: stack_broadcast(function(z), z.shape[1:]), x, arc.state_scale)[:, :, 0]
 
 
-def end_slopes(arc: Arc) -> Matrix:
+def end_slopes(arc: PhaseData) -> Matrix:
     """`slopes_at_end` of the end conditions."""
     return slopes_at_end(arc, lambda z: arc.phase.evaluate("end", z, (), arc.p, COMPLEX))
 
 
-def objective_slope(arc: Arc) -> Vector:
+def objective_slope(arc: PhaseData) -> Vector:
     """`slopes_at_end` of J, in the last phase, (n,)."""
     record = arc.phase.state_record
     return slopes_at_end(arc, lambda z: [arc.problem.objective(record(*z), arc.p, COMPLEX)])[0]

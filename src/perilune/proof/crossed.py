@@ -23,17 +23,17 @@ import numpy as np
 
 from perilune.methods.method import Method
 from perilune.problem.extremal import Extremal, Nature
-from perilune.problem.neighbours import held
+from perilune.problem.neighbours import fix_free_parameters
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, objective_scale
-from perilune.proof.feasible import feasibility
-from perilune.proof.flight import flights
+from perilune.proof.arc import PhaseData, objective_size
+from perilune.proof.feasible import check_feasibility
+from perilune.proof.flight import reintegrate
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import quotient
-from perilune.words.watch import at_work
+from perilune.words.units import quotient_unit
+from perilune.words.watch import sign_of_life
 
 if TYPE_CHECKING:
     from perilune.structures.structure import Structure
@@ -47,7 +47,7 @@ COVECTOR = 5e-6
 _TIMES = 401
 
 
-def agreement(
+def check_agreement(
     solution: Solution, other: Method | None, arcs: tuple[Solution, Structure] | None = None
 ) -> Iterator[Check]:
     """Make all checks of level 4.
@@ -59,10 +59,10 @@ def agreement(
     other
         The other method; None takes the direct one for an answer of an indirect method, and the reverse.
     arcs
-        The answer cut into its arcs, and these, as `touched.cut` has them, where it has some.
+        The answer cut into its arcs, and these, as `touched.restate_with_contacts` has them, where it has some.
     """
-    other = _usual(solution) if other is None else other
-    rivals, reason = _rivals(solution, other)
+    other = _default_other_method(solution) if other is None else other
+    rivals, reason = _rival_solutions(solution, other)
     yield Check(
         name="cross_solved", level=4, value=0.0 if rivals else float("nan"), limit=0.0, unit="1",
         meaning=f"another method solves the same problem{reason}",
@@ -71,15 +71,15 @@ def agreement(
         return
     near = min(rivals, key=lambda rival: abs(rival.objective - solution.objective))
     error = _mesh_error(solution, near)
-    yield _objectives(solution, near, error)
-    yield _best(solution, rivals, error)
+    yield _compare_objectives(solution, near, error)
+    yield _check_best_extremal(solution, rivals, error)
     if arcs is not None:
-        from perilune.structures.carry import split
+        from perilune.structures.carry import split_solution
 
         parts, structure = arcs
-        same = _same_arcs(solution.problem, parts, structure)
+        same = _restate_with_arcs(solution.problem, parts, structure)
         try:
-            solution, near = parts, other.run(same, split(near, structure, same), at_work)
+            solution, near = parts, other.run(same, split_solution(near, structure, same), sign_of_life)
         except PeriluneError as failure:
             yield Check(
                 name="cross_arcs", level=4, value=float("nan"), limit=0.0, unit="1",
@@ -88,12 +88,12 @@ def agreement(
             )  # fmt: skip
             return
         error = max(error, _mesh_error(near))
-    yield from _parameters(solution, near, error)
+    yield from _compare_parameters(solution, near, error)
     for index in range(len(solution.problem.phases)):
-        yield from _curves(solution, near, index, error)
+        yield from _compare_curves(solution, near, index, error)
 
 
-def _usual(solution: Solution) -> Method:
+def _default_other_method(solution: Solution) -> Method:
     """The other method where none is named."""
     from perilune.methods.indirect import Indirect
     from perilune.methods.pseudospectral import Pseudospectral
@@ -103,7 +103,7 @@ def _usual(solution: Solution) -> Method:
     return Indirect() if direct else Pseudospectral()
 
 
-def _same_arcs(problem: Problem, parts: Solution, structure: Structure) -> Problem:
+def _restate_with_arcs(problem: Problem, parts: Solution, structure: Structure) -> Problem:
     """Restate the problem with boundary arcs that begin and end at the answer's times, and S >= 0 kept by the arcs."""
     from perilune.structures.structure import conditions_of
 
@@ -114,11 +114,11 @@ def _same_arcs(problem: Problem, parts: Solution, structure: Structure) -> Probl
             phase, flown = parts.problem.phases[len(phases)], parts.trajectories[len(phases)]
             if after is not None and (arc.along or after.along):
                 times[phase.duration] = flown.duration
-            phases.append(_without(phase, kept))
-    return held(parts.problem.changed(phases=tuple(phases), form=None), **times)
+            phases.append(_without_conditions(phase, kept))
+    return fix_free_parameters(parts.problem.changed(phases=tuple(phases), form=None), **times)
 
 
-def _without(phase: Phase, names: Collection[str]) -> Phase:
+def _without_conditions(phase: Phase, names: Collection[str]) -> Phase:
     """A phase without the path conditions of these names."""
     rows, path = [i for i, c in enumerate(phase.path_conditions) if c.name not in names], phase.path
     if path is None:
@@ -128,33 +128,33 @@ def _without(phase: Phase, names: Collection[str]) -> Phase:
     return replace(phase, path=some, path_conditions=kept)
 
 
-def _rivals(solution: Solution, other: Method) -> tuple[list[Solution], str]:
+def _rival_solutions(solution: Solution, other: Method) -> tuple[list[Solution], str]:
     """Answers of the other method, and where there are none the reason."""
     from perilune.methods.indirect import Indirect
 
     try:
-        first = other.run(solution.problem, solution if isinstance(other, Indirect) else None, at_work)
+        first = other.run(solution.problem, solution if isinstance(other, Indirect) else None, sign_of_life)
     except PeriluneError as error:
         return [], f", but {type(other).__name__} does not: {error.what}"
     if isinstance(other, Indirect):
-        missed = _missed(first)
+        missed = _failed_conditions(first)
         if missed:
             return [], f", but the extremal that {type(other).__name__} reaches does not meet {', '.join(missed)}"
         return [first], ""
     rivals = [first]
     problem, near = solution.problem, _mesh_error(first)
-    if first.objective - solution.objective > _allowed(objective_scale(solution), first.objective, near):
+    if first.objective - solution.objective > _explained_difference(objective_size(solution), first.objective, near):
         # From no guess it ended in a worse optimum, which refutes nothing: does it confirm this one?
         try:
-            rivals.append(other.run(problem, solution, at_work))
+            rivals.append(other.run(problem, solution, sign_of_life))
         except PeriluneError:
             pass
     return rivals, ""
 
 
-def _missed(rival: Solution) -> list[str]:
+def _failed_conditions(rival: Solution) -> list[str]:
     """Conditions of level 1 that an extremal does not meet: it knows of none along the path."""
-    return [check.name for check in feasibility(rival, flights(rival)) if not check.passed]
+    return [check.name for check in check_feasibility(rival, reintegrate(rival)) if not check.passed]
 
 
 def _mesh_error(*solutions: Solution) -> float:
@@ -162,68 +162,75 @@ def _mesh_error(*solutions: Solution) -> float:
     return float(np.fmax.reduce([FINEST, *(s.statistics.residual for s in solutions if not s.statistics.claimed)]))
 
 
-def _allowed(size: float, value: float, error: float) -> float:
+def _explained_difference(size: float, value: float, error: float) -> float:
     """Difference of a quantity of this canonical size that the mesh error explains [its unit]."""
     return AGREEMENT * error * (size + abs(value))
 
 
-def _objectives(solution: Solution, rival: Solution, error: float) -> Check:
+def _compare_objectives(solution: Solution, rival: Solution, error: float) -> Check:
     problem = solution.problem
     return Check(
-        name="cross_objective", level=4, value=abs(solution.objective - rival.objective),
-        limit=_allowed(objective_scale(solution), solution.objective, error), unit=problem.objective_unit,
-        meaning=f"difference between the objective, {_both(solution, rival, solution.objective, rival.objective)} "
+        name="cross_objective",
+        level=4,
+        value=abs(solution.objective - rival.objective),
+        limit=_explained_difference(objective_size(solution), solution.objective, error),
+        unit=problem.objective_unit,
+        meaning=f"difference between the objective, "
+        f"{_both_values(solution, rival, solution.objective, rival.objective)} "
         f"{problem.objective_unit}; the relative mesh error is {error:.1e}",
-    )  # fmt: skip
+    )
 
 
-def _both(solution: Solution, rival: Solution, here: float, there: float) -> str:
-    return f"{here:.12g} by {_maker(solution)}, {there:.12g} by {_maker(rival)}"
+def _both_values(solution: Solution, rival: Solution, here: float, there: float) -> str:
+    return f"{here:.12g} by {_method_name(solution)}, {there:.12g} by {_method_name(rival)}"
 
 
-def _maker(solution: Solution) -> str:
+def _method_name(solution: Solution) -> str:
     """Return the method that found a solution; it is unknown for one from a file."""
     return "the file" if solution.statistics.claimed else solution.method
 
 
-def _best(solution: Solution, rivals: Sequence[Solution], error: float) -> Check:
+def _check_best_extremal(solution: Solution, rivals: Sequence[Solution], error: float) -> Check:
     """Check that no extremal that either side has found is better than the one claimed."""
     problem = solution.problem
-    found = [(e, _maker(s)) for s in (solution, *rivals) for e in _known(s)]
+    found = [(e, _method_name(s)) for s in (solution, *rivals) for e in _listed_extremals(s)]
     found.sort(key=lambda pair: pair[0].objective)
-    listed = "; ".join(f"J = {e.objective:.9g} by {method}{_where(problem, e)}" for e, method in found)
+    listed = "; ".join(f"J = {e.objective:.9g} by {method}{_describe_parameters(problem, e)}" for e, method in found)
     return Check(
-        name="best_extremal", level=4, value=max(solution.objective - found[0][0].objective, 0.0),
-        limit=_allowed(objective_scale(solution), solution.objective, error), unit=problem.objective_unit,
+        name="best_extremal",
+        level=4,
+        value=max(solution.objective - found[0][0].objective, 0.0),
+        limit=_explained_difference(objective_size(solution), solution.objective, error),
+        unit=problem.objective_unit,
         meaning=f"by how much the best extremal found is better than this one, J = {solution.objective:.9g}; found, "
         f"best first: {listed}",
-    )  # fmt: skip
+    )
 
 
-def _known(solution: Solution) -> Sequence[Extremal]:
+def _listed_extremals(solution: Solution) -> Sequence[Extremal]:
     """The extremals that a solution lists, or itself."""
     itself = Extremal(free=solution.free, objective=solution.objective, nature=Nature.LOCAL_OPTIMUM)
     return solution.extremals or [itself]
 
 
-def _where(problem: Problem, extremal: Extremal) -> str:
+def _describe_parameters(problem: Problem, extremal: Extremal) -> str:
     values = [f"{name} {value:.6g} {problem.unit_of(name)}" for name, value in extremal.free.items()]
     return f" ({', '.join(values)})" if values else ""
 
 
-def _parameters(solution: Solution, rival: Solution, error: float) -> Iterator[Check]:
+def _compare_parameters(solution: Solution, rival: Solution, error: float) -> Iterator[Check]:
     for free in solution.problem.free:
         here, there = solution.free[free.name], rival.free[free.name]
         yield Check(
             name=f"cross_{free.name}", level=4, value=abs(here - there), unit=free.unit,
-            limit=_allowed(solution.problem.size_of(free), here, error),
-            meaning=f"difference between {free.name}, {_both(solution, rival, here, there)} {free.unit}",
+            limit=_explained_difference(solution.problem.size_of(free), here, error),
+            meaning=f"difference between {free.name}, {_both_values(solution, rival, here, there)} {free.unit}",
         )  # fmt: skip
 
 
-def _curves(solution: Solution, rival: Solution, index: int, error: float) -> Iterator[Check]:
+def _compare_curves(solution: Solution, rival: Solution, index: int, error: float) -> Iterator[Check]:
     """States at equal shares of the phase; costates by their root mean square, as ends hold only on the average."""
-    arc, other = (Arc(solution=s, index=index) for s in (solution, rival))
+    arc, other = (PhaseData(solution=s, index=index) for s in (solution, rival))
     share, cost = np.linspace(0.0, 1.0, _TIMES), solution.problem.objective_unit
     for kind, unit, limit in (("state", arc.state_scale, AGREEMENT * error),
                               ("costate", arc.objective_scale / arc.state_scale, COVECTOR + COSTATE_AGREEMENT * error),
@@ -234,10 +241,10 @@ def _curves(solution: Solution, rival: Solution, index: int, error: float) -> It
         value = norm / (1.0 + np.abs(here).max(axis=1) / unit)
         for i, state in enumerate(arc.phase.states):
             at = int(np.argmax(difference[i]))
-            both = _both(solution, rival, here[i, at], there[i, at])
+            both = _both_values(solution, rival, here[i, at], there[i, at])
             yield Check(
                 name=f"{arc.prefix}cross_{kind}_{state.name}", level=4, value=float(value[i]), limit=limit, unit="1",
                 meaning=f"{'largest' if kind == 'state' else 'root mean square'} difference between the {kind} of "
                 f"{state.name} along the arc, over one plus its size (scaled); at {share[at] * arc.duration:.6g} s "
-                f"it is {both} {state.unit if kind == 'state' else quotient(cost, state.unit)}",
+                f"it is {both} {state.unit if kind == 'state' else quotient_unit(cost, state.unit)}",
             )  # fmt: skip

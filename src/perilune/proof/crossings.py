@@ -24,8 +24,17 @@ from perilune.problem.controls import normalised
 from perilune.problem.phase import Phase
 from perilune.problem.solution import Trajectory
 from perilune.proof.guards import watched_rates
-from perilune.proof.pieces import ENDS, IN_HALVES, POINTS, Pieces, ends_and_turns, just_before, polynomial, through
-from perilune.words.derivatives import jacobian
+from perilune.proof.pieces import (
+    ENDS,
+    IN_HALVES,
+    POINTS,
+    Pieces,
+    ends_and_turning_points,
+    interpolating_cubics,
+    polynomial,
+    time_just_before,
+)
+from perilune.words.derivatives import complex_step_jacobian
 from perilune.words.types import Matrix, Vector
 
 # A guard this close to zero, in canonical units of the state, vanishes: by so much a table may differ from the flight.
@@ -39,7 +48,7 @@ _LAST_DIGITS = 1e-15  # of a state: what a guard changes with them is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
-class Crossing:
+class GuardCrossing:
     """Crossing of a guard. Vectors are scaled: states by their canonical units, rates per second.
 
     Attributes
@@ -138,7 +147,7 @@ class Guarded:
         small = [self._small(t, guard) for guard in range(self.count)]
         return t[(np.abs(values) > np.array(small).reshape(values.shape)).all(axis=0)]
 
-    def crossings(self, pieces: Pieces) -> tuple[Crossing, ...]:
+    def crossings(self, pieces: Pieces) -> tuple[GuardCrossing, ...]:
         """Return all crossings in order, found inside every piece of the tables."""
         if not self.count:
             return ()
@@ -168,10 +177,10 @@ class Guarded:
             halves, ends = pieces.halves, self.guards(*self._read(pieces, ENDS))[0]
             x, u = self._read(halves)
             finer = self.guards(x, u)[0]
-            fit = through(own)[:, :, None]
+            fit = interpolating_cubics(own)[:, :, None]
             known = np.concatenate([ends, finer.reshape(*own.shape[:2], 8)], axis=2)
             error = np.abs(polynomial(fit, np.concatenate([ENDS, IN_HALVES])) - known).max(axis=2)
-            doubtful = np.abs(polynomial(fit, ends_and_turns(fit[:, :, 0]))).min(axis=2) < _DOUBT * error
+            doubtful = np.abs(polynomial(fit, ends_and_turning_points(fit[:, :, 0]))).min(axis=2) < _DOUBT * error
             again = doubtful.any(axis=0) & (left > 0) & (len(pieces) < _MOST_OPEN)
             if again.any():
                 both = np.repeat(again, 2)
@@ -194,10 +203,10 @@ class Guarded:
 
     def _brackets(self, pieces: Pieces, values: Matrix, guard: int) -> Iterator[tuple[float, float]]:
         """Neighbouring times between which a guard changes its sign, at points of the pieces or extremes of cubics."""
-        fit = through(values)
-        shares = ends_and_turns(fit)
+        fit = interpolating_cubics(values)
+        shares = ends_and_turning_points(fit)
         others = pieces.left[:, None] + pieces.width[:, None] * shares
-        others[:, 1] = just_before(np.append(pieces.left[1:], self.duration))
+        others[:, 1] = time_just_before(np.append(pieces.left[1:], self.duration))
         others = others[(polynomial(fit[:, None], shares) > 0) != (values[:, :1] > 0)]
         times, values = np.append(pieces.times(), others), np.append(values, self.along(others, guard))
         order = np.argsort(times, kind="stable")
@@ -214,7 +223,7 @@ class Guarded:
         for curve in (self.flown.state, self.flown.control):
             breaks = curve.time[1:][np.diff(curve.time) == 0]
             for time in breaks[(breaks > low) & (breaks <= high)]:
-                before, after = self.along(np.array([just_before(time), time]), guard)
+                before, after = self.along(np.array([time_just_before(time), time]), guard)
                 if min(abs(before), abs(after)) <= self._small(np.array([time]), guard)[0]:
                     yield float(time)
                     return
@@ -230,7 +239,7 @@ class Guarded:
     def _slopes(self, x: Matrix, u: Matrix) -> Matrix:
         """Derivatives of all guards by states and controls, (guards, n + k, ...)."""
         n = len(x)
-        return jacobian(
+        return complex_step_jacobian(
             lambda z: watched_rates(self.phase, z[:n], z[n:], self.p)[1], np.concatenate([x, u]), np.ones(n + len(u))
         )
 
@@ -244,10 +253,10 @@ class Guarded:
         """Values of a guard at times that are none."""
         return _SMALL * np.abs(self._gradient(t, guard)[0]).max(axis=0)
 
-    def _crossing(self, group: list[tuple[float, int, float, float]]) -> Crossing:
+    def _crossing(self, group: list[tuple[float, int, float, float]]) -> GuardCrossing:
         """Return the crossing at the zero of one guard, or of several at the same time."""
         time, guard, *_ = group[0]
-        sides = np.array([just_before(time), time])
+        sides = np.array([time_just_before(time), time])
         x, u = self.state(sides), self.control(sides)
         before, after = (self.guards(x, u)[1][:, k].copy() for k in (0, 1))
         for _, other, *ends in group:
@@ -270,7 +279,7 @@ class Guarded:
             speeds = 1.0, 1.0
         elif corner or by_control or not speeds[0] * speeds[1] > 0:
             speeds = np.nan, np.nan
-        return Crossing(
+        return GuardCrossing(
             time=time, guard=guard, before=before, after=after, size=float(np.abs(gradients[0][0]).max()),
             normal=normals[0], jump=jump, speeds=speeds,
         )  # fmt: skip

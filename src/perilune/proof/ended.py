@@ -22,7 +22,7 @@ import numpy as np
 
 from perilune.problem.phase import Phase
 from perilune.problem.solution import Solution
-from perilune.proof.arc import Arc
+from perilune.proof.arc import PhaseData
 from perilune.proof.extremal import INSIDE, end_gradients, end_sides
 
 _ON = 1e-7  # of a state: on its bound
@@ -30,9 +30,9 @@ _BEFORE = 1e-2  # of a phase: there it is not on it yet
 _FELT = 1e-6  # of the largest costate: a multiplier; and of 1, what of a bound no end condition says
 
 
-def held_at_end(arc: Arc) -> dict[str, float]:
+def end_bound_multipliers(arc: PhaseData) -> dict[str, float]:
     """Return the states held by a bound at the end of a phase, each with its multiplier, if the costates give it."""
-    on = list(_reached(arc))
+    on = list(_bounds_reached(arc))
     if not on or arc.trajectory.costate is None:
         return {}
     psi, ahead = end_gradients(arc)
@@ -55,7 +55,7 @@ def held_at_end(arc: Arc) -> dict[str, float]:
     }
 
 
-def _reached(arc: Arc) -> Iterator[tuple[int, int]]:
+def _bounds_reached(arc: PhaseData) -> Iterator[tuple[int, int]]:
     """The states that are on a bound where a phase ends, and not before: which, and -1 at the lower, 1 at the upper."""
     before, end = arc.state(np.array([1 - _BEFORE, 1.0]) * arc.duration).T.tolist()
     for i, state in enumerate(arc.phase.states):
@@ -65,18 +65,20 @@ def _reached(arc: Arc) -> Iterator[tuple[int, int]]:
                 yield i, sign
 
 
-def ended(solution: Solution) -> Solution:
+def with_end_bounds(solution: Solution) -> Solution:
     """Return the solution as one of the problem with such bounds as end conditions; itself where there is none."""
     problem = solution.problem
-    held = [held_at_end(Arc(solution=solution, index=k)) for k in range(len(problem.phases))]
+    held = [end_bound_multipliers(PhaseData(solution=solution, index=k)) for k in range(len(problem.phases))]
     if not any(held):
         return solution
-    phases = tuple(_with_ends(phase, own) if own else phase for phase, own in zip(problem.phases, held, strict=True))
+    phases = tuple(
+        _add_end_conditions(phase, own) if own else phase for phase, own in zip(problem.phases, held, strict=True)
+    )
     # Its values and ranges are not judged again: those of a neighbour are its own.
     return replace(solution, problem=problem.changed(phases=phases, form=None))
 
 
-def _with_ends(phase: Phase, held: dict[str, float]) -> Phase:
+def _add_end_conditions(phase: Phase, held: dict[str, float]) -> Phase:
     taken, added = {c.name for c in phase.end_conditions}, []
     for state in phase.states:
         if state.name in held:

@@ -30,19 +30,12 @@ import numpy as np
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Free
 from perilune.problem.verification import Check
-from perilune.proof.arc import (
-    Arc,
-    end_slopes,
-    free_size,
-    objective_scale,
-    objective_slope,
-    slopes_at_end,
-)
-from perilune.proof.flight import MOST_GROWTH, Deviation, Flight, costate_deviation
+from perilune.proof.arc import PhaseData, end_slopes, free_size, objective_size, objective_slope, slopes_at_end
+from perilune.proof.flight import MOST_GROWTH, Deviation, Reintegration, costate_deviation
 from perilune.proof.guards import watched_rates
-from perilune.proof.numerics import telling
-from perilune.proof.pieces import just_before
-from perilune.proof.switching import HAMILTONIAN_LIMIT, minimality, with_limits
+from perilune.proof.numerics import significant_size
+from perilune.proof.pieces import time_just_before
+from perilune.proof.switching import HAMILTONIAN_LIMIT, check_minimality, limit_derivatives
 from perilune.words.derivatives import COMPLEX, STEP
 from perilune.words.types import Matrix, Vector
 
@@ -56,7 +49,7 @@ INSIDE = 2  # of a range
 _TOUCHING, _MESH, _WHILE = 1e-6, 50.0, 0.02
 
 
-def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iterator[Check]:
+def check_extremality(solution: Solution, flown: Sequence[tuple[PhaseData, Reintegration]]) -> Iterator[Check]:
     """Make all checks of level 2.
 
     Parameters
@@ -64,7 +57,7 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
     solution
         What is claimed.
     flown
-        Of `flight.flights`.
+        Of `flight.reintegrate`.
     """
     if any(t.costate is None for t in solution.trajectories):
         yield Check(
@@ -76,30 +69,30 @@ def extremality(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iter
     nu = all_multipliers(arcs)
     deviations = [costate_deviation(arc) for arc in arcs]
     # What follows is known no better than it begins; after the last phase nothing does.
-    known = [*(_passed_back(arc, begun) for arc, (_, begun) in zip(arcs, deviations[1:], strict=False)), 0.0]
+    known = [*(_errors_passed_back(arc, begun) for arc, (_, begun) in zip(arcs, deviations[1:], strict=False)), 0.0]
     for (arc, flight), multipliers, (deviation, _), ahead in zip(flown, nu, deviations, known, strict=True):
-        yield from _costates(arc, flight, deviation)
-        yield _transversality(arc, ahead)
-        yield from _signs(arc, multipliers)
-        yield _hamiltonian_constant(arc)
-    yield from _multipliers(solution, arcs, nu, known)
+        yield from _check_costates(arc, flight, deviation)
+        yield _check_transversality(arc, ahead)
+        yield from _check_range_signs(arc, multipliers)
+        yield _check_hamiltonian(arc)
+    yield from _check_multipliers(solution, arcs, nu, known)
     for free in solution.problem.free:
-        yield _stationary(arcs[0], free, list(_gradient_parts(arcs, nu, free.name)))
+        yield _check_stationarity(arcs[0], free, list(_gradient_parts(arcs, nu, free.name)))
     for arc in arcs:
         if arc.phase.controls:
-            yield from minimality(arc)
+            yield from check_minimality(arc)
 
 
-def _passed_back(arc: Arc, begun: Vector) -> Vector:
+def _errors_passed_back(arc: PhaseData, begun: Vector) -> Vector:
     """Carry errors of the next phase's initial costates, scaled, to the end of this one, (n,)."""
-    after = Arc(solution=arc.solution, index=arc.index + 1)
+    after = PhaseData(solution=arc.solution, index=arc.index + 1)
     link, record = arc.problem.links[arc.index], arc.phase.state_record
     slopes = slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX))
     return (begun / after.state_scale) @ np.abs(slopes)
 
 
-def _costates(arc: Arc, flight: Flight, deviation: Deviation) -> Iterator[Check]:
-    active = _active(arc, flight)
+def _check_costates(arc: PhaseData, flight: Reintegration, deviation: Deviation) -> Iterator[Check]:
+    active = _name_active_limits(arc, flight)
     for state, value, growth in zip(arc.phase.states, deviation.largest, deviation.growth, strict=True):
         yield Check(
             name=f"{arc.prefix}costate_{state.name}", level=2, value=float(value), unit="1",
@@ -109,17 +102,17 @@ def _costates(arc: Arc, flight: Flight, deviation: Deviation) -> Iterator[Check]
         )  # fmt: skip
 
 
-def end_gradients(arc: Arc) -> tuple[Matrix, Vector]:
+def end_gradients(arc: PhaseData) -> tuple[Matrix, Vector]:
     """d(psi)/dx, shape (q, n), and the part of lam(t_f) without multipliers, shape (n,); scaled."""
     problem, record = arc.problem, arc.phase.state_record
     if arc.index == len(problem.phases) - 1:
         return end_slopes(arc), objective_slope(arc)
-    ahead = Arc(solution=arc.solution, index=arc.index + 1).costate(np.zeros(1))[:, 0]
+    ahead = PhaseData(solution=arc.solution, index=arc.index + 1).costate(np.zeros(1))[:, 0]
     link = problem.links[arc.index]
     return end_slopes(arc), ahead @ slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX))
 
 
-def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
+def phase_end_multipliers(arc: PhaseData) -> tuple[Vector, Vector]:
     """Multipliers nu [J per unit] by least squares, and what of lam(t_f) they leave (scaled).
 
     That of a range is 0 where its value lies between the bounds.
@@ -133,14 +126,14 @@ def end_multipliers(arc: Arc) -> tuple[Vector, Vector]:
     return nu, (wanted - psi.T @ nu) / arc.objective_scale
 
 
-def _sizes_at_end(arc: Arc, known: Vector | float) -> Vector:
+def _sizes_at_end(arc: PhaseData, known: Vector | float) -> Vector:
     """Sizes of the components of lam(t_f), and of what has to explain them, at least `known`; scaled."""
     lam = arc.costate(np.array([arc.duration]))[:, 0] * arc.state_scale
     sizes = np.maximum(np.abs(lam), np.abs(end_gradients(arc)[1])) / arc.objective_scale
     return np.maximum(1.0, np.maximum(known, sizes))
 
 
-def _multiplier_sizes(arc: Arc, known: Vector | float) -> Vector:
+def _multiplier_sizes(arc: PhaseData, known: Vector | float) -> Vector:
     """Return the error of each multiplier from errors of lam(t_f), each of its size, at least 1; scaled, (q,).
 
     Conditions that are nearly the same have multipliers that are nearly undetermined: up to `MOST_GROWTH` times.
@@ -154,19 +147,19 @@ def _multiplier_sizes(arc: Arc, known: Vector | float) -> Vector:
     return sizes
 
 
-def all_multipliers(arcs: Sequence[Arc]) -> list[Vector]:
+def all_multipliers(arcs: Sequence[PhaseData]) -> list[Vector]:
     """Return the multipliers nu [J per unit] of the end conditions of all phases.
 
     A condition only on parameters, as that durations have a given sum, is in no lam(t_f): its multiplier is what
     makes J stationary in the free parameters, by least squares, as far as there is one.
     """
-    nu, size = [end_multipliers(arc)[0] for arc in arcs], objective_scale(arcs[0].solution)
+    nu, size = [phase_end_multipliers(arc)[0] for arc in arcs], objective_size(arcs[0].solution)
     bare = [
         (k, i)
         for k, arc in enumerate(arcs)
         for i in np.nonzero(~end_slopes(arc).any(axis=1) & (end_sides(arc) != INSIDE))[0].tolist()
     ]
-    inside = [f for f in arcs[0].problem.free if not any(at_bound(arcs[0].solution, f))]
+    inside = [f for f in arcs[0].problem.free if not any(is_at_bounds(arcs[0].solution, f))]
     if not bare or not inside:
         return nu
 
@@ -186,7 +179,7 @@ def all_multipliers(arcs: Sequence[Arc]) -> list[Vector]:
     return nu
 
 
-def end_sides(arc: Arc) -> Vector:
+def end_sides(arc: PhaseData) -> Vector:
     """Return for each end condition 0 for an equality, -1 or 1 at the lower or upper bound of a range, else INSIDE.
 
     A range of one value is an equality.
@@ -200,7 +193,7 @@ def end_sides(arc: Arc) -> Vector:
     return np.array(sides)
 
 
-def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
+def _check_range_signs(arc: PhaseData, nu: Vector) -> Iterator[Check]:
     """Check that J does not fall into the interior of a range: nu <= 0 at its lower bound, >= 0 at its upper one."""
     sizes = arc.end_scale / arc.objective_scale
     for condition, side, value, size in zip(arc.phase.end_conditions, end_sides(arc), nu, sizes, strict=True):
@@ -213,17 +206,17 @@ def _signs(arc: Arc, nu: Vector) -> Iterator[Check]:
             )  # fmt: skip
 
 
-def _transversality(arc: Arc, known: Vector | float) -> Check:
+def _check_transversality(arc: PhaseData, known: Vector | float) -> Check:
     psi, size, met = end_slopes(arc), arc.end_scale, end_sides(arc) != INSIDE
     left = np.eye(psi.shape[1])
     if met.any():  # what no multipliers can explain
         scaled = psi[met].T / size[met]
         left = left - scaled @ np.linalg.pinv(scaled)
     sizes = np.maximum(1.0, np.abs(left) @ _sizes_at_end(arc, known))
-    missed = np.abs(end_multipliers(arc)[1])
+    missed = np.abs(phase_end_multipliers(arc)[1])
     lam = arc.costate(np.array([arc.duration]))[:, 0] / arc.costate_scale
     # What the missing part would have to be counts too where lam itself says that a state does not tell.
-    many = telling(arc.units / arc.state_scale, np.abs(lam) + missed)
+    many = significant_size(arc.units / arc.state_scale, np.abs(lam) + missed)
     # As often as the missing part counts, so do errors of what follows that it is made of.
     missed, sizes = many * missed, np.maximum(sizes, many * (np.abs(left) @ np.broadcast_to(known, len(lam))))
     return Check(
@@ -234,8 +227,8 @@ def _transversality(arc: Arc, known: Vector | float) -> Check:
     )  # fmt: skip
 
 
-def _multipliers(
-    solution: Solution, arcs: Sequence[Arc], found: Sequence[Vector], known: Sequence[Vector | float]
+def _check_multipliers(
+    solution: Solution, arcs: Sequence[PhaseData], found: Sequence[Vector], known: Sequence[Vector | float]
 ) -> Iterator[Check]:
     differences = []
     for arc, nu, ahead in zip(arcs, found, known, strict=True):
@@ -253,7 +246,7 @@ def _multipliers(
         )  # fmt: skip
 
 
-def _hamiltonian_constant(arc: Arc) -> Check:
+def _check_hamiltonian(arc: PhaseData) -> Check:
     ends, inside = arc.ends, arc.sampled
     values = np.append(
         arc.hamiltonian(arc.state(ends), arc.control(ends), arc.costate(ends)),
@@ -266,7 +259,7 @@ def _hamiltonian_constant(arc: Arc) -> Check:
     )  # fmt: skip
 
 
-def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> float:
+def parameter_gradient(arcs: Sequence[PhaseData], nu: Sequence[Vector], name: str) -> float:
     """dJ/dp at an extremal, p a free parameter: J per unit of p, from costates and multipliers (above).
 
     Parameters
@@ -281,7 +274,7 @@ def parameter_gradient(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> 
     return float(sum(float(np.sum(part)) for part in _gradient_parts(arcs, nu, name)))
 
 
-def _gradient_parts(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> Iterator[Any]:
+def _gradient_parts(arcs: Sequence[PhaseData], nu: Sequence[Vector], name: str) -> Iterator[Any]:
     """Yield the terms of dJ/dp, some terms or times at a time."""
     problem, p = arcs[0].problem, arcs[0].p
     unit = problem.scales.of(problem.unit_of(name))
@@ -299,9 +292,9 @@ def _gradient_parts(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> Ite
             yield slopes(ahead, problem.links[arc.index](arc.phase.state_record(*end), stepped, COMPLEX))
         else:
             yield slopes([1.0], [problem.objective(arc.phase.state_record(*end), stepped, COMPLEX)])
-        yield [nu * slopes([1.0], [s]) for nu, s in _guards(arc, stepped)]
+        yield [nu * slopes([1.0], [s]) for nu, s in _guard_multipliers(arc, stepped)]
         inside = arc.sampled
-        u = inside.u + 1j * STEP * unit * with_limits(arc, inside.u, name)
+        u = inside.u + 1j * STEP * unit * limit_derivatives(arc, inside.u, name)
         f = arc.rates(inside.x, u, stepped)
         yield inside.lam * f.imag * inside.weights / (STEP * unit)
         if arc.allowed:
@@ -311,22 +304,22 @@ def _gradient_parts(arcs: Sequence[Arc], nu: Sequence[Vector], name: str) -> Ite
             yield (inside.lam * f.real).sum(axis=0) * inside.weights / arc.duration
 
 
-def _guards(arc: Arc, p: Any) -> Iterator[tuple[float, Any]]:
+def _guard_multipliers(arc: PhaseData, p: Any) -> Iterator[tuple[float, Any]]:
     """Return at each crossing nu [J per unit of its guard], and the guard, complex-safe in the parameters p."""
     for crossing in arc.crossings:
-        before = np.array([just_before(crossing.time)])
+        before = np.array([time_just_before(crossing.time)])
         x, u, lam = arc.state(before), arc.control(before), arc.costate(before)[:, 0]
         nu = crossing.multiplier(lam / arc.costate_scale) * arc.objective_scale / crossing.size
         yield nu, watched_rates(arc.phase, x, u, p, crossing.before)[1][crossing.guard][0]
 
 
-def at_bound(solution: Solution, free: Free) -> tuple[bool, bool]:
+def is_at_bounds(solution: Solution, free: Free) -> tuple[bool, bool]:
     """Return True for the lower and for the upper bound of a free parameter if its value lies on it."""
     value, near = solution.free[free.name], ACTIVE * free_size(solution, free)
     return abs(value - free.lower) <= near, abs(value - free.upper) <= near
 
 
-def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
+def unbounded_parameters(solution: Solution, arcs: Sequence[PhaseData]) -> list[str]:
     """Free parameters that no bound holds: inside theirs, or on one that they may leave at no first-order cost.
 
     The second variation takes the latter to both sides, which asks for more than is necessary.
@@ -338,21 +331,22 @@ def varied(solution: Solution, arcs: Sequence[Arc]) -> list[str]:
     arcs
         Its phases.
     """
-    nu, slack = all_multipliers(arcs), STATIONARY_LIMIT * objective_scale(solution)
+    nu, slack = all_multipliers(arcs), STATIONARY_LIMIT * objective_size(solution)
     return [
         f.name
         for f in solution.problem.free
-        if not any(at_bound(solution, f)) or abs(parameter_gradient(arcs, nu, f.name)) * free_size(solution, f) <= slack
+        if not any(is_at_bounds(solution, f))
+        or abs(parameter_gradient(arcs, nu, f.name)) * free_size(solution, f) <= slack
     ]
 
 
-def _stationary(arc: Arc, free: Free, parts: Sequence[Any]) -> Check:
+def _check_stationarity(arc: PhaseData, free: Free, parts: Sequence[Any]) -> Check:
     solution, problem = arc.solution, arc.problem
     timed, size = free.name in problem.duration_names, free_size(solution, free)
     gradient, most = (float(sum(np.sum(function(part)) for part in parts)) for function in (np.asarray, np.abs))
-    more = telling(problem.scales.of(free.unit) / size, most * size / arc.objective_scale)
+    more = significant_size(problem.scales.of(free.unit) / size, most * size / arc.objective_scale)
     scaled = gradient / arc.rate_scale if timed else gradient * more * size / arc.objective_scale
-    lower, upper = at_bound(solution, free)
+    lower, upper = is_at_bounds(solution, free)
     limit, meaning = (
         STATIONARY_LIMIT,
         f"derivative of the optimal objective with respect to {free.name} (scaled)",
@@ -370,7 +364,7 @@ def _stationary(arc: Arc, free: Free, parts: Sequence[Any]) -> Check:
     )  # fmt: skip
 
 
-def _active(arc: Arc, flight: Flight) -> str:
+def _name_active_limits(arc: PhaseData, flight: Reintegration) -> str:
     """Name the limits at which the flight stays for a while: a failing costate may owe its difference to them."""
     inside = arc.sampled
     x = flight.inside.reshape(len(arc.phase.states), -1)

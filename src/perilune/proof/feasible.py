@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import placed
+from perilune.problem.controls import control_slices
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, end_slopes, free_size, objective_slope, slopes_at
+from perilune.proof.arc import PhaseData, end_slopes, free_size, objective_slope, slopes_at
 from perilune.proof.crossings import SAME_TIME
-from perilune.proof.flight import MOST_GROWTH, Flight, smooth_pieces
-from perilune.proof.pieces import ENDS, extremes, polynomial, through, turns
+from perilune.proof.flight import MOST_GROWTH, Reintegration, smooth_pieces
+from perilune.proof.pieces import ENDS, cubic_turning_points, extreme_values, interpolating_cubics, polynomial
 from perilune.words.derivatives import COMPLEX
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
@@ -30,7 +30,7 @@ END_LIMIT = 1e-10
 STATE_LIMIT = 3e-10
 
 
-def tables(solution: Solution) -> Check:
+def check_tables(solution: Solution) -> Check:
     """Count what is no usable number in the exported tables: everything else is computed from them."""
     bad = 0
     for flown in solution.trajectories:
@@ -47,28 +47,28 @@ def tables(solution: Solution) -> Check:
     )  # fmt: skip
 
 
-def feasibility(solution: Solution, flown: Sequence[tuple[Arc, Flight]]) -> Iterator[Check]:
-    """Make all checks of level 1 but `tables`.
+def check_feasibility(solution: Solution, flown: Sequence[tuple[PhaseData, Reintegration]]) -> Iterator[Check]:
+    """Make all checks of level 1 but `check_tables`.
 
     Parameters
     ----------
     solution
         What is claimed.
     flown
-        Of `flight.flights`.
+        Of `flight.reintegrate`.
     """
     for arc, flight in flown:
-        yield from _times(arc)
-        yield from _ends(arc, flight)
-        yield from _states(arc, flight)
-        yield from _controls(arc)
-        yield from _on_the_way(arc, flight)
-    yield from _free_parameters(solution)
-    yield _objective(solution, *flown[-1])
-    yield from _bookkeeping(solution)
+        yield from _check_times(arc)
+        yield from _check_ends(arc, flight)
+        yield from _check_states(arc, flight)
+        yield from _check_controls(arc)
+        yield from _check_path(arc, flight)
+    yield from _check_free_parameters(solution)
+    yield _check_objective(solution, *flown[-1])
+    yield from _consistency_checks(solution)
 
 
-def _times(arc: Arc) -> Iterator[Check]:
+def _check_times(arc: PhaseData) -> Iterator[Check]:
     yield Check(
         name=f"{arc.prefix}{arc.phase.duration}", level=1, unit="s", exact=True,
         value=float(np.max([abs(c.time[-1] - arc.duration) for c in arc.curves])),
@@ -77,7 +77,7 @@ def _times(arc: Arc) -> Iterator[Check]:
     )  # fmt: skip
 
 
-def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
+def _check_ends(arc: PhaseData, flight: Reintegration) -> Iterator[Check]:
     residuals = [arc.phase.evaluate("end", end.tolist(), (), arc.p) for end in flight.ends]
     sizes = np.clip(np.abs(end_slopes(arc)) @ flight.grown, arc.end_scale, MOST_GROWTH * arc.end_scale)
     of_conditions = zip(arc.phase.end_conditions, sizes, zip(*residuals, strict=True), strict=True)
@@ -91,8 +91,8 @@ def _ends(arc: Arc, flight: Flight) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _states(arc: Arc, flight: Flight) -> Iterator[Check]:
-    of_states, missed = zip(arc.phase.states, arc.state_scale, flight.difference, strict=True), _missed(arc)
+def _check_states(arc: PhaseData, flight: Reintegration) -> Iterator[Check]:
+    of_states, missed = zip(arc.phase.states, arc.state_scale, flight.difference, strict=True), _first_missed_jump(arc)
     for row, (state, scale, difference) in enumerate(of_states):
         yield Check(
             name=f"{arc.prefix}state_{state.name}", level=1, value=float(difference * scale), unit=state.unit,
@@ -103,12 +103,14 @@ def _states(arc: Arc, flight: Flight) -> Iterator[Check]:
         lower, upper = state.limits(arc.p)
         if np.isfinite(lower) or np.isfinite(upper):
             name = f"{arc.prefix}bounds_{state.name}"
-            own = through(flight.inside[row])
-            values = np.concatenate([polynomial(own[:, None], turns(own)).ravel(), flight.at_ends[row].ravel()])
-            yield _bound(name, state.name, values, lower, upper, state.unit, scale * float(flight.growth[row]))
+            own = interpolating_cubics(flight.inside[row])
+            values = np.concatenate(
+                [polynomial(own[:, None], cubic_turning_points(own)).ravel(), flight.at_ends[row].ravel()]
+            )
+            yield _check_bound(name, state.name, values, lower, upper, state.unit, scale * float(flight.growth[row]))
 
 
-def _missed(arc: Arc) -> str:
+def _first_missed_jump(arc: PhaseData) -> str:
     """The first jump of the rates at which the table of the state has no break: whoever flew it did not see it."""
     time = arc.trajectory.state.time
     breaks = time[1:][np.diff(time) == 0]
@@ -119,18 +121,18 @@ def _missed(arc: Arc) -> str:
     return ""
 
 
-def _bound(name: str, what: str, values: Vector, lower: float, upper: float, unit: str, scale: float) -> Check:
+def _check_bound(name: str, what: str, values: Vector, lower: float, upper: float, unit: str, scale: float) -> Check:
     return Check(
         name=name, level=1, value=float(np.max([lower - values, values - upper, 0 * values])), unit=unit,
         limit=END_LIMIT * scale, meaning=f"by how much {what} leaves its bounds [{lower:g}, {upper:g}]",
     )  # fmt: skip
 
 
-def _controls(arc: Arc) -> Iterator[Check]:
+def _check_controls(arc: PhaseData) -> Iterator[Check]:
     curve = arc.trajectory.control
     u = arc.looked_at[0].read(curve)
-    of_pieces = extremes(curve)
-    for here, control in placed(arc.phase.controls):
+    of_pieces = extreme_values(curve)
+    for here, control in control_slices(arc.phase.controls):
         name = "_".join(control.names)
         if not control.scalar:
             nodes = curve.values.T[here]
@@ -141,13 +143,15 @@ def _controls(arc: Arc) -> Iterator[Check]:
             )  # fmt: skip
         elif np.isfinite(limits := control.limits(arc.p)).any():
             values, scale = of_pieces[here].ravel(), float(arc.control_scale[here.start])
-            yield _bound(f"{arc.prefix}bounds_{name}", name, values, *limits, control.unit, scale)
+            yield _check_bound(f"{arc.prefix}bounds_{name}", name, values, *limits, control.unit, scale)
 
 
-def _on_the_way(arc: Arc, flight: Flight) -> Iterator[Check]:
+def _check_path(arc: PhaseData, flight: Reintegration) -> Iterator[Check]:
     phase, count = arc.phase, len(arc.looked_at[0])
     if phase.path_conditions:
-        rows = zip(phase.path_conditions, _path_sizes(arc, flight), _everywhere(arc, flight, arc.path), strict=True)
+        rows = zip(
+            phase.path_conditions, _path_sizes(arc, flight), _values_inside_pieces(arc, flight, arc.path), strict=True
+        )
         for condition, size, values in rows:
             yield Check(
                 name=f"{arc.prefix}path_{condition.name}", level=1, unit=condition.unit,
@@ -155,7 +159,7 @@ def _on_the_way(arc: Arc, flight: Flight) -> Iterator[Check]:
                 meaning=f"largest violation of {condition.name} >= 0 inside {count} pieces of the new flight",
             )  # fmt: skip
     if phase.held_conditions:
-        rows = zip(phase.held_conditions, arc.held_scale, _everywhere(arc, flight, arc.held), strict=True)
+        rows = zip(phase.held_conditions, arc.held_scale, _values_inside_pieces(arc, flight, arc.held), strict=True)
         for condition, size, values in rows:
             yield Check(
                 name=f"{arc.prefix}held_{condition.name}", level=1, unit=condition.unit,
@@ -164,32 +168,36 @@ def _on_the_way(arc: Arc, flight: Flight) -> Iterator[Check]:
             )  # fmt: skip
 
 
-def _path_sizes(arc: Arc, flight: Flight) -> Vector:
+def _path_sizes(arc: PhaseData, flight: Reintegration) -> Vector:
     """Sizes of the path conditions: a phase that is over at once still begins with the errors of those before it."""
     u = arc.control(np.zeros(1))
     slopes = slopes_at(arc, np.zeros(1), lambda z: arc.phase.evaluate("path", z, u, arc.p, COMPLEX))
     return np.clip(np.abs(slopes) @ (flight.begun - 1.0), arc.path_scale, MOST_GROWTH * arc.path_scale)
 
 
-def _everywhere(arc: Arc, flight: Flight, conditions: Callable[[Any, Any], Matrix]) -> Iterator[Vector]:
+def _values_inside_pieces(
+    arc: PhaseData, flight: Reintegration, conditions: Callable[[Any, Any], Matrix]
+) -> Iterator[Vector]:
     """Values of each condition inside every piece, at its ends, and where the cubic through those of a piece turns."""
     pieces = arc.looked_at[0]
     inside = conditions(flight.inside, arc.read(pieces)[1])
     at_ends = conditions(flight.at_ends, arc.read(pieces, ENDS)[1])
     for row in range(len(inside)):
-        shares = turns(through(inside[row]))
-        dips = conditions(polynomial(through(flight.inside)[:, :, None], shares), arc.read(pieces, shares)[1])[row]
+        shares = cubic_turning_points(interpolating_cubics(inside[row]))
+        dips = conditions(
+            polynomial(interpolating_cubics(flight.inside)[:, :, None], shares), arc.read(pieces, shares)[1]
+        )[row]
         yield np.concatenate([part.ravel() for part in (inside[row], at_ends[row], dips)])
 
 
-def _free_parameters(solution: Solution) -> Iterator[Check]:
+def _check_free_parameters(solution: Solution) -> Iterator[Check]:
     for f in solution.problem.free:
         if np.isfinite(f.lower) or np.isfinite(f.upper):
             value, scale = np.array([solution.free[f.name]]), free_size(solution, f)
-            yield _bound(f"bounds_{f.name}", f.name, value, f.lower, f.upper, f.unit, scale)
+            yield _check_bound(f"bounds_{f.name}", f.name, value, f.lower, f.upper, f.unit, scale)
 
 
-def _objective(solution: Solution, arc: Arc, flight: Flight) -> Check:
+def _check_objective(solution: Solution, arc: PhaseData, flight: Reintegration) -> Check:
     flown = [float(solution.problem.objective(arc.phase.state_record(*x), arc.p, NUMERIC)) for x in flight.ends]
     grown = float(np.abs(objective_slope(arc)) @ flight.grown)
     return Check(
@@ -200,7 +208,7 @@ def _objective(solution: Solution, arc: Arc, flight: Flight) -> Check:
     )  # fmt: skip
 
 
-def _bookkeeping(solution: Solution) -> Sequence[Check]:
+def _consistency_checks(solution: Solution) -> Sequence[Check]:
     """The model's own checks; one that fails where they cannot be made."""
     try:
         return () if solution.problem.bookkeeping is None else solution.problem.bookkeeping(solution)

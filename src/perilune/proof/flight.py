@@ -26,14 +26,14 @@ import numpy as np
 from perilune.problem.controls import directions
 from perilune.problem.phase import Phase
 from perilune.problem.solution import Curve, Solution
-from perilune.proof.arc import Arc, slopes_at_end
+from perilune.proof.arc import PhaseData, slopes_at_end
 from perilune.proof.guards import watched_rates
-from perilune.proof.numerics import telling
-from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics, just_before
+from perilune.proof.numerics import significant_size
+from perilune.proof.pieces import BLOCK, ENDS, UP_TO, WEIGHTS, Pieces, cubics, time_just_before
 from perilune.words.derivatives import COMPLEX
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import at_work
+from perilune.words.watch import sign_of_life
 
 _TOLERANCE = 1e-13  # of SciPy's integrator, relative and in canonical units
 # Of no more use is a flight that multiplies its errors: what ends where it should is no longer known.
@@ -71,7 +71,7 @@ class Deviation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class Reintegration:
     """Re-integration of one phase.
 
     Attributes
@@ -127,28 +127,30 @@ def initial_state(solution: Solution, index: int, before: Vector | None) -> Vect
     return np.array([float(v) for v in values])
 
 
-def flights(solution: Solution) -> list[tuple[Arc, Flight]]:
+def reintegrate(solution: Solution) -> list[tuple[PhaseData, Reintegration]]:
     """Re-integrate every phase, each from the end of the one before."""
-    flown: list[tuple[Arc, Flight]] = []
+    flown: list[tuple[PhaseData, Reintegration]] = []
     ends: tuple[Vector | None, Vector | None] = None, None
     for k in range(len(solution.problem.phases)):
-        arc = Arc(solution=solution, index=k)
+        arc = PhaseData(solution=solution, index=k)
         by_steps, by_pieces = (initial_state(solution, k, end) for end in ends)
-        before = passed_on(*flown[-1], arc) if flown else np.ones(len(arc.state_scale))
-        flight = fly(arc, by_steps, by_pieces, before)
+        before = error_growth_at_end(*flown[-1], arc) if flown else np.ones(len(arc.state_scale))
+        flight = reintegrate_phase(arc, by_steps, by_pieces, before)
         flown.append((arc, flight))
         ends = flight.ends
     return flown
 
 
-def passed_on(arc: Arc, flight: Flight, after: Arc) -> Vector:
+def error_growth_at_end(arc: PhaseData, flight: Reintegration, after: PhaseData) -> Vector:
     """Return the errors of the phases so far as the next one begins, at least 1, scaled by its sizes."""
     link, record = arc.problem.links[arc.index], arc.phase.state_record
     slopes = slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX)) / after.state_scale[:, None]
     return np.clip(np.abs(slopes) @ flight.grown, 1.0, MOST_GROWTH)
 
 
-def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: Vector | None = None) -> Flight:
+def reintegrate_phase(
+    arc: PhaseData, by_steps: Vector, by_pieces: Vector, before: Vector | None = None
+) -> Reintegration:
     """Fly a phase by the exported control.
 
     Parameters
@@ -161,14 +163,14 @@ def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: Vector | None = N
         What errors of the phases before are as it begins, (n,).
     """
     scale = arc.state_scale
-    end, apart = steps(arc, by_steps)
+    end, apart = integrate_by_steps(arc, by_steps)
     deviation = state_deviation(arc, by_pieces, before)
     pieces, curve = arc.looked_at[0], arc.trajectory.state
     inside, at_ends = (
         pieces.read(curve, *shares) + scale[:, None, None] * d
         for shares, d in (((), deviation.inside), ((ENDS,), deviation.ends))
     )
-    return Flight(
+    return Reintegration(
         ends=(end, at_ends[:, -1, 1]), inside=inside, at_ends=at_ends,
         difference=np.maximum(apart, deviation.largest),
         growth=np.minimum(deviation.growth, MOST_GROWTH), grown=np.minimum(deviation.at_end, MOST_GROWTH),
@@ -176,7 +178,7 @@ def fly(arc: Arc, by_steps: Vector, by_pieces: Vector, before: Vector | None = N
     )  # fmt: skip
 
 
-def state_deviation(arc: Arc, start: Vector, sizes: Vector | None = None) -> Deviation:
+def state_deviation(arc: PhaseData, start: Vector, sizes: Vector | None = None) -> Deviation:
     """Return the re-integrated states from a start [SI] less their table; `sizes` are of errors at the start.
 
     Parameters
@@ -195,10 +197,12 @@ def state_deviation(arc: Arc, start: Vector, sizes: Vector | None = None) -> Dev
     jumps = ends[:, :-1, 1] - ends[:, 1:, 0]
     for crossing in arc.crossings:
         over[np.searchsorted(pieces.left, crossing.time) - 1] = crossing.saltation
-    return carried(pieces, at, ends, slopes.state, slopes.matrix, Joints(first, jumps, over), still[:n], sizes)
+    return newton_correction(
+        pieces, at, ends, slopes.state, slopes.matrix, PieceJoints(first, jumps, over), still[:n], sizes
+    )
 
 
-def costate_deviation(arc: Arc) -> tuple[Deviation, Vector]:
+def costate_deviation(arc: PhaseData) -> tuple[Deviation, Vector]:
     """Return costates integrated along the table of the state from their value at an end, less their table.
 
     Start at the end from which errors grow less: a descent through air forgets its speed, so that costates at its
@@ -217,30 +221,32 @@ def costate_deviation(arc: Arc) -> tuple[Deviation, Vector]:
         jumps[:, joint] = crossing.adjoint @ ends[:, joint, 1] - ends[:, joint + 1, 0]
     most = np.abs(ends).max(axis=(1, 2))
     # A state is scaled by what it reaches, unless it hardly moves.
-    many = telling(arc.units / arc.state_scale, most + np.abs(slopes.costate @ WEIGHTS) @ pieces.width)
-    joints = Joints(np.zeros(n), many[:, None] * jumps, {k: _rescaled(each, many) for k, each in over.items()})
+    many = significant_size(arc.units / arc.state_scale, most + np.abs(slopes.costate @ WEIGHTS) @ pieces.width)
+    joints = PieceJoints(
+        np.zeros(n), many[:, None] * jumps, {k: _rescale_matrix(each, many) for k, each in over.items()}
+    )
     # What its costate reaches is that of J, or more where J is a difference.
     sizes, at, ends, slope = (
         np.maximum(1.0, many * most),
         *(many[:, None, None] * v for v in (at, ends, slopes.costate)),
     )
-    matrix = -_rescaled(slopes.matrix.swapaxes(2, 3), many)
-    ahead = carried(pieces, at, ends, slope, matrix, joints, many * still[n:], sizes)
+    matrix = -_rescale_matrix(slopes.matrix.swapaxes(2, 3), many)
+    ahead = newton_correction(pieces, at, ends, slope, matrix, joints, many * still[n:], sizes)
     turned = at[:, ::-1, ::-1], ends[:, ::-1, ::-1], -slope[:, ::-1, ::-1], -matrix[::-1, ::-1]
-    back = carried(pieces[::-1], *turned, joints.turned, many * still[n:], sizes).turned
+    back = newton_correction(pieces[::-1], *turned, joints.turned, many * still[n:], sizes).turned
     backwards = back.growth.sum() < ahead.growth.sum() or not np.isfinite(ahead.growth).all()
     chosen, most = back if backwards else ahead, MOST_GROWTH * sizes
     begun = (np.minimum(back.at_end, most) if backwards else np.ones(n)) / many
     return replace(chosen, growth=np.minimum(chosen.growth, most), at_end=np.minimum(chosen.at_end, most)), begun
 
 
-def _rescaled(matrix: Any, many: Vector) -> Any:
+def _rescale_matrix(matrix: Any, many: Vector) -> Any:
     """A matrix (..., n, n) for vectors whose components are so many times as large."""
     return many[:, None] * matrix / many
 
 
 @dataclass(frozen=True)
-class Joints:
+class PieceJoints:
     """Defects at the joints between pieces, and the matrices by which deviations pass them.
 
     Attributes
@@ -258,18 +264,18 @@ class Joints:
     over: dict[int, Matrix]
 
     @property
-    def turned(self) -> Joints:
+    def turned(self) -> PieceJoints:
         """Return the same from the end to the start, where nothing deviates: d- = M^-1 (d+ - jump)."""
         last = self.jumps.shape[1] - 1
         over = {last - i: np.linalg.inv(matrix) for i, matrix in self.over.items()}
         jumps = -self.jumps[:, ::-1]
         for i, matrix in over.items():
             jumps[:, i] = matrix @ jumps[:, i]
-        return Joints(np.zeros_like(self.first), jumps, over)
+        return PieceJoints(np.zeros_like(self.first), jumps, over)
 
 
-def carried(
-    pieces: Pieces, at: Matrix, ends: Matrix, slopes: Matrix, matrix: Any, joints: Joints, still: Vector,
+def newton_correction(
+    pieces: Pieces, at: Matrix, ends: Matrix, slopes: Matrix, matrix: Any, joints: PieceJoints, still: Vector,
     sizes: Vector | None = None,
 ) -> Deviation:  # fmt: skip
     """Newton's step of the collocation, from piece to piece.
@@ -295,7 +301,7 @@ def carried(
     own, through = np.empty((count, n, 4)), np.empty((count, n, 4, n))
     for k in range(0, count, BLOCK):
         here = slice(k, k + BLOCK)
-        own[here], through[here] = _solved(pieces.width[here], defect[:, here], matrix[here])
+        own[here], through[here] = _piece_deviations(pieces.width[here], defect[:, here], matrix[here])
     # At a piece's right end, by the weights: what is the piece's own, and what comes through it.
     bent = pieces.width[:, None, None, None] * WEIGHTS[:, None, None] * matrix
     over = over.T + np.einsum("nkij,njk->ni", bent, own)
@@ -307,14 +313,14 @@ def carried(
         if i + 1 < count:
             d = (joints.over[i] @ d if i in joints.over else d) + joints.jumps[:, i]
     inside = own + np.einsum("nikl,nl->nik", through, starts)
-    growth, at_end = _growth(past, joints.over, sizes)
+    growth, at_end = _error_growth(past, joints.over, sizes)
     return Deviation(
         inside=inside.transpose(1, 0, 2), ends=np.stack([starts.T, finals.T], axis=2), still_open=still,
         growth=growth, at_end=at_end,
     )  # fmt: skip
 
 
-def _growth(past: Any, over: dict[int, Matrix], sizes: Vector | None = None) -> tuple[Vector, Vector]:
+def _error_growth(past: Any, over: dict[int, Matrix], sizes: Vector | None = None) -> tuple[Vector, Vector]:
     """Return `growth` and `at_end` of `Deviation`, from the matrices by which it passes each piece (N, n, n)."""
     sizes = np.ones(past.shape[1]) if sizes is None else sizes
     passed = [over[i] @ each if i in over else each for i, each in enumerate(past)]
@@ -327,7 +333,7 @@ def _growth(past: Any, over: dict[int, Matrix], sizes: Vector | None = None) -> 
     return most, at_end
 
 
-def _solved(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]:
+def _piece_deviations(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]:
     """Deviations at the points of each piece from its defect (N, n, 4), and from each component at its start."""
     n, count = defect.shape[:2]
     bent = width[:, None, None, None, None] * UP_TO[:, None, :, None] * matrix.swapaxes(1, 2)[:, None]
@@ -342,7 +348,7 @@ def _solved(width: Vector, defect: Matrix, matrix: Any) -> tuple[Matrix, Matrix]
     return found[..., 0].swapaxes(1, 2), found[..., 1:].swapaxes(1, 2)
 
 
-def steps(arc: Arc, x0: Vector) -> tuple[Vector, Vector]:
+def integrate_by_steps(arc: PhaseData, x0: Vector) -> tuple[Vector, Vector]:
     """The end of SciPy's flight [SI], and the largest difference to the table at its steps, scaled; both (n,).
 
     The integrator restarts at each break of the control and each kink of the physics; NaN where it gives up.
@@ -365,7 +371,7 @@ def steps(arc: Arc, x0: Vector) -> tuple[Vector, Vector]:
 
         def rates(t: float, x: Vector, control: Any = control, held: Vector = held) -> Any:
             if (number := next(evaluations)) % _ALIVE == 0:
-                at_work("proof: the flight is flown again")
+                sign_of_life("proof: the flight is flown again")
             if number > MOST_EVALUATIONS:
                 raise ArithmeticError(f"the flight takes more than {MOST_EVALUATIONS} evaluations")
             if not len(held):
@@ -379,7 +385,7 @@ def steps(arc: Arc, x0: Vector) -> tuple[Vector, Vector]:
             flown = solve_ivp(rates, (left, right), x, method="DOP853", rtol=_TOLERANCE, atol=_TOLERANCE * scale)
         if not flown.success:
             return np.full(len(x0), np.nan), np.full(len(x0), np.nan)
-        table = arc.state(np.append(flown.t[:-1], just_before(flown.t[-1:])))
+        table = arc.state(np.append(flown.t[:-1], time_just_before(flown.t[-1:])))
         apart, x = np.maximum(apart, (np.abs(flown.y - table) / scale[:, None]).max(axis=1)), flown.y[:, -1]
     return x, apart
 

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.phase import Phase
-from perilune.words.derivatives import COMPLEX, stacked
+from perilune.words.derivatives import COMPLEX, stack_broadcast
 from perilune.words.maths import Table
 
 _COMPARISONS = {np.less, np.less_equal, np.greater, np.greater_equal}
 
 
-class Watch:
+class ComparisonWatch:
     """Notes the differences that are compared, and answers: truly, or as `held` says, one answer for each guard."""
 
     def __init__(self, held: Any = None) -> None:
@@ -53,7 +53,7 @@ class Watched(np.lib.mixins.NDArrayOperatorsMixin):
 
     __slots__ = "value", "watch"
 
-    def __init__(self, value: Any, watch: Watch) -> None:
+    def __init__(self, value: Any, watch: ComparisonWatch) -> None:
         self.value, self.watch = value, watch
 
     __add__, __radd__ = _arithmetic(operator.add)
@@ -67,32 +67,32 @@ class Watched(np.lib.mixins.NDArrayOperatorsMixin):
         if ufunc is np.absolute:
             return _fabs(self)
         keywords.pop("out", None)  # of ``a -= b``: a name that is bound to another array
-        plain = [_plain(value) for value in inputs]
+        plain = [_plain_value(value) for value in inputs]
         if ufunc in _COMPARISONS:
             return self.watch.decide(plain[0] - plain[1], ufunc(np.real(plain[0]), np.real(plain[1])))
         return Watched(ufunc(*plain, **keywords), self.watch)
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     return value.value if isinstance(value, Watched) else value
 
 
-def _of(function: Callable[..., Any]) -> Callable[..., Any]:
+def _watched_function(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of the namespace `m` for watched numbers, its first argument with the watch where it has one."""
 
     def watching(*values: Any) -> Any:
         watch = next((value.watch for value in values if isinstance(value, Watched)), None)
-        plain = function(watch, *(_plain(value) for value in values))
+        plain = function(watch, *(_plain_value(value) for value in values))
         return plain if watch is None else Watched(plain, watch)
 
     return watching
 
 
-def _decide(watch: Watch | None, difference: Any, truth: Any) -> Any:
+def _decide(watch: ComparisonWatch | None, difference: Any, truth: Any) -> Any:
     return truth if watch is None else watch.decide(difference, truth)
 
 
-def _table(watch: Watch | None, table: Table, value: Any) -> Any:
+def _watched_table(watch: ComparisonWatch | None, table: Table, value: Any) -> Any:
     if watch is None:
         return table(value)
     # A choice at each of its kinks; between the two of a smooth one it is read as it comes.
@@ -104,17 +104,22 @@ def _table(watch: Watch | None, table: Table, value: Any) -> Any:
     return table.piece(beyond, value)
 
 
-def _choose(watch: Watch | None, difference: Any, truth: Any, yes: Any, no: Any) -> Any:
+def _choose(watch: ComparisonWatch | None, difference: Any, truth: Any, yes: Any, no: Any) -> Any:
     return np.where(_decide(watch, difference, truth), yes, no)
 
 
-_fabs = _of(lambda watch, x: _choose(watch, x, np.real(x) < 0, -np.asarray(x), x))
+_fabs = _watched_function(lambda watch, x: _choose(watch, x, np.real(x) < 0, -np.asarray(x), x))
 WATCHING = SimpleNamespace(
-    **{**vars(COMPLEX), "atan2": _of(lambda _, y, x: COMPLEX.atan2(y, x)), "fabs": _fabs, "table": _of(_table)},
+    **{
+        **vars(COMPLEX),
+        "atan2": _watched_function(lambda _, y, x: COMPLEX.atan2(y, x)),
+        "fabs": _fabs,
+        "table": _watched_function(_watched_table),
+    },
 )
-WATCHING.where = _of(lambda _, truth, yes, no: np.where(truth, yes, no))
-WATCHING.fmin = _of(lambda watch, a, b: _choose(watch, a - b, np.real(a) <= np.real(b), a, b))
-WATCHING.fmax = _of(lambda watch, a, b: _choose(watch, a - b, np.real(a) >= np.real(b), a, b))
+WATCHING.where = _watched_function(lambda _, truth, yes, no: np.where(truth, yes, no))
+WATCHING.fmin = _watched_function(lambda watch, a, b: _choose(watch, a - b, np.real(a) <= np.real(b), a, b))
+WATCHING.fmax = _watched_function(lambda watch, a, b: _choose(watch, a - b, np.real(a) >= np.real(b), a, b))
 
 
 def watched_rates(phase: Phase, x: Any, u: Any, p: Any, held: Any = None) -> tuple[Any, Any, Any]:
@@ -131,10 +136,10 @@ def watched_rates(phase: Phase, x: Any, u: Any, p: Any, held: Any = None) -> tup
     -------
     Arrays (n, ...), (guards, ...) and (guards, ...).
     """
-    watch, shape = Watch(held), np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:])
+    watch, shape = ComparisonWatch(held), np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:])
     values = phase.rates([Watched(v, watch) for v in x], [Watched(v, watch) for v in u], p, WATCHING)
     return (
-        stacked([_plain(v) for v in values], shape),
-        stacked(watch.differences, shape),
-        stacked(watch.answers, shape, bool),
+        stack_broadcast([_plain_value(v) for v in values], shape),
+        stack_broadcast(watch.differences, shape),
+        stack_broadcast(watch.answers, shape, bool),
     )

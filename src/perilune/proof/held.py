@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from perilune.problem.verification import Check
-from perilune.proof.allowed import Allowed
-from perilune.proof.arc import Arc
-from perilune.proof.strict import STRICT_LIMIT, from_switches
+from perilune.proof.allowed import MixedConstraints
+from perilune.proof.arc import PhaseData
+from perilune.proof.strict import STRICT_LIMIT, time_to_switch
 from perilune.proof.switching import SLOPE_LIMIT, gradient_along
 from perilune.words.types import Matrix, Vector
 
@@ -34,7 +34,7 @@ _DEPENDENT = 1e-6  # of the largest slope: conditions whose slopes are closer ar
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
+class ActiveConditions:
     """Conditions that hold all along a piece, at N times.
 
     Attributes
@@ -51,7 +51,7 @@ class Held:
         How the control gives way to each that is kept, (components, kept, N).
     """
 
-    allowed: Allowed
+    allowed: MixedConstraints
     rows: list[int]
     keeps: list[int]
     mu: Matrix
@@ -60,25 +60,25 @@ class Held:
 
     def values(self, x: Any, u: Any, p: Any) -> Any:
         """Return by how much the conditions are left, (r, ..., N)."""
-        return self.allowed.values(x, u, p)[self.rows] - _between(self.at, x)
+        return self.allowed.values(x, u, p)[self.rows] - _insert_axes(self.at, x)
 
     def kept(self, x: Any, u: Any, p: Any) -> Any:
         """A control (components, ..., N) on which they hold to first order."""
-        return u - (_between(self.back, x) * self.values(x, u, p)[self.keeps]).sum(axis=1)
+        return u - (_insert_axes(self.back, x) * self.values(x, u, p)[self.keeps]).sum(axis=1)
 
     def work(self, x: Any, u: Any, p: Any) -> Any:
         """mu.c, J per second, (..., N)."""
-        return (_between(self.mu, x) * self.values(x, u, p)).sum(axis=0)
+        return (_insert_axes(self.mu, x) * self.values(x, u, p)).sum(axis=0)
 
 
-def _between(rows: Any, x: Any) -> Any:
+def _insert_axes(rows: Any, x: Any) -> Any:
     """An array (..., N) with axes of length 1 before its last one, to go with x (n, ..., N)."""
     return rows.reshape(*rows.shape[:-1], *(1,) * (x.ndim - 2), rows.shape[-1])
 
 
-def held_along(
-    arc: Arc, x: Matrix, u: Matrix, lam: Matrix, basis: Any, released: Sequence[str] = ()
-) -> tuple[Held | None, Any, bool]:
+def active_conditions_along(
+    arc: PhaseData, x: Matrix, u: Matrix, lam: Matrix, basis: Any, released: Sequence[str] = ()
+) -> tuple[ActiveConditions | None, Any, bool]:
     """Conditions that hold at all of N times, the moves that they leave, and whether that is how it is all along.
 
     Parameters
@@ -103,15 +103,17 @@ def held_along(
     if not rows or not always[rows].all():
         return None, basis, not rows
     keeps = [i for i, row in enumerate(rows) if allowed.conditions[row].name not in released]
-    ways = _ways(allowed, [rows[i] for i in keeps], x, u, basis)
+    ways = _split_moves(allowed, [rows[i] for i in keeps], x, u, basis)
     if ways is None:
         return None, basis, False
     back, moves = ways
     at = allowed.values(x, u)[rows].real
-    return Held(allowed=allowed, rows=rows, keeps=keeps, mu=found.mu[rows], at=at, back=back), moves, True
+    return ActiveConditions(allowed=allowed, rows=rows, keeps=keeps, mu=found.mu[rows], at=at, back=back), moves, True
 
 
-def _ways(allowed: Allowed, rows: list[int], x: Matrix, u: Matrix, basis: Any) -> tuple[Any, Any] | None:
+def _split_moves(
+    allowed: MixedConstraints, rows: list[int], x: Matrix, u: Matrix, basis: Any
+) -> tuple[Any, Any] | None:
     """Return the control's moves per unit of each condition, and the moves that change none; None where not known."""
     count, size = len(rows), allowed.sizes[rows]
     if not count:
@@ -126,7 +128,9 @@ def _ways(allowed: Allowed, rows: list[int], x: Matrix, u: Matrix, basis: Any) -
     return np.einsum("ckn,nkr->crn", basis, inverse), np.einsum("ckn,njk->cjn", basis, right[:, count:])
 
 
-def strict_conditions(arc: Arc, spans: Sequence[tuple[float, float, Held | None]]) -> Iterator[Check]:
+def check_strict_conditions(
+    arc: PhaseData, spans: Sequence[tuple[float, float, ActiveConditions | None]]
+) -> Iterator[Check]:
     """Checks of level 3 of the conditions that hold on pieces from one time to another: with strict multipliers."""
     if arc.allowed is None:
         return
@@ -135,7 +139,7 @@ def strict_conditions(arc: Arc, spans: Sequence[tuple[float, float, Held | None]
         return
     t, _, _, found = gradient_along(arc)
     assert found is not None, "where conditions depend on the control"
-    apart = from_switches(arc, t)
+    apart = time_to_switch(arc, t)
     for row in rows:
         name, pull = arc.allowed.conditions[row].name, found.falls[row]
         here = np.zeros(len(t), dtype=bool)

@@ -19,20 +19,20 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, Check, Verification
-from perilune.proof.arc import Arc
-from perilune.proof.crossed import agreement
-from perilune.proof.ended import ended
-from perilune.proof.extremal import extremality
-from perilune.proof.feasible import feasibility, tables
-from perilune.proof.flight import flights
-from perilune.proof.met import meets
-from perilune.proof.resolved import SHIFTED, Resolve, neighbours
-from perilune.proof.second_order import local_optimality
-from perilune.proof.stated import raised, sensible
-from perilune.proof.variations import Kept
-from perilune.words.asked import demand_level
+from perilune.proof.arc import PhaseData
+from perilune.proof.crossed import check_agreement
+from perilune.proof.ended import with_end_bounds
+from perilune.proof.extremal import check_extremality
+from perilune.proof.feasible import check_feasibility, check_tables
+from perilune.proof.flight import reintegrate
+from perilune.proof.met import may_meet_condition
+from perilune.proof.resolved import SHIFTED, Resolve, check_neighbours
+from perilune.proof.second_order import check_local_optimality
+from perilune.proof.stated import check_tolerance_sense, raise_limit
+from perilune.proof.variations import KeptConditions
+from perilune.words.asked import require_level
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import at_work
+from perilune.words.watch import sign_of_life
 
 _ROUGH = "neighbours were not solved again, as a check of level 1 failed"
 _UNTOLD = "neighbours were not solved again, as a check of level 3 cannot be told"
@@ -68,7 +68,7 @@ def examine(
     PeriluneError
         If the level is not 1, 2, 3 or 4, or the solution lacks the trajectory of a phase, or has them in another order.
     """
-    demand_level(level, LEVELS[:-1])
+    require_level(level, LEVELS[:-1])
     tolerance = solution.verification.tolerance if tolerance is None else tolerance
     if len(solution.trajectories) != len(solution.problem.phases):
         raise PeriluneError(
@@ -83,35 +83,35 @@ def examine(
             got=", ".join(named)[:200],
             expected=", ".join(phases)[:200],
         )
-    checks, notes = list[Check](), _unchecked(solution.problem)
+    checks, notes = list[Check](), _notes_on_loaded_problem(solution.problem)
     try:
         # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
         with np.errstate(all="ignore"):
-            for check in _checks(solution, level, resolve, other, tolerance, checks):
-                at_work(f"proof: level {check.level}, {check.name}")
-                checks.append(raised(check, tolerance))
+            for check in _checks_in_order(solution, level, resolve, other, tolerance, checks):
+                sign_of_life(f"proof: level {check.level}, {check.name}")
+                checks.append(raise_limit(check, tolerance))
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         meaning = f"the physics can be computed where the tables lead: {error}"
         checks.append(Check(name="computable", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning))
-    if level >= 3 and _failed(checks):
+    if level >= 3 and _has_failed_feasibility(checks):
         notes = (_ROUGH, *notes)
-    elif level >= 3 and _unknown(checks) and not any(check.name.startswith(SHIFTED) for check in checks):
+    elif level >= 3 and _has_no_answer(checks) and not any(check.name.startswith(SHIFTED) for check in checks):
         notes = (_UNTOLD, *notes)
-    notes = (*_unneeded(checks, tolerance), *notes)
+    notes = (*_note_unused_tolerance(checks, tolerance), *notes)
     return Verification(checks=tuple(checks), text=solution.problem.text, notes=notes, tolerance=tolerance)
 
 
-def _failed(made: Sequence[Check]) -> bool:
+def _has_failed_feasibility(made: Sequence[Check]) -> bool:
     """Return True if a check of level 1 failed: it is no flight, let alone an optimum."""
     return any(check.level == 1 and not check.passed for check in made)
 
 
-def _unknown(made: Sequence[Check]) -> bool:
+def _has_no_answer(made: Sequence[Check]) -> bool:
     """Return True if a check of level 3 has no answer: neighbours, which cost much, could not mend that."""
     return any(check.level == 3 and np.isnan(check.value) for check in made)
 
 
-def _checks(
+def _checks_in_order(
     solution: Solution,
     level: int,
     resolve: Resolve,
@@ -120,40 +120,40 @@ def _checks(
     made: Sequence[Check],
 ) -> Iterator[Check]:
     """Yield every check in order, after those `made` so far; only those of the tables if they cannot be read."""
-    readable = tables(solution)
+    readable = check_tables(solution)
     yield readable
     if not readable.passed:
         return
-    yield from sensible(tolerance, solution)
-    flown = flights(solution)
-    yield from feasibility(solution, flown)
+    yield from check_tolerance_sense(tolerance, solution)
+    flown = reintegrate(solution)
+    yield from check_feasibility(solution, flown)
     arcs = None
     if level >= 2:
-        stated = ended(solution)
-        parts, kept, idle, strict = stated, dict[int, Kept](), dict[int, Kept](), list[Check]()
-        if any(meets(arc) for arc, _ in flown):
-            from perilune.proof.rides import Rides
-            from perilune.proof.touched import cut, signs
+        stated = with_end_bounds(solution)
+        parts, kept, idle, strict = stated, dict[int, KeptConditions](), dict[int, KeptConditions](), list[Check]()
+        if any(may_meet_condition(arc) for arc, _ in flown):
+            from perilune.proof.rides import BoundaryArcs
+            from perilune.proof.touched import check_contact_multipliers, restate_with_contacts
 
-            parts, structure = cut(stated)
-            arcs, rides = None if structure.plain else (parts, structure), Rides.of(stated, parts, structure)
-            found = list(signs(stated, parts, structure))
+            parts, structure = restate_with_contacts(stated)
+            arcs, rides = None if structure.plain else (parts, structure), BoundaryArcs.of(stated, parts, structure)
+            found = list(check_contact_multipliers(stated, parts, structure))
             yield from (check for check in found if check.level < 3)
             yield from rides.checks()
             if level >= 3:
                 kept, idle = rides.kept(), rides.kept(idle=False)
                 strict = [check for check in found if check.level == 3]
-        yield from extremality(parts, flown if parts is solution else flights(parts))
+        yield from check_extremality(parts, flown if parts is solution else reintegrate(parts))
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):
-            yield from _optimality(parts, kept, idle, strict)
-            if not _failed(made) and not _unknown(made):
-                yield from neighbours(parts, resolve)
+            yield from _local_optimality_checks(parts, kept, idle, strict)
+            if not _has_failed_feasibility(made) and not _has_no_answer(made):
+                yield from check_neighbours(parts, resolve)
     if level >= 4:
-        yield from agreement(solution, other, arcs)
+        yield from check_agreement(solution, other, arcs)
 
 
-def _optimality(
-    parts: Solution, kept: dict[int, Kept], idle: dict[int, Kept], strict: Sequence[Check]
+def _local_optimality_checks(
+    parts: Solution, kept: dict[int, KeptConditions], idle: dict[int, KeptConditions], strict: Sequence[Check]
 ) -> Iterator[Check]:
     """Yield the checks of level 3 that need no other solve, those of the multipliers of touches among them.
 
@@ -162,21 +162,21 @@ def _optimality(
     variations keep the condition, and its multiplier must be strict.
     """
     if not all(check.passed for check in strict):
-        from perilune.proof.touched import unneeded
+        from perilune.proof.touched import relax_strict_check
 
-        without = list(local_optimality(parts, idle))
+        without = list(check_local_optimality(parts, idle))
         if all(check.passed for check in without):
-            yield from (check if check.passed else unneeded(check) for check in strict)
+            yield from (check if check.passed else relax_strict_check(check) for check in strict)
             yield from without
             return
     yield from strict
-    found = list(local_optimality(parts, kept))
+    found = list(check_local_optimality(parts, kept))
     if idling := _idle_controls(parts, found):
-        from perilune.proof.touched import unneeded
+        from perilune.proof.touched import relax_strict_check
 
-        released = {k: kept.get(k, Kept()) for k in range(len(parts.problem.phases))}
+        released = {k: kept.get(k, KeptConditions()) for k in range(len(parts.problem.phases))}
         released = {k: replace(one, released=(*one.released, *idling.values())) for k, one in released.items()}
-        without = [unneeded(c) if c.name in idling else c for c in local_optimality(parts, released)]
+        without = [relax_strict_check(c) if c.name in idling else c for c in check_local_optimality(parts, released)]
         found = without if all(check.passed for check in without) else found
     yield from found
 
@@ -187,7 +187,7 @@ def _idle_controls(parts: Solution, found: Sequence[Check]) -> dict[str, str]:
     One that is called as a control is left out: the check may be that of the control, which nothing excuses.
     """
     strict = {
-        f"{Arc(solution=parts, index=k).prefix}strict_{condition.name}": condition.name
+        f"{PhaseData(solution=parts, index=k).prefix}strict_{condition.name}": condition.name
         for k, phase in enumerate(parts.problem.phases)
         for condition in phase.path_conditions
         if condition.name not in phase.control_names
@@ -195,14 +195,14 @@ def _idle_controls(parts: Solution, found: Sequence[Check]) -> dict[str, str]:
     return {c.name: strict[c.name] for c in found if c.name in strict and not c.passed}
 
 
-def _unneeded(checks: Sequence[Check], tolerance: Tolerance) -> tuple[str, ...]:
+def _note_unused_tolerance(checks: Sequence[Check], tolerance: Tolerance) -> tuple[str, ...]:
     """Return a note if a tolerance was stated and every check would have passed without it."""
     if not tolerance.stated or not all(check.passed and not check.lenient for check in checks):
         return ()
     return (f"nothing of the stated tolerance ({tolerance.told()}) was needed",)
 
 
-def _unchecked(problem: Problem) -> tuple[str, ...]:
+def _notes_on_loaded_problem(problem: Problem) -> tuple[str, ...]:
     """Return a note on the checks that a problem from a file does not state."""
     missing = [
         what

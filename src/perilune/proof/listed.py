@@ -25,7 +25,7 @@ _ALONE = {Nature.NEAR_GUESS: Nature.LOCAL_OPTIMUM, Nature.NEAR_GUESS_AT_BOUND: N
 _BEST = {Nature.LOCAL_OPTIMUM: Nature.BEST, Nature.LOCAL_OPTIMUM_AT_BOUND: Nature.BEST_AT_BOUND}
 
 
-def found_again(solution: Solution, resolve: Resolve) -> tuple[tuple[Extremal, ...], tuple[str, ...]]:
+def confirm_listed_extremals(solution: Solution, resolve: Resolve) -> tuple[tuple[Extremal, ...], tuple[str, ...]]:
     """The extremals of `Solution.listed` that are confirmed, this solution the first, and what is to be said of them.
 
     Parameters
@@ -36,7 +36,7 @@ def found_again(solution: Solution, resolve: Resolve) -> tuple[tuple[Extremal, .
         ``resolve(problem, guess)`` returns the extremal next to a guess.
     """
     listed = solution.listed[:MOST_LISTED]
-    own = _reached(solution, solution, listed[0], resolve)
+    own = _find_again(solution, solution, listed[0], resolve)
     if own is None:
         return (), (
             f"none of the {len(solution.listed)} extremals that the file lists is confirmed; they are left out",
@@ -46,8 +46,8 @@ def found_again(solution: Solution, resolve: Resolve) -> tuple[tuple[Extremal, .
     for entry in listed[1:]:
         unknowns = np.array(entry.unknowns) if entry.unknowns else None
         guess = replace(solution, method=Indirect.name, free=entry.free, unknowns=unknowns)
-        found = _reached(solution, guess, entry, resolve, proved=True)
-        if found is not None and not any(_alike(solution, found, known) for known in (itself, *others)):
+        found = _find_again(solution, guess, entry, resolve, proved=True)
+        if found is not None and not any(_is_same_extremal(solution, found, known) for known in (itself, *others)):
             others.append(found)
     others.sort(key=lambda e: (e.nature is Nature.WORST, e.objective))
     notes = []
@@ -61,7 +61,7 @@ def found_again(solution: Solution, resolve: Resolve) -> tuple[tuple[Extremal, .
     return (itself, *others), tuple(notes)
 
 
-def _reached(
+def _find_again(
     solution: Solution, guess: Solution, entry: Extremal, resolve: Resolve, *, proved: bool = False
 ) -> Extremal | None:
     """Return the extremal that Newton reaches from a guess, if it is the listed one and, where asked, is proved."""
@@ -71,12 +71,12 @@ def _reached(
     except (PeriluneError, ArithmeticError, np.linalg.LinAlgError):
         return None
     reached = replace(found.extremals[0], nature=_ALONE.get(found.extremals[0].nature, found.extremals[0].nature))
-    if not _alike(solution, reached, entry) or (proved and not examine(found, 2, resolve).passed):
+    if not _is_same_extremal(solution, reached, entry) or (proved and not examine(found, 2, resolve).passed):
         return None
     return reached
 
 
-def _alike(solution: Solution, one: Extremal, other: Extremal) -> bool:
+def _is_same_extremal(solution: Solution, one: Extremal, other: Extremal) -> bool:
     """Return True if two extremals are the same one, by their objective and their free parameters."""
     problem = solution.problem
     pairs = [(problem.objective_size, one.objective, other.objective)]

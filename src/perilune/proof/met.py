@@ -10,28 +10,30 @@ from itertools import pairwise
 
 import numpy as np
 
-from perilune.proof.arc import Arc
+from perilune.proof.arc import PhaseData
 from perilune.words.types import Vector
 
 LEAST = 1e-3  # of its size: what a condition goes through at least, as one that is met all along goes through nothing
 _NEAR = 1e-4  # of what it is elsewhere: so near to it a condition is looked at all along
 
 
-def edges_of(arc: Arc) -> Vector:
+def table_edges(arc: PhaseData) -> Vector:
     """Return the times inside the phase at which a table has a break [s]."""
     found = [curve.time[1:][np.diff(curve.time) == 0] for curve in arc.curves]
     times = np.unique(np.concatenate(found))
     return times[(times > 0) & (times < arc.duration)]
 
 
-def meets(arc: Arc) -> bool:
+def may_meet_condition(arc: PhaseData) -> bool:
     """Return True if a path condition or a bound of a state is met at an edge, or half way between two."""
-    edges = edges_of(arc)
+    edges = table_edges(arc)
     some = np.union1d(edges, [0.5 * (a + b) for a, b in pairwise([0.0, *edges.tolist(), arc.duration])])
-    return any(np.abs(S).min() <= _NEAR * max(float(np.abs(S).max()), LEAST * size) for S, size in _values(arc, some))
+    return any(
+        np.abs(S).min() <= _NEAR * max(float(np.abs(S).max()), LEAST * size) for S, size in _condition_values(arc, some)
+    )
 
 
-def _values(arc: Arc, t: Vector) -> Iterator[tuple[Vector, float]]:
+def _condition_values(arc: PhaseData, t: Vector) -> Iterator[tuple[Vector, float]]:
     """Yield the values of every condition at times, and its size."""
     x = arc.state(t)
     if arc.phase.path_conditions:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.words.derivatives import jacobian
+from perilune.words.derivatives import complex_step_jacobian
 from perilune.words.types import Matrix, Vector
 
 DIFFERENCE = 1e-4  # of gradients, in canonical units: truncation 1e-8, rounding 1e-12
@@ -36,12 +36,12 @@ def hessian(function: Callable[[Any], Any], z: Matrix, scale: Vector) -> Any:
     """
     size = len(scale)
     moves = DIFFERENCE * np.hstack([np.diag(scale), -np.diag(scale)])
-    gradient = jacobian(lambda w: function(w)[None], z[:, None, :] + moves[:, :, None], scale)[0]
+    gradient = complex_step_jacobian(lambda w: function(w)[None], z[:, None, :] + moves[:, :, None], scale)[0]
     out = (gradient[:, :size] - gradient[:, size:]) / (2 * DIFFERENCE)
     return 0.5 * (out + out.transpose(1, 0, 2))
 
 
-def telling(unit: Any, weight: Any) -> Any:
+def significant_size(unit: Any, weight: Any) -> Any:
     """Return by how many of its sizes a quantity must change to tell in J, where the flight hardly moves in it; >= 1.
 
     What stands still, or drifts by a billionth of its unit, says nothing of how far it could go: by its own size no

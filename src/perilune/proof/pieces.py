@@ -17,7 +17,7 @@ from perilune.problem.solution import Curve
 from perilune.words.types import Matrix, Vector
 
 
-def _gauss(count: int) -> tuple[Vector, Vector, Matrix]:
+def _collocation_rule(count: int) -> tuple[Vector, Vector, Matrix]:
     """Points and weights on [0, 1], and the integrals of the Lagrange polynomials up to each point (Butcher's a)."""
     node, weight = np.polynomial.legendre.leggauss(count)
     point, power = 0.5 * (1 + node), np.arange(count)
@@ -25,13 +25,13 @@ def _gauss(count: int) -> tuple[Vector, Vector, Matrix]:
     return point, 0.5 * weight, moments @ np.linalg.inv(point[:, None] ** power)
 
 
-POINTS, WEIGHTS, UP_TO = _gauss(4)
+POINTS, WEIGHTS, UP_TO = _collocation_rule(4)
 ENDS = np.array([0.0, 1.0])
 IN_HALVES = np.concatenate([0.5 * POINTS, 0.5 + 0.5 * POINTS])
 BLOCK = 400  # pieces worked on at a time: their numbers stay in the processor's cache
 
 
-def just_before(t: Any) -> Any:
+def time_just_before(t: Any) -> Any:
     """Times at which a table still has the values from before a break at t."""
     return np.nextafter(t, -np.inf)
 
@@ -145,12 +145,12 @@ def cubics(curve: Curve, i: Vector) -> Matrix:
 _FROM_VALUES = np.linalg.inv(POINTS[:, None] ** np.arange(4)).T
 
 
-def through(values: Matrix) -> Matrix:
+def interpolating_cubics(values: Matrix) -> Matrix:
     """Coefficients (..., 4) of the cubics through values (..., 4) at `POINTS`."""
     return values @ _FROM_VALUES
 
 
-def turns(c: Matrix) -> Matrix:
+def cubic_turning_points(c: Matrix) -> Matrix:
     """Return the turning points of cubics of coefficients (..., 4): two shares of [0, 1], (..., 2); else the middle."""
     _, b, c, d = np.moveaxis(c, -1, 0)
     # The roots of b + 2 c s + 3 d s^2 by the form that loses no digits.
@@ -161,12 +161,12 @@ def turns(c: Matrix) -> Matrix:
     return np.where(inside, roots, 0.5)
 
 
-def ends_and_turns(c: Matrix) -> Matrix:
+def ends_and_turning_points(c: Matrix) -> Matrix:
     """Return shares (..., 4) that include those of least and largest value of cubics of coefficients (..., 4)."""
-    return np.concatenate([np.broadcast_to(ENDS, (*c.shape[:-1], 2)), turns(c)], axis=-1)
+    return np.concatenate([np.broadcast_to(ENDS, (*c.shape[:-1], 2)), cubic_turning_points(c)], axis=-1)
 
 
-def extremes(curve: Curve) -> Matrix:
+def extreme_values(curve: Curve) -> Matrix:
     """Values (components, pieces, 4) among which are the least and the largest of each piece of a table."""
     found = cubics(curve, np.nonzero(np.diff(curve.time) > 0)[0])
-    return polynomial(found[:, :, None], ends_and_turns(found))
+    return polynomial(found[:, :, None], ends_and_turning_points(found))

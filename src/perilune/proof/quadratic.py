@@ -15,7 +15,7 @@ _NOTHING = 1e-10  # of the form: less is zero
 
 
 @dataclass(frozen=True)
-class Form:
+class QuadraticForm:
     """Variations of (parameters, switching times, controls of all pieces).
 
     In coordinates such that int du' H_uu du + sum D dt^2 is a sum of squares.
@@ -37,13 +37,13 @@ class Form:
     m: int
 
 
-def _kernel(constraints: Matrix) -> Matrix:
+def _kernel_basis(constraints: Matrix) -> Matrix:
     """Orthonormal basis of the variations that keep the linearised end conditions, in columns."""
     _, sizes, rows = np.linalg.svd(constraints, full_matrices=True)
     return rows[int((sizes > 1e-10 * sizes.max(initial=0.0)).sum()) :].T
 
 
-def kappa(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
+def destabilising_eigenvalue(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
     """Largest destabilising eigenvalue (above); and of how many.
 
     It is infinite where a free parameter alone already gains, and NaN where it costs nothing to second order.
@@ -51,9 +51,9 @@ def kappa(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
     Parameters
     ----------
     form, constraints, m
-        Of a `Form`.
+        Of a `QuadraticForm`.
     """
-    free = _kernel(constraints)
+    free = _kernel_basis(constraints)
     form = free.T @ form @ free
     # The measure, 1 on controls and switching times and 0 on parameters, is 1 - q'q here, q the rows of the parameters.
     _, shares, vectors = np.linalg.svd(free[:m], full_matrices=True)
@@ -73,9 +73,9 @@ def kappa(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
     return float(1.0 - np.linalg.eigvalsh(form / root / root[:, None])[0]), len(weights)
 
 
-def gain_beside(forms: Form) -> float:
+def newton_gain(forms: QuadraticForm) -> float:
     """Return the gain of a Newton step over the size of J (its absolute value, where the form is none of a minimum)."""
-    free = _kernel(forms.constraints)
+    free = _kernel_basis(forms.constraints)
     form, slope = free.T @ forms.form @ free, free.T @ forms.slope
     if not form.size:
         return 0.0

@@ -14,14 +14,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.problem.neighbours import held, movable, moved, offset_of, released
+from perilune.problem.neighbours import (
+    fix_free_parameters,
+    move_start,
+    offset_of,
+    release_free_parameters,
+    with_start_offsets,
+)
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, objective_scale
-from perilune.proof.extremal import all_multipliers, at_bound, varied
+from perilune.proof.arc import PhaseData, objective_size
+from perilune.proof.extremal import all_multipliers, is_at_bounds, unbounded_parameters
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import at_work
+from perilune.words.watch import sign_of_life
 
 Resolve = Callable[[Problem, Solution], Solution]
 
@@ -38,16 +44,16 @@ CURVATURE_LIMIT = -1e-4
 SHIFTED = "initial_costate_"  # how the names of checks of shifted starts begin
 
 
-def _objective(resolve: Resolve, problem: Problem, guess: Solution) -> float:
+def _neighbour_objective(resolve: Resolve, problem: Problem, guess: Solution) -> float:
     """J of a neighbouring problem, NaN where it could not be solved: the check then fails, saying so."""
-    at_work("proof: neighbouring problems are solved again")
+    sign_of_life("proof: neighbouring problems are solved again")
     try:
         return float(resolve(problem, guess).objective)
     except PeriluneError:
         return float("nan")
 
 
-def neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
+def check_neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
     """Checks of level 3 that solve neighbouring problems.
 
     Parameters
@@ -58,18 +64,18 @@ def neighbours(solution: Solution, resolve: Resolve) -> Iterator[Check]:
         ``resolve(problem, guess)`` returns the extremal of `problem` next to the guess; a free parameter whose range is
         a single value is held there.
     """
-    bound = {f.name: solution.free[f.name] for f in solution.problem.free if any(at_bound(solution, f))}
-    solution = _with_multipliers(solution)
-    yield from _initial_costates(solution, resolve)
-    yield from _parameters(solution, bound, resolve)
+    bound = {f.name: solution.free[f.name] for f in solution.problem.free if any(is_at_bounds(solution, f))}
+    solution = _with_implied_multipliers(solution)
+    yield from _check_initial_costates(solution, resolve)
+    yield from _check_parameter_slopes(solution, bound, resolve)
 
 
-def _with_multipliers(solution: Solution) -> Solution:
+def _with_implied_multipliers(solution: Solution) -> Solution:
     """Return the solution with the multipliers that its curves imply where it gives none, as at contact points.
 
     Neighbours keep its active ranges: nothing else shows that a duration in two parts is at its longest.
     """
-    arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
+    arcs = [PhaseData(solution=solution, index=k) for k in range(len(solution.problem.phases))]
     implied = {
         f"{arc.phase.name}.{condition.name}": float(value)
         for arc, nu in zip(arcs, all_multipliers(arcs), strict=True)
@@ -78,13 +84,13 @@ def _with_multipliers(solution: Solution) -> Solution:
     return replace(solution, multipliers={**implied, **solution.multipliers})
 
 
-def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
-    problem, costate = movable(solution.problem), solution.trajectories[0].costate
+def _check_initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
+    problem, costate = with_start_offsets(solution.problem), solution.trajectories[0].costate
     if costate is None:
         return
-    arcs = [Arc(solution=solution, index=k) for k in range(len(problem.phases))]
+    arcs = [PhaseData(solution=solution, index=k) for k in range(len(problem.phases))]
     arc = arcs[0]
-    durations = [name for name in varied(solution, arcs) if name in problem.duration_names]
+    durations = [name for name in unbounded_parameters(solution, arcs) if name in problem.duration_names]
     chosen = {f.name: solution.free[f.name] for f in problem.free if f.name not in durations}
     # J is known no better than the states are: of a place far from its origin the shift has to be larger for that.
     known = _ROUNDS * float(np.abs(costate.values[0]) @ np.abs(arc.trajectory.state.values).max(axis=0))
@@ -93,10 +99,17 @@ def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
         size = of_state / max(arc.objective_scale, abs(solution.objective))  # differences of J are rounded by |J|
 
         def slope(shift: float, name: str = offset_of(state.name)) -> float:
-            sides = (held(released(moved(problem, **{name: s}), durations), **chosen) for s in (shift, -shift))
-            ahead = _objective(resolve, next(sides), solution)
+            sides = (
+                fix_free_parameters(release_free_parameters(move_start(problem, **{name: s}), durations), **chosen)
+                for s in (shift, -shift)
+            )
+            ahead = _neighbour_objective(resolve, next(sides), solution)
             # Where one side has no answer the other, which takes as long to fail, tells nothing.
-            return (ahead - _objective(resolve, next(sides), solution)) / (2 * shift) if np.isfinite(ahead) else ahead
+            return (
+                (ahead - _neighbour_objective(resolve, next(sides), solution)) / (2 * shift)
+                if np.isfinite(ahead)
+                else ahead
+            )
 
         limit = COSTATE_LIMIT * max(1.0, abs(lam) * size)
         nearest = START_SHIFT * of_state, float("nan")
@@ -121,7 +134,7 @@ def _initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _parameters(solution: Solution, bound: dict[str, float], resolve: Resolve) -> Iterator[Check]:
+def _check_parameter_slopes(solution: Solution, bound: dict[str, float], resolve: Resolve) -> Iterator[Check]:
     problem = solution.problem
     for free in problem.free:
         if free.name in problem.duration_names or free.name in bound:
@@ -132,8 +145,8 @@ def _parameters(solution: Solution, bound: dict[str, float], resolve: Resolve) -
         widest = min(PARAMETER_SHIFT * size, 0.5 * (value - free.lower), 0.5 * (free.upper - value))
         for share in _SHARES:
             shift = share * widest
-            beside = [held(problem, **bound, **{free.name: value + s}) for s in (shift, -shift)]
-            sides = [_objective(resolve, neighbour, solution) for neighbour in beside]
+            beside = [fix_free_parameters(problem, **bound, **{free.name: value + s}) for s in (shift, -shift)]
+            sides = [_neighbour_objective(resolve, neighbour, solution) for neighbour in beside]
             if np.isfinite(sides).all():
                 break
         # What J may owe to rounding is not taken for a curvature.
@@ -141,7 +154,7 @@ def _parameters(solution: Solution, bound: dict[str, float], resolve: Resolve) -
         curvature = risen / shift**2
         yield Check(
             name=f"second_order_{free.name}", level=3, limit=CURVATURE_LIMIT, unit="1",
-            value=-float(np.float64(curvature)) * size**2 / objective_scale(solution),
+            value=-float(np.float64(curvature)) * size**2 / objective_size(solution),
             meaning=f"minus the curvature of the optimum over {free.name}, solved again {shift:.3g} "
             f"{free.unit} to "
             "either side (scaled): below 0 at a minimum, above 0 at a maximum (NaN: not solved)",

@@ -20,9 +20,9 @@ from numpy.polynomial import Chebyshev
 
 from perilune.problem.controls import Bounded
 from perilune.problem.unpriced import unpriced_states
-from perilune.proof.arc import Arc
+from perilune.proof.arc import PhaseData
 from perilune.structures.structure import Condition
-from perilune.words.derivatives import COMPLEX, jacobian, stacked
+from perilune.words.derivatives import COMPLEX, complex_step_jacobian, stack_broadcast
 from perilune.words.types import Matrix, Vector
 
 # The multiplier along an arc is a polynomial in time, to rounding; its derivatives are noise below a share of it.
@@ -33,7 +33,7 @@ _POSITIVE, _AT_ENDS = 1e-3, 0.02  # of its largest value mu is strictly positive
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ridden:
+class BoundaryArc:
     """Condition that is active all along a part of the flight restated (a boundary arc).
 
     Attributes
@@ -44,7 +44,7 @@ class Ridden:
         The condition, of order q.
     """
 
-    part: Arc
+    part: PhaseData
     condition: Condition
 
     @property
@@ -54,7 +54,7 @@ class Ridden:
 
     @cached_property
     def eta(self) -> Vector:
-        """Multiplier of S^(q) at the times of `Arc.sampled`, J per second and its unit; NaN where there is none."""
+        """Multiplier of S^(q) at the times of `PhaseData.sampled`, J per second and its unit; NaN where there is none."""
         inside, allowed = self.part.sampled, self.part.allowed
         names = [] if allowed is None else [c.name for c in allowed.conditions]
         if allowed is None or self.rate not in names:
@@ -90,7 +90,7 @@ class Ridden:
 
     @cached_property
     def mu(self) -> Vector:
-        """Multiplier of S itself at the times of `Arc.sampled`, in units of `size` and of the arc's length."""
+        """Multiplier of S itself at the times of `PhaseData.sampled`, in units of `size` and of the arc's length."""
         q = self.condition.order
         return (-1) ** q * self.curve.deriv(q)(self.shares)
 
@@ -138,9 +138,9 @@ class Ridden:
 
         def values(z: Any) -> Any:
             u = part.phase.control_record(*[np.zeros(z.shape[1:])] * len(names))
-            return stacked([value(part.phase.state_record(*z), u, part.p, COMPLEX)[0]], z.shape[1:])
+            return stack_broadcast([value(part.phase.state_record(*z), u, part.p, COMPLEX)[0]], z.shape[1:])
 
-        return jacobian(values, x, part.state_scale)[0]
+        return complex_step_jacobian(values, x, part.state_scale)[0]
 
     def edge(self, s: float) -> Matrix:
         """The state where the arc begins (s = 0) or ends (1), (n, 1)."""

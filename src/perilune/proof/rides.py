@@ -42,18 +42,18 @@ from functools import cached_property
 
 import numpy as np
 
-from perilune.problem.controls import placed, scalars
+from perilune.problem.controls import control_slices, scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc, end_slopes, free_size, slopes_at_end
-from perilune.proof.extremal import end_multipliers, varied
-from perilune.proof.ridden import ALONG, Ridden
-from perilune.proof.switching import control_sizes, gain, product_of
+from perilune.proof.arc import PhaseData, end_slopes, free_size, slopes_at_end
+from perilune.proof.extremal import phase_end_multipliers, unbounded_parameters
+from perilune.proof.ridden import ALONG, BoundaryArc
+from perilune.proof.switching import control_sizes, hamiltonian_gain, product_of
 from perilune.proof.touched import MET, SIDEWAYS, STRICT
-from perilune.proof.variations import Kept
+from perilune.proof.variations import KeptConditions
 from perilune.structures.restate import sums_of, with_sums
 from perilune.structures.structure import Condition, Structure, conditions_of
-from perilune.words.derivatives import COMPLEX, STEP, stacked
+from perilune.words.derivatives import COMPLEX, STEP, stack_broadcast
 from perilune.words.types import Matrix, Vector
 
 _LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried
@@ -62,8 +62,8 @@ _STEADY, _CLEAR = 1e-5, 1e-3  # of the size of a control: a jump that is none, a
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rides:
-    """Boundary arcs and contact points of a flight that `touched.cut` has cut.
+class BoundaryArcs:
+    """Boundary arcs and contact points of a flight that `touched.restate_with_contacts` has cut.
 
     Attributes
     ----------
@@ -79,15 +79,15 @@ class Rides:
 
     whole: Solution
     parts: Solution
-    along: tuple[tuple[Ridden, ...], ...]
+    along: tuple[tuple[BoundaryArc, ...], ...]
     touches: tuple[tuple[Condition, ...], ...]
     begins: frozenset[int]
 
     @classmethod
-    def of(cls, solution: Solution, parts: Solution, structure: Structure) -> Rides:
-        """Build from the results of `touched.cut`."""
+    def of(cls, solution: Solution, parts: Solution, structure: Structure) -> BoundaryArcs:
+        """Build from the results of `touched.restate_with_contacts`."""
         sums = sums_of(solution.problem, structure)
-        along, touches, begins = list[tuple[Ridden, ...]](), list[tuple[Condition, ...]](), set[int]()
+        along, touches, begins = list[tuple[BoundaryArc, ...]](), list[tuple[Condition, ...]](), set[int]()
         for k, arcs in enumerate(structure.phases):
             known = conditions_of(solution.problem, k, structure.named(k))
             conditions = {  # in the durations of the parts
@@ -96,31 +96,31 @@ class Rides:
             }
             begins.add(len(along))
             for arc in arcs:
-                part = Arc(solution=parts, index=len(along))
-                along.append(tuple(Ridden(part=part, condition=conditions[name]) for name in arc.along))
+                part = PhaseData(solution=parts, index=len(along))
+                along.append(tuple(BoundaryArc(part=part, condition=conditions[name]) for name in arc.along))
                 touches.append(tuple(conditions[name] for name in arc.touches))
         return cls(whole=solution, parts=parts, along=tuple(along), touches=tuple(touches), begins=frozenset(begins))
 
     @cached_property
-    def arcs(self) -> list[Arc]:
+    def arcs(self) -> list[PhaseData]:
         """The parts."""
-        return [Arc(solution=self.parts, index=k) for k in range(len(self.along))]
+        return [PhaseData(solution=self.parts, index=k) for k in range(len(self.along))]
 
     def inner(self, joint: int) -> bool:
         """Return True if a joint, the one before the part of its number, lies inside one of the user's phases."""
         return 0 < joint < len(self.along) and joint not in self.begins
 
-    def entered(self, ridden: Ridden) -> dict[int, float]:
+    def entered(self, ridden: BoundaryArc) -> dict[int, float]:
         """Multipliers nu_i [J per unit] of the conditions S^(i) = 0 with which an arc is entered, by i."""
         k, condition = ridden.part.index, ridden.condition
         if not self.inner(k):
             return {}
-        nu = end_multipliers(self.arcs[k - 1])[0]
+        nu = phase_end_multipliers(self.arcs[k - 1])[0]
         rows = [c.name for c in self.arcs[k - 1].phase.end_conditions]
         names = [condition.rated(i, "enter_", 1.0).name for i in range(condition.order)]
         return {i: float(nu[rows.index(name)]) for i, name in enumerate(names) if name in rows}
 
-    def scale(self, ridden: Ridden, i: int) -> float:
+    def scale(self, ridden: BoundaryArc, i: int) -> float:
         """Size of S^(i) where an arc begins [SI]."""
         if i in self.entered(ridden):
             before = self.arcs[ridden.part.index - 1]
@@ -128,7 +128,7 @@ class Rides:
             return float(before.end_scale[names.index(ridden.condition.rated(i, "enter_", 1.0).name)])
         return float(np.abs(ridden.slope(i, ridden.edge(0.0))).max())
 
-    def other(self, ridden: Ridden, step: int) -> Ridden | None:
+    def other(self, ridden: BoundaryArc, step: int) -> BoundaryArc | None:
         """Return the same condition along the part before (-1) or after (1), inside one of the user's phases."""
         k = ridden.part.index + step
         if not self.inner(max(k, ridden.part.index)):
@@ -178,19 +178,21 @@ class Rides:
         if joint:
             before = self.arcs[joint - 1]
             # The user's own, as some may be left out of the restated ones.
-            own = Arc(solution=self.whole, index=sum(begin < joint for begin in self.begins) - 1)
+            own = PhaseData(solution=self.whole, index=sum(begin < joint for begin in self.begins) - 1)
             stated = [not c.ranged for c in own.phase.end_conditions]
             return list(end_slopes(own)[stated] / own.state_scale * before.state_scale)
-        return list(_unmoved(self.arcs[0], varied(self.parts, self.arcs)))
+        return list(_fixed_directions(self.arcs[0], unbounded_parameters(self.parts, self.arcs)))
 
     def checks(self) -> Iterator[Check]:
         """Checks of level 2."""
         for along in self.along:
             for ridden in along:
-                yield from _signs(self, ridden, f"_{ridden.condition.variable.name}" if len(along) > 1 else "")
+                yield from _check_arc_multiplier(
+                    self, ridden, f"_{ridden.condition.variable.name}" if len(along) > 1 else ""
+                )
             if along:
-                value, why = _lowered(along), ""
-                if value > _LEAST and (name := _concave(along[0].part)):
+                value, why = _check_lowered_hamiltonian(along), ""
+                if value > _LEAST and (name := _concave_scalar(along[0].part)):
                     why = f"; H is concave in {name} there: to switch back and forth between its bounds lowers J, the "
                     why += "faster the more, so that no best flight follows it (chattering)"
                 yield Check(
@@ -199,7 +201,7 @@ class Rides:
                     f"{' and '.join(r.condition.name for r in along)} itself (scaled){why}",
                 )  # fmt: skip
 
-    def strictly(self, ridden: Ridden, s: float) -> bool:
+    def strictly(self, ridden: BoundaryArc, s: float) -> bool:
         """Return True if the costates of S jump by a strictly negative nu where an arc begins (0) or ends (1)."""
         joint = ridden.part.index + round(s)
         if not self.inner(joint) or self.other(ridden, 1 if s else -1) is not None:
@@ -209,7 +211,7 @@ class Rides:
         size = float(np.abs(ridden.slope(0, ridden.edge(s))).max()) / ridden.part.objective_scale
         return nu * size < -STRICT
 
-    def kept(self, *, idle: bool = True) -> dict[int, Kept]:
+    def kept(self, *, idle: bool = True) -> dict[int, KeptConditions]:
         """Return the conditions of boundary arcs that variations keep, by part: for the second variation.
 
         Parameters
@@ -226,7 +228,7 @@ class Rides:
                 left = [*loose, *(name for r in ahead for name in self._left(r))]
                 # Where the time of a touch does not vary nor does that of its least value: it is kept in the mean.
                 left += [name for name in self._touch_rates(k) if self._turns(k + 1) or slow[1]]
-                found[k] = Kept(
+                found[k] = KeptConditions(
                     rides=tuple(r.rate for r in along),
                     released=tuple(r.rate for r in along if not r.strict),
                     holds=tuple(value for r in along if r.strict for value in r.condition.values[:-1]),
@@ -279,24 +281,24 @@ class Rides:
     def _idle(self, k: int) -> list[str]:
         """Names of the conditions S = 0 of what is touched at the end of a part with a multiplier next to nothing."""
         part = self.arcs[k]
-        nu = end_multipliers(part)[0] * part.end_scale / part.objective_scale
+        nu = phase_end_multipliers(part)[0] * part.end_scale / part.objective_scale
         rows = [c.name for c in part.phase.end_conditions]
         names = [condition.rated(0, "touch_", 1.0).name for condition in self.touches[k]]
         return [name for name in names if nu[rows.index(name)] >= -STRICT]
 
-    def _ends(self, ridden: Ridden) -> bool:
+    def _ends(self, ridden: BoundaryArc) -> bool:
         """Return True if variations keep S = 0 at the end of an arc on which they do not keep it."""
         after = self.other(ridden, 1)
         return not ridden.strict and after is None and self.strictly(ridden, 1.0)
 
-    def _left(self, ridden: Ridden) -> list[str]:
+    def _left(self, ridden: BoundaryArc) -> list[str]:
         """Conditions of the entry to an arc that variations need not keep."""
         first = 1 if self.strictly(ridden, 0.0) else 0
         names = [ridden.condition.rated(i, "enter_", 1.0).name for i in self.entered(ridden) if i >= first]
         return [] if ridden.strict else names
 
 
-def _unmoved(arc: Arc, names: Sequence[str]) -> Matrix:
+def _fixed_directions(arc: PhaseData, names: Sequence[str]) -> Matrix:
     """Directions of the states at the start of the flight that no free parameter of these names changes, in rows."""
     from types import SimpleNamespace
 
@@ -304,7 +306,7 @@ def _unmoved(arc: Arc, names: Sequence[str]) -> Matrix:
     for free in (f for f in problem.free if f.name in names):
         step = 1j * STEP * free_size(arc.solution, free)
         p = SimpleNamespace(**{**vars(arc.p), free.name: getattr(arc.p, free.name) + step})
-        column = np.imag(stacked(problem.start(p, COMPLEX), ())) / STEP / arc.state_scale
+        column = np.imag(stack_broadcast(problem.start(p, COMPLEX), ())) / STEP / arc.state_scale
         moved = np.column_stack([moved, column])
     if not moved.shape[1]:
         return np.eye(len(moved))
@@ -312,11 +314,11 @@ def _unmoved(arc: Arc, names: Sequence[str]) -> Matrix:
     return left[:, int((sizes > 1e-12).sum()) :].T
 
 
-def _signs(rides: Rides, ridden: Ridden, of: str) -> Iterator[Check]:
+def _check_arc_multiplier(rides: BoundaryArcs, ridden: BoundaryArc, of: str) -> Iterator[Check]:
     """Check the signs of the multiplier along an arc and at both ends; `of` distinguishes several active conditions."""
     part, name, q = ridden.part, ridden.condition.name, ridden.condition.order
     beyond = "" if q <= 2 else f"; not available for a condition of order {q}"
-    yield _met(rides, ridden, of)
+    yield _check_arc_start(rides, ridden, of)
     yield Check(
         name=f"{part.prefix}along{of}", level=2, unit="1", limit=ALONG, value=float(np.maximum(0.0, -ridden.mu.min())),
         meaning=f"multiplier of {name} along the arc, where it is negative (scaled): what J would gain if the flight "
@@ -330,7 +332,7 @@ def _signs(rides: Rides, ridden: Ridden, of: str) -> Iterator[Check]:
     )  # fmt: skip
 
 
-def _met(rides: Rides, ridden: Ridden, of: str) -> Check:
+def _check_arc_start(rides: BoundaryArcs, ridden: BoundaryArc, of: str) -> Check:
     """Check that S and its rates vanish where a boundary arc begins."""
     part, condition, x = ridden.part, ridden.condition, ridden.edge(0.0)
     u = part.phase.control_record(*part.control(np.zeros(1))[:, 0].tolist())
@@ -344,7 +346,7 @@ def _met(rides: Rides, ridden: Ridden, of: str) -> Check:
     )  # fmt: skip
 
 
-def _concave(part: Arc) -> str:
+def _concave_scalar(part: PhaseData) -> str:
     """Return the name of a scalar inside its bounds in which H is concave all along, and what is held linear; or ""."""
     inside = part.sampled
     x, u, lam = inside.x, inside.u, inside.lam
@@ -363,7 +365,7 @@ def _concave(part: Arc) -> str:
     return ""
 
 
-def _lowered(along: Sequence[Ridden]) -> float:
+def _check_lowered_hamiltonian(along: Sequence[BoundaryArc]) -> float:
     """Return the most that any admissible control lowers H of lam - eta dS^(q-1)/dx, scaled, as S >= 0 itself requires.
 
     With the multiplier of S in the place of that of S^(q), u minimises H among all controls, and not only those that
@@ -378,7 +380,7 @@ def _lowered(along: Sequence[Ridden]) -> float:
     sizes = control_sizes(part)
     parts = [
         np.stack(control.samples(u[here], float(sizes[here.start]), part.p), axis=1)
-        for here, control in placed(part.phase.controls)
+        for here, control in control_slices(part.phase.controls)
     ]
-    lowered = gain(part, x[:, None], u[:, None], product_of(parts), lam[:, None], leaving=True)
+    lowered = hamiltonian_gain(part, x[:, None], u[:, None], product_of(parts), lam[:, None], leaving=True)
     return lowered * part.time_scale / part.objective_scale

@@ -24,7 +24,7 @@ On a singular arc the integral of its control has the control's place (`singular
 times of which have no curvature of their own; what is left of its impulse at the end is a free parameter.
 
 Where the flight crosses a jump of the physics, s(x) = 0, the time of that joins p as well, without a curvature of its
-own: s = 0 there is one more condition to be kept, and nu s of `crossings` one more term of the Lagrangian.
+own: s = 0 there is one more condition to be kept, and nu s of `switch_slopes` one more term of the Lagrangian.
 
 On which side of 1 kappa lies does not depend on how time is normalised; how far from it does, where u varies.
 
@@ -45,20 +45,20 @@ import numpy as np
 from perilune.problem.controls import scalars
 from perilune.problem.solution import Solution
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc
-from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, all_multipliers, end_sides, varied
+from perilune.proof.arc import PhaseData
+from perilune.proof.extremal import INSIDE, STATIONARY_LIMIT, all_multipliers, end_sides, unbounded_parameters
 from perilune.proof.guards import watched_rates
-from perilune.proof.held import strict_conditions
+from perilune.proof.held import check_strict_conditions
 from perilune.proof.numerics import hessian
-from perilune.proof.pieces import just_before
-from perilune.proof.quadratic import Form, gain_beside, kappa
+from perilune.proof.pieces import time_just_before
+from perilune.proof.quadratic import QuadraticForm, destabilising_eigenvalue, newton_gain
 from perilune.proof.singular import Leap, Singular
-from perilune.proof.strict import crossings, end_switches, strictness
+from perilune.proof.strict import check_strictness, end_switches, switch_slopes
 from perilune.proof.switching import HAMILTONIAN_LIMIT
-from perilune.proof.variations import Kept, Piece, pieces_of
-from perilune.words.derivatives import COMPLEX, jacobian, stacked
+from perilune.proof.variations import KeptConditions, VariationPiece, variation_pieces
+from perilune.words.derivatives import COMPLEX, complex_step_jacobian, stack_broadcast
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import at_work
+from perilune.words.watch import sign_of_life
 
 CURVATURE_LIMIT = -1e-4
 # Discretisation lowers kappa by 1.6e-4 of itself (oscillator).
@@ -71,7 +71,7 @@ _LEVELS, _DOUBTFUL, _ROUNDED = (2, 3, 4), 1.1, 1e-8
 _SAID_TWICE = 1e-7  # of a linearised condition: by so much others that say the same may differ
 
 
-def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None) -> Iterator[Check]:
+def check_local_optimality(solution: Solution, kept: Mapping[int, KeptConditions] | None = None) -> Iterator[Check]:
     """Checks of level 3 that need no other solve.
 
     Parameters
@@ -79,38 +79,40 @@ def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None)
     solution
         An extremal with costates.
     kept
-        Of `rides.Rides.kept`, where it rides along conditions on states.
+        Of `rides.BoundaryArcs.kept`, where it rides along conditions on states.
     """
-    arcs = [Arc(solution=solution, index=k) for k in range(len(solution.problem.phases))]
-    inner = varied(solution, arcs)
+    arcs = [PhaseData(solution=solution, index=k) for k in range(len(solution.problem.phases))]
+    inner = unbounded_parameters(solution, arcs)
     durations = [name for name in inner if name in solution.problem.duration_names]
-    pieces = pieces_of(arcs, inner, kept or {})
+    pieces = variation_pieces(arcs, inner, kept or {})
     for arc in arcs:
         own = [piece for piece in pieces if piece.arc is arc]
-        yield _legendre_clebsch(arc, own)
-        yield from _kelley(arc, own)
+        yield _check_legendre_clebsch(arc, own)
+        yield from _check_kelley(arc, own)
         if own[0].kept.rides:
-            yield _leaving(arc, own)
-        yield from strictness(arc)
-        yield from strict_conditions(arc, [(*piece.span, piece.held) for piece in pieces if piece.arc is arc])
-    regular = all(piece.regular for piece in pieces) and not any(_tangled(arc) for arc in arcs)
-    form_of = cache(lambda finer: _form(pieces if finer == 1 else pieces_of(arcs, inner, kept or {}, finer)))
+            yield _check_legendre_on_arcs(arc, own)
+        yield from check_strictness(arc)
+        yield from check_strict_conditions(arc, [(*piece.span, piece.held) for piece in pieces if piece.arc is arc])
+    regular = all(piece.regular for piece in pieces) and not any(_has_unsupported_switch(arc) for arc in arcs)
+    form_of = cache(
+        lambda finer: _assemble_form(pieces if finer == 1 else variation_pieces(arcs, inner, kept or {}, finer))
+    )
     forms = form_of if regular else None
     others = [name for name in inner if name not in durations]
-    yield _positive(forms, [inner.index(name) for name in others], name="conjugate_point",
+    yield _check_positive(forms, [inner.index(name) for name in others], name="conjugate_point",
         meaning="how far the arc reaches towards a conjugate point: 1 means there is one at its start, beyond 1 a "
         "better arc lies close by",
     )  # fmt: skip
     if others:
-        yield _positive(forms, [], name="second_variation",
+        yield _check_positive(forms, [], name="second_variation",
             meaning=f"the same with {', '.join(others)} varied together with the control: beyond 1 a better choice "
             "is near",
         )  # fmt: skip
     if forms is not None:
-        gain = gain_beside(forms(1))
+        gain = newton_gain(forms(1))
         for finer in _FINER:  # what the steps owe falls with the fourth power of their number
             if GAIN_LIMIT < gain < _BY_STEPS:
-                gain = gain_beside(forms(finer))
+                gain = newton_gain(forms(finer))
         yield Check(
             name="nothing_gained", level=3, value=gain, limit=GAIN_LIMIT, unit="1",
             meaning="by how much a step of Newton's method on the second variation lowers J, over its size: what is "
@@ -118,7 +120,9 @@ def local_optimality(solution: Solution, kept: Mapping[int, Kept] | None = None)
         )  # fmt: skip
 
 
-def _positive(forms: Callable[[int], Form] | None, fixed: Sequence[int], *, name: str, meaning: str) -> Check:
+def _check_positive(
+    forms: Callable[[int], QuadraticForm] | None, fixed: Sequence[int], *, name: str, meaning: str
+) -> Check:
     value, limit = float("nan"), KAPPA_LIMIT
     if forms is None:
         meaning += (
@@ -127,9 +131,9 @@ def _positive(forms: Callable[[int], Form] | None, fixed: Sequence[int], *, name
             "jumps there is not one scalar that crosses its switch by more than rounding (that of an instant does not)"
         )
     else:
-        value, variations = _kappa(forms(1), fixed)
+        value, variations = _kappa_with_fixed(forms(1), fixed)
         if KAPPA_LIMIT < value < _DOUBTFUL:
-            value, limit = _extrapolated(lambda finer: _kappa(forms(finer), fixed)[0])
+            value, limit = _extrapolate_kappa(lambda finer: _kappa_with_fixed(forms(finer), fixed)[0])
             meaning += "; extrapolated to steps of no length, the limit being 1 less what that leaves open"
         if np.isnan(value):
             meaning += "; not available: a free parameter alone, or an impulse as a singular arc ends, costs nothing"
@@ -138,13 +142,13 @@ def _positive(forms: Callable[[int], Form] | None, fixed: Sequence[int], *, name
     return Check(name=name, level=3, value=value, limit=limit, unit="1", meaning=meaning)
 
 
-def _kappa(form: Form, fixed: Sequence[int]) -> tuple[float, int]:
-    """Return `kappa` of a form with some of its parameters fixed."""
+def _kappa_with_fixed(form: QuadraticForm, fixed: Sequence[int]) -> tuple[float, int]:
+    """Return `destabilising_eigenvalue` of a form with some of its parameters fixed."""
     without = np.delete(np.delete(form.form, fixed, axis=0), fixed, axis=1)
-    return kappa(without, np.delete(form.constraints, fixed, axis=1), form.m - len(fixed))
+    return destabilising_eigenvalue(without, np.delete(form.constraints, fixed, axis=1), form.m - len(fixed))
 
 
-def _extrapolated(kappa_of: Callable[[int], float]) -> tuple[float, float]:
+def _extrapolate_kappa(kappa_of: Callable[[int], float]) -> tuple[float, float]:
     """Return kappa of steps of no length, and the limit below which it is said to be less than 1.
 
     Its error falls with the square of the number of steps: Richardson's extrapolation takes that out, and what two of
@@ -158,18 +162,18 @@ def _extrapolated(kappa_of: Callable[[int], float]) -> tuple[float, float]:
     return value, min(1.0 - abs(value - rough), 1.0 - _ROUNDED)
 
 
-def _tangled(arc: Arc) -> bool:
+def _has_unsupported_switch(arc: PhaseData) -> bool:
     """Return True if not just a single scalar jumps at a break, or its switching function does not cross zero there."""
     places = [at for at, _ in scalars(arc.phase.controls)]
     jumps = arc.jumps != 0
     alone = bool((jumps.sum(axis=0) <= 1).all()) and not np.delete(jumps, places, axis=0).any()
     switches = jumps.any(axis=0) & ~(singular := Singular.of(arc).junctions)
     smooth = singular & ~jumps.any(axis=0)  # a junction without a jump is no end of an impulse
-    bends = [*crossings(arc)[switches], *(end.slope for end in end_switches(arc))]
+    bends = [*switch_slopes(arc)[switches], *(end.slope for end in end_switches(arc))]
     return not alone or bool(smooth.any() or (np.array(bends) <= HAMILTONIAN_LIMIT).any())
 
 
-def _legendre_clebsch(arc: Arc, pieces: Sequence[Piece]) -> Check:
+def _check_legendre_clebsch(arc: PhaseData, pieces: Sequence[VariationPiece]) -> Check:
     curvature = [np.linalg.eigvalsh(piece.bends) for piece in pieces if piece.bends.shape[1]]
     value = max((-float(c.min() / np.abs(c).max()) for c in curvature), default=-1.0)
     return Check(
@@ -179,7 +183,7 @@ def _legendre_clebsch(arc: Arc, pieces: Sequence[Piece]) -> Check:
     )  # fmt: skip
 
 
-def _kelley(arc: Arc, pieces: Sequence[Piece]) -> Iterator[Check]:
+def _check_kelley(arc: PhaseData, pieces: Sequence[VariationPiece]) -> Iterator[Check]:
     """Check Kelley's condition on singular arcs."""
     own = [piece.kelley for piece in pieces if len(piece.kelley)]
     if own:
@@ -191,7 +195,7 @@ def _kelley(arc: Arc, pieces: Sequence[Piece]) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
+def _check_legendre_on_arcs(arc: PhaseData, pieces: Sequence[VariationPiece]) -> Check:
     """Check the Legendre-Clebsch condition in the control's free moves on boundary arcs of conditions on states."""
     if pieces[0].kept.pays is not None:
         return Check(
@@ -211,8 +215,8 @@ def _leaving(arc: Arc, pieces: Sequence[Piece]) -> Check:
     )  # fmt: skip
 
 
-def _form(pieces: Sequence[Piece]) -> Form:
-    """`Form` of all pieces."""
+def _assemble_form(pieces: Sequence[VariationPiece]) -> QuadraticForm:
+    """`QuadraticForm` of all pieces."""
     m, curvature = pieces[0].sizes[1], np.array(pieces[0].curvature)
     multipliers = all_multipliers([piece.arc for piece in pieces if piece.first])
     columns = m + sum(piece.sizes[2] * piece.steps for piece in pieces)
@@ -223,10 +227,10 @@ def _form(pieces: Sequence[Piece]) -> Form:
     dx = known = np.zeros((0, columns))
     for piece in pieces:
         if piece.first:
-            dx, curved = _begin(piece, dx, parameters)
+            dx, curved = _start_variation(piece, dx, parameters)
             form += curved
-            begun = _vanishing(piece, piece.kept.holds, dx, parameters, 0.0)
-            constraints += [_tied(piece, parameters), _beyond(begun, known)]
+            begun = _vanishing_rows(piece, piece.kept.holds, dx, parameters, 0.0)
+            constraints += [_tied_length_row(piece, parameters), _independent_rows(begun, known)]
         n, _, k = piece.sizes
         identity, step = np.eye(n), piece.lengths[:, None, None]
         half = 0.5 * step * piece.F[:, :n].transpose(2, 0, 1)
@@ -238,7 +242,7 @@ def _form(pieces: Sequence[Piece]) -> Form:
             shape = np.linalg.inv(np.linalg.cholesky(step * piece.H_uu)).transpose(0, 2, 1)
         path = np.zeros((piece.steps, n + m + k, columns))
         for j in range(piece.steps):
-            at_work("proof: level 3, the second variation")
+            sign_of_life("proof: level 3, the second variation")
             path[j, n : n + m] = parameters
             path[j, n + m :, at + j * k : at + (j + 1) * k] = shape[j]
             after = through[j] @ dx + into[j] @ path[j, n:]
@@ -250,24 +254,24 @@ def _form(pieces: Sequence[Piece]) -> Form:
         form += path.reshape(flat).T @ weighted.reshape(flat)
         slope -= (piece.lengths * piece.yields).T.ravel() @ path.reshape(flat)
         if piece.leap is not None:
-            dx, curved = _left(piece.leap, dx, parameters)
+            dx, curved = _leap_variation(piece.leap, dx, parameters)
             form += curved
         if piece.crossing:
-            rows, curved = _cross(piece, dx, parameters)
+            rows, curved = _crossing_variation(piece, dx, parameters)
             form += curved
             constraints.append(rows)
         if piece.last:
-            rows, curved, end_slope = _finish(piece, multipliers[piece.arc.index], dx, parameters)
+            rows, curved, end_slope = _end_variation(piece, multipliers[piece.arc.index], dx, parameters)
             form += curved
             slope += end_slope
-            left = _vanishing(piece, piece.kept.end, dx, parameters, piece.arc.duration)
-            held = _vanishing(piece, piece.kept.holds, dx, parameters, piece.arc.duration)
-            constraints.append(_beyond(np.vstack([rows, left]), held))
+            left = _vanishing_rows(piece, piece.kept.end, dx, parameters, piece.arc.duration)
+            held = _vanishing_rows(piece, piece.kept.holds, dx, parameters, piece.arc.duration)
+            constraints.append(_independent_rows(np.vstack([rows, left]), held))
             known = np.vstack([held, rows])
-    return Form(0.5 * (form + form.T), np.vstack(constraints), slope, m - len(curvature))
+    return QuadraticForm(0.5 * (form + form.T), np.vstack(constraints), slope, m - len(curvature))
 
 
-def _left(leap: tuple[int, Leap], dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+def _leap_variation(leap: tuple[int, Leap], dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
     """Return dx behind a singular arc, and the term that its impulse adds to the form."""
     place, own = leap
     h, slopes = parameters[place], own.mixed @ np.vstack([dx, parameters])
@@ -275,23 +279,27 @@ def _left(leap: tuple[int, Leap], dx: Matrix, parameters: Matrix) -> tuple[Matri
     return dx + np.outer(own.by, h), curved
 
 
-def _curved(piece: Piece, function: Any, x: Vector, scale: Vector, moves: Matrix) -> tuple[Matrix, Matrix]:
+def _derivatives_along(
+    piece: VariationPiece, function: Any, x: Vector, scale: Vector, moves: Matrix
+) -> tuple[Matrix, Matrix]:
     """Return along `moves` first derivatives (rows, columns) of function(z, p), and second ones of its first row."""
     z = np.concatenate([x, piece.parameter_values])[:, None]
     scale = np.concatenate([scale, piece.parameter_scale])
 
     def split(w: Any) -> Any:
-        return stacked(function(w[: len(x)], piece.parameters(w[len(x) :])), w.shape[1:])
+        return stack_broadcast(function(w[: len(x)], piece.parameters(w[len(x) :])), w.shape[1:])
 
-    first = jacobian(split, z, scale)[:, :, 0] @ moves
+    first = complex_step_jacobian(split, z, scale)[:, :, 0] @ moves
     second = hessian(lambda w: split(w)[0], z, scale)[:, :, 0]
     return first, moves.T @ second @ moves
 
 
-def _tied(piece: Piece, parameters: Matrix) -> Matrix:
+def _tied_length_row(piece: VariationPiece, parameters: Matrix) -> Matrix:
     """Return the row that ties a phase's length in proportion to that of the one before, if stated (rows, columns)."""
     arcs = (
-        [Arc(solution=piece.arc.solution, index=piece.arc.index - step) for step in (1, 0)] if piece.kept.tied else []
+        [PhaseData(solution=piece.arc.solution, index=piece.arc.index - step) for step in (1, 0)]
+        if piece.kept.tied
+        else []
     )
     places = [piece.names.index(arc.phase.duration) for arc in arcs if arc.phase.duration in piece.names]
     if len(places) < 2:
@@ -300,7 +308,7 @@ def _tied(piece: Piece, parameters: Matrix) -> Matrix:
     return (one - other)[None]
 
 
-def _vanishing(piece: Piece, values: Sequence[Any], dx: Matrix, parameters: Matrix, t: float) -> Matrix:
+def _vanishing_rows(piece: VariationPiece, values: Sequence[Any], dx: Matrix, parameters: Matrix, t: float) -> Matrix:
     """First derivatives of values of the state at one end of a phase, (rows, columns), each over its size."""
     if not values:
         return np.zeros((0, parameters.shape[1]))
@@ -310,12 +318,14 @@ def _vanishing(piece: Piece, values: Sequence[Any], dx: Matrix, parameters: Matr
     def rows(z: Any, p: Any) -> list[Any]:
         return [0.0 * z[0], *(value(arc.phase.state_record(*z), u, p, COMPLEX)[0] for value in values)]
 
-    first, _ = _curved(piece, rows, arc.state(np.array([t]))[:, 0], arc.state_scale, np.vstack([dx, parameters]))
+    first, _ = _derivatives_along(
+        piece, rows, arc.state(np.array([t]))[:, 0], arc.state_scale, np.vstack([dx, parameters])
+    )
     sizes = np.abs(first[1:]).max(axis=1, initial=0.0, keepdims=True)
     return np.divide(first[1:], sizes, out=np.zeros_like(first[1:]), where=sizes > 0)
 
 
-def _beyond(rows: Matrix, known: Matrix) -> Matrix:
+def _independent_rows(rows: Matrix, known: Matrix) -> Matrix:
     """Return the combinations of rows that are independent of known ones but for the error of the steps."""
     if not len(rows) or not len(known):
         return rows
@@ -325,7 +335,7 @@ def _beyond(rows: Matrix, known: Matrix) -> Matrix:
     return combined[:, sizes > _SAID_TWICE].T @ rows
 
 
-def _begin(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+def _start_variation(piece: VariationPiece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
     """Variation of the phase's initial state, and lam(0) times its second derivative."""
     arc, problem = piece.arc, piece.arc.problem
     lam = arc.costate(np.zeros(1))[:, 0] / arc.objective_scale
@@ -335,7 +345,7 @@ def _begin(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix
         def values(z: Any, p: Any) -> Any:
             return problem.start(p, COMPLEX)
     else:
-        before = Arc(solution=arc.solution, index=arc.index - 1)
+        before = PhaseData(solution=arc.solution, index=arc.index - 1)
         x, scale = before.state(np.array([before.duration]))[:, 0], before.state_scale
         moves = np.vstack([dx, parameters])
 
@@ -349,15 +359,15 @@ def _begin(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix
         out = values(z, p)
         return [sum(a * b for a, b in zip(lam, out, strict=True)), *out]
 
-    first, second = _curved(piece, weighted, x, scale, moves)
+    first, second = _derivatives_along(piece, weighted, x, scale, moves)
     return first[1:] / arc.state_scale[:, None], second
 
 
-def _cross(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
+def _crossing_variation(piece: VariationPiece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix]:
     """The linearised condition s = 0 at the end of a piece (scaled), and the second derivative of nu s."""
     arc, met = piece.arc, piece.crossing
     assert met is not None, "asked for where there is one"
-    before = np.array([just_before(met.time)])
+    before = np.array([time_just_before(met.time)])
     x, u, lam = arc.state(before)[:, 0], arc.control(before), arc.costate(before)[:, 0]
     nu = met.multiplier(lam / arc.costate_scale)
 
@@ -365,11 +375,11 @@ def _cross(piece: Piece, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix
         s = watched_rates(arc.phase, z, u.reshape(-1, *(1,) * (z.ndim - 1)), p, met.before)[1][met.guard] / met.size
         return [nu * s, s]
 
-    first, second = _curved(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
+    first, second = _derivatives_along(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
     return first[1:], second
 
 
-def _finish(piece: Piece, nu: Vector, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix, Vector]:
+def _end_variation(piece: VariationPiece, nu: Vector, dx: Matrix, parameters: Matrix) -> tuple[Matrix, Matrix, Vector]:
     """Linearised end conditions (scaled), and the second and first derivatives of phi + nu.psi at the phase's end."""
     arc = piece.arc
     last = arc.index == len(arc.problem.phases) - 1
@@ -381,7 +391,7 @@ def _finish(piece: Piece, nu: Vector, dx: Matrix, parameters: Matrix) -> tuple[M
         return [total / arc.objective_scale, *psi]
 
     x = arc.state(np.array([arc.duration]))[:, 0]
-    first, second = _curved(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
+    first, second = _derivatives_along(piece, values, x, arc.state_scale, np.vstack([dx, parameters]))
     # A range is free to vary where it is not at a bound, or where that bound holds nothing back.
     slack = np.abs(nu) * arc.end_scale <= STATIONARY_LIMIT * arc.objective_scale
     held = np.where(slack, end_sides(arc) == 0, end_sides(arc) != INSIDE)

@@ -30,7 +30,7 @@ from scipy.interpolate import CubicSpline
 
 from perilune.problem.controls import scalars
 from perilune.proof.allowed import ON_BOUND
-from perilune.proof.arc import Arc
+from perilune.proof.arc import PhaseData
 from perilune.words.types import Vector
 
 _LOOKS = 20  # times of a stretch between two edges
@@ -40,7 +40,7 @@ _MIXED = 1e-7  # of the largest second derivative of L: less is none, as differe
 STRETCH = 1e-3  # of a phase: nearer to a singular arc its slope, which leaves zero like t^2, is rounding
 
 
-def singular_between(arc: Arc, left: float, right: float) -> int | None:
+def singular_between(arc: PhaseData, left: float, right: float) -> int | None:
     """Place of the one scalar that is singular all along a stretch: strictly between bounds, H linear in it."""
     t = np.linspace(left, right, _LOOKS + 2)[1:-1]
     x, u, lam = arc.state(t), arc.control(t), arc.costate(t)
@@ -88,7 +88,7 @@ class Singular:
     junctions: Any
 
     @classmethod
-    def of(cls, arc: Arc) -> Singular:
+    def of(cls, arc: PhaseData) -> Singular:
         """Read off the tables of a phase."""
         places = tuple(singular_between(arc, left, right) for left, right in pairwise(arc.edges.tolist()))
         inner = arc.edges[1:-1]
@@ -119,8 +119,8 @@ class Leap:
     square: float
 
 
-def goh(F: Any, W: Any, column: int, sizes: tuple[int, int], length: float) -> tuple[Any, Any, Leap] | None:
-    """Derivatives of a piece (`perilune.proof.variations.Piece`) with y in the place of a singular control.
+def goh_transform(F: Any, W: Any, column: int, sizes: tuple[int, int], length: float) -> tuple[Any, Any, Leap] | None:
+    """Derivatives of a piece (`perilune.proof.variations.VariationPiece`) with y in the place of a singular control.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def goh(F: Any, W: Any, column: int, sizes: tuple[int, int], length: float) -> t
     return new_F, new_W, Leap(by=by, mixed=at_end, square=float(last[0]))
 
 
-def slopes_beside(arc: Arc, at: int, S: Vector, t: Vector, apart: Vector, held: Any) -> Vector:
+def distance_slopes(arc: PhaseData, at: int, S: Vector, t: Vector, apart: Vector, held: Any) -> Vector:
     """The slope S on a bound over its distance from zero: the time to a switch, or its square to a singular arc.
 
     Parameters

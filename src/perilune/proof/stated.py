@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.problem.solution import Solution
-from perilune.problem.tolerance import LARGEST, SIZED, Tolerance, quantity_in, told, unit_of
+from perilune.problem.tolerance import LARGEST, SIZED, Tolerance, format_tolerance, quantity_in, unit_of
 from perilune.problem.verification import Check
 
 
-def raised(check: Check, tolerance: Tolerance) -> Check:
+def raise_limit(check: Check, tolerance: Tolerance) -> Check:
     """The check with the limit that is stated for its quantity, where that is larger than its own.
 
     A limit of 0 counts what may not be there at all, one below 0 asks for a sign: neither is a size.
@@ -28,21 +28,27 @@ def raised(check: Check, tolerance: Tolerance) -> Check:
     return replace(check, limit=stated, own_limit=check.limit, raised_by=name)
 
 
-def sensible(tolerance: Tolerance, solution: Solution) -> Iterator[Check]:
+def check_tolerance_sense(tolerance: Tolerance, solution: Solution) -> Iterator[Check]:
     """Yield for each quantity that the flight changes a check that its tolerance leaves something to prove."""
-    changed = _changed(solution)
+    changed = _change_of_quantities(solution)
     for name, stated in tolerance.stated.items():
         if name in SIZED and name not in changed:
             continue
         size = changed.get(name, 0.0)
         yield Check(
-            name=f"stated_{name}", level=1, value=stated, limit=LARGEST * size, unit=unit_of(name), exact=True,
-            meaning=f"the tolerance stated, against a thousandth of the {told(name, size)} by which the flight changes "
+            name=f"stated_{name}",
+            level=1,
+            value=stated,
+            limit=LARGEST * size,
+            unit=unit_of(name),
+            exact=True,
+            meaning=f"the tolerance stated, against a thousandth of the {format_tolerance(name, size)} by which the "
+            f"flight changes "
             "it: a larger one is no tolerance but no proof",
-        )  # fmt: skip
+        )
 
 
-def _changed(solution: Solution) -> dict[str, float]:
+def _change_of_quantities(solution: Solution) -> dict[str, float]:
     """Return the most that the flight changes each quantity in one of its states [SI]; for time, its duration."""
     changed: dict[str, float] = {}
     for phase, flown in zip(solution.problem.phases, solution.trajectories, strict=True):

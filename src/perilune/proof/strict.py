@@ -35,19 +35,19 @@ import numpy as np
 
 from perilune.problem.controls import Bounded, scalars
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc
-from perilune.proof.pieces import just_before
-from perilune.proof.singular import Singular, slopes_beside
+from perilune.proof.arc import PhaseData
+from perilune.proof.pieces import time_just_before
+from perilune.proof.singular import Singular, distance_slopes
 from perilune.proof.switching import (
     HAMILTONIAN_LIMIT,
     SLOPE_LIMIT,
-    chords,
     control_gradient,
     gradient_along,
+    hamiltonian_chords,
     on_bounds,
     row_of,
 )
-from perilune.words.derivatives import jacobian
+from perilune.words.derivatives import complex_step_jacobian
 from perilune.words.types import Matrix, Vector
 
 STRICT_LIMIT = -1e-4
@@ -76,25 +76,25 @@ class EndSwitch:
     slope: float
 
 
-def end_switches(arc: Arc) -> tuple[EndSwitch, ...]:
+def end_switches(arc: PhaseData) -> tuple[EndSwitch, ...]:
     """Return switches at the flight's ends in a phase; none if several vanish at once, or H bends between bounds."""
     found = list[EndSwitch]()
     for time in arc.ends.tolist() if any(control.scalar for control in arc.phase.controls) else ():
         first, last = arc.index == 0, arc.index == len(arc.problem.phases) - 1
         if (time == 0.0 and first) or (time > 0.0 and last):
-            here = list(_vanishing(arc, time))
+            here = list(_vanishing_switches(arc, time))
             found += here if len(here) == 1 else []
     return tuple(found)
 
 
-def _vanishing(arc: Arc, time: float) -> Iterator[EndSwitch]:
+def _vanishing_switches(arc: PhaseData, time: float) -> Iterator[EndSwitch]:
     t = np.array([time])
     x, u, lam = arc.state(t), arc.control(t), arc.costate(t)
     gradient, _ = control_gradient(arc, x, u, lam)
     for at, control in scalars(arc.phase.controls):
         lower, upper = on_bounds(arc, at, control, u)
         S = _steepness(arc, at, control, t, np.abs(gradient[row_of(arc, control)]))
-        if not (lower | upper).any() or not S.max() <= _unseen(arc, at, control, time):
+        if not (lower | upper).any() or not S.max() <= _switch_threshold(arc, at, control, time):
             continue
         across = np.array(u)
         across[at] = control.limits(arc.p)[1 if lower.any() else 0]
@@ -103,11 +103,14 @@ def _vanishing(arc: Arc, time: float) -> Iterator[EndSwitch]:
         change = arc.hamiltonian(x, across, lam) - arc.hamiltonian(x, u, lam)
         if np.abs(change).max() <= HAMILTONIAN_LIMIT * arc.rate_scale or S.max() > SLOPE_LIMIT:
             sides = (across, u) if time == 0.0 else (u, across)
-            yield EndSwitch(time=time, at=at, across=float(across[at, 0]), slope=float(_bend(arc, t, *sides)[0]))
+            yield EndSwitch(
+                time=time, at=at, across=float(across[at, 0]), slope=float(_switch_slope_at(arc, t, *sides)[0])
+            )
 
 
-def _unseen(arc: Arc, at: int, control: Bounded, time: float) -> float:
-    """Return the |S| at an end of the flight below which `strictness` would take it for 0; below 0 beside a switch.
+def _switch_threshold(arc: PhaseData, at: int, control: Bounded, time: float) -> float:
+    """Return the |S| at an end of the flight below which `check_strictness` would take it for 0; below 0 beside a
+    switch.
 
     Parameters
     ----------
@@ -116,7 +119,7 @@ def _unseen(arc: Arc, at: int, control: Bounded, time: float) -> float:
     time
         Of the end [s].
     """
-    apart = float(from_switches(arc, np.array([time]))[0])
+    apart = float(time_to_switch(arc, np.array([time]))[0])
     if apart <= _BRIEF * arc.duration:
         return -1.0
     t = np.linspace(0.0, arc.duration, _LOOKS)
@@ -125,7 +128,7 @@ def _unseen(arc: Arc, at: int, control: Bounded, time: float) -> float:
     return max(SLOPE_LIMIT, -STRICT_LIMIT * float(S.max()) * apart / arc.duration)
 
 
-def strictness(arc: Arc) -> Iterator[Check]:
+def check_strictness(arc: PhaseData) -> Iterator[Check]:
     """Checks of level 3: each scalar on a bound is there strictly, and leaves it by a jump at a finite slope of S."""
     if not any(control.scalar for control in arc.phase.controls):
         return
@@ -133,16 +136,16 @@ def strictness(arc: Arc) -> Iterator[Check]:
     ends = end_switches(arc)
     for at, control in scalars(arc.phase.controls):
         own = [end for end in ends if end.at == at]
-        apart = from_switches(arc, t, [end.time for end in own])
+        apart = time_to_switch(arc, t, [end.time for end in own])
         held = np.logical_or(*on_bounds(arc, at, control, u)) & (apart > _BRIEF * arc.duration)
         if not held.any():
             continue
         S = _steepness(arc, at, control, t, np.abs(gradient[row_of(arc, control)]))
         jumps = (arc.jumps[at] != 0) & ~Singular.of(arc).junctions
-        steps = [np.abs(arc.jumps[at, jumps]), [_step(arc, end) for end in own]]
-        crossing = np.concatenate([crossings(arc)[jumps], [end.slope for end in own]]) / np.concatenate(steps)
+        steps = [np.abs(arc.jumps[at, jumps]), [_size_of_jump(arc, end) for end in own]]
+        crossing = np.concatenate([switch_slopes(arc)[jumps], [end.slope for end in own]]) / np.concatenate(steps)
         crossing = crossing / arc.time_scale**2 * arc.objective_scale / arc.rate_scale
-        slopes = np.append(slopes_beside(arc, at, S, t, apart, held), crossing * arc.duration)
+        slopes = np.append(distance_slopes(arc, at, S, t, apart, held), crossing * arc.duration)
         yield Check(
             name=f"{arc.prefix}strict_{control.name}", level=3, limit=STRICT_LIMIT, unit="1",
             value=float(-slopes.min() / S.max()),
@@ -155,7 +158,7 @@ def strictness(arc: Arc) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _steepness(arc: Arc, at: int, control: Bounded, t: Vector, S: Vector) -> Vector:
+def _steepness(arc: PhaseData, at: int, control: Bounded, t: Vector, S: Vector) -> Vector:
     """Return |dH/du| of a scalar at times, or by how much H rises to its other bound over the range where that is less.
 
     Parameters
@@ -171,17 +174,17 @@ def _steepness(arc: Arc, at: int, control: Bounded, t: Vector, S: Vector) -> Vec
     x, lam = arc.state(t), arc.costate(t)
     sides = arc.control(t), arc.control(t)
     sides[0][at], sides[1][at] = low, high
-    chord = np.abs(chords(arc, at, control, x, sides, lam))
+    chord = np.abs(hamiltonian_chords(arc, at, control, x, sides, lam))
     return np.where(chord < (1 - _CHORD_ROUNDING) * S, chord, S)
 
 
-def _step(arc: Arc, end: EndSwitch) -> float:
+def _size_of_jump(arc: PhaseData, end: EndSwitch) -> float:
     """Return by how much a scalar would jump, canonical."""
     own = arc.control(np.array([end.time]))[end.at, 0]
     return abs(end.across - own) / float(arc.control_scale[end.at])
 
 
-def from_switches(arc: Arc, t: Vector, ends: list[float] | None = None) -> Vector:
+def time_to_switch(arc: PhaseData, t: Vector, ends: list[float] | None = None) -> Vector:
     """Time to the nearest break, or joint of phases, whose time is chosen too: S may vanish there, and nowhere else.
 
     But at `ends` of the flight that are switches.
@@ -200,19 +203,21 @@ def from_switches(arc: Arc, t: Vector, ends: list[float] | None = None) -> Vecto
     return np.abs(t[:, None] - zeros).min(axis=1) if len(zeros) else np.full(len(t), arc.duration)
 
 
-def crossings(arc: Arc) -> Vector:
+def switch_slopes(arc: PhaseData) -> Vector:
     """D (above) at each break, scaled: 0 where nothing jumps."""
-    times, before = arc.breaks, just_before(arc.breaks)
-    return np.where(arc.jumps.any(axis=0), _bend(arc, times, arc.control(before), arc.control(times)), 0.0)
+    times, before = arc.breaks, time_just_before(arc.breaks)
+    return np.where(arc.jumps.any(axis=0), _switch_slope_at(arc, times, arc.control(before), arc.control(times)), 0.0)
 
 
-def _bend(arc: Arc, times: Vector, u_before: Matrix, u_after: Matrix) -> Vector:
+def _switch_slope_at(arc: PhaseData, times: Vector, u_before: Matrix, u_after: Matrix) -> Vector:
     """D (above) at times, between two controls there."""
     lam, x, scale = arc.costate(times), arc.state(times), arc.state_scale
 
     def side(u: Matrix) -> tuple[Matrix, Matrix]:
         """Rates, and dL/dx."""
-        f_x = jacobian(lambda z: arc.rates(z, u.reshape(len(u), *(1,) * (z.ndim - 2), len(times))), x, scale)
+        f_x = complex_step_jacobian(
+            lambda z: arc.rates(z, u.reshape(len(u), *(1,) * (z.ndim - 2), len(times))), x, scale
+        )
         pushed = arc.allowed.push(x, u, lam) if arc.allowed else 0.0
         return arc.rates(x, u).real, ((lam[:, None] * f_x).sum(axis=0) - pushed) / scale[:, None]
 

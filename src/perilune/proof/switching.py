@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import Bounded, Direction, control_scales, normalised, placed, scalars, tangents
+from perilune.problem.controls import Bounded, Direction, control_scales, control_slices, normalised, scalars, tangents
 from perilune.problem.verification import Check
-from perilune.proof.allowed import KEPT, ON_BOUND, Allowed, Multipliers
-from perilune.proof.arc import Arc
-from perilune.proof.numerics import telling
-from perilune.proof.pieces import just_before
+from perilune.proof.allowed import KEPT, ON_BOUND, MixedConstraints, Multipliers
+from perilune.proof.arc import PhaseData
+from perilune.proof.numerics import significant_size
+from perilune.proof.pieces import time_just_before
 from perilune.words.derivatives import STEP
 from perilune.words.types import Matrix, Vector
 
@@ -33,14 +33,14 @@ _EVERY = 4  # of the samples, moved onto each condition that is active
 ADMISSIBLE = 1e-9  # by how much, in canonical units, a sampled control may leave a path condition
 
 
-def minimality(arc: Arc) -> Iterator[Check]:
+def check_minimality(arc: PhaseData) -> Iterator[Check]:
     """Checks of level 2 of one phase with controls."""
-    yield _minimum(arc)
+    yield _check_minimum(arc)
     _, u, gradient, found = gradient_along(arc)
     if arc.allowed and found:
-        yield from _signs(arc, arc.allowed, found)
+        yield from _check_multiplier_signs(arc, arc.allowed, found)
     row = 0
-    for here, control in placed(arc.phase.controls):
+    for here, control in control_slices(arc.phase.controls):
         rows, name = slice(row, row + control.freedom), "_".join(control.names)
         row = rows.stop
         if isinstance(control, Direction):
@@ -58,22 +58,22 @@ def minimality(arc: Arc) -> Iterator[Check]:
             name=f"{arc.prefix}{name}", level=2, value=float(max(value.max(), 0.0)), unit="1",
             limit=SLOPE_LIMIT, meaning=meaning,
         )  # fmt: skip
-    yield from _zeros(arc)
+    yield from _check_switching_function(arc)
 
 
-def _signs(arc: Arc, allowed: Allowed, found: Multipliers) -> Iterator[Check]:
+def _check_multiplier_signs(arc: PhaseData, allowed: MixedConstraints, found: Multipliers) -> Iterator[Check]:
     for condition, falls, equal in zip(allowed.conditions, found.falls, allowed.equal, strict=True):
         if equal:  # its multiplier may have either sign
             continue
         yield Check(
             name=f"{arc.prefix}multiplier_{condition.name}", level=2, unit="1", limit=SLOPE_LIMIT,
-            value=float(np.maximum(-falls, 0.0).max() * _more(arc).max()) / arc.rate_scale,
+            value=float(np.maximum(-falls, 0.0).max() * _size_factors(arc).max()) / arc.rate_scale,
             meaning=f"most that the Hamiltonian falls as the control leaves {condition.name} = 0 for the inside: a "
             "multiplier of the wrong sign (scaled)",
         )  # fmt: skip
 
 
-def on_bounds(arc: Arc, at: int, control: Bounded, u: Matrix) -> tuple[Vector, Vector]:
+def on_bounds(arc: PhaseData, at: int, control: Bounded, u: Matrix) -> tuple[Vector, Vector]:
     """Return True where a scalar lies on its lower, and where on its upper bound.
 
     Parameters
@@ -88,7 +88,7 @@ def on_bounds(arc: Arc, at: int, control: Bounded, u: Matrix) -> tuple[Vector, V
     return control.on_bounds(u[at], ON_BOUND * arc.control_scale[at], arc.p)
 
 
-def with_limits(arc: Arc, u: Matrix, parameter: str) -> Matrix:
+def limit_derivatives(arc: PhaseData, u: Matrix, parameter: str) -> Matrix:
     """Return the derivatives of the control by a parameter that is the bound on which it lies: 1 or 0, shaped as u.
 
     Parameters
@@ -108,17 +108,17 @@ def with_limits(arc: Arc, u: Matrix, parameter: str) -> Matrix:
     return moves
 
 
-def _zeros(arc: Arc) -> Iterator[Check]:
+def _check_switching_function(arc: PhaseData) -> Iterator[Check]:
     """The switching function of each control at the times it jumps, on both sides."""
     for at, control in scalars(arc.phase.controls):
         times = arc.breaks[arc.jumps[at] != 0]
         if len(times):
             row = row_of(arc, control)
-            t = np.concatenate([just_before(times), times])
+            t = np.concatenate([time_just_before(times), times])
             S = control_gradient(arc, arc.state(t), arc.control(t), arc.costate(t))[0][row]
             S = np.abs(S).reshape(2, -1).max(axis=0)
-            before, after = arc.control(just_before(times)), arc.control(times)
-            chord = np.abs(chords(arc, at, control, arc.state(times), (before, after), arc.costate(times)))
+            before, after = arc.control(time_just_before(times)), arc.control(times)
+            chord = np.abs(hamiltonian_chords(arc, at, control, arc.state(times), (before, after), arc.costate(times)))
             bent = S > SLOPE_LIMIT
             S = np.where(bent, np.minimum(S, chord), S)
             told = ", or where the Hamiltonian bends its change over that of the control" if bent.any() else ""
@@ -130,7 +130,9 @@ def _zeros(arc: Arc) -> Iterator[Check]:
             )  # fmt: skip
 
 
-def chords(arc: Arc, at: int, control: Bounded, x: Matrix, sides: tuple[Matrix, Matrix], lam: Matrix) -> Vector:
+def hamiltonian_chords(
+    arc: PhaseData, at: int, control: Bounded, x: Matrix, sides: tuple[Matrix, Matrix], lam: Matrix
+) -> Vector:
     """Return the change of H from one control to another over that of one scalar, scaled as `control_gradient` is.
 
     Parameters
@@ -143,16 +145,16 @@ def chords(arc: Arc, at: int, control: Bounded, x: Matrix, sides: tuple[Matrix, 
     one, other = sides
     with np.errstate(all="ignore"):  # where the scalar does not move there is no chord
         found = (arc.hamiltonian(x, other, lam) - arc.hamiltonian(x, one, lam)).real / (other[at] - one[at])
-    return found * arc.control_scale[at] * _more(arc)[row_of(arc, control)] / arc.rate_scale
+    return found * arc.control_scale[at] * _size_factors(arc)[row_of(arc, control)] / arc.rate_scale
 
 
-def row_of(arc: Arc, control: Bounded) -> int:
+def row_of(arc: PhaseData, control: Bounded) -> int:
     """Place of a scalar in `tangents`."""
     before = arc.phase.controls[: arc.phase.controls.index(control)]
     return sum(c.freedom for c in before)
 
 
-def _minimum(arc: Arc) -> Check:
+def _check_minimum(arc: PhaseData) -> Check:
     """Inside every piece: at its first point against samples all over the set, at each against those at the others.
 
     The second is what sees a control that follows the minimum at one point and some other stationary value at the next.
@@ -160,21 +162,25 @@ def _minimum(arc: Arc) -> Check:
     pieces = arc.looked_at[0]
     x, u, lam = arc.read(pieces)
     count = len(pieces)
-    worst = gain(arc, x[:, :, :, None], u[:, :, :, None], u[:, :, None, :], lam[:, :, :, None])
+    worst = hamiltonian_gain(arc, x[:, :, :, None], u[:, :, :, None], u[:, :, None, :], lam[:, :, :, None])
     parts = [
         control.samples(u[here, :, 0], float(control_sizes(arc)[here.start]), arc.p)
-        for here, control in placed(arc.phase.controls)
+        for here, control in control_slices(arc.phase.controls)
     ]
     if arc.allowed:
-        parts, joint = _on_surfaces(arc.allowed, x[:, :, 0], u[:, :, 0], parts)
+        parts, joint = _samples_on_conditions(arc.allowed, x[:, :, 0], u[:, :, 0], parts)
         for tried in joint:
-            worst = np.maximum(worst, gain(arc, x[:, None, :, 0], u[:, None, :, 0], tried, lam[:, None, :, 0]))
+            worst = np.maximum(
+                worst, hamiltonian_gain(arc, x[:, None, :, 0], u[:, None, :, 0], tried, lam[:, None, :, 0])
+            )
     samples = math.prod(len(part) for part in parts)
     width = max(1, _AT_ONCE // samples)
     for k in range(0, count, width):
         at = slice(k, k + width)
         tried = product_of([np.stack([value[:, at] for value in part], axis=1) for part in parts])
-        worst = np.maximum(worst, gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0]))
+        worst = np.maximum(
+            worst, hamiltonian_gain(arc, x[:, None, at, 0], u[:, None, at, 0], tried, lam[:, None, at, 0])
+        )
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
         value=float(worst) / arc.rate_scale,
@@ -182,7 +188,9 @@ def _minimum(arc: Arc) -> Check:
     )  # fmt: skip
 
 
-def _on_surfaces(allowed: Allowed, x: Matrix, u: Matrix, parts: list[list[Matrix]]) -> tuple[list[list[Matrix]], Any]:
+def _samples_on_conditions(
+    allowed: MixedConstraints, x: Matrix, u: Matrix, parts: list[list[Matrix]]
+) -> tuple[list[list[Matrix]], Any]:
     """Return samples of each control with more on the conditions that only it changes; and those of several controls.
 
     They are moved onto what is held all along, and to each condition that is active in addition.
@@ -202,7 +210,7 @@ def _on_surfaces(allowed: Allowed, x: Matrix, u: Matrix, parts: list[list[Matrix
         tried[:, :, at] = np.where(reached, moved, tried[:, :, at])
         if len(changes) == 1:
             (i,) = changes
-            more[i] += list(tried[[here for here, _ in placed(controls)][i]].swapaxes(0, 1))
+            more[i] += list(tried[[here for here, _ in control_slices(controls)][i]].swapaxes(0, 1))
         else:
             joint.append(tried)
     return more, joint
@@ -218,7 +226,9 @@ def product_of(parts: Sequence[Any]) -> Any:
     return np.concatenate(rows)
 
 
-def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving: bool = False) -> float:
+def hamiltonian_gain(
+    arc: PhaseData, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving: bool = False
+) -> float:
     """Return the most that admissible controls of `tried` lower H below its value with u; shapes broadcast.
 
     Parameters
@@ -250,31 +260,36 @@ def gain(arc: Arc, x: Matrix, u: Matrix, tried: Matrix, lam: Matrix, *, leaving:
     return float(np.max(np.maximum(arc.hamiltonian(x, u, lam) - H, 0.0)))
 
 
-def control_sizes(arc: Arc) -> Vector:
+def control_sizes(arc: PhaseData) -> Vector:
     """Return the sizes of the control components by which slopes of H are judged [SI].
 
-    `Arc.control_scale`, unless a component reaches less than its unit: then what is `telling`, between these two.
+    `PhaseData.control_scale`, unless a component reaches less than its unit: then what is `significant_size`, between
+    these two.
     """
-    scale, reached = arc.control_scale, _reached(arc)
+    scale, reached = arc.control_scale, _reachable_change(arc)
     units, least = _control_units(arc), np.where(reached > 0, np.minimum(scale, reached), scale)
-    return scale if (units <= least).all() else least * telling(units / least, _weights(arc) * least / scale)
+    return (
+        scale
+        if (units <= least).all()
+        else least * significant_size(units / least, _slope_weights(arc) * least / scale)
+    )
 
 
-def varied_sizes(arc: Arc) -> Vector:
+def varied_sizes(arc: PhaseData) -> Vector:
     """Return the change of each control component that changes H by as much as J over the flight's time [SI].
 
     At most their unit, or what they reach. So the curvatures of H in controls of several units, and in those that
     hardly move, can be compared.
     """
-    told = arc.control_scale / np.maximum(_weights(arc), _NO_EFFECT)
-    return np.minimum(told, np.maximum(_control_units(arc), _reached(arc)))
+    told = arc.control_scale / np.maximum(_slope_weights(arc), _NO_EFFECT)
+    return np.minimum(told, np.maximum(_control_units(arc), _reachable_change(arc)))
 
 
-def _reached(arc: Arc) -> Vector:
+def _reachable_change(arc: PhaseData) -> Vector:
     return np.abs(arc.trajectory.control.values).max(axis=0)
 
 
-def _control_units(arc: Arc) -> Vector:
+def _control_units(arc: PhaseData) -> Vector:
     """Canonical units of the control components, at least the size of any of the same unit [SI]."""
     units = control_scales(arc.phase.controls, arc.problem.scales)
     names = np.array([control.unit for control in arc.phase.controls for _ in control.names])
@@ -282,14 +297,14 @@ def _control_units(arc: Arc) -> Vector:
     return np.maximum(units, alike) if len(alike) else units
 
 
-def _weights(arc: Arc) -> Vector:
+def _slope_weights(arc: PhaseData) -> Vector:
     """The terms of the slope of H in each control component, by their amounts, over J and the time of the flight."""
     scale, t = arc.control_scale, arc.cut.left[:: len(arc.cut) // _LOOKS + 1]
     f_u = control_rates(arc, arc.state(t), arc.control(t), np.repeat(np.diag(scale)[:, :, None], len(t), axis=2))
     return np.abs(arc.costate(t)[:, None] * f_u).sum(axis=0).max(axis=1) / arc.rate_scale
 
 
-def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
+def control_rates(arc: PhaseData, x: Matrix, u: Matrix, moves: Any) -> Any:
     """Derivatives of the dynamics as the control moves along `tangents`, (n, k, N), in SI.
 
     Parameters
@@ -306,7 +321,7 @@ def control_rates(arc: Arc, x: Matrix, u: Matrix, moves: Any) -> Any:
     return arc.rates(x_many, normalised(arc.phase.controls, moved)).imag / STEP
 
 
-def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matrix, Multipliers | None]:
+def control_gradient(arc: PhaseData, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matrix, Multipliers | None]:
     """dL/d(control) along the tangents, scaled, shape (k, N); multipliers where conditions have the control in them.
 
     Parameters
@@ -321,20 +336,23 @@ def control_gradient(arc: Arc, x: Matrix, u: Matrix, lam: Matrix) -> tuple[Matri
     if arc.allowed:
         found = arc.allowed.multipliers(x, u, lam)
         gradient = gradient - found.pull
-    return gradient * _more(arc)[:, None] / arc.rate_scale, found
+    return gradient * _size_factors(arc)[:, None] / arc.rate_scale, found
 
 
-def _more(arc: Arc) -> Vector:
-    """Return the factor by which each tangent is judged more than by `Arc.control_scale`, (k,): 1 for a direction."""
+def _size_factors(arc: PhaseData) -> Vector:
+    """Return the factor by which each tangent is judged more than by `PhaseData.control_scale`, (k,): 1 for a direction."""
     more = control_sizes(arc) / arc.control_scale
-    rows = [more[here] if control.scalar else np.ones(control.freedom) for here, control in placed(arc.phase.controls)]
+    rows = [
+        more[here] if control.scalar else np.ones(control.freedom)
+        for here, control in control_slices(arc.phase.controls)
+    ]
     return np.concatenate(rows)
 
 
-def gradient_along(arc: Arc) -> tuple[Vector, Matrix, Matrix, Multipliers | None]:
+def gradient_along(arc: PhaseData) -> tuple[Vector, Matrix, Matrix, Multipliers | None]:
     """Times inside all pieces, at its ends and on both sides of breaks; control and `control_gradient` there."""
     breaks = np.setdiff1d(arc.breaks, arc.crossed)
-    t = np.concatenate([just_before(breaks), breaks, arc.ends])
+    t = np.concatenate([time_just_before(breaks), breaks, arc.ends])
     inside = arc.sampled
     x, u, lam = (
         np.hstack([inside_, at(t)])

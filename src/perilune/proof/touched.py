@@ -24,18 +24,18 @@ from types import SimpleNamespace
 import numpy as np
 
 from perilune.problem.controls import scalars
-from perilune.problem.rates import acts
+from perilune.problem.rates import depends_on_control
 from perilune.problem.solution import Solution, full
 from perilune.problem.tape import Expression
 from perilune.problem.verification import Check
-from perilune.proof.arc import Arc
-from perilune.proof.extremal import STATIONARY_LIMIT, end_multipliers
-from perilune.proof.met import LEAST, edges_of
+from perilune.proof.arc import PhaseData
+from perilune.proof.extremal import STATIONARY_LIMIT, phase_end_multipliers
+from perilune.proof.met import LEAST, table_edges
 from perilune.proof.switching import on_bounds
-from perilune.structures.carry import split
+from perilune.structures.carry import split_solution
 from perilune.structures.read import POINTS, Contact, arcs_of
 from perilune.structures.restate import restate
-from perilune.structures.structure import Condition, Structure, conditions_of, margins, moved_by, plain_bounds
+from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds, steering_controls
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Vector
 
@@ -49,13 +49,15 @@ _LOOKS = 200  # times of an arc
 STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
 
 
-def cut(solution: Solution) -> tuple[Solution, Structure]:
+def restate_with_contacts(solution: Solution) -> tuple[Solution, Structure]:
     """Return the solution of the problem restated with its contact points and boundary arcs; itself if none."""
     phases = []
     for k, flown in enumerate(solution.trajectories):
-        arc = Arc(solution=solution, index=k)
+        arc = PhaseData(solution=solution, index=k)
         known = margins(solution.problem, arc.index) if flown.costate is not None else {}
-        found = [c for name, (_, S, _) in known.items() if not acts(S) for c in _contacts(arc, name, S)]
+        found = [
+            c for name, (_, S, _) in known.items() if not depends_on_control(S) for c in _contact_times(arc, name, S)
+        ]
         phases.append(arcs_of(solution.problem, k, found, arc.duration))
     structure = Structure(tuple(phases))
     if structure.plain:
@@ -63,25 +65,27 @@ def cut(solution: Solution) -> tuple[Solution, Structure]:
     if any(arcs[-1].along for arcs in structure.phases):
         # The costates may be those of end conditions that the arc says again, or of a statement without: both are one.
         # Where multipliers are claimed of these it is the first, in which they can be compared.
-        fewer = split(solution, structure, restate(solution.problem, structure, repeated=False))
+        fewer = split_solution(solution, structure, restate(solution.problem, structure, repeated=False))
         stated = {f"{phase.name}.{c.name}" for phase in fewer.problem.phases for c in phase.end_conditions}
-        arcs = (Arc(solution=fewer, index=k) for k in range(len(fewer.trajectories)))
-        if fewer.multipliers.keys() <= stated and all(np.abs(end_multipliers(arc)[1]).max() <= _SAID for arc in arcs):
+        arcs = (PhaseData(solution=fewer, index=k) for k in range(len(fewer.trajectories)))
+        if fewer.multipliers.keys() <= stated and all(
+            np.abs(phase_end_multipliers(arc)[1]).max() <= _SAID for arc in arcs
+        ):
             return fewer, structure
-    return split(solution, structure), structure
+    return split_solution(solution, structure), structure
 
 
-def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:
+def _contact_times(arc: PhaseData, name: str, S: Expression) -> Iterator[Contact]:
     """Yield the contacts of a condition: arcs between edges of the tables, and edges at which the costates jump."""
-    edges, size = edges_of(arc), LEAST * _size(arc, name)
+    edges, size = table_edges(arc), LEAST * _condition_size(arc, name)
     t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, POINTS))
-    room = _room(arc, S, t)
+    room = _condition_along(arc, S, t)
     met = np.abs(room) <= _ON * max(float(np.ptp(room)), size)
     if not met.any():
         return
     condition = conditions_of(arc.problem, arc.index, (name,))[name]
     # Between two touches, or a touch and its end, a flight may stay that near and ride along nothing.
-    rate = np.abs(_room(arc, condition.values[-1], t))
+    rate = np.abs(_condition_along(arc, condition.values[-1], t))
     held, order = met & (rate <= _HELD * rate.max()), condition.order
     ends = [0.0, *edges.tolist(), arc.duration]
     riding = [bool(held[(t > a) & (t < b)].all()) and bool(met[(t >= a) & (t <= b)].all()) for a, b in pairwise(ends)]
@@ -90,22 +94,27 @@ def _contacts(arc: Arc, name: str, S: Expression) -> Iterator[Contact]:
         if rides and begin is None:
             begin = ends[i]
         elif not rides and begin is not None:
-            if condition.steered and not _by_bounds(arc, condition, begin, ends[i]):
+            if condition.steered and not _kept_by_control_bounds(arc, condition, begin, ends[i]):
                 yield Contact(name=name, begin=begin, end=ends[i], ridden=True)
             begin = None
     for i, time in enumerate(edges.tolist()):
-        if order > 1 and not (riding[i] or riding[i + 1]) and met[np.argmin(np.abs(t - time))] and _jumps(arc, time):
+        if (
+            order > 1
+            and not (riding[i] or riding[i + 1])
+            and met[np.argmin(np.abs(t - time))]
+            and _costates_jump(arc, time)
+        ):
             yield Contact(name=name, begin=time, end=time, ridden=False)
 
 
-def _room(arc: Arc, S: Expression, t: Vector) -> Vector:
+def _condition_along(arc: PhaseData, S: Expression, t: Vector) -> Vector:
     """S at times of a phase [SI]."""
     bounds = {given: g.value for given, g in plain_bounds(arc.problem).items()}
     p, x, u = SimpleNamespace(**vars(arc.p), **bounds), arc.state(t), arc.control(t)
     return full(S(arc.phase.state_record(*x), arc.phase.control_record(*u), p, NUMERIC)[0], t)
 
 
-def _size(arc: Arc, name: str) -> float:
+def _condition_size(arc: PhaseData, name: str) -> float:
     """Size of a condition that goes through nothing [SI]: of the path condition, or of the state whose bound it is."""
     paths = [condition.name for condition in arc.phase.path_conditions]
     if name in paths:
@@ -113,21 +122,21 @@ def _size(arc: Arc, name: str) -> float:
     return float(arc.state_scale[arc.phase.state_names.index(name.rpartition(".")[0])])
 
 
-def _by_bounds(arc: Arc, condition: Condition, begin: float, end: float) -> bool:
+def _kept_by_control_bounds(arc: PhaseData, condition: Condition, begin: float, end: float) -> bool:
     """Return True if a met condition has no multiplier: the controls that move it are on bounds, lam does not jump.
 
     An empty tank stays empty while the engine is off. The checks are then made without the condition.
     """
-    moving = moved_by(condition)
+    moving = steering_controls(condition)
     u = arc.control(np.linspace(begin, end, _LOOKS + 2)[1:-1])
     on = {
         control.name: bool(np.logical_or(*on_bounds(arc, at, control, u)).all())
         for at, control in scalars(arc.phase.controls)
     }
-    return all(on.get(control, False) for control in moving) and not any(_jumps(arc, t) for t in (begin, end))
+    return all(on.get(control, False) for control in moving) and not any(_costates_jump(arc, t) for t in (begin, end))
 
 
-def _jumps(arc: Arc, time: float) -> bool:
+def _costates_jump(arc: PhaseData, time: float) -> bool:
     """Return True if the costates jump at a time, where the physics does not."""
     curve = arc.trajectory.costate
     if curve is None or np.isin(time, arc.crossed).any():
@@ -137,29 +146,29 @@ def _jumps(arc: Arc, time: float) -> bool:
     return len(at) > 1 and bool((np.abs(curve.values[at[-1]] - curve.values[at[0]]) > _JUMP * size).any())
 
 
-def signs(solution: Solution, parts: Solution, structure: Structure) -> Iterator[Check]:
+def check_contact_multipliers(solution: Solution, parts: Solution, structure: Structure) -> Iterator[Check]:
     """Checks of levels 2 and 3: the multipliers at what is touched.
 
     Parameters
     ----------
     solution, parts, structure
-        Of `cut`.
+        Of `restate_with_contacts`.
     """
     number = 0
     for k, arcs in enumerate(structure.phases):
         conditions = conditions_of(solution.problem, k, structure.named(k))
         for arc in arcs:
-            part = Arc(solution=parts, index=number)
+            part = PhaseData(solution=parts, index=number)
             number += 1
-            yield from (check for name in arc.touches for check in _touch(part, conditions[name]))
+            yield from (check for name in arc.touches for check in _check_contact_point(part, conditions[name]))
 
 
-def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
-    nu, _ = end_multipliers(part)
+def _check_contact_point(part: PhaseData, condition: Condition) -> Iterator[Check]:
+    nu, _ = phase_end_multipliers(part)
     name, row = condition.name, {c.name: i for i, c in enumerate(part.phase.end_conditions)}
     at, rate = (row[condition.rated(i, "touch_", 1.0).name] for i in (0, 1))
     scaled = nu * part.end_scale / part.objective_scale
-    yield _met(part, [at, rate], name)
+    yield _check_contact(part, [at, rate], name)
     yield Check(
         name=f"{part.prefix}touch", level=2, unit="1", limit=STATIONARY_LIMIT, value=float(np.maximum(0.0, scaled[at])),
         meaning=f"what J would gain if the flight left {name} where it touches it (scaled): the multiplier is not "
@@ -177,7 +186,7 @@ def _touch(part: Arc, condition: Condition) -> Iterator[Check]:
     )  # fmt: skip
 
 
-def unneeded(strict: Check) -> Check:
+def relax_strict_check(strict: Check) -> Check:
     """Return the check of a multiplier that need not be strict, as the second variation is positive without that."""
     return replace(
         strict, limit=STATIONARY_LIMIT,
@@ -186,7 +195,7 @@ def unneeded(strict: Check) -> Check:
     )  # fmt: skip
 
 
-def _met(part: Arc, rows: list[int], name: str) -> Check:
+def _check_contact(part: PhaseData, rows: list[int], name: str) -> Check:
     """Check that the conditions of a contact vanish at the end of the part."""
     end = part.state(np.array([part.duration]))[:, 0].tolist()
     values = np.array(part.phase.evaluate("end", end, (), part.p), dtype=float) / part.end_scale

@@ -14,23 +14,23 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.controls import Bounded, normalised, placed, tangents
-from perilune.proof.arc import Arc
-from perilune.proof.held import held_along
+from perilune.problem.controls import Bounded, control_slices, normalised, tangents
+from perilune.proof.arc import PhaseData
+from perilune.proof.held import active_conditions_along
 from perilune.proof.numerics import hessian
-from perilune.proof.singular import Singular, goh
-from perilune.proof.strict import crossings, end_switches
-from perilune.proof.switching import control_rates, on_bounds, varied_sizes, with_limits
-from perilune.words.derivatives import jacobian
+from perilune.proof.singular import Singular, goh_transform
+from perilune.proof.strict import end_switches, switch_slopes
+from perilune.proof.switching import control_rates, limit_derivatives, on_bounds, varied_sizes
+from perilune.words.derivatives import complex_step_jacobian
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import at_work
+from perilune.words.watch import sign_of_life
 
 STEPS, FEWEST = 100, 20  # of a phase, and of a piece of it
 _WITHOUT_EFFECT = 1e-12  # of a direction, against the largest derivative of the dynamics
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kept:
+class KeptConditions:
     """Constraints on variations from conditions S >= 0 on states, active along a phase or from one of its ends.
 
     Attributes
@@ -61,7 +61,9 @@ class Kept:
     pays: float | None = None
 
 
-def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept], finer: int = 1) -> list[Piece]:
+def variation_pieces(
+    arcs: Sequence[PhaseData], names: Sequence[str], kept: Mapping[int, KeptConditions], finer: int = 1
+) -> list[VariationPiece]:
     """Return all arcs from edge to edge, with `names`, the times of crossings and the switching times as parameters.
 
     And of singular arcs what is left of their impulses, behind `names`. `finer` times as many steps as are usual, and
@@ -71,12 +73,12 @@ def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept
         (arc.index, float(time)): float(slope)
         for arc in arcs
         for at in [np.nonzero(arc.jumps.any(axis=0) & ~Singular.of(arc).junctions)[0]]
-        for time, slope in zip(arc.breaks[at], crossings(arc)[at], strict=True)
+        for time, slope in zip(arc.breaks[at], switch_slopes(arc)[at], strict=True)
     }
     switches |= {(arc.index, end.time): end.slope for arc in arcs for end in end_switches(arc)}
     met = [(arc.index, crossing.time) for arc in arcs for crossing in arc.crossings if crossing.jump.any()]
     times = {(i, time): f"{arcs[i].phase.name} at {time!r}" for i, time in (*met, *switches)}
-    known, found = [Singular.of(arc) for arc in arcs], list[Piece]()
+    known, found = [Singular.of(arc) for arc in arcs], list[VariationPiece]()
     impulses = {
         (i, k): f"impulse {k + 1} of {arcs[i].phase.name}"
         for i, singular in enumerate(known)
@@ -89,9 +91,9 @@ def pieces_of(arcs: Sequence[Arc], names: Sequence[str], kept: Mapping[int, Kept
     for arc in arcs:
         stretches = _stretches(arc, {time: name for (i, time), name in times.items() if i == arc.index})
         for stretch in stretches:
-            at_work("proof: level 3, the second variation")
-            own = kept.get(arc.index, Kept())
-            found.append(Piece(arc, p, varied, list(switches.values()), stretch, own, finer))
+            sign_of_life("proof: level 3, the second variation")
+            own = kept.get(arc.index, KeptConditions())
+            found.append(VariationPiece(arc, p, varied, list(switches.values()), stretch, own, finer))
             if stretch.place is not None:
                 k = stretch.place
                 found[-1].transform(known[arc.index].places[k], impulses.get((arc.index, k)))
@@ -122,7 +124,7 @@ class Stretch:
     across: tuple[int, float] | None = None
 
 
-def _stretches(arc: Arc, names: Mapping[float, str]) -> list[Stretch]:
+def _stretches(arc: PhaseData, names: Mapping[float, str]) -> list[Stretch]:
     """Return every stretch of an arc, whose times have `names` where they are parameters."""
     times, places = arc.edges.tolist(), list[int | None](range(len(arc.edges) - 1))
     edges: list[str | float] = [0.0, *(names.get(t, t) for t in times[1:-1]), arc.phase.duration]
@@ -141,11 +143,11 @@ def _stretches(arc: Arc, names: Mapping[float, str]) -> list[Stretch]:
     ]  # fmt: skip
 
 
-class Piece:
+class VariationPiece:
     """First and second derivatives of an arc between breaks, at the middles of steps.
 
     Steps are equal, of `lengths` (N,) that add up to 1; finer ones on which no control varies are threes of the fourth
-    order (`_threes`), as a coast may last a thousand times as long as the burns beside it.
+    order (`_fourth_order_lengths`), as a coast may last a thousand times as long as the burns beside it.
 
     Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
     the length times L; `yields` (d, N): those of the length times mu.c, of
@@ -158,12 +160,12 @@ class Piece:
 
     def __init__(
         self,
-        arc: Arc,
+        arc: PhaseData,
         p: SimpleNamespace,
         names: Sequence[str],
         curvature: Sequence[float],
         stretch: Stretch,
-        kept: Kept,
+        kept: KeptConditions,
         finer: int = 1,
     ) -> None:
         self.arc, self.p, self.names, self.curvature, self.stretch = arc, p, tuple(names), curvature, stretch
@@ -176,10 +178,10 @@ class Piece:
         self.steps, self.lengths = times * usual, np.full(times * usual, 1.0 / (times * usual))
         x, basis, partly_held = self._looked(np.arange(self.steps) + 0.5)
         if finer > 1 and arc.phase.controls and not basis.shape[1]:
-            self.lengths = _threes(finer**2 * usual)
+            self.lengths = _fourth_order_lengths(finer**2 * usual)
             self.steps = len(self.lengths)
             x, basis, partly_held = self._looked((np.cumsum(self.lengths) - 0.5 * self.lengths) * self.steps)
-        self.held, self.basis, settled = held_along(arc, x, self.u, self.lam, basis, kept.released)
+        self.held, self.basis, settled = active_conditions_along(arc, x, self.u, self.lam, basis, kept.released)
         if stretch.across is not None:  # for no time: nothing of the control can vary there
             self.u[stretch.across[0]], self.basis = stretch.across[1], basis[:, :0]
         self.partly_held = partly_held or not settled
@@ -193,21 +195,21 @@ class Piece:
         z = np.concatenate(
             [x, np.repeat(self.parameter_values[:, None], self.steps, axis=1), np.zeros((k, self.steps))]
         )
-        self.F = jacobian(self._rates, z, self.scale)
+        self.F = complex_step_jacobian(self._rates, z, self.scale)
         self.yields = np.zeros(self.F.shape[1:])
         if self.held and kept.released:
-            self.yields = jacobian(self._work, z, self.scale)[0]
+            self.yields = complex_step_jacobian(self._work, z, self.scale)[0]
         self.W = hessian(self._lagrangian, z, self.scale)
         self.H_uu = self.W[n + m :, n + m :].transpose(2, 0, 1)
         self.bends, self.kelley, self.leap = self.H_uu, np.zeros(0), None
         self.settled = True
 
     def _looked(self, middles: Vector) -> tuple[Matrix, Any, bool]:
-        """Look at the arc at the middles of the steps, in steps from its beginning: states, and `_moves` there."""
+        """Look at the arc at the middles of the steps, in steps from its beginning: states, and `_free_moves` there."""
         left, right = self.span
         t = left + middles * (right - left) / self.steps
         x, self.u, self.lam = self.arc.state(t), self.arc.control(t), self.arc.costate(t)
-        return x, *_moves(self.arc, x, self.u)
+        return x, *_free_moves(self.arc, x, self.u)
 
     def transform(self, at: int | None, impulse: str | None) -> None:
         """Put the integral of the singular scalar, a component of the control, in its place."""
@@ -216,7 +218,9 @@ class Piece:
         n, m, _ = self.sizes
         columns = np.nonzero(self.basis[at].any(axis=1))[0]
         left, right = self.span
-        found = goh(self.F, self.W, n + m + int(columns[0]), (n, m), right - left) if len(columns) == 1 else None
+        found = (
+            goh_transform(self.F, self.W, n + m + int(columns[0]), (n, m), right - left) if len(columns) == 1 else None
+        )
         # A kink of the rates within the arc would break B; a condition that is held beside it changes with it.
         if found is None or self.held or (self.crossing is not None and impulse is None):
             self.settled = False
@@ -234,12 +238,12 @@ class Piece:
         return not self.partly_held and self.settled and bool(np.all(np.linalg.eigvalsh(self.H_uu) > 0))
 
     @property
-    def loosened(self) -> Piece:
+    def loosened(self) -> VariationPiece:
         """Return the same with variations that also leave the boundary arcs."""
         if self.kept.rides == self.kept.released:
             return self
-        kept = Kept(released=self.kept.rides)
-        return Piece(self.arc, self.p, self.names, self.curvature, self.stretch, kept)
+        kept = KeptConditions(released=self.kept.rides)
+        return VariationPiece(self.arc, self.p, self.names, self.curvature, self.stretch, kept)
 
     def parameters(self, values: Any) -> SimpleNamespace:
         """Return all parameters in SI with `names` replaced."""
@@ -254,7 +258,7 @@ class Piece:
         for column in range(self.basis.shape[1]):
             u = u + self.basis[:, column].reshape(len(self.u), *middle, self.steps) * z[n + m + column]
         for name, value, was in zip(self.names, z[n : n + m], self.parameter_values, strict=True):
-            u = u + with_limits(self.arc, self.u, name).reshape(len(u), *middle, self.steps) * (value - was)
+            u = u + limit_derivatives(self.arc, self.u, name).reshape(len(u), *middle, self.steps) * (value - was)
         u = normalised(self.arc.phase.controls, u) if len(self.u) else u
         u = normalised(self.arc.phase.controls, self.held.kept(z[:n], u, p)) if self.held else u
         left, right = (getattr(p, edge) if isinstance(edge, str) else edge for edge in self.edges)
@@ -276,7 +280,7 @@ class Piece:
         return length * (H - self.held.work(x, u, p) if self.held else H) / self.arc.objective_scale
 
 
-def _threes(count: int) -> Vector:
+def _fourth_order_lengths(count: int) -> Vector:
     """Return lengths of about so many steps, in threes that make a midpoint rule one of the fourth order.
 
     Source: Yoshida, "Construction of higher order symplectic integrators", Physics Letters A 150, 1990, (2.11).
@@ -286,21 +290,21 @@ def _threes(count: int) -> Vector:
     return np.tile([outer, 1.0 - 2.0 * outer, outer], threes) / threes
 
 
-def _sizes(arc: Arc) -> Vector:
+def _variation_sizes(arc: PhaseData) -> Vector:
     """Return the sizes of the control components in variations [SI]; a direction turns by radians."""
     return np.concatenate([
         varied_sizes(arc)[here] if control.scalar else arc.control_scale[here]
-        for here, control in placed(arc.phase.controls)
+        for here, control in control_slices(arc.phase.controls)
     ])  # fmt: skip
 
 
-def _moves(arc: Arc, x: Matrix, u: Matrix) -> tuple[Any, bool]:
+def _free_moves(arc: PhaseData, x: Matrix, u: Matrix) -> tuple[Any, bool]:
     """Tangents along which the control may vary, (components, k, N), and whether a bound holds a scalar for a part."""
-    basis = tangents(arc.phase.controls, _sizes(arc), u) if len(u) else np.zeros((0, 0, u.shape[1]))
+    basis = tangents(arc.phase.controls, _variation_sizes(arc), u) if len(u) else np.zeros((0, 0, u.shape[1]))
     varying, partly, row = [], False, 0
     f = control_rates(arc, x, u, basis) / arc.state_scale[:, None, None]
     effect = np.abs(f).max(axis=(0, 2)) > _WITHOUT_EFFECT * np.abs(f).max(initial=0.0)
-    for here, control in placed(arc.phase.controls):
+    for here, control in control_slices(arc.phase.controls):
         rows = range(row, row + control.freedom)
         row = rows.stop
         if isinstance(control, Bounded):

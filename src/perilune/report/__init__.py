@@ -48,7 +48,7 @@ def write_all(
 
     with fresh_directory(out_dir, force) as work:
         failed = write_solution_files(solution, work, scenario_text)
-        failed += _write_report(solution, work, scenario_text, ordinary)
+        failed += _write_figures_and_report(solution, work, scenario_text, ordinary)
     refuse_unwritten(failed)
 
 
@@ -63,29 +63,29 @@ def add_report(
         for name in solution_files(solution):
             if (directory / name).is_file():  # a table may have failed
                 shutil.copy2(directory / name, work)
-        failed = _write_report(solution, work, scenario_text, ordinary)
+        failed = _write_figures_and_report(solution, work, scenario_text, ordinary)
     refuse_unwritten(failed)
 
 
-def _write_report(
+def _write_figures_and_report(
     solution: Solution, work: Path, scenario_text: str | None, ordinary: Solution | None
 ) -> list[PeriluneError]:
     """Write figures and report into a directory; return the errors of those that failed."""
     from matplotlib.figure import Figure
 
     from perilune.io.files import FIGURES, unwritten, write_each
-    from perilune.report.figures import drawings, save
+    from perilune.report.figures import save_figure, solution_drawings
     from perilune.report.summary import solution_markdown
 
     known, failed = dict[str, Callable[[], Figure]](), list[PeriluneError]()
     drawn = []
     try:
-        known = drawings(solution, ordinary)
+        known = solution_drawings(solution, ordinary)
     except Exception as error:  # of what all figures share
         failed.append(unwritten("no figure is drawn", error))
 
     def figure(path: Path, draw: Callable[[], Figure]) -> None:
-        save(draw(), path.parent, path.name)
+        save_figure(draw(), path.parent, path.name)
         drawn.append(path.name)
 
     def report(path: Path) -> None:

@@ -18,11 +18,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from perilune.io.columns import flight_columns
 from perilune.io.files import fresh_file, new_file
 from perilune.problem.solution import Solution
-from perilune.report.figures import label, tell_doubts
+from perilune.report.figures import label, write_doubts
 from perilune.report.limb import plane_of_flight
 from perilune.report.style import BLUE, GREY, STYLE, VERMILION, new_figure
-from perilune.report.track import path
-from perilune.words.asked import demand, refused
+from perilune.report.track import track_path
+from perilune.words.asked import require_type, wrong_type_error
 from perilune.words.types import Matrix, Vector
 
 _FRAMES = 15  # a second
@@ -31,7 +31,7 @@ _STROKE = 0.2  # of the height of the picture, for the largest thrust
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Way:
+class _AnimatedPath:
     """Drawn path: places (2, n) at times (n,), exhaust (2, n) in parts of the largest thrust, texts of the axes."""
 
     time: Vector
@@ -66,40 +66,42 @@ def animate(
     PeriluneError
         If the file is there already or cannot be written, or the time is none to show a flight in.
     """
-    demand(solution, Solution, "a solution to show")
+    require_type(solution, Solution, "a solution to show")
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not _FASTEST <= seconds <= _LONGEST:
-        raise refused(seconds, f"seconds, {_FASTEST:g} to {_LONGEST:g}", "a time to show a flight in")
+        raise wrong_type_error(seconds, f"seconds, {_FASTEST:g} to {_LONGEST:g}", "a time to show a flight in")
     target = None if file is None else new_file(file, "an animation", force)
     if target is not None and target.suffix.lower() != ".gif":
-        raise refused(target.name, "a name that ends in .gif", "the file of an animation")
+        raise wrong_type_error(target.name, "a name that ends in .gif", "the file of an animation")
     with matplotlib.rc_context(STYLE):
-        made = _animation(_way(solution, round(_FRAMES * seconds)), solution)
+        made = _animation(_path_at_frames(solution, round(_FRAMES * seconds)), solution)
         if target is not None:
             with fresh_file(target, "the animation") as beside:
                 made.save(beside, writer=PillowWriter(fps=_FRAMES), dpi=100)
     return made
 
 
-def _way(solution: Solution, frames: int) -> _Way:
+def _path_at_frames(solution: Solution, frames: int) -> _AnimatedPath:
     """Return the path at evenly spaced times."""
     whole = solution.duration
     time = np.linspace(0.0, whole, max(frames, 2))
     problem = solution.problem
     if all(phase.inertial is not None for phase in problem.phases) and problem.views.radius:
-        return _in_space(solution, time)
+        return _path_over_body(solution, time)
     if all(phase.track is not None for phase in problem.phases):
-        at, sampled = path(solution)
+        at, sampled = track_path(solution)
         rows = np.array([np.interp(time, at, sampled[k]) for k in (0, 2)]) / 1e3
-        return _Way(time=time, places=rows, exhaust=np.zeros((2, len(time))), labels=("downrange (km)", "height (km)"))
+        return _AnimatedPath(
+            time=time, places=rows, exhaust=np.zeros((2, len(time))), labels=("downrange (km)", "height (km)")
+        )
     name = problem.views.histories[0].quantities[0] if problem.views.histories else problem.phases[0].state_names[0]
     parts = flight_columns(solution, name)
     at, values = (np.concatenate(rows) for rows in zip(*((t, column.values) for t, column in parts), strict=True))
     rows = np.array([time, np.interp(time, at, values)])
     labels = ("time (s)", f"{name.replace('_', ' ')} ({parts[0][1].unit})")
-    return _Way(time=time, places=rows, exhaust=np.zeros((2, len(time))), labels=labels)
+    return _AnimatedPath(time=time, places=rows, exhaust=np.zeros((2, len(time))), labels=labels)
 
 
-def _in_space(solution: Solution, time: Vector) -> _Way:
+def _path_over_body(solution: Solution, time: Vector) -> _AnimatedPath:
     radius = getattr(solution.parameters, solution.problem.views.radius)
     plane, begin, parts = plane_of_flight(solution), 0.0, []
     for k, trajectory in enumerate(solution.trajectories):
@@ -115,10 +117,12 @@ def _in_space(solution: Solution, time: Vector) -> _Way:
     push = np.array([on * cosine - out * sine, out * cosine + on * sine])
     most = float(np.linalg.norm(push, axis=0).max()) or 1.0
     places = np.array([radius * angle, distance - radius]) / 1e3
-    return _Way(time=time, places=places, exhaust=-push / most, labels=("along the ground (km)", "height (km)"))
+    return _AnimatedPath(
+        time=time, places=places, exhaust=-push / most, labels=("along the ground (km)", "height (km)")
+    )
 
 
-def _animation(way: _Way, solution: Solution) -> FuncAnimation:
+def _animation(way: _AnimatedPath, solution: Solution) -> FuncAnimation:
     figure, axes = new_figure(height=2.6, width=5.0)
     FigureCanvasAgg(figure)
     along, height = way.places
@@ -129,18 +133,18 @@ def _animation(way: _Way, solution: Solution) -> FuncAnimation:
     axes.set(xlabel=way.labels[0], ylabel=way.labels[1])
     axes.margins(0.08, 0.12)
     title = axes.set_title(" ", fontsize=8)
-    tell_doubts(figure, {label(solution): solution})
+    write_doubts(figure, {label(solution): solution})
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # else every frame is laid out again
     box = axes.get_window_extent()
     reach = _STROKE * np.array([np.ptp(axes.get_xlim()) * box.height / box.width, np.ptp(axes.get_ylim())])
-    draw = _drawn(way, reach, (flown, stroke, vehicle, title))
+    draw = _frame_drawer(way, reach, (flown, stroke, vehicle, title))
     return FuncAnimation(
         figure, draw, frames=len(way.time), interval=1000 / _FRAMES, blit=False, cache_frame_data=False
     )
 
 
-def _drawn(way: _Way, reach: Vector, parts: tuple) -> Callable[[int], tuple]:
+def _frame_drawer(way: _AnimatedPath, reach: Vector, parts: tuple) -> Callable[[int], tuple]:
     flown, stroke, vehicle, title = parts
     what, _, unit = way.labels[1].removesuffix(")").partition(" (")
 

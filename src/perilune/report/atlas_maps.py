@@ -17,11 +17,11 @@ from matplotlib.ticker import NullFormatter
 
 from perilune.atlas.region import Axis
 from perilune.atlas.slices import Slice
-from perilune.io.columns import spoken
+from perilune.io.columns import display_unit
 from perilune.io.files import fresh_directory, refuse_unwritten, write_each
 from perilune.report.contours import label_lines, move_labels_inside
 from perilune.report.histories import LONG
-from perilune.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, new_figure, save, styled
+from perilune.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, new_figure, save_figure, styled
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Vector
 
@@ -47,10 +47,10 @@ def atlas_maps(shown: Slice) -> dict[str, Figure]:
     PeriluneError
         If no point of it has an answer.
     """
-    return {name: draw() for name, draw in _drawings(shown).items()}
+    return {name: draw() for name, draw in _map_drawings(shown).items()}
 
 
-def _drawings(shown: Slice) -> dict[str, Callable[[], Figure]]:
+def _map_drawings(shown: Slice) -> dict[str, Callable[[], Figure]]:
     """Return the function that draws each figure, by its name."""
     if not shown.answers.good.any():
         raise PeriluneError(
@@ -59,12 +59,12 @@ def _drawings(shown: Slice) -> dict[str, Callable[[], Figure]]:
         )  # fmt: skip
     problem, answers = shown.problem, shown.answers
     best, sign = (problem.maximised, -1.0) if problem.maximised else ("J", 1.0)
-    factor, text = _told(best, problem.objective_unit, answers.objective)
-    made = {"objective": partial(_quantity, shown, sign * factor * answers.objective, text)}
+    factor, text = _display_factor(best, problem.objective_unit, answers.objective)
+    made = {"objective": partial(_draw_quantity_map, shown, sign * factor * answers.objective, text)}
     for name, values in answers.free.items():
         if name not in (axis.name for axis in shown.axes) and name not in shown.at:
-            factor, text = _told(name, problem.unit_of(name), values)
-            made[f"free_{name}"] = partial(_quantity, shown, factor * values, text)
+            factor, text = _display_factor(name, problem.unit_of(name), values)
+            made[f"free_{name}"] = partial(_draw_quantity_map, shown, factor * values, text)
     return {**made, **{name: partial(draw, shown) for name, draw in _OF_CELLS.items()}}
 
 
@@ -90,32 +90,32 @@ def write_maps(shown: Slice, directory: str | Path, force: bool = False) -> list
     """
 
     def writer(draw: Callable[[], Figure]) -> Callable[[Path], None]:
-        return lambda path: save(draw(), path.parent, path.name)
+        return lambda path: save_figure(draw(), path.parent, path.name)
 
-    writers = {name: writer(draw) for name, draw in _drawings(shown).items()}
+    writers = {name: writer(draw) for name, draw in _map_drawings(shown).items()}
     with fresh_directory(directory, force) as work:
         failed = write_each(work, writers)
     refuse_unwritten(failed)
     return list(writers)
 
 
-def _told(name: str, unit: str, values: Vector) -> tuple[float, str]:
+def _display_factor(name: str, unit: str, values: Vector) -> tuple[float, str]:
     """Return the factor to the display unit of a quantity, and the text of its axis."""
-    factor, unit = spoken(unit)
+    factor, unit = display_unit(unit)
     least, longer = LONG.get(unit, (math.inf, unit))
     if np.nanmax(np.abs(values), initial=0.0) >= least:
         factor, unit = 1e-3, longer
     return factor, f"{name.replace('_', ' ')} ({unit})".removesuffix(" (1)")
 
 
-def _told_at(shown: Slice, name: str, value: float) -> str:
-    factor, text = _told(name, shown.problem.unit_of(name), np.array([value]))
+def _section_text(shown: Slice, name: str, value: float) -> str:
+    factor, text = _display_factor(name, shown.problem.unit_of(name), np.array([value]))
     words, _, unit = text.partition(" (")
     return f"{words} {factor * value:.6g} {unit.removesuffix(')')}".rstrip()
 
 
-def _along(axis: Axis, values: Vector) -> tuple[Vector, str]:
-    factor, text = _told(axis.name, axis.unit, np.array([axis.low, axis.high]))
+def _axis_for_display(axis: Axis, values: Vector) -> tuple[Vector, str]:
+    factor, text = _display_factor(axis.name, axis.unit, np.array([axis.low, axis.high]))
     return factor * values, text
 
 
@@ -125,7 +125,7 @@ def _panels(shown: Slice, count: int = 1) -> tuple[Figure, list[Any], list[Vecto
     figure, axes = new_figure((2.75 if plane else 2.3) if count == 1 else 0.5 + (2.1 if plane else 1.3) * count, count)
     panels, values = list(np.atleast_1d(axes)), list[Vector]()
     for number, (axis, rows) in enumerate(zip(shown.axes, shown.values, strict=True)):
-        along, text = _along(axis, rows)
+        along, text = _axis_for_display(axis, rows)
         values.append(along)
         for panel in panels:
             panel.set_ylabel(text) if number else panel.set_xlim(along[0], along[-1])
@@ -135,7 +135,7 @@ def _panels(shown: Slice, count: int = 1) -> tuple[Figure, list[Any], list[Vecto
                 panel.set_facecolor(_EMPTY)
         if not number:
             panels[-1].set_xlabel(text)
-    held = ", ".join(_told_at(shown, name, value) for name, value in shown.at.items())
+    held = ", ".join(_section_text(shown, name, value) for name, value in shown.at.items())
     if held:
         panels[0].set_title("\n".join(textwrap.wrap(held, 62)), fontsize=6.5, color=GREY, loc="left")
     return figure, panels, values
@@ -147,7 +147,7 @@ def _filled(shown: Slice, panel: Any, along: list[Vector], values: Vector, **set
     return panel.pcolormesh(*along, rows, shading="nearest", rasterized=True, **settings)
 
 
-def _spans(shown: Slice, panel: Any, along: Vector) -> None:
+def _shade_unanswered(shown: Slice, panel: Any, along: Vector) -> None:
     """Shade in grey the points along one axis without an answer."""
     half = 0.5 * (along[1] - along[0])
     for value in along[~shown.answers.good]:
@@ -155,16 +155,16 @@ def _spans(shown: Slice, panel: Any, along: Vector) -> None:
 
 
 @styled
-def _quantity(shown: Slice, values: Vector, text: str) -> Figure:
+def _draw_quantity_map(shown: Slice, values: Vector, text: str) -> Figure:
     """Draw one quantity: colours with lines of equal value over two axes, curves along one."""
     figure, (panel,), along = _panels(shown)
     known = values[np.isfinite(values)]
     if len(along) == 1:
-        _spans(shown, panel, along[0])
-        for number, (label, colour) in enumerate(_named(shown)):
+        _shade_unanswered(shown, panel, along[0])
+        for number, (label, colour) in enumerate(_sheet_labels(shown)):
             here = np.where(shown.answers.sheet == number, values, np.nan)
             if np.isfinite(here).any():
-                panel.plot(along[0], here, color=colour, label=_wrapped(label))
+                panel.plot(along[0], here, color=colour, label=_wrap_label(label))
         panel.set_ylabel(text)
         _legend(figure, panel.get_legend_handles_labels()[0])
         return figure
@@ -176,15 +176,15 @@ def _quantity(shown: Slice, values: Vector, text: str) -> Figure:
         bar.set_label(text)
         bar.outline.set_linewidth(0.4)  # pyright: ignore[reportCallIssue]
         if not same:
-            _equal(shown, panel, along, values)
+            _draw_level_lines(shown, panel, along, values)
             move_labels_inside(figure, panel)
     return figure
 
 
-def _equal(shown: Slice, panel: Any, along: list[Vector], values: Vector) -> None:
+def _draw_level_lines(shown: Slice, panel: Any, along: list[Vector], values: Vector) -> None:
     """Draw lines of equal value for each sheet separately, as the value may jump between two."""
     known = values[np.isfinite(values)]
-    levels, least = _round(np.quantile(known, np.linspace(0.1, 0.9, 7))), _SAME * np.abs(known).max()
+    levels, least = _round_levels(np.quantile(known, np.linspace(0.1, 0.9, 7))), _SAME * np.abs(known).max()
     for number in range(len(shown.sheets)):
         here = np.where(shown.answers.sheet == number, values, np.nan).reshape(shown.shape).T
         if np.isfinite(here[:-1, :-1] + here[1:, 1:]).any() and np.nanmax(here) - np.nanmin(here) > least:
@@ -196,7 +196,7 @@ def _equal(shown: Slice, panel: Any, along: list[Vector], values: Vector) -> Non
                 label_lines(panel, lines)
 
 
-def _round(levels: Vector) -> Vector:
+def _round_levels(levels: Vector) -> Vector:
     """Round levels to as few digits as keep them distinct, so that lines can be labelled."""
     step = np.min(np.diff(np.unique(levels)), initial=np.inf)
     if not 0 < step < np.inf:
@@ -205,17 +205,20 @@ def _round(levels: Vector) -> Vector:
     return np.unique(np.round(levels / digit) * digit)
 
 
-def _named(shown: Slice) -> list[tuple[str, str]]:
+def _sheet_labels(shown: Slice) -> list[tuple[str, str]]:
     """Return label and colour of each sheet."""
     return [(label.replace("_", " "), _SHEETS[number % len(_SHEETS)]) for number, label in enumerate(shown.sheets)]
 
 
 @styled
-def _sheets(shown: Slice) -> Figure:
+def _draw_sheet_map(shown: Slice) -> Figure:
     """Draw the sheet of each answer, and the reason for points without one."""
     figure, (panel,), along = _panels(shown)
     count = len(shown.sheets)
-    kinds = [*_named(shown), *zip(shown.reasons, (_NOTHING * len(shown.reasons))[: len(shown.reasons)], strict=True)]
+    kinds = [
+        *_sheet_labels(shown),
+        *zip(shown.reasons, (_NOTHING * len(shown.reasons))[: len(shown.reasons)], strict=True),
+    ]
     number = np.where(shown.answers.good, shown.answers.sheet, count + shown.why)
     if len(along) == 2:
         colours = ListedColormap([colour for _, colour in kinds])
@@ -227,11 +230,11 @@ def _sheets(shown: Slice) -> Figure:
         panel.set_yticks([])
         panel.grid(False)
     met = [kind for i, kind in enumerate(kinds) if (number == i).any()]
-    _legend(figure, [Patch(color=colour, label=_wrapped(label)) for label, colour in met])
+    _legend(figure, [Patch(color=colour, label=_wrap_label(label)) for label, colour in met])
     return figure
 
 
-def _wrapped(label: str) -> str:
+def _wrap_label(label: str) -> str:
     return "\n".join(textwrap.wrap(label.replace("$", r"\$"), 60, max_lines=3, placeholder=" ..."))
 
 
@@ -241,11 +244,11 @@ def _legend(figure: Figure, handles: list[Any]) -> None:
 
 
 @styled
-def _nodes(shown: Slice) -> Figure:
+def _draw_node_map(shown: Slice) -> Figure:
     """Draw the size of the answering cells, and the nodes at their corners where they are few."""
     figure, (panel,), along = _panels(shown)
     if len(along) == 1:
-        _spans(shown, panel, along[0])
+        _shade_unanswered(shown, panel, along[0])
         panel.semilogy(along[0], 100.0 * shown.size[:, 0], color=BLUE, drawstyle="steps-mid")
         panel.set_ylabel("cell (% of the range)")
         panel.yaxis.set_major_formatter("{x:g}")
@@ -260,13 +263,13 @@ def _nodes(shown: Slice) -> Figure:
         bar.ax.yaxis.set_major_formatter("{x:g}")
         bar.ax.yaxis.set_minor_formatter(NullFormatter())
     if len(shown.nodes) <= _DOTS:
-        rows = [_along(axis, column)[0] for axis, column in zip(shown.axes, shown.nodes.T, strict=True)]
+        rows = [_axis_for_display(axis, column)[0] for axis, column in zip(shown.axes, shown.nodes.T, strict=True)]
         panel.plot(*rows, "o", color="white", markersize=1.2, markeredgewidth=0, clip_on=False, label="nodes")
     return figure
 
 
 @styled
-def _errors(shown: Slice) -> Figure:
+def _draw_error_map(shown: Slice) -> Figure:
     """Draw the relative errors of what cells give, and the error bound after Newton's method."""
     errors = {
         "first guess, from the cell": shown.answers.guess_error,
@@ -274,7 +277,7 @@ def _errors(shown: Slice) -> Figure:
     }
     if len(shown.axes) == 1:
         figure, (panel,), along = _panels(shown)
-        _spans(shown, panel, along[0])
+        _shade_unanswered(shown, panel, along[0])
         for (text, values), colour in zip(errors.items(), (VERMILION, BLUE), strict=True):
             panel.semilogy(along[0], np.maximum(values, _FINEST), color=colour, label=text)
         panel.set_ylabel("relative error")
@@ -294,4 +297,8 @@ def _errors(shown: Slice) -> Figure:
     return figure
 
 
-_OF_CELLS: dict[str, Callable[[Slice], Figure]] = {"sheets": _sheets, "nodes": _nodes, "errors": _errors}
+_OF_CELLS: dict[str, Callable[[Slice], Figure]] = {
+    "sheets": _draw_sheet_map,
+    "nodes": _draw_node_map,
+    "errors": _draw_error_map,
+}

@@ -49,7 +49,7 @@ def map_names(problem: Problem, parameters: tuple[str, ...]) -> list[str]:
     return sorted({*problem.given, *problem.free_names, *parameters, *own, *peaks, *weight})
 
 
-def demand_map(problem: Problem, parameters: tuple[str, ...], names: Mapping[str, str | None]) -> None:
+def require_map(problem: Problem, parameters: tuple[str, ...], names: Mapping[str, str | None]) -> None:
     """Refuse a map that cannot be drawn, before anything is computed for it.
 
     Parameters
@@ -108,11 +108,13 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
             expected="a grid of 2 by 2 or more",
         )  # fmt: skip
     table = _quantities(family)
-    names = [x or family.parameters[0], y or family.parameters[1], z or _usual(family, table)]
+    names = [x or family.parameters[0], y or family.parameters[1], z or _default_quantity(family, table)]
     for name in names:
         if parameter_name(name) not in table:
             raise unknown_name("quantity of a family", name, sorted(table))
-    (along, x_text), (across, y_text), (height, z_text) = (_told(*table[parameter_name(name)], name) for name in names)
+    (along, x_text), (across, y_text), (height, z_text) = (
+        _values_for_axis(*table[parameter_name(name)], name) for name in names
+    )
     good, bad = _triangles(placed, np.isfinite(along) & np.isfinite(across), np.isfinite(height))
     figure, axes = new_figure(height=3.2, width=_WIDTH)
     if not len(good):
@@ -135,7 +137,7 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
     bar = figure.colorbar(drawn, ax=axes, pad=0.02)
     bar.set_label(z_text)
     bar.outline.set_linewidth(0.4)  # pyright: ignore[reportCallIssue]
-    _members(axes, family, along, across, np.isfinite(height), folded)
+    _mark_members(axes, family, along, across, np.isfinite(height), folded)
     axes.set(xlabel=x_text, ylabel=y_text)
     axes.grid(False)
     move_labels_inside(figure, axes)
@@ -163,7 +165,7 @@ def _weighs(names: set[str]) -> bool:
     return ground and names >= {"vehicle_thrust", "vehicle_mass"}
 
 
-def _usual(family: Family, table: Mapping[str, tuple[Vector, str]]) -> str:
+def _default_quantity(family: Family, table: Mapping[str, tuple[Vector, str]]) -> str:
     """Return the name of the quantity to show by default."""
     if family.problem.maximised in table:
         return family.problem.maximised
@@ -174,7 +176,7 @@ def _usual(family: Family, table: Mapping[str, tuple[Vector, str]]) -> str:
     raise PeriluneError("no result of this family varies", expected="one that does", advice="say which with z")
 
 
-def _told(values: Vector, unit: str, name: str) -> tuple[Vector, str]:
+def _values_for_axis(values: Vector, unit: str, name: str) -> tuple[Vector, str]:
     """Return values in the unit of their axis, and the text of the axis."""
     least, longer = LONG.get(unit, (math.inf, unit))
     factor, unit = (1e-3, longer) if np.nanmax(np.abs(values), initial=0.0) >= least else (1.0, unit)
@@ -243,7 +245,7 @@ def move_labels_inside(figure: Figure, axes: Any) -> None:
             text.set_position(axes.transData.inverted().transform(at + moved))
 
 
-def _members(axes: Any, family: Family, along: Vector, across: Vector, good: np.ndarray, folded: bool) -> None:
+def _mark_members(axes: Any, family: Family, along: Vector, across: Vector, good: np.ndarray, folded: bool) -> None:
     """Mark each member with a dot, hollow if it is not proved; with a cross or plus if it has no solution."""
     doubted, infeasible = (
         np.array([p.outcome is outcome for p in family.points], dtype=bool)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import columns, seen_at
+from perilune.io.columns import display_times, phase_columns
 from perilune.problem.solution import Solution
 from perilune.problem.views import Corridor
 from perilune.report.histories import axis_text
@@ -25,25 +25,25 @@ _LINES = 5  # of each quantity
 
 
 @styled
-def corridor(solution: Solution, shown: Corridor) -> Figure:
+def corridor_figure(solution: Solution, shown: Corridor) -> Figure:
     """Draw the path of each phase that has the quantities, and lines of round values of `shown.equal`."""
     figure, ax = new_figure(height=3.0)
     for k, trajectory in enumerate(solution.trajectories):
         names = [v.name for v in solution.problem.phases[k].output_variables]
         if not {shown.height, shown.speed, *shown.equal} <= set(names):
             continue
-        t = seen_at(trajectory)
-        table = columns(solution, k, t)
+        t = display_times(trajectory)
+        table = phase_columns(solution, k, t)
         height, speed = table[shown.height].values / 1e3, table[shown.speed].values / 1e3
         ax.plot(speed, height, color=BLUE, label=solution.problem.phases[k].name.replace("_", " "))
         ax.plot(speed[-1], height[-1], "v", color=BLUE, markersize=4, clip_on=False)
-        grid = _grid(solution, k, shown, height, speed)
+        grid = _outputs_on_grid(solution, k, shown, height, speed)
         for number, (name, (colour, dash)) in enumerate(zip(shown.equal, _LOOKS, strict=False)):
             text, factor = axis_text(solution.problem, [table[name]])
             most = factor * float(table[name].values.max())
             if not (most > 0 and math.isfinite(most)):
                 continue
-            levels = [_round(most) * 2.0 ** (i - _LINES + 2) for i in range(_LINES)]
+            levels = [_round_down(most) * 2.0 ** (i - _LINES + 2) for i in range(_LINES)]
             drawn = ax.contour(
                 grid[shown.speed] / 1e3, grid[shown.height] / 1e3, factor * grid[name], levels=levels, colors=colour,
                 linestyles=dash, linewidths=0.8,
@@ -58,14 +58,14 @@ def corridor(solution: Solution, shown: Corridor) -> Figure:
     return figure
 
 
-def _grid(solution: Solution, k: int, shown: Corridor, height: Any, speed: Any) -> dict[str, Matrix]:
+def _outputs_on_grid(solution: Solution, k: int, shown: Corridor, height: Any, speed: Any) -> dict[str, Matrix]:
     """Evaluate outputs of phase k over its heights and speeds."""
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
     x, u = solution.flown(k, np.array([0.5 * trajectory.duration]))
     state = {name: float(value[0]) for name, value in zip(phase.state_names, x, strict=True)}
     distance = math.hypot(*(state[name] for name in shown.position))
     quick = math.hypot(*(state[name] for name in shown.velocity))
-    middle = columns(solution, k, np.array([0.5 * trajectory.duration]))[shown.height].values[0] / 1e3
+    middle = phase_columns(solution, k, np.array([0.5 * trajectory.duration]))[shown.height].values[0] / 1e3
     fast, up = np.meshgrid(
         np.linspace(0.02, 1.05, _POINTS) * speed.max(), np.linspace(0.0, 1.05 * height.max(), _POINTS)
     )  # fmt: skip
@@ -95,7 +95,7 @@ def _labelled(
     ]  # fmt: skip
 
 
-def _round(value: float) -> float:
+def _round_down(value: float) -> float:
     """Return the largest of 1, 2, 5, 10, ... that is not above a value."""
     power = 10.0 ** math.floor(math.log10(value))
     return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value)

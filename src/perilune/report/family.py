@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from perilune.io.columns import rounded, spoken
-from perilune.io.export import results
+from perilune.io.columns import display_unit, round_degrees
+from perilune.io.export import results_document
 from perilune.io.files import finite, fresh_directory, json_text, refuse_unwritten, write_each
 from perilune.words.outcome import Outcome
 
@@ -33,19 +33,21 @@ def family_document(family: Family) -> dict[str, Any]:
     `within` is the part of a stated tolerance that its proof needed.
     A family along several parameters has ``parameters`` and ``values`` in their place, in the same order.
     """
-    shown = [spoken(unit) for unit in family.units]
+    shown = [display_unit(unit) for unit in family.units]
     heads = [{"name": name, "unit": unit} for name, (_, unit) in zip(family.parameters, shown, strict=True)]
     points = []
     for point in family.points:
         solution = point.solution
-        values = [rounded(value * factor, unit) for value, (factor, unit) in zip(point.values, shown, strict=True)]
+        values = [
+            round_degrees(value * factor, unit) for value, (factor, unit) in zip(point.values, shown, strict=True)
+        ]
         points.append(
             {
                 **({"value": values[0]} if len(values) == 1 else {"values": values}),
                 "outcome": point.outcome.name,
                 "verification_level": solution.verification.level if solution else 0,
                 "within": point.within,
-                "results": results(solution) if solution else {},
+                "results": results_document(solution) if solution else {},
                 "message": point.message,
             }
         )
@@ -84,7 +86,11 @@ def family_figure(family: Family) -> Figure:
         )
         for name, unit in _result_units(document).items()
     }
-    shown = {text: y for text, y in table.items() if np.isfinite(y).any() and _varies(y) and not _same(y, value)}
+    shown = {
+        text: y
+        for text, y in table.items()
+        if np.isfinite(y).any() and _changes_visibly(y) and not _repeats_parameter(y, value)
+    }
     name = document["parameter"].replace("_", " ")
     doubted = np.array([point["outcome"] == Outcome.NOT_PROVED.name for point in document["points"]], dtype=bool)
     order = np.argsort(value)  # a list of values may be asked for in any
@@ -112,17 +118,17 @@ def write_family(
         If a table or figure cannot be written; the other files are there then.
     """
     from perilune.families.datasets import grid_of
-    from perilune.report.style import save
+    from perilune.report.style import save_figure
 
     writers: dict[str, Callable[[Path], object]] = {
         f"{FAMILY_NAME}.csv": lambda path: path.write_text(family_csv(family), encoding="utf-8", newline="")
     }
     if len(family.parameters) == 1:
-        writers[FAMILY_NAME] = lambda path: save(family_figure(family), path.parent, path.name)
+        writers[FAMILY_NAME] = lambda path: save_figure(family_figure(family), path.parent, path.name)
     elif any((axes or {}).values()) or _has_map(family, grid_of(family)):
         from perilune.report.contours import family_map
 
-        writers[FAMILY_NAME] = lambda path: save(family_map(family, **(axes or {})), path.parent, path.name)
+        writers[FAMILY_NAME] = lambda path: save_figure(family_map(family, **(axes or {})), path.parent, path.name)
     with fresh_directory(directory, force) as work:
         (work / f"{FAMILY_NAME}.json").write_text(json_text(family_document(family)), encoding="utf-8")
         failed = write_each(work, writers)
@@ -146,12 +152,12 @@ def _result_units(document: dict[str, Any]) -> dict[str, str]:
     return units
 
 
-def _varies(values: np.ndarray) -> bool:
+def _changes_visibly(values: np.ndarray) -> bool:
     finite_values = values[np.isfinite(values)]
     return bool(np.ptp(finite_values) > 1e-9 * np.abs(finite_values).max())
 
 
-def _same(values: np.ndarray, parameter: np.ndarray) -> bool:
+def _repeats_parameter(values: np.ndarray, parameter: np.ndarray) -> bool:
     """Return True if a result is the parameter itself, which needs no panel."""
     known = np.isfinite(values)
     return bool(np.allclose(values[known], parameter[known], rtol=1e-12))

@@ -9,21 +9,21 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import columns
+from perilune.io.columns import phase_columns
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.problem.views import History
-from perilune.report.corridor import corridor
+from perilune.report.corridor import corridor_figure
 from perilune.report.ground import ground_track
-from perilune.report.histories import costates, history
+from perilune.report.histories import costate_figure, history_figure
 from perilune.report.limb import path_over_limb
-from perilune.report.optimality import optimality
-from perilune.report.style import VERMILION, WIDEST, save
-from perilune.report.track import track
+from perilune.report.optimality import optimality_figure
+from perilune.report.style import VERMILION, WIDEST, save_figure
+from perilune.report.track import track_figure
 from perilune.words.bounded import one_line
 from perilune.words.outcome import Outcome
 
-__all__ = ["drawings", "label", "save", "solution_figures", "tell_doubts"]
+__all__ = ["label", "save_figure", "solution_drawings", "solution_figures", "write_doubts"]
 
 
 def solution_figures(solution: Solution, beside: Solution | None = None) -> dict[str, Figure]:
@@ -36,44 +36,44 @@ def solution_figures(solution: Solution, beside: Solution | None = None) -> dict
     beside
         Another flight of the same problem, drawn with it.
     """
-    return {name: draw() for name, draw in drawings(solution, beside).items()}
+    return {name: draw() for name, draw in solution_drawings(solution, beside).items()}
 
 
-def drawings(solution: Solution, beside: Solution | None = None) -> dict[str, Callable[[], Figure]]:
+def solution_drawings(solution: Solution, beside: Solution | None = None) -> dict[str, Callable[[], Figure]]:
     """Return the function that draws each of `solution_figures`, by name."""
     flights = {label(solution): solution}
     if beside is not None:  # of one label, as at values of which it says nothing, both are drawn
         called = label(beside)
         flights[f"{called}, the other" if called in flights else called] = beside
     first = solution.problem.phases[0]
-    known = {name for k in range(len(solution.problem.phases)) for name in columns(solution, k, np.zeros(1))}
+    known = {name for k in range(len(solution.problem.phases)) for name in phase_columns(solution, k, np.zeros(1))}
     made: dict[str, Callable[[], Figure]] = {
-        shown.name: partial(history, flights, shown)
-        for shown in solution.problem.views.histories or _generic(solution.problem)
+        shown.name: partial(history_figure, flights, shown)
+        for shown in solution.problem.views.histories or _generic_drawings(solution.problem)
         if known & set(shown.quantities)
     }
     views = solution.problem.views
     if views.ground is not None:
         made["ground_track"] = partial(ground_track, solution, views.ground)
     if views.corridor is not None:
-        made["corridor"] = partial(corridor, solution, views.corridor)
+        made["corridor"] = partial(corridor_figure, solution, views.corridor)
     if first.track is not None:
-        made["track"] = partial(track, flights)
+        made["track"] = partial(track_figure, flights)
     elif first.inertial is not None and solution.problem.views.radius:
         made["path"] = partial(path_over_limb, flights)
     if solution.trajectories[0].costate is not None:
-        made["costates"] = partial(costates, solution)
-        made["hamiltonian"] = partial(optimality, solution)
+        made["costates"] = partial(costate_figure, solution)
+        made["hamiltonian"] = partial(optimality_figure, solution)
     return {name: partial(_with_doubts, draw, flights) for name, draw in made.items()}
 
 
 def _with_doubts(draw: Callable[[], Figure], flights: Mapping[str, Solution]) -> Figure:
     figure = draw()
-    tell_doubts(figure, flights)
+    write_doubts(figure, flights)
     return figure
 
 
-def tell_doubts(figure: Figure, flights: Mapping[str, Solution]) -> None:
+def write_doubts(figure: Figure, flights: Mapping[str, Solution]) -> None:
     """Write the failed proof of each unproved flight below a figure, which may be seen without other files."""
     doubts = {
         called: flight.verification.told for called, flight in flights.items() if flight.outcome != Outcome.PROVED
@@ -93,7 +93,7 @@ def label(solution: Solution) -> str:
     return text.replace("$", r"\$")  # between two of them Matplotlib would read a formula
 
 
-def _generic(problem: Problem) -> tuple[History, ...]:
+def _generic_drawings(problem: Problem) -> tuple[History, ...]:
     """Return a history of each state and each control, for a problem that states no figures."""
     both = {
         "states": [name for phase in problem.phases for name in phase.state_names],

@@ -12,7 +12,7 @@ from importlib.resources import files
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import columns, seen_at
+from perilune.io.columns import display_times, phase_columns
 from perilune.problem.solution import Solution
 from perilune.problem.views import Ground
 from perilune.report.style import BLUE, GREEN, GREY, PURPLE, VERMILION, legend_above, new_figure, styled
@@ -30,16 +30,16 @@ def ground_track(solution: Solution, shown: Ground) -> Figure:
         ax.plot(*line.T, color=GREY, linewidth=0.5, label="_")
     tracks = []
     for k, trajectory in enumerate(solution.trajectories):
-        table = columns(solution, k, seen_at(trajectory))
+        table = phase_columns(solution, k, display_times(trajectory))
         if shown.longitude in table and shown.latitude in table:
             values = [table[name].values for name in (shown.longitude, shown.latitude)]
             tracks.append((solution.problem.phases[k].name.replace("_", " "), *values))
     for k, (name, longitude, latitude) in enumerate(tracks):
-        ax.plot(*on_map(longitude, latitude), color=_COLOURS[k % len(_COLOURS)], label=name)
-        ax.plot(wrapped(longitude[0]), latitude[0], "ko", markersize=3, label="_")
+        ax.plot(*track_on_map(longitude, latitude), color=_COLOURS[k % len(_COLOURS)], label=name)
+        ax.plot(wrap_longitude(longitude[0]), latitude[0], "ko", markersize=3, label="_")
     if tracks:
         _, longitude, latitude = tracks[-1]
-        ax.plot(wrapped(longitude[-1]), latitude[-1], "kv", markersize=5, label="_")
+        ax.plot(wrap_longitude(longitude[-1]), latitude[-1], "kv", markersize=5, label="_")
         legend_above(figure, ax, columns=4)
     ax.set(
         xlim=(-180, 180), ylim=(-90, 90), xlabel="longitude (deg)", ylabel="latitude (deg)",
@@ -48,12 +48,12 @@ def ground_track(solution: Solution, shown: Ground) -> Figure:
     return figure
 
 
-def wrapped(longitude: Vector) -> Vector:
+def wrap_longitude(longitude: Vector) -> Vector:
     """Wrap longitudes to -180 to 180 [deg]."""
     return (np.asarray(longitude) + 180.0) % 360.0 - 180.0
 
 
-def on_map(longitude: Vector, latitude: Vector) -> tuple[Vector, Vector]:
+def track_on_map(longitude: Vector, latitude: Vector) -> tuple[Vector, Vector]:
     """Split a track [deg] at the edges of the map: it leaves at one side and continues at the other after a NaN."""
     east = np.unwrap(longitude, period=360.0)
     turns = np.floor((east + 180.0) / 360.0)

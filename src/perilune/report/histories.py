@@ -27,7 +27,7 @@ from perilune.report.style import (
     new_figure,
     styled,
     time_text,
-    widen,
+    widen_vertical_range,
 )
 
 # From these values on, a quantity is told in units of a thousand.
@@ -36,7 +36,7 @@ GREEK = ("alpha", "beta", "gamma", "phi", "psi", "theta")
 
 
 @styled
-def history(flights: Mapping[str, Solution], shown: History) -> Figure:
+def history_figure(flights: Mapping[str, Solution], shown: History) -> Figure:
     """Draw each quantity of a `History` in its panel against time, several flights in each."""
     problem = next(iter(flights.values())).problem
     sampled = {
@@ -45,7 +45,7 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
     sampled = {name: parts for name, parts in sampled.items() if any(parts.values())}
     rows = len(sampled)
     figure, axes = new_figure(height=2.3 if rows == 1 else 0.55 + 1.05 * rows, rows=rows)
-    axes, spans = np.atleast_1d(axes), _spans(sampled)
+    axes, spans = np.atleast_1d(axes), _largest_changes(sampled)
     for ax, (name, flown) in zip(axes, sampled.items(), strict=True):
         text, factor = axis_text(problem, [column for parts in flown.values() for _, column in parts])
         for (who, parts), (colour, dash) in zip(flown.items(), LOOKS, strict=False):
@@ -56,7 +56,7 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
                 time, column = parts[-1]
                 ax.plot(time[-1], factor * column.values[-1], "o", color=colour, markersize=3, clip_on=False)
         ax.set_ylabel(text if rows == 1 else text.replace(" (", "\n("))
-        widen(ax, factor * FLAT * spans[name])
+        widen_vertical_range(ax, factor * FLAT * spans[name])
         if name == problem.views.height:  # from the ground: 0, or a site below it
             lowest = min(float(column.values.min()) for parts in flown.values() for _, column in parts)
             ax.set_ylim(bottom=min(0.0, factor * lowest))
@@ -72,7 +72,7 @@ def history(flights: Mapping[str, Solution], shown: History) -> Figure:
     return figure
 
 
-def _spans(sampled: Mapping[str, Mapping[str, list[tuple[Any, Column]]]]) -> dict[str, float]:
+def _largest_changes(sampled: Mapping[str, Mapping[str, list[tuple[Any, Column]]]]) -> dict[str, float]:
     """Return for each quantity the largest change, along the flights, of any quantity of the same unit."""
     changes: dict[str, tuple[str, float]] = {}
     for name, flown in sampled.items():
@@ -121,7 +121,7 @@ def axis_text(problem: Problem, shown: list[Column]) -> tuple[str, float]:
 
 
 @styled
-def costates(solution: Solution) -> Figure:
+def costate_figure(solution: Solution) -> Figure:
     """Draw each costate against time, with its unit."""
     states = dict.fromkeys(name for phase in solution.problem.phases for name in phase.state_names)
     found = [flight_columns(solution, f"lambda_{name}") for name in states]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import seen_at
+from perilune.io.columns import display_times
 from perilune.problem.solution import Solution
 from perilune.report.style import GREY, LOOKS, new_figure, styled
 from perilune.words.types import Matrix, Vector
@@ -27,7 +27,7 @@ def path_over_limb(flights: Mapping[str, Solution]) -> Figure:
     first = next(iter(flights.values()))
     radius = getattr(first.parameters, first.problem.views.radius)
     plane = plane_of_flight(first)
-    paths = {who: _path(solution, plane, radius) for who, solution in flights.items()}
+    paths = {who: _angle_and_height(solution, plane, radius) for who, solution in flights.items()}
     begin = min(float(phi[0]) for phi, _ in paths.values())
     end = max(float(phi[-1]) for phi, _ in paths.values())
     ground_level = min(0.0, *(float(height.min()) for _, height in paths.values()))
@@ -90,9 +90,9 @@ def plane_of_flight(solution: Solution) -> Matrix:
     return np.array([up, ahead / np.linalg.norm(ahead)])
 
 
-def _path(solution: Solution, plane: Matrix, radius: float) -> tuple[Vector, Vector]:
+def _angle_and_height(solution: Solution, plane: Matrix, radius: float) -> tuple[Vector, Vector]:
     """Return angle from ignition [rad] and height above the body's radius [m] along the flight."""
-    times = map(seen_at, solution.trajectories)
+    times = map(display_times, solution.trajectories)
     r = np.concatenate([solution.inertial(k, t)[0] for k, t in enumerate(times)], axis=1)
     above, ahead = plane @ r
     return np.unwrap(np.arctan2(ahead, above)), np.linalg.norm(r, axis=0) - radius

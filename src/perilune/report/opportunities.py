@@ -27,7 +27,7 @@ def opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
     shown = [one for one in found if every or one.verdict != OUT_OF_REACH]
     if not shown:
         return f"no pass of {len(found)} can be made"
-    lines = [_HEAD, *map(_row, shown)]
+    lines = [_HEAD, *map(_opportunity_row, shown)]
     good = (next((one for one in shown if one.verdict == verdict), None) for verdict in (REACHABLE, DOUBTFUL))
     best = next(filter(None, good), None)
     if not every and len(shown) < len(found):
@@ -39,7 +39,7 @@ def opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
     return "\n".join(lines)
 
 
-def _row(one: Opportunity) -> str:
+def _opportunity_row(one: Opportunity) -> str:
     when = f"{one.utc:%Y-%m-%d %H:%M:%S}Z" if one.utc is not None else f"{one.ignition / 3600:.3f} h"
     side = "left" if one.away > 0 else "right"
     off = f"{math.degrees(abs(one.away)):.2f} deg {one.distance / 1e3:.0f} km {side}"

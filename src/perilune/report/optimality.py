@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import hamiltonian, hamiltonian_terms, per_unit, required_hamiltonian, seen_at
+from perilune.io.columns import display_times, hamiltonian, hamiltonian_terms, per_unit, required_hamiltonian
 from perilune.problem.controls import directions
 from perilune.problem.solution import Solution
 from perilune.report.style import BLUE, GREEN, VERMILION, new_figure, styled, time_text
@@ -15,7 +15,7 @@ from perilune.words.types import Vector
 
 
 @styled
-def optimality(solution: Solution) -> Figure:
+def optimality_figure(solution: Solution) -> Figure:
     """Draw H along the flight, and the increase of H by turned thrusts, which must not be negative."""
     phases, begin = solution.problem.phases, 0.0
     per = per_unit(solution.problem.objective_unit, "s")
@@ -25,7 +25,7 @@ def optimality(solution: Solution) -> Figure:
     worst = 0.0
     for k, trajectory in enumerate(solution.trajectories):
         # Without the ends, where coordinates may be singular (a start over the pole).
-        t = seen_at(trajectory)[1:-1]
+        t = display_times(trajectory)[1:-1]
         H = hamiltonian(solution, k, t)
         # Of a phase whose duration is given only the change along it is known to vanish.
         free = phases[k].duration in solution.problem.free_names
@@ -36,7 +36,7 @@ def optimality(solution: Solution) -> Figure:
         # Zero has no place on a logarithmic axis; the floor is below the rounding of double precision.
         axes[0].semilogy(begin + t, np.maximum(error, 1e-17), ".", color=BLUE, markersize=1.5)
         if planar:
-            _turned(axes[1], solution, k, begin, t)
+            _draw_turned_thrust(axes[1], solution, k, begin, t)
         begin += trajectory.duration
     axes[0].set_ylim(1e-17, max(1e-9, 10 * worst))
     required = required_hamiltonian(solution, 0)
@@ -50,7 +50,7 @@ def optimality(solution: Solution) -> Figure:
     return figure
 
 
-def _turned(axes: Any, solution: Solution, k: int, begin: float, t: Vector) -> None:
+def _draw_turned_thrust(axes: Any, solution: Solution, k: int, begin: float, t: Vector) -> None:
     """Draw the increase of H by turned thrusts in the plane over phase k, which begins at time `begin` [s]."""
     H, (along, up) = hamiltonian(solution, k, t), solution.flown(k, t)[1]
     for degrees, colour, dash in ((180, VERMILION, "--"), (45, BLUE, "-"), (5, GREEN, "-.")):

@@ -19,18 +19,18 @@ from perilune.problem.solution import Solution
 from perilune.problem.verification import Verification
 from perilune.report.shown import plot
 from perilune.report.style import STYLE
-from perilune.report.summary import spoken
-from perilune.words.units import told
+from perilune.report.summary import readable_result
+from perilune.words.units import format_quantity
 
 _MOST = 12  # rows of a table
 
 
 def solution_page(solution: Solution) -> str:
     """Return HTML of outcome, proof and results next to a figure of the path."""
-    rows = [tuple(spoken(name, result)) for name, result in solution.results.items()]
+    rows = [tuple(readable_result(name, result)) for name, result in solution.results.items()]
     head = f"{solution.problem.heading}: {solution.outcome.name}, {solution.verification.title}"
-    drawn = _picture(plot(solution), f"the flight of {solution.problem.heading}")
-    return f"<div><b>{escape(head)}</b>{drawn}{_table(('result', 'value', 'unit'), rows)}</div>"
+    drawn = _svg_image(plot(solution), f"the flight of {solution.problem.heading}")
+    return f"<div><b>{escape(head)}</b>{drawn}{_html_table(('result', 'value', 'unit'), rows)}</div>"
 
 
 def problem_page(problem: Problem) -> str:
@@ -38,11 +38,14 @@ def problem_page(problem: Problem) -> str:
     phases = [
         (phase.name, ", ".join(phase.state_names), ", ".join(phase.control_names) or "none") for phase in problem.phases
     ]
-    given = [(name, told(g.value, g.unit), "") for name, g in problem.given.items()]
-    free = [(f.name, f"{told(f.lower, f.unit)} to {told(f.upper, f.unit)}", "free") for f in problem.free]
+    given = [(name, format_quantity(g.value, g.unit), "") for name, g in problem.given.items()]
+    free = [
+        (f.name, f"{format_quantity(f.lower, f.unit)} to {format_quantity(f.upper, f.unit)}", "free")
+        for f in problem.free
+    ]
     return (
         f"<div><b>{escape(problem.heading)}</b>, J in {escape(problem.objective_unit)}, minimised"
-        f"{_table(('phase', 'states', 'controls'), phases)}{_table(('parameter', 'value', ''), [*free, *given])}</div>"
+        f"{_html_table(('phase', 'states', 'controls'), phases)}{_html_table(('parameter', 'value', ''), [*free, *given])}</div>"
     )
 
 
@@ -50,12 +53,15 @@ def verification_page(verification: Verification) -> str:
     """Return HTML of each check with its value and limit, failed ones first."""
     checks = sorted(verification.checks, key=lambda check: check.passed)
     rows = [
-        ("ok" if c.passed else "FAILED", c.name, str(c.level), told(c.value, c.unit), c.limit_told()) for c in checks
+        ("ok" if c.passed else "FAILED", c.name, str(c.level), format_quantity(c.value, c.unit), c.limit_told())
+        for c in checks
     ]
-    return f"<div><b>{escape(verification.title)}</b>{_table(('', 'check', 'level', 'value', 'limit'), rows)}</div>"
+    return (
+        f"<div><b>{escape(verification.title)}</b>{_html_table(('', 'check', 'level', 'value', 'limit'), rows)}</div>"
+    )
 
 
-def _table(heads: Sequence[str], rows: Sequence[Iterable[str]]) -> str:
+def _html_table(heads: Sequence[str], rows: Sequence[Iterable[str]]) -> str:
     if not rows:
         return ""
     cells = "".join(f"<th style='text-align:left'>{escape(head)}</th>" for head in heads)
@@ -67,7 +73,7 @@ def _table(heads: Sequence[str], rows: Sequence[Iterable[str]]) -> str:
     return f"<table><tr>{cells}</tr>{''.join(shown)}</table>{rest}"
 
 
-def _picture(figure: Figure, text: str) -> str:
+def _svg_image(figure: Figure, text: str) -> str:
     drawn = io.BytesIO()
     with matplotlib.rc_context(STYLE):
         FigureCanvasSVG(figure).print_figure(drawn, metadata={"Date": None})

@@ -5,8 +5,8 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from perilune.problem.solution import Solution
-from perilune.report.figures import drawings
-from perilune.words.asked import demand, refused
+from perilune.report.figures import solution_drawings
+from perilune.words.asked import require_type, wrong_type_error
 from perilune.words.outcome import unknown_name
 
 _FIRST = ("path", "track", "ground_track")  # the way in space, where there is one
@@ -32,10 +32,10 @@ def plot(solution: Solution, name: str = "") -> Figure:
     PeriluneError
         If there is no figure of that name; those that there are stand in it.
     """
-    demand(solution, Solution, "a solution to show")
+    require_type(solution, Solution, "a solution to show")
     if not isinstance(name, str):
-        raise refused(name, "the name of a figure, as a text", "a figure to show")
-    known = drawings(solution)
+        raise wrong_type_error(name, "the name of a figure, as a text", "a figure to show")
+    known = solution_drawings(solution)
     wanted = name or next((first for first in _FIRST if first in known), next(iter(known)))
     if wanted not in known:
         raise unknown_name("figure", name, list(known))

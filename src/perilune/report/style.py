@@ -2,7 +2,8 @@
 
 One column wide (3.4 in) with 8 pt text, so that it is legible in a two-column paper; the colours are those of Okabe
 and Ito (2008), distinct in every colour vision, and lines differ in dash as well. Figures are made by matplotlib's
-object interface: no global state, no window, no display. `save` writes PNG and SVG; equal figures give equal bytes.
+object interface: no global state, no window, no display. `save_figure` writes PNG and SVG; equal figures give equal
+bytes.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def time_text(problem: Problem) -> str:
     return f"time from {'ignition' if problem.phases[0].controls else 'the start'} (s)"
 
 
-def save(figure: Figure, directory: Path, name: str) -> None:
+def save_figure(figure: Figure, directory: Path, name: str) -> None:
     """Write ``name.png`` and ``name.svg``; equal figures give equal files.
 
     Both share the layout of the first, which takes two thirds of the time of drawing.
@@ -97,7 +98,7 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     return drawn
 
 
-def widen(axes: Any, least: float) -> None:
+def widen_vertical_range(axes: Any, least: float) -> None:
     """Widen the vertical range of axes about its middle to a least span, so that small changes look flat."""
     low, high = axes.get_ylim()
     if high - low < least:
@@ -113,7 +114,7 @@ def legend_above(figure: Figure, axes: Any, columns: int = 2) -> None:
 
 
 @styled
-def lines(
+def line_figure(
     curves: Iterable[tuple[Sequence[float], Sequence[float], str, str]],
     labels: tuple[str, str],
     marks: Sequence[tuple[float, float, str, tuple[float, float]]] = (),

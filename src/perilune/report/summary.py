@@ -35,7 +35,7 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
         f"  {solution.outcome.value}",
         "",
     ]
-    found = [spoken(name, result) for name, result in solution.results.items()]
+    found = [readable_result(name, result) for name, result in solution.results.items()]
     width = max([16, *(len(told) for told, *_ in found)])
     lines += [f"  {told:{width}}{value:>16} {unit}".rstrip() for told, value, unit in found]
     lines += ["", *(f"warning: {warning}" for warning in solution.warnings)] if solution.warnings else []
@@ -53,7 +53,7 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
     if solution.statistics.claimed and verification.text:
         lines.append(f"  flown: {verification.text}")
     if not every_check:
-        lines += _counted(verification)
+        lines += _check_counts(verification)
     for c in verification.checks if every_check else verification.failed:
         mark, unit = "ok  " if c.passed else "FAIL", "" if c.unit == "1" else f" {c.unit}"
         lines.append(f"  {mark} {c.level} {c.name}: {c.value:.2g}{unit} ({c.limit_told(2)})")
@@ -61,7 +61,7 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
             lines.append(f"         {c.meaning}")
     lines += ["", *(f"note: {note}" for note in verification.notes)] if verification.notes else []
     # How it was found is of a file only its word.
-    return "\n".join(lines if solution.statistics.claimed else [*lines, "", _how(solution)])
+    return "\n".join(lines if solution.statistics.claimed else [*lines, "", _method_lines(solution)])
 
 
 def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_text: str = "") -> str:
@@ -78,30 +78,30 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
     """
     parts = [
         f"# {solution.problem.heading}",
-        f"**{_outcome(solution)}.** {_sentence(solution.outcome.value)}",
+        f"**{_outcome(solution)}.** {_as_sentence(solution.outcome.value)}",
         "## Results",
     ]
     found = solution.results
     parts.append(
-        table(
+        markdown_table(
             ["quantity", "value", "unit", ""],
-            [[*spoken(name, result), result.description] for name, result in found.items()],
+            [[*readable_result(name, result), result.description] for name, result in found.items()],
         )
     )
     if solution.warnings:
-        parts += ["## Warnings", "\n".join(f"- {_sentence(warning)}" for warning in solution.warnings)]
+        parts += ["## Warnings", "\n".join(f"- {_as_sentence(warning)}" for warning in solution.warnings)]
     rows = _extremal_rows(solution)
     if len(rows) > 1:
         parts += [
             "## Extremals",
             "Every root of the necessary conditions that was found, best first; the first is this solution"
             + (f" ({_AGAIN})." if solution.statistics.claimed else "."),
-            table(rows[0], rows[1:]),
+            markdown_table(rows[0], rows[1:]),
         ]
     if solution.problem.inputs_read:
         parts += ["## Files read", "\n".join(f"- {text}" for text in solution.problem.inputs_read)]
-    parts += ["## Proof", _proof(solution)]
-    parts += [] if solution.statistics.claimed else ["## How it was found", _how(solution)]
+    parts += ["## Proof", _proof_markdown(solution)]
+    parts += [] if solution.statistics.claimed else ["## How it was found", _method_lines(solution)]
     names = list(figures)
     if names:
         captions = _CAPTIONS | {h.name: h.caption for h in solution.problem.views.histories}
@@ -115,7 +115,7 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
     return "\n\n".join(parts) + "\n"
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """Return a Markdown table; a bar inside a cell is escaped."""
 
     def row(cells: Sequence[Any]) -> str:
@@ -124,12 +124,12 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     return "\n".join([row(head), "|" + "---|" * len(head), *(row(r) for r in rows)])
 
 
-def spoken(name: str, result: Result) -> tuple[str, str, str]:
+def readable_result(name: str, result: Result) -> tuple[str, str, str]:
     """Return name, value and unit of a result for people."""
-    return (result.label or name.replace("_", " "), *quantity(result.value, result.unit))
+    return (result.label or name.replace("_", " "), *readable_quantity(result.value, result.unit))
 
 
-def quantity(value: float, unit: str) -> tuple[str, str]:
+def readable_quantity(value: float, unit: str) -> tuple[str, str]:
     """Format a number with sensible decimals, and its unit: angles in degrees, no unit for a pure number.
 
     Parameters
@@ -143,7 +143,7 @@ def quantity(value: float, unit: str) -> tuple[str, str]:
     return text, "" if unit == "1" else unit
 
 
-def _sentence(text: str) -> str:
+def _as_sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
@@ -159,7 +159,7 @@ def extremal_cells(solution: Solution) -> list[dict[str, str]]:
     units |= {"objective": solution.problem.objective_unit, "nature": "1"}
 
     def cell(key: str, value: Any) -> tuple[str, str]:
-        text, unit = (value, "") if key == "nature" else quantity(value, units[key])
+        text, unit = (value, "") if key == "nature" else readable_quantity(value, units[key])
         return f"{key.replace('_', ' ')} ({unit})".removesuffix(" ()"), text
 
     return [dict(cell(k, v) for k, v in document.items()) for document in extremals_document(solution)]
@@ -177,7 +177,7 @@ def _padded(rows: list[list[str]], row: list[str]) -> Iterable[tuple[str, int]]:
     return zip(row, [max(len(r[i]) for r in rows) for i in range(len(row))], strict=True)
 
 
-def _counted(verification: Verification) -> list[str]:
+def _check_counts(verification: Verification) -> list[str]:
     """Return a line with the count of checks for each level that has any."""
     lines = []
     for level, name in enumerate(LEVEL_NAMES):
@@ -188,9 +188,9 @@ def _counted(verification: Verification) -> list[str]:
     return lines
 
 
-def _proof(solution: Solution) -> str:
+def _proof_markdown(solution: Solution) -> str:
     verification = solution.verification
-    lines = [f"{_sentence(verification.title)} A check passes within its limit."]
+    lines = [f"{_as_sentence(verification.title)} A check passes within its limit."]
     if not verification.checks:
         return "Not verified. `perilune verify` proves a saved solution."
     rows = [
@@ -205,11 +205,11 @@ def _proof(solution: Solution) -> str:
         ]
         for c in verification.checks
     ]
-    lines += [" ".join(f"{_sentence(note)}" for note in verification.notes)] if verification.notes else []
-    return "\n\n".join([*lines, table(["level", "check", "value", "limit", "unit", "", "meaning"], rows)])
+    lines += [" ".join(f"{_as_sentence(note)}" for note in verification.notes)] if verification.notes else []
+    return "\n\n".join([*lines, markdown_table(["level", "check", "value", "limit", "unit", "", "meaning"], rows)])
 
 
-def _how(solution: Solution) -> str:
+def _method_lines(solution: Solution) -> str:
     s = solution.statistics
     text = f"method {solution.method}"
     if s.rung:

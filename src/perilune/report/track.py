@@ -7,17 +7,17 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.io.columns import seen_at
+from perilune.io.columns import display_times
 from perilune.problem.solution import Solution, full
-from perilune.report.style import FLAT, GREY, LOOKS, legend_above, new_figure, styled, widen
+from perilune.report.style import FLAT, GREY, LOOKS, legend_above, new_figure, styled, widen_vertical_range
 from perilune.words.types import Matrix, Vector
 
 
 @styled
-def track(flights: Mapping[str, Solution]) -> Figure:
+def track_figure(flights: Mapping[str, Solution]) -> Figure:
     """Draw height and cross-range over downrange: the path from the side and from above."""
     figure, (side, top) = new_figure(height=3.2, rows=2)
-    ways = {who: path(solution)[1] / 1e3 for who, solution in flights.items()}
+    ways = {who: track_path(solution)[1] / 1e3 for who, solution in flights.items()}
     for (who, (along, across, height, *_)), (colour, dash) in zip(ways.items(), LOOKS, strict=False):
         side.plot(along, height, dash, color=colour, label=who)
         top.plot(along, across, dash, color=colour)
@@ -30,7 +30,7 @@ def track(flights: Mapping[str, Solution]) -> Figure:
         side.plot(along, least, "-.", color=GREY, linewidth=0.9, label=text)
     spans = [np.ptp(way[:3], axis=1).max() for way in ways.values()]
     for ax in (side, top):
-        widen(ax, FLAT * float(max(spans)))
+        widen_vertical_range(ax, FLAT * float(max(spans)))
     side.set(ylabel="height (km)")
     side.set_ylim(bottom=min(0.0, side.get_ylim()[0]))
     top.set(xlabel="downrange (km)", ylabel="cross-range,\nleft (km)")
@@ -39,11 +39,11 @@ def track(flights: Mapping[str, Solution]) -> Figure:
     return figure
 
 
-def path(solution: Solution) -> tuple[Vector, Matrix]:
+def track_path(solution: Solution) -> tuple[Vector, Matrix]:
     """Return times from the begin of the flight [s], (n,), and values of `Phase.track` there [m], (3 or 4, n)."""
     times, parts, begin = [], [], 0.0
     for k, (phase, trajectory) in enumerate(zip(solution.problem.phases, solution.trajectories, strict=True)):
-        t = seen_at(trajectory)
+        t = display_times(trajectory)
         x, u = solution.flown(k, t)
         times.append(begin + t)
         parts.append(np.array([full(value, t) for value in phase.evaluate("track", x, u, solution.parameters)]))

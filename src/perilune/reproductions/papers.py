@@ -8,13 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from perilune.words.outcome import unknown_name
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 # Name on the command line: package in this room, loaded when asked for.
 PAPERS = {"cho-2015": "cho2015", "peng-2012": "peng2012", "liu-2019": "liu2019"}
+_MAKERS = {
+    "cho-2015": ("compute_cho", "write_cho_report"),
+    "liu-2019": ("compute_liu", "write_liu_report"),
+    "peng-2012": ("compute_peng", "write_peng_report"),
+}
 
 
-def reproduce(paper: str, out_dir: str | Path, force: bool = False, watch: Watch | None = None, **settings: Any) -> Any:
+def reproduce_paper(
+    paper: str, out_dir: str | Path, force: bool = False, watch: Watch | None = None, **settings: Any
+) -> Any:
     """Compute everything in a paper and write ``report.md``, its data and its figures.
 
     Parameters
@@ -45,14 +52,15 @@ def reproduce(paper: str, out_dir: str | Path, force: bool = False, watch: Watch
 
     if paper not in PAPERS:
         raise unknown_name("paper", paper, list(PAPERS))
-    compute, report = (
-        import_module(f"perilune.reproductions.{PAPERS[paper]}.{part}") for part in ("compute", "report")
+    compute, write = (
+        getattr(import_module(f"perilune.reproductions.{PAPERS[paper]}.{part}"), name)
+        for part, name in zip(("compute", "report"), _MAKERS[paper], strict=True)
     )
-    known = [name for name in signature(compute.compute).parameters if name != "watch"]
+    known = [name for name in signature(compute).parameters if name != "watch"]
     for name in settings:
         if name not in known:
             raise unknown_name(f"setting of {paper}", name, known)
     with fresh_directory(out_dir, force) as work:
-        made = compute.compute(watch or silent, **settings)
-        report.write(made, work)
+        made = compute(watch or ignore_events, **settings)
+        write(made, work)
     return made

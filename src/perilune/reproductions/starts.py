@@ -45,7 +45,7 @@ class Starts:
         return [t for t in self.flight_times if abs(t - flight_time) < self.within]
 
 
-def starts(run: Callable[[int], float], seeds: int, watch: Watch) -> Starts:
+def run_starts(run: Callable[[int], float], seeds: int, watch: Watch) -> Starts:
     """Run every seed; one that ends without an answer counts as NaN.
 
     Parameters

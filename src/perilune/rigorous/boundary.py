@@ -22,14 +22,14 @@ from flint import arb, arb_mat
 
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.rigorous.equations import Arc, Key, Reader, Regimes, Scalar
-from perilune.rigorous.graph import Expression, Graph
+from perilune.rigorous.equations import ArcScalar, CanonicalArc, Key, ProblemReader, Regimes
+from perilune.rigorous.graph import Graph, GraphExpression
 from perilune.rigorous.reading import Unsupported
-from perilune.rigorous.taylor import Ball, Program
+from perilune.rigorous.taylor import Ball, TaylorProgram
 
 
 @dataclass(frozen=True, kw_only=True)
-class Piece:
+class ArcPiece:
     """An arc of a phase: its phase, the regimes, and by which scalar's switch it ends, "" at the phase's end."""
 
     phase: int
@@ -63,12 +63,12 @@ class Sides:
 class Differentiated:
     """Expressions of y and of one or more ends, with their derivatives, sparse."""
 
-    def __init__(self, graph: Graph, outputs: Sequence[Expression], groups: Sequence[Sequence[Key]]) -> None:
+    def __init__(self, graph: Graph, outputs: Sequence[GraphExpression], groups: Sequence[Sequence[Key]]) -> None:
         self.count = len(outputs)
         keys = [key for group in groups for key in group]
         rows = graph.jacobian(outputs, keys)
         self._places: list[list[tuple[int, int]]] = []
-        slopes = list[Expression]()
+        slopes = list[GraphExpression]()
         at = 0
         for group in groups:
             here = [(i, j) for i in range(self.count) for j in range(len(group)) if not rows[i][at + j].vanishes()]
@@ -76,8 +76,8 @@ class Differentiated:
             slopes += [rows[i][at + j] for i, j in here]
             at += len(group)
         self._shapes = [(self.count, len(group)) for group in groups]
-        self._values = Program(graph, keys, outputs)
-        self._all = Program(graph, keys, [*outputs, *slopes])
+        self._values = TaylorProgram(graph, keys, outputs)
+        self._all = TaylorProgram(graph, keys, [*outputs, *slopes])
 
     def values(self, *groups: Sequence[Ball]) -> list[Ball]:
         """The outputs."""
@@ -131,15 +131,15 @@ class BoundaryProblem:
 
     problem: Problem
     graph: Graph
-    pieces: tuple[Piece, ...]
+    pieces: tuple[ArcPiece, ...]
     sides: Sides
-    arcs: tuple[Arc, ...]
+    arcs: tuple[CanonicalArc, ...]
     names: tuple[str, ...]
     starts: tuple[Differentiated, ...]
     durations: tuple[Differentiated, ...]
     residual: Differentiated
     rows: tuple[str, ...]
-    meets: tuple[tuple[Expression, ...], ...]
+    meets: tuple[tuple[GraphExpression, ...], ...]
     objective: Differentiated
     signs: Differentiated
     signed: tuple[str, ...]
@@ -185,7 +185,7 @@ class BoundaryProblem:
         return tuple(found)
 
 
-def boundary_problem(problem: Problem, pieces: Sequence[Piece], sides: Sides | None = None) -> BoundaryProblem:
+def boundary_problem(problem: Problem, pieces: Sequence[ArcPiece], sides: Sides | None = None) -> BoundaryProblem:
     """The equations of an extremal that is made of these arcs, and on these bounds.
 
     Raises
@@ -193,14 +193,14 @@ def boundary_problem(problem: Problem, pieces: Sequence[Piece], sides: Sides | N
     Unsupported
         If the problem has what no theorem can be stated for yet.
     """
-    return _Stating(problem, pieces, sides or Sides()).stated()
+    return _EquationBuilder(problem, pieces, sides or Sides()).stated()
 
 
-class _Stating:
-    def __init__(self, problem: Problem, pieces: Sequence[Piece], sides: Sides) -> None:
+class _EquationBuilder:
+    def __init__(self, problem: Problem, pieces: Sequence[ArcPiece], sides: Sides) -> None:
         self.problem, self.pieces, self.sides = problem, tuple(pieces), sides
-        self.signs: dict[str, Expression] = {}
-        reader = self.reader = Reader(problem)
+        self.signs: dict[str, GraphExpression] = {}
+        reader = self.reader = ProblemReader(problem)
         graph = self.graph = reader.graph
         self.arcs = tuple(reader.arc(piece.phase, piece.regimes) for piece in pieces)
         phases = range(len(problem.phases))
@@ -208,7 +208,7 @@ class _Stating:
         self.last = [max(i for i, piece in enumerate(pieces) if piece.phase == k) for k in phases]
         names = list[str]()
         self.lam, self.nu = list[Any](), list[Any]()
-        self.length, self.lengths = dict[int, Expression](), dict[int, str]()
+        self.length, self.lengths = dict[int, GraphExpression](), dict[int, str]()
         for k, phase in enumerate(problem.phases):
             own = [*phase.state_names, *self.arcs[self.first[k]].constants]
             self.lam.append([graph.input(("y", len(names) + i)) for i in range(len(own))])
@@ -227,7 +227,7 @@ class _Stating:
                 number = i - self.first[piece.phase] + 1
                 self.lengths[i] = f"{problem.phases[piece.phase].name}, length of arc {number}"
                 names.append(self.lengths[i])
-        self.w = list[list[Expression]]()
+        self.w = list[list[GraphExpression]]()
         for i, (piece, arc) in enumerate(zip(pieces, self.arcs, strict=True)):
             self.w.append([graph.input(("y", len(names) + j)) for j in range(len(arc.implicit))])
             number = i - self.first[piece.phase] + 1
@@ -242,9 +242,9 @@ class _Stating:
         zero = graph.constant(0)
         last = problem.phases[-1]
         objective = self.reader.function("objective", self.ends[-1], free=self.free, phase=last)[0]
-        lagrangian, conditions, costates = objective, list[Expression](), list[Expression]()
+        lagrangian, conditions, costates = objective, list[GraphExpression](), list[GraphExpression]()
         rows, costate_rows = list[str](), list[str]()
-        met: list[list[Expression]] = [[] for _ in self.pieces]
+        met: list[list[GraphExpression]] = [[] for _ in self.pieces]
         for k, phase in enumerate(problem.phases):
             end, half = self.ends[self.last[k]], self.arcs[self.last[k]].half
             psi = []
@@ -298,7 +298,7 @@ class _Stating:
             k = piece.phase
             starts.append(Differentiated(graph, openings[i], [y, ends[i - 1] if i else []]))
             given = {**self.reader.given, **self.free}
-            length = lasting(self.pieces, i, self.length, given[problem.phases[k].duration])
+            length = arc_duration(self.pieces, i, self.length, given[problem.phases[k].duration])
             durations.append(Differentiated(graph, [length], [y]))
         return BoundaryProblem(
             problem=problem, graph=graph, pieces=self.pieces, sides=self.sides, arcs=self.arcs,
@@ -312,16 +312,16 @@ class _Stating:
     def _end_keys(self) -> list[list[Key]]:
         return [[("end", i, j) for j in range(len(arc.rates))] for i, arc in enumerate(self.arcs)]
 
-    def _start(self, i: int) -> list[Expression]:
+    def _start(self, i: int) -> list[GraphExpression]:
         """z where arc i begins."""
         k = self.pieces[i].phase
         first = i == self.first[k]
         before = [*self._opening(k), *self.lam[k]] if first else self.ends[i - 1][: 2 * self.arcs[i].half]
         return [*before, *self.w[i]]
 
-    def _equations(self, k: int, psi: list[Expression]) -> list[Expression]:
+    def _equations(self, k: int, psi: list[GraphExpression]) -> list[GraphExpression]:
         """Return what vanishes where a phase ends; for a range its distance to the bound that it is on, or else nu."""
-        phase, found = self.problem.phases[k], list[Expression]()
+        phase, found = self.problem.phases[k], list[GraphExpression]()
         held = [phase.states[i] for i in self.sides.held(phase)]
         sided = [(c, c.name, self.sides.ranges.get((phase.name, c.name), "")) for c in phase.end_conditions]
         sided += [(state, f"{state.name} at its end", self.sides.states[phase.name, state.name]) for state in held]
@@ -346,13 +346,13 @@ class _Stating:
                 self._sign(told, nu if side == "upper" else -nu)
         return found
 
-    def _sign(self, words: str, value: Expression) -> None:
+    def _sign(self, words: str, value: GraphExpression) -> None:
         """State that something is positive; each in words of its own."""
         if words in self.signs:
             raise Unsupported(f"two conditions are called alike: {words}")
         self.signs[words] = value
 
-    def _stationary(self, slopes: list[Expression]) -> list[Expression]:
+    def _stationary(self, slopes: list[GraphExpression]) -> list[GraphExpression]:
         """dJ/dq = 0 of each free parameter, or where it is on a bound its distance to that."""
         found = list(slopes)
         for i, f in enumerate(self.problem.free):
@@ -363,12 +363,12 @@ class _Stating:
                 self._sign(told, slopes[i] if side == "lower" else -slopes[i])
         return found
 
-    def _limit(self, limit: Any) -> Expression | None:
+    def _limit(self, limit: Any) -> GraphExpression | None:
         if isinstance(limit, str):
             return self.free[limit] if limit in self.free else self.reader.given[limit]
         return None if abs(limit) == float("inf") else self.graph.constant(limit)
 
-    def _opening(self, k: int) -> list[Expression]:
+    def _opening(self, k: int) -> list[GraphExpression]:
         """States and constant states where phase k begins."""
         constants = [self.free[name] for name in self.arcs[self.first[k]].constants]
         if k == 0:
@@ -376,7 +376,7 @@ class _Stating:
         end, phase = self.ends[self.last[k - 1]], self.problem.phases[k - 1]
         return [*self.reader.function(("links", k - 1), end, free=self.free, phase=phase), *constants]
 
-    def _switching(self, i: int, scalar: Scalar) -> Expression:
+    def _switching(self, i: int, scalar: ArcScalar) -> GraphExpression:
         """Return what vanishes where a scalar leaves its regime: dH/du on a bound, else its distance to the bound."""
         follows = self.pieces[i + 1].regimes[scalar.control.name]
         if scalar.regime != "interior":
@@ -388,13 +388,15 @@ class _Stating:
         assert limit is not None  # else it would not be on it
         return scalar.value - limit
 
-    def _at(self, i: int, of: Expression) -> Expression:
+    def _at(self, i: int, of: GraphExpression) -> GraphExpression:
         """An expression of z at the end of an arc."""
-        known: Mapping[Any, Expression] = {("z", j): e for j, e in enumerate(self.ends[i])}
+        known: Mapping[Any, GraphExpression] = {("z", j): e for j, e in enumerate(self.ends[i])}
         return self.graph.substitute([of], known)[0]
 
 
-def lasting(pieces: Sequence[Piece], i: int, lengths: Mapping[int, Expression], duration: Expression) -> Expression:
+def arc_duration(
+    pieces: Sequence[ArcPiece], i: int, lengths: Mapping[int, GraphExpression], duration: GraphExpression
+) -> GraphExpression:
     """Return the duration of an arc: a length of its own, or what others leave of its phase's duration."""
     if i in lengths:
         return lengths[i]
@@ -404,7 +406,7 @@ def lasting(pieces: Sequence[Piece], i: int, lengths: Mapping[int, Expression], 
     return duration
 
 
-def matrix(columns: Sequence[int], of: Any) -> Any:
+def matrix_columns(columns: Sequence[int], of: Any) -> Any:
     """Return a matrix made of some columns of another."""
     return arb_mat([[of[i, j] for j in columns] for i in range(of.nrows())]) if columns else arb_mat(of.nrows(), 0)
 

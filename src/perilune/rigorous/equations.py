@@ -22,17 +22,17 @@ from typing import Any
 from perilune.problem.controls import Bounded, Direction, Settled, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.rigorous.given import exactly
-from perilune.rigorous.graph import Expression, Graph
-from perilune.rigorous.reading import Unsupported, read
-from perilune.rigorous.taylor import Program
+from perilune.rigorous.given import exact_value
+from perilune.rigorous.graph import Graph, GraphExpression
+from perilune.rigorous.reading import Unsupported, read_tape
+from perilune.rigorous.taylor import TaylorProgram
 
 Key = tuple[Any, ...]
 Regimes = Mapping[str, str]  # of each scalar by name: lower, upper or interior
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scalar:
+class ArcScalar:
     """A scalar control on an arc: where it is, and what must hold there.
 
     Attributes
@@ -47,14 +47,14 @@ class Scalar:
 
     control: Bounded
     regime: str
-    value: Expression
-    limits: tuple[Expression | None, Expression | None]
-    slope: Expression
-    curvature: Expression
+    value: GraphExpression
+    limits: tuple[GraphExpression | None, GraphExpression | None]
+    slope: GraphExpression
+    curvature: GraphExpression
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Arc:
+class CanonicalArc:
     """Canonical equations of a phase in one regime, z = (x, constant states, lambda, w) in SI.
 
     Attributes
@@ -94,13 +94,13 @@ class Arc:
     half: int
     joint: bool
     implicit: tuple[str, ...]
-    stationary: tuple[Expression, ...]
-    reduced: Expression
-    rates: tuple[Expression, ...]
-    hamiltonian: Expression
-    control: Mapping[Any, Expression]
-    scalars: tuple[Scalar, ...]
-    strengths: tuple[Expression, ...]
+    stationary: tuple[GraphExpression, ...]
+    reduced: GraphExpression
+    rates: tuple[GraphExpression, ...]
+    hamiltonian: GraphExpression
+    control: Mapping[Any, GraphExpression]
+    scalars: tuple[ArcScalar, ...]
+    strengths: tuple[GraphExpression, ...]
 
     @property
     def idle(self) -> bool:
@@ -113,9 +113,9 @@ class Arc:
         return [("z", i) for i in range(len(self.rates))]
 
     @cached_property
-    def plain(self) -> Program:
+    def plain(self) -> TaylorProgram:
         """The rates."""
-        return Program(self.graph, self.keys, self.rates)
+        return TaylorProgram(self.graph, self.keys, self.rates)
 
     @cached_property
     def pattern(self) -> list[tuple[int, int]]:
@@ -123,41 +123,41 @@ class Arc:
         return [place for place, _ in self._slopes]
 
     @cached_property
-    def slopes(self) -> Program:
+    def slopes(self) -> TaylorProgram:
         """The derivatives of the rates in the order of `pattern`."""
-        return Program(self.graph, self.keys, [slope for _, slope in self._slopes])
+        return TaylorProgram(self.graph, self.keys, [slope for _, slope in self._slopes])
 
     @cached_property
-    def with_slopes(self) -> Program:
+    def with_slopes(self) -> TaylorProgram:
         """The rates, and these."""
-        return Program(self.graph, self.keys, [*self.rates, *(slope for _, slope in self._slopes)])
+        return TaylorProgram(self.graph, self.keys, [*self.rates, *(slope for _, slope in self._slopes)])
 
     @cached_property
-    def _slopes(self) -> list[tuple[tuple[int, int], Expression]]:
+    def _slopes(self) -> list[tuple[tuple[int, int], GraphExpression]]:
         rows = self.graph.jacobian(self.rates, self.keys)
         return [((i, j), e) for i, row in enumerate(rows) for j, e in enumerate(row) if not e.vanishes()]
 
 
-class Reader:
+class ProblemReader:
     """Reads the functions of a problem into one graph, given parameters as the exact numbers that they are."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.graph = problem, Graph()
-        self.given = {name: exactly(g).expression(self.graph) for name, g in problem.given.items()}
+        self.given = {name: exact_value(g).expression(self.graph) for name, g in problem.given.items()}
 
     def function(self, key: Any, x: Sequence[Any] = (), u: Sequence[Any] = (), free: Mapping[str, Any] | None = None,
-                 phase: Phase | None = None) -> list[Expression]:  # fmt: skip
+                 phase: Phase | None = None) -> list[GraphExpression]:  # fmt: skip
         """Values of a function of the problem by its key in `perilune.problem.form`."""
         values: dict[tuple[str, str], Any] = {("p", name): value for name, value in self.given.items()}
         values |= {("p", name): value for name, value in (free or {}).items()}
         if phase is not None:
             values |= {("x", name): value for name, value in zip(phase.state_names, x, strict=False)}
             values |= {("u", name): value for name, value in zip(phase.control_names, u, strict=False)}
-        return read(self.graph, self.problem.form.expressions[key], values)
+        return read_tape(self.graph, self.problem.form.expressions[key], values)
 
     def arc(
-        self, k: int, regimes: Regimes, lasting: Expression | None = None, constants: Sequence[str] | None = None
-    ) -> Arc:
+        self, k: int, regimes: Regimes, lasting: GraphExpression | None = None, constants: Sequence[str] | None = None
+    ) -> CanonicalArc:
         """The canonical equations of a phase.
 
         Parameters
@@ -188,18 +188,21 @@ class Reader:
             constants = [name for name in self.problem.free_names if ("p", name) in acting]
         half = len(x) + len(constants)
         z = [graph.input(("z", i)) for i in range(2 * half)]
-        known: dict[Any, Expression] = {("x", i): z[i] for i in range(len(x))}
+        known: dict[Any, GraphExpression] = {("x", i): z[i] for i in range(len(x))}
         known |= {("p", name): z[len(x) + j] for j, name in enumerate(constants)}
         if lasting is not None:
             f = [lasting * rate for rate in f]
         f = graph.substitute(f, known)
-        limits = {name: (_put(graph, low, known), _put(graph, high, known)) for name, (low, high) in limits.items()}
+        limits = {
+            name: (_substitute_limit(graph, low, known), _substitute_limit(graph, high, known))
+            for name, (low, high) in limits.items()
+        }
         terms = [z[half + i] * rate for i, rate in enumerate(f)]
         H, idle = sum(terms, graph.constant(0)), self._unpriced(k, f, z)
         # For the control, which is on a bound in each of these rates, H is what it is with their costates zero.
         bent = {i for i in idle if _bends_on_bounds(graph, f[i], phase, regimes)}
         told = H if not bent else sum((term for i, term in enumerate(terms) if i not in bent), graph.constant(0))
-        control, strengths, reduced, joint, implicit = _control(graph, phase, told, regimes, limits, 2 * half)
+        control, strengths, reduced, joint, implicit = _control_by_regime(graph, phase, told, regimes, limits, 2 * half)
         # A free parameter moves what is on a bound that it holds; what is not moves by the minimum, without effect.
         held = {
             ("u", c.name): control["u", c.name] for _, c in scalars(phase.controls) if regimes[c.name] != "interior"
@@ -209,21 +212,21 @@ class Reader:
         rates = [*f, *([zero] * len(constants)), *(-slope for slope in slopes)]
         rates = graph.substitute(rates, control)
         stationary = graph.substitute(graph.gradient(reduced, [("u", name) for name in implicit]), control)
-        rates += _kept(graph, stationary, rates)
+        rates += _stationary_rates(graph, stationary, rates)
         found = []
         for _, one in scalars(phase.controls):
             slope = graph.gradient(told, [("u", one.name)])[0]
             curvature = graph.gradient(slope, [("u", one.name)])[0]
             slope, curvature = graph.substitute([slope, curvature], control)
-            found.append(Scalar(control=one, regime=regimes[one.name], value=control["u", one.name],
+            found.append(ArcScalar(control=one, regime=regimes[one.name], value=control["u", one.name],
                                 limits=limits[one.name], slope=slope, curvature=curvature))  # fmt: skip
-        return Arc(
+        return CanonicalArc(
             graph=graph, phase=phase, phase_index=k, constants=tuple(constants), half=half, joint=joint,
             implicit=implicit, stationary=tuple(stationary), reduced=reduced, rates=tuple(rates),
             hamiltonian=graph.substitute([H], control)[0], control=control, scalars=tuple(found), strengths=strengths,
         )  # fmt: skip
 
-    def _unpriced(self, k: int, f: Sequence[Expression], z: Sequence[Expression]) -> set[int]:
+    def _unpriced(self, k: int, f: Sequence[GraphExpression], z: Sequence[GraphExpression]) -> set[int]:
         """Return the places of states that nothing asks for, whose costates vanish: lambda' = -H_x, lambda(T) = 0.
 
         No condition and no bound has them, nor what follows the phase, nor the rate of a state that something asks for.
@@ -240,11 +243,13 @@ class Reader:
             read |= more
         return {i for i in range(len(f)) if ("z", i) not in read}
 
-    def _limits(self, control: Bounded, free: Mapping[str, Expression]) -> tuple[Expression | None, Expression | None]:
+    def _limits(
+        self, control: Bounded, free: Mapping[str, GraphExpression]
+    ) -> tuple[GraphExpression | None, GraphExpression | None]:
         if isinstance(control, Settled):
             raise Unsupported(f"the control {control.name} is settled to an arc of its own")
 
-        def limit(stated: Any) -> Expression | None:
+        def limit(stated: Any) -> GraphExpression | None:
             if isinstance(stated, str):
                 return free.get(stated) or self.given[stated]
             return None if abs(stated) == float("inf") else self.graph.constant(stated)
@@ -252,23 +257,25 @@ class Reader:
         return limit(control.lower), limit(control.upper)
 
 
-def _bends_on_bounds(graph: Graph, rate: Expression, phase: Phase, regimes: Regimes) -> bool:
+def _bends_on_bounds(graph: Graph, rate: GraphExpression, phase: Phase, regimes: Regimes) -> bool:
     """Return True if a rate is not linear in the controls together, and all those in it are on their bounds."""
     keys = {("u", name) for name in phase.control_names} & rate.inputs()
     held = all(regimes.get(name, "interior") != "interior" for _, name in keys)
     return held and any(keys & slope.inputs() for slope in graph.gradient(rate, [*keys]))
 
 
-def _put(graph: Graph, limit: Expression | None, known: Mapping[Any, Expression]) -> Expression | None:
+def _substitute_limit(
+    graph: Graph, limit: GraphExpression | None, known: Mapping[Any, GraphExpression]
+) -> GraphExpression | None:
     return None if limit is None else graph.substitute([limit], known)[0]
 
 
-Limits = Mapping[str, tuple[Expression | None, Expression | None]]
+Limits = Mapping[str, tuple[GraphExpression | None, GraphExpression | None]]
 
 
-def _control(
-    graph: Graph, phase: Phase, H: Expression, regimes: Regimes, limits: Limits, behind: int
-) -> tuple[dict[Any, Expression], tuple[Expression, ...], Expression, bool, tuple[str, ...]]:
+def _control_by_regime(
+    graph: Graph, phase: Phase, H: GraphExpression, regimes: Regimes, limits: Limits, behind: int
+) -> tuple[dict[Any, GraphExpression], tuple[GraphExpression, ...], GraphExpression, bool, tuple[str, ...]]:
     """Return the control that minimises H in these regimes.
 
     Returns
@@ -276,16 +283,16 @@ def _control(
     Each component by key; how strongly it asks for each direction; H without directions; whether its minimum is not
     that of each scalar by itself; and then the scalars that are entries of z themselves, from `behind` on.
     """
-    found: dict[Any, Expression] = {}
+    found: dict[Any, GraphExpression] = {}
     strengths = []
     for direction in phase.controls:
         if isinstance(direction, Direction):
-            pull = _pull(graph, phase, H, direction, limits)
+            pull = _direction_vector(graph, phase, H, direction, limits)
             strength = graph.do("sqrt", sum((g * g for g in pull), graph.constant(0)))
             found |= {("u", name): -g / strength for name, g in zip(direction.names, pull, strict=True)}
             strengths.append(strength)
     reduced = graph.substitute([H], found)[0]
-    own, implicit = dict[Any, Expression](), tuple[str, ...]()
+    own, implicit = dict[Any, GraphExpression](), tuple[str, ...]()
     every = [control for _, control in scalars(phase.controls)]
     formulas = [_formula(graph, phase, reduced, control) for control in every]
     joint = any(formula is None for formula in formulas)
@@ -310,7 +317,9 @@ def _control(
     return found, tuple(graph.substitute(strengths, own)), reduced, joint, implicit
 
 
-def _pull(graph: Graph, phase: Phase, H: Expression, direction: Direction, limits: Limits) -> list[Expression]:
+def _direction_vector(
+    graph: Graph, phase: Phase, H: GraphExpression, direction: Direction, limits: Limits
+) -> list[GraphExpression]:
     """The vector g of H = a + g . d, or w where that is u w . d with a scalar u that is never negative."""
     pull = graph.gradient(H, [("u", name) for name in direction.names])
     others = [("u", control.name) for _, control in scalars(phase.controls)]
@@ -330,7 +339,9 @@ def _pull(graph: Graph, phase: Phase, H: Expression, direction: Direction, limit
     return pull
 
 
-def _formula(graph: Graph, phase: Phase, H: Expression, control: Bounded) -> tuple[Expression, Expression] | None:
+def _formula(
+    graph: Graph, phase: Phase, H: GraphExpression, control: Bounded
+) -> tuple[GraphExpression, GraphExpression] | None:
     """dH/du and d2H/du2 of a scalar, if H is quadratic in it and the least for it alone is that of all together."""
     key, free = ("u", control.name), {("u", name) for name in phase.control_names}
     slope = graph.gradient(H, [key])[0]
@@ -339,7 +350,9 @@ def _formula(graph: Graph, phase: Phase, H: Expression, control: Bounded) -> tup
     return (slope, curvature) if fine else None
 
 
-def _kept(graph: Graph, stationary: Sequence[Expression], rates: Sequence[Expression]) -> list[Expression]:
+def _stationary_rates(
+    graph: Graph, stationary: Sequence[GraphExpression], rates: Sequence[GraphExpression]
+) -> list[GraphExpression]:
     """w' that keeps dH/dw = 0 as z' moves the rest: by elimination, without a choice of pivots, as H_ww > 0."""
     count, z = len(stationary), [("z", i) for i in range(len(rates) + len(stationary))]
     rows = graph.jacobian(stationary, z)

@@ -15,9 +15,9 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from perilune.rigorous.boundary import BoundaryProblem, matrix
-from perilune.rigorous.equations import Arc
-from perilune.rigorous.flow import NotEnclosed, Step, coefficients, horner, step
+from perilune.rigorous.boundary import BoundaryProblem, matrix_columns
+from perilune.rigorous.equations import CanonicalArc
+from perilune.rigorous.flow import EnclosedStep, NotEnclosed, enclose_step, horner_value, taylor_orders
 from perilune.rigorous.taylor import Ball
 
 _LONGEST = 0.5  # of a step that the size of the last coefficients suggests, at most this part of the radius
@@ -26,7 +26,7 @@ Grid = Sequence[Sequence[float]]  # for each arc the times where its steps begin
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Flight:
+class EnclosedFlight:
     """Propagated arcs of a boundary value problem.
 
     Attributes
@@ -44,16 +44,18 @@ class Flight:
     ends: list[list[Ball]]
     tangents: list[Any]
     nodes: list[list[list[Ball]]]
-    steps: list[list[Step]]
+    steps: list[list[EnclosedStep]]
     centre: list[list[Ball]]
 
 
-def middle(values: Sequence[Ball]) -> list[Ball]:
+def ball_centres(values: Sequence[Ball]) -> list[Ball]:
     """The centres of balls."""
     return [value.mid() for value in values]
 
 
-def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: int, finest: float = math.inf) -> Flight:
+def enclose_flight(
+    boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: int, finest: float = math.inf
+) -> EnclosedFlight:
     """Fly all y of a box, proved.
 
     Parameters
@@ -72,24 +74,24 @@ def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: in
     NotEnclosed
         If a step is not enclosed.
     """
-    found = Flight(ends=[], tangents=[], nodes=[], steps=[], centre=[])
-    centre, aside = middle(y), column([value - value.mid() for value in y])
+    found = EnclosedFlight(ends=[], tangents=[], nodes=[], steps=[], centre=[])
+    centre, aside = ball_centres(y), ball_column([value - value.mid() for value in y])
     z, near, D = list[Ball](), list[Ball](), arb_mat(0, 0)
     for i, arc in enumerate(boundary.arcs):
         near = boundary.starts[i].values(centre, near if i else [])
-        z, D = _start(boundary, i, y, z, D)
-        frame = _Frame(near, D)
+        z, D = _arc_start(boundary, i, y, z, D)
+        frame = _ParallelepipedFrame(near, D)
         (duration,), (by_y,) = boundary.durations[i].slopes(y)
         (lasting,) = boundary.durations[i].values(centre)
-        nodes, steps, unit = [z], list[Step](), identity(len(z))
-        begin, pace = 0.0, _Pace(grid[i], float(duration), finest)
+        nodes, steps, unit = [z], list[EnclosedStep](), ball_identity(len(z))
+        begin, pace = 0.0, _StepLengths(grid[i], float(duration), finest)
         while begin is not None:
             following = pace.following(begin)
             last = following is None
             length = (duration if last else arb(following)) - arb(begin)
             around = [a.union(m) for a, m in zip(z, frame.middle, strict=True)]
             try:
-                direct, moved, proved = step(arc, around, unit, arb(begin), length, order)
+                direct, moved, proved = enclose_step(arc, around, unit, arb(begin), length, order)
             except NotEnclosed:
                 if not pace.slower(float(length)):
                     raise
@@ -97,8 +99,8 @@ def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: in
             if not pace.kept(float(length), proved):
                 continue
             own = lasting - arb(begin) if last else length
-            frame.go(coefficients(arc, frame.middle, None, order - 1)[0], proved.remainder, own, moved)
-            by_length = rates(arc, direct) * by_y if last else arb_mat(len(z), len(y))
+            frame.go(taylor_orders(arc, frame.middle, None, order - 1)[0], proved.remainder, own, moved)
+            by_length = arc_rates(arc, direct) * by_y if last else arb_mat(len(z), len(y))
             near_by = frame.all(aside, by_length)
             if not all(a.overlaps(b) for a, b in zip(direct, near_by, strict=True)):
                 raise NotEnclosed("two enclosures of the same flight exclude each other: an error of the prover")
@@ -116,7 +118,7 @@ def enclosed(boundary: BoundaryProblem, y: Sequence[Ball], grid: Grid, order: in
     return found
 
 
-class _Pace:
+class _StepLengths:
     """Lengths of steps: those of a grid, or as long as their remainders allow.
 
     Parameters
@@ -143,7 +145,7 @@ class _Pace:
         self._longest = by * length
         return self._shortest < self._longest and self._finest < math.inf
 
-    def kept(self, length: float, proved: Step) -> bool:
+    def kept(self, length: float, proved: EnclosedStep) -> bool:
         """Return True if the remainder of a step is small enough, or cannot be made so; adapt the length of steps."""
         order = len(proved.polynomial[0])
         lost = [float((own * proved.length**order).abs_upper()) for own in proved.remainder]
@@ -156,7 +158,7 @@ class _Pace:
         return True
 
 
-class _Frame:
+class _ParallelepipedFrame:
     """All z = m + B (S (y - c) + r), so that rounding is not blown up from step to step.
 
     Over a step with the tangents P what begins at m + B s ends in z(m) + P B s, by the mean value theorem. B becomes
@@ -170,22 +172,22 @@ class _Frame:
     """
 
     def __init__(self, near: Sequence[Ball], tangents: Any) -> None:
-        self.middle = middle(near)
-        self._B, self._S = identity(len(near)), tangents
-        self._r = column([a - b for a, b in zip(near, self.middle, strict=True)])
+        self.middle = ball_centres(near)
+        self._B, self._S = ball_identity(len(near)), tangents
+        self._r = ball_column([a - b for a, b in zip(near, self.middle, strict=True)])
 
     def go(self, polynomial: Sequence[Sequence[Ball]], remainder: Sequence[Ball], length: Ball, moved: Any) -> None:
         """A step on, by the polynomial from the middle, its remainder, and the tangents of the step."""
         order = len(polynomial[0])
-        end = [horner(c, length) + last * length**order for c, last in zip(polynomial, remainder, strict=True)]
+        end = [horner_value(c, length) + last * length**order for c, last in zip(polynomial, remainder, strict=True)]
         together = moved * self._B
         B = together.mid()
         back = _inverted(B)
         M = back * together
         if not all(abs(M[i, i] - 1) < 1 for i in range(len(end))):
             raise NotEnclosed("flights of a box go too far from each other")
-        self.middle = middle(end)
-        self._r = M * self._r + back * column([a - b for a, b in zip(end, self.middle, strict=True)])
+        self.middle = ball_centres(end)
+        self._r = M * self._r + back * ball_column([a - b for a, b in zip(end, self.middle, strict=True)])
         self._S, self._B = M * self._S, B
 
     @property
@@ -211,9 +213,9 @@ def _inverted(B: Any) -> Any:
         raise NotEnclosed("the tangents of a step are singular in so many digits") from None
 
 
-def plainly(
+def fly_unproved(
     boundary: BoundaryProblem, y: Sequence[Ball], order: int, tolerance: float, grid: Grid | None = None
-) -> tuple[Flight, list[list[float]]]:
+) -> tuple[EnclosedFlight, list[list[float]]]:
     """Fly one y in many digits, with nothing proved: for Newton's method. Returns the flight, and the grid it chose.
 
     Parameters
@@ -227,11 +229,11 @@ def plainly(
     grid
         Where the steps of each arc begin [s]; chosen where None.
     """
-    found, chosen = Flight(ends=[], tangents=[], nodes=[], steps=[], centre=[]), list[list[float]]()
+    found, chosen = EnclosedFlight(ends=[], tangents=[], nodes=[], steps=[], centre=[]), list[list[float]]()
     z, D = list[Ball](), arb_mat(0, 0)
     for i, arc in enumerate(boundary.arcs):
-        z, D = _start(boundary, i, y, z, D)
-        V = matrix(boundary.columns[i], D)
+        z, D = _arc_start(boundary, i, y, z, D)
+        V = matrix_columns(boundary.columns[i], D)
         (duration,), (by_y,) = boundary.durations[i].slopes(y)
         begins, nodes, sizes = list[float](), [z], [0.0] * len(z)
         known = None if grid is None else grid[i]
@@ -239,29 +241,29 @@ def plainly(
         while following is not None:
             begin = following
             begins.append(begin)
-            c, tangents = coefficients(arc, middle(z), V.mid(), order)
+            c, tangents = taylor_orders(arc, ball_centres(z), V.mid(), order)
             left = duration - arb(begin)
             if known is not None:
                 following = known[len(begins)] if len(begins) < len(known) else None
             else:
                 sizes = [max(a, abs(float(own[0]))) for a, own in zip(sizes, c, strict=True)]
-                parts = -(-float(left) // _length(c, sizes, tolerance))
+                parts = -(-float(left) // _step_length(c, sizes, tolerance))
                 following = begin + float(left) / parts if parts > 1 else None
             # Up to the very number at which the next begins: else the first flight is that of another duration.
             length = left if following is None else arb(following) - arb(begin)
-            z = middle([horner(own, length) for own in c])
-            V = horner(tangents, length).mid()
+            z = ball_centres([horner_value(own, length) for own in c])
+            V = horner_value(tangents, length).mid()
             nodes.append(z)
         chosen.append(begins)
         found.ends.append(z)
-        found.tangents.append(_at_end(boundary, i, V, z, by_y))
+        found.tangents.append(_slopes_at_arc_end(boundary, i, V, z, by_y))
         found.nodes.append(nodes)
         found.steps.append([])
         D = found.tangents[-1]
     return found, chosen
 
 
-def _length(c: Sequence[Sequence[Ball]], sizes: Sequence[float], tolerance: float) -> float:
+def _step_length(c: Sequence[Sequence[Ball]], sizes: Sequence[float], tolerance: float) -> float:
     """Return the longest step whose last coefficients are below the tolerance."""
     most = float("inf")
     for own, size in zip(c, sizes, strict=True):
@@ -274,43 +276,43 @@ def _length(c: Sequence[Sequence[Ball]], sizes: Sequence[float], tolerance: floa
     return most
 
 
-def _start(
+def _arc_start(
     boundary: BoundaryProblem, i: int, y: Sequence[Ball], before: Sequence[Ball], D: Any
 ) -> tuple[list[Ball], Any]:
     z, (by_y, by_before) = boundary.starts[i].slopes(y, before if i else [])
     return z, by_y + by_before * D if i else by_y
 
 
-def _at_end(boundary: BoundaryProblem, i: int, V: Any, z: Sequence[Ball], by_y: Any) -> Any:
+def _slopes_at_arc_end(boundary: BoundaryProblem, i: int, V: Any, z: Sequence[Ball], by_y: Any) -> Any:
     """dz/dy where an arc ends: by what moves its start, and by its duration, whose derivative is `by_y`."""
-    D = rates(boundary.arcs[i], z) * by_y
+    D = arc_rates(boundary.arcs[i], z) * by_y
     for at, column in enumerate(boundary.columns[i]):
         for row in range(V.nrows()):
             D[row, column] += V[row, at]
     return D
 
 
-def rates(arc: Arc, z: Sequence[Ball]) -> Any:
+def arc_rates(arc: CanonicalArc, z: Sequence[Ball]) -> Any:
     """z', as a column."""
-    return column(arc.plain.values(z))
+    return ball_column(arc.plain.values(z))
 
 
-def column(entries: Sequence[Ball]) -> Any:
+def ball_column(entries: Sequence[Ball]) -> Any:
     """A matrix of one column."""
     return arb_mat([[entry] for entry in entries])
 
 
-def identity(size: int) -> Any:
+def ball_identity(size: int) -> Any:
     """The matrix that changes nothing."""
     return arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
 
 
-def residual(boundary: BoundaryProblem, y: Sequence[Ball], flown: Flight) -> list[Ball]:
+def residual(boundary: BoundaryProblem, y: Sequence[Ball], flown: EnclosedFlight) -> list[Ball]:
     """F of the centre of a box that was flown."""
-    return boundary.residual.values(middle(y), *flown.centre)
+    return boundary.residual.values(ball_centres(y), *flown.centre)
 
 
-def slopes(boundary: BoundaryProblem, y: Sequence[Ball], flown: Flight) -> tuple[list[Ball], Any]:
+def slopes(boundary: BoundaryProblem, y: Sequence[Ball], flown: EnclosedFlight) -> tuple[list[Ball], Any]:
     """F of a flight, and dF/dy.
 
     Parameters

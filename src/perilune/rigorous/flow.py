@@ -18,7 +18,7 @@ from typing import Any
 
 from flint import arb, arb_mat, ctx
 
-from perilune.rigorous.equations import Arc
+from perilune.rigorous.equations import CanonicalArc
 from perilune.rigorous.taylor import Ball, Coefficients
 from perilune.words.outcome import PeriluneError
 
@@ -34,7 +34,7 @@ class NotEnclosed(PeriluneError):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
+class EnclosedStep:
     """A step that is proved.
 
     Attributes
@@ -56,16 +56,19 @@ class Step:
     def at(self, since: Ball) -> list[Ball]:
         """z at a time, or over an interval of times, since the step began."""
         order = len(self.polynomial[0])
-        return [_over(c, since) + last * since**order for c, last in zip(self.polynomial, self.remainder, strict=True)]
+        return [
+            _enclose_over(c, since) + last * since**order
+            for c, last in zip(self.polynomial, self.remainder, strict=True)
+        ]
 
 
-def coefficients(arc: Arc, z: Sequence[Ball], V: Any, orders: int) -> tuple[list[Coefficients], list[Any]]:
+def taylor_orders(arc: CanonicalArc, z: Sequence[Ball], V: Any, orders: int) -> tuple[list[Coefficients], list[Any]]:
     """Taylor coefficients of orders 0 to `orders` of state and costate; of tangents, where there are any, fewer."""
     inputs, m = arc.plain.flow(z, orders)[0], min(orders, _OF_TANGENTS)
     return inputs, [] if V is None else tangents_along(arc, arc.slopes.along(inputs, m), V, m)
 
 
-def tangents_along(arc: Arc, slopes: Sequence[Coefficients], V: Any, orders: int) -> list[Any]:
+def tangents_along(arc: CanonicalArc, slopes: Sequence[Coefficients], V: Any, orders: int) -> list[Any]:
     """Taylor coefficients of tangents, orders 0 to `orders`, from those of the derivatives of the rates."""
     size, matrices = len(arc.rates), []
     for k in range(orders):
@@ -82,7 +85,9 @@ def tangents_along(arc: Arc, slopes: Sequence[Coefficients], V: Any, orders: int
     return tangents
 
 
-def _remainders(arc: Arc, Z: Sequence[Ball], W: Any, order: int, order_of_tangents: int) -> tuple[list[Ball], Any]:
+def _remainders(
+    arc: CanonicalArc, Z: Sequence[Ball], W: Any, order: int, order_of_tangents: int
+) -> tuple[list[Ball], Any]:
     """Return the last coefficients over a whole step, only by recurrences: in wide balls they are the narrowest."""
     with ctx.workprec(_NARROW):
         remainder = [c[order] for c in arc.plain.flow(Z, order)[0]]
@@ -92,7 +97,9 @@ def _remainders(arc: Arc, Z: Sequence[Ball], W: Any, order: int, order_of_tangen
         return remainder, tangents_along(arc, slopes, W, order_of_tangents)[order_of_tangents]
 
 
-def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: int) -> tuple[list[Ball], Any, Step]:
+def enclose_step(
+    arc: CanonicalArc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: int
+) -> tuple[list[Ball], Any, EnclosedStep]:
     """Make one proved step.
 
     Parameters
@@ -115,16 +122,16 @@ def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: 
     NotEnclosed
         If the inclusion fails.
     """
-    polynomial, _ = coefficients(arc, z, None, order - 1)
+    polynomial, _ = taylor_orders(arc, z, None, order - 1)
     m = min(order, _OF_TANGENTS)
     tangents = [] if V is None else tangents_along(arc, arc.slopes.along(polynomial, m - 1), V, m - 1)
     span = arb(0).union(length)
     reach, reach_of_tangents = arb(0).union(length**order), arb(0).union(length**m)
-    ranges = [horner(c, span) for c in polynomial]
-    tangent_range = None if V is None else horner(tangents, span)
+    ranges = [horner_value(c, span) for c in polynomial]
+    tangent_range = None if V is None else horner_value(tangents, span)
     still = [rate.vanishes() for rate in arc.rates]
-    wider = [max(_size(r) * _WIDER, _LEAST) for r in ranges]
-    tangent_wider = [max(size * _WIDER, _LEAST) for size in _sizes(tangent_range)]
+    wider = [max(_ball_size(r) * _WIDER, _LEAST) for r in ranges]
+    tangent_wider = [max(size * _WIDER, _LEAST) for size in _entry_sizes(tangent_range)]
     for _ in range(_ATTEMPTS):
         Z = [r if s else r + arb(0, w) for r, w, s in zip(ranges, wider, still, strict=True)]
         W = None if V is None else _widened(tangent_range, tangent_wider)
@@ -138,20 +145,20 @@ def step(arc: Arc, z: Sequence[Ball], V: Any, begin: Ball, length: Ball, order: 
             for whole, r, e in zip(_entries(W), _entries(tangent_range), _entries(moved), strict=True)
         ]
         if all(inside) and all(tangent_inside):
-            end = [horner(c, length) + r * length**order for c, r in zip(polynomial, remainder, strict=True)]
-            V_end = None if V is None else horner(tangents, length) + last * length**m
-            proved = Step(begin=begin, length=length, polynomial=polynomial, remainder=remainder,
+            end = [horner_value(c, length) + r * length**order for c, r in zip(polynomial, remainder, strict=True)]
+            V_end = None if V is None else horner_value(tangents, length) + last * length**m
+            proved = EnclosedStep(begin=begin, length=length, polynomial=polynomial, remainder=remainder,
                           tangents=[] if V is None else [*tangents, last])  # fmt: skip
             return end, V_end, proved
-        wider = [max(w, 4 * _size(e)) for w, e in zip(wider, left, strict=True)]
-        tangent_wider = [max(w, 4 * _size(e)) for w, e in zip(tangent_wider, _entries(moved), strict=True)]
+        wider = [max(w, 4 * _ball_size(e)) for w, e in zip(wider, left, strict=True)]
+        tangent_wider = [max(w, 4 * _ball_size(e)) for w, e in zip(tangent_wider, _entries(moved), strict=True)]
     raise NotEnclosed(
         f"a step of {arc.phase.name} is not enclosed",
         got=f"at {float(begin.mid()):.6g} s, {float(length.mid()):.3g} s long",
     )
 
 
-def horner(c: Sequence[Any], t: Ball) -> Any:
+def horner_value(c: Sequence[Any], t: Ball) -> Any:
     """A polynomial with numbers or matrices for coefficients, lowest order first."""
     total = c[-1]
     for k in range(len(c) - 2, -1, -1):
@@ -159,22 +166,22 @@ def horner(c: Sequence[Any], t: Ball) -> Any:
     return total
 
 
-def _over(c: Coefficients, t: Ball) -> Ball:
+def _enclose_over(c: Coefficients, t: Ball) -> Ball:
     """A polynomial over an interval, by its slope there: narrower than its terms together."""
     middle = t.mid()
-    slope = horner([k * own for k, own in enumerate(c)][1:] or [arb(0)], t)
-    return horner(c, middle) + slope * (t - middle)
+    slope = horner_value([k * own for k, own in enumerate(c)][1:] or [arb(0)], t)
+    return horner_value(c, middle) + slope * (t - middle)
 
 
-def _size(ball: Ball) -> float:
+def _ball_size(ball: Ball) -> float:
     return float(ball.abs_upper()) if ball.is_finite() else float("inf")
 
 
-def _sizes(matrix: Any) -> list[float]:
+def _entry_sizes(matrix: Any) -> list[float]:
     """About how large each entry may become, whatever units its row and its column have."""
     if matrix is None:
         return []
-    rows = [[_size(entry) for entry in row] for row in matrix.tolist()]
+    rows = [[_ball_size(entry) for entry in row] for row in matrix.tolist()]
     largest = [max(row, default=0.0) for row in rows]
     shares = [max((row[j] / most for row, most in zip(rows, largest, strict=True) if most), default=0.0)
               for j in range(matrix.ncols())]  # fmt: skip

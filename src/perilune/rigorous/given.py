@@ -9,21 +9,21 @@ from typing import Any
 from flint import arb, fmpq
 
 from perilune.problem.variables import Given
-from perilune.rigorous.graph import Expression, Graph
+from perilune.rigorous.graph import Graph, GraphExpression
 from perilune.rigorous.taylor import Ball
 from perilune.words.outcome import PeriluneError
 from perilune.words.units import exact_quantity, parse_quantity
 
 
 @dataclass(frozen=True, kw_only=True)
-class Exact:
+class ExactValue:
     """rational * pi^power, and the text that says so; "" where the number is that of a double."""
 
     rational: Fraction
     power: int = 0
     text: str = ""
 
-    def expression(self, graph: Graph) -> Expression:
+    def expression(self, graph: Graph) -> GraphExpression:
         """Return the number in a graph."""
         return graph.constant(self._fmpq) * graph.power(graph.pi(), self.power)
 
@@ -41,7 +41,7 @@ class Exact:
         return fmpq(self.rational.numerator, self.rational.denominator)
 
 
-def exactly(given: Given) -> Exact:
+def exact_value(given: Given) -> ExactValue:
     """Return the exact number of a given value, of which a theorem is proved.
 
     A text that does not give the value in its unit is none: the solver would have flown something else.
@@ -52,5 +52,5 @@ def exactly(given: Given) -> Exact:
         told = False
     found = exact_quantity(given.stated) if told else None
     if found is not None:
-        return Exact(rational=found[0], power=found[1], text=given.stated)
-    return Exact(rational=Fraction(given.value))
+        return ExactValue(rational=found[0], power=found[1], text=given.stated)
+    return ExactValue(rational=Fraction(given.value))

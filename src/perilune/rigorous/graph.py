@@ -1,9 +1,9 @@
 """Expressions with exact rational constants: simplified as they are made, each distinct one once, differentiated.
 
-A `Graph` holds nodes in order of computation; an `Expression` is one of them, and computes like a number. Constants are
-rationals and stay so: a double is the rational that it is. Derivatives are expressions again, by the reverse mode
-(Griewank, Walther, *Evaluating Derivatives*, 2008, chapter 3), so that adjoint equations and tangents need nothing but
-the rules that stand here.
+A `Graph` holds nodes in order of computation; an `GraphExpression` is one of them, and computes like a number.
+Constants are rationals and stay so: a double is the rational that it is. Derivatives are expressions again, by the
+reverse mode (Griewank, Walther, *Evaluating Derivatives*, 2008, chapter 3), so that adjoint equations and tangents need
+nothing but the rules that stand here.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ OPERANDS = {
 _MOST_FACTORS = 64  # a whole power that is written as products
 
 
-def rational(value: Any) -> Any:
+def exact_rational(value: Any) -> Any:
     """A number as the rational that it is."""
     if isinstance(value, fmpq):
         return value
@@ -31,7 +31,7 @@ def rational(value: Any) -> Any:
     return fmpq(*float(value).as_integer_ratio())
 
 
-class Expression:
+class GraphExpression:
     """A node of a graph."""
 
     __slots__ = ("graph", "index")
@@ -42,29 +42,29 @@ class Expression:
     def __repr__(self) -> str:
         return f"<{self.index}: {' '.join(map(str, self.graph.nodes[self.index]))}>"
 
-    def __add__(self, other: Any) -> Expression:
+    def __add__(self, other: Any) -> GraphExpression:
         return self.graph.do("add", self, other)
 
     __radd__ = __add__
 
-    def __sub__(self, other: Any) -> Expression:
+    def __sub__(self, other: Any) -> GraphExpression:
         return self.graph.do("sub", self, other)
 
-    def __rsub__(self, other: Any) -> Expression:
+    def __rsub__(self, other: Any) -> GraphExpression:
         return self.graph.do("sub", other, self)
 
-    def __mul__(self, other: Any) -> Expression:
+    def __mul__(self, other: Any) -> GraphExpression:
         return self.graph.do("mul", self, other)
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: Any) -> Expression:
+    def __truediv__(self, other: Any) -> GraphExpression:
         return self.graph.do("div", self, other)
 
-    def __rtruediv__(self, other: Any) -> Expression:
+    def __rtruediv__(self, other: Any) -> GraphExpression:
         return self.graph.do("div", other, self)
 
-    def __neg__(self) -> Expression:
+    def __neg__(self) -> GraphExpression:
         return self.graph.do("neg", self)
 
     @property
@@ -90,32 +90,32 @@ class Graph:
         self.nodes: list[Node] = []
         self._index: dict[Any, int] = {}
 
-    def constant(self, value: Any) -> Expression:
+    def constant(self, value: Any) -> GraphExpression:
         """A constant, exactly."""
-        exact = rational(value)
+        exact = exact_rational(value)
         return self._node(("const", exact), ("const", int(exact.p), int(exact.q)))
 
-    def input(self, key: Hashable) -> Expression:
+    def input(self, key: Hashable) -> GraphExpression:
         """A value that is given when the graph is evaluated."""
         return self._node(("input", key))
 
-    def pi(self) -> Expression:
+    def pi(self) -> GraphExpression:
         """The ratio of a circle's circumference to its diameter."""
         return self._node(("pi",))
 
-    def _node(self, node: Node, key: Any = None) -> Expression:
+    def _node(self, node: Node, key: Any = None) -> GraphExpression:
         key = node if key is None else key
         number = self._index.get(key)
         if number is None:
             number = self._index[key] = len(self.nodes)
             self.nodes.append(node)
-        return Expression(self, number)
+        return GraphExpression(self, number)
 
-    def of(self, value: Any) -> Expression:
+    def of(self, value: Any) -> GraphExpression:
         """An expression of what is one, or a number."""
-        return value if isinstance(value, Expression) else self.constant(value)
+        return value if isinstance(value, GraphExpression) else self.constant(value)
 
-    def do(self, name: str, *operands: Any) -> Expression:
+    def do(self, name: str, *operands: Any) -> GraphExpression:
         """Return an operation, simplified where an operand is a constant."""
         a, *others = (self.of(operand) for operand in operands)
         b = others[0] if others else None
@@ -126,9 +126,9 @@ class Graph:
             a, others = b, [a]
         return self._node((name, a.index, *(o.index for o in others)))
 
-    def power(self, a: Expression, exponent: Any) -> Expression:
+    def power(self, a: GraphExpression, exponent: Any) -> GraphExpression:
         """``a`` to a rational power; whole ones are products, and ``a`` has to be positive for others."""
-        r = rational(exponent)
+        r = exact_rational(exponent)
         if r.q == 1 and abs(int(r.p)) <= _MOST_FACTORS:
             count, product, square = abs(int(r.p)), self.constant(1), a
             while count:
@@ -139,35 +139,37 @@ class Graph:
             return self.do("sqrt", a)
         return self._node(("pow", a.index, self.constant(r).index))
 
-    def needed(self, outputs: Iterable[Expression]) -> list[int]:
+    def needed(self, outputs: Iterable[GraphExpression]) -> list[int]:
         """Indices of all nodes that outputs depend on, in order."""
         found, waiting = set[int](), [e.index for e in outputs]
         while waiting:
             index = waiting.pop()
             if index not in found:
                 found.add(index)
-                waiting += operands(self.nodes[index])
+                waiting += node_operands(self.nodes[index])
         return sorted(found)
 
-    def substitute(self, outputs: Sequence[Expression], known: Mapping[Any, Expression]) -> list[Expression]:
+    def substitute(
+        self, outputs: Sequence[GraphExpression], known: Mapping[Any, GraphExpression]
+    ) -> list[GraphExpression]:
         """Return expressions with inputs replaced by others."""
-        new: dict[int, Expression] = {}
+        new: dict[int, GraphExpression] = {}
         for index in self.needed(outputs):
             node = self.nodes[index]
             if node[0] == "input":
-                new[index] = known.get(node[1], Expression(self, index))
-            elif not operands(node):
-                new[index] = Expression(self, index)
+                new[index] = known.get(node[1], GraphExpression(self, index))
+            elif not node_operands(node):
+                new[index] = GraphExpression(self, index)
             elif node[0] == "pow":
                 new[index] = self.power(new[node[1]], self.nodes[node[2]][1])
             else:
-                new[index] = self.do(node[0], *(new[i] for i in operands(node)))
+                new[index] = self.do(node[0], *(new[i] for i in node_operands(node)))
         return [new[e.index] for e in outputs]
 
-    def gradient(self, of: Expression, keys: Sequence[Hashable]) -> list[Expression]:
+    def gradient(self, of: GraphExpression, keys: Sequence[Hashable]) -> list[GraphExpression]:
         """Derivatives of an expression by inputs."""
-        slopes: dict[int, Expression] = {of.index: self.constant(1)}
-        found: dict[Hashable, Expression] = {}
+        slopes: dict[int, GraphExpression] = {of.index: self.constant(1)}
+        found: dict[Hashable, GraphExpression] = {}
         for index in reversed(self.needed([of])):
             if index not in slopes:
                 continue
@@ -179,23 +181,23 @@ class Graph:
         zero = self.constant(0)
         return [found.get(key, zero) for key in keys]
 
-    def jacobian(self, outputs: Sequence[Expression], keys: Sequence[Hashable]) -> list[list[Expression]]:
+    def jacobian(self, outputs: Sequence[GraphExpression], keys: Sequence[Hashable]) -> list[list[GraphExpression]]:
         """The gradient of each output."""
         return [self.gradient(output, keys) for output in outputs]
 
 
-def operands(node: Node) -> tuple[int, ...]:
+def node_operands(node: Node) -> tuple[int, ...]:
     """Return the nodes on which a node operates."""
     return node[1:] if node[0] in OPERANDS else ()
 
 
-def _simplified(graph: Graph, name: str, a: Expression, b: Expression | None) -> Expression | None:
+def _simplified(graph: Graph, name: str, a: GraphExpression, b: GraphExpression | None) -> GraphExpression | None:
     known, other = a.constant, None if b is None else b.constant
     if name in _EXACT and known is not None and (b is None or other is not None):
         if name != "div" or other != 0:
             return graph.constant(_EXACT[name](known, other))
     elif name == "neg" and graph.nodes[a.index][0] == "neg":
-        return Expression(graph, graph.nodes[a.index][1])
+        return GraphExpression(graph, graph.nodes[a.index][1])
     elif b is not None and name in _NEUTRAL:
         return _NEUTRAL[name](graph, a, b, known, other)
     return None
@@ -207,13 +209,17 @@ _EXACT = {
 }  # fmt: skip
 
 
-def _sum(graph: Graph, a: Expression, b: Expression, known: Any, other: Any) -> Expression | None:
+def _simplified_sum(
+    graph: Graph, a: GraphExpression, b: GraphExpression, known: Any, other: Any
+) -> GraphExpression | None:
     if known == 0:
         return b
     return a if other == 0 else None
 
 
-def _difference(graph: Graph, a: Expression, b: Expression, known: Any, other: Any) -> Expression | None:
+def _simplified_difference(
+    graph: Graph, a: GraphExpression, b: GraphExpression, known: Any, other: Any
+) -> GraphExpression | None:
     if other == 0:
         return a
     if known == 0:
@@ -221,27 +227,31 @@ def _difference(graph: Graph, a: Expression, b: Expression, known: Any, other: A
     return graph.constant(0) if a.index == b.index else None
 
 
-def _product(graph: Graph, a: Expression, b: Expression, known: Any, other: Any) -> Expression | None:
+def _simplified_product(
+    graph: Graph, a: GraphExpression, b: GraphExpression, known: Any, other: Any
+) -> GraphExpression | None:
     for number, factor in ((known, b), (other, a)):
         if number is not None and number in (0, 1, -1):
             return graph.constant(0) if number == 0 else factor if number == 1 else graph.do("neg", factor)
     return None
 
 
-def _ratio(graph: Graph, a: Expression, b: Expression, known: Any, other: Any) -> Expression | None:
+def _simplified_ratio(
+    graph: Graph, a: GraphExpression, b: GraphExpression, known: Any, other: Any
+) -> GraphExpression | None:
     if known == 0:
         return graph.constant(0)
     return None if other is None or other == 0 else graph.do("mul", a, graph.constant(1 / other))
 
 
-_NEUTRAL = {"add": _sum, "sub": _difference, "mul": _product, "div": _ratio}
+_NEUTRAL = {"add": _simplified_sum, "sub": _simplified_difference, "mul": _simplified_product, "div": _simplified_ratio}
 
 
-def _partials(graph: Graph, index: int) -> list[tuple[int, Expression]]:
+def _partials(graph: Graph, index: int) -> list[tuple[int, GraphExpression]]:
     """(operand, derivative by it) of a node."""
     name, *at = graph.nodes[index] if graph.nodes[index][0] in OPERANDS else ("",)
-    here, one = Expression(graph, index), graph.constant(1)
-    a, *others = (Expression(graph, i) for i in at) if at else (here,)
+    here, one = GraphExpression(graph, index), graph.constant(1)
+    a, *others = (GraphExpression(graph, i) for i in at) if at else (here,)
     b = others[0] if others else here
     if name in ("add", "sub"):
         return [(at[0], one), (at[1], one if name == "add" else -one)]

@@ -13,9 +13,9 @@ from flint import arb
 
 from perilune.problem.controls import Bounded, scalars
 from perilune.problem.solution import Solution
-from perilune.proof.arc import Arc
-from perilune.proof.ended import held_at_end
-from perilune.rigorous.boundary import BoundaryProblem, Piece, Sides
+from perilune.proof.arc import PhaseData
+from perilune.proof.ended import end_bound_multipliers
+from perilune.rigorous.boundary import ArcPiece, BoundaryProblem, Sides
 from perilune.rigorous.reading import Unsupported
 from perilune.rigorous.taylor import Ball
 
@@ -23,7 +23,7 @@ _ON_BOUND = 1e-7  # of the range of a control
 _INSIDE = 1e-9  # of an arc: behind a jump
 
 
-def pieces_of(solution: Solution) -> tuple[list[Piece], list[float]]:
+def suggested_pieces(solution: Solution) -> tuple[list[ArcPiece], list[float]]:
     """The arcs of a solution between the jumps of its control, and the length of each [s].
 
     Raises
@@ -31,7 +31,7 @@ def pieces_of(solution: Solution) -> tuple[list[Piece], list[float]]:
     Unsupported
         If two scalars switch at once.
     """
-    pieces, lengths = list[Piece](), list[float]()
+    pieces, lengths = list[ArcPiece](), list[float]()
     for k, phase in enumerate(solution.problem.phases):
         own = list(scalars(phase.controls))
         trajectory = solution.trajectories[k]
@@ -53,7 +53,7 @@ def pieces_of(solution: Solution) -> tuple[list[Piece], list[float]]:
                 changed = [name for name, regime in regimes.items() if found[number + 1][0][name] != regime]
                 if len(changed) > 1:
                     raise Unsupported(f"{' and '.join(changed)} switch at once")
-            pieces.append(Piece(phase=k, regimes=regimes, switched="".join(changed)))
+            pieces.append(ArcPiece(phase=k, regimes=regimes, switched="".join(changed)))
             lengths.append(end - begin)
     return pieces, lengths
 
@@ -81,7 +81,7 @@ def sides_of(solution: Solution) -> Sides:
     states = {
         (phase.name, name): "upper" if mu > 0 else "lower"
         for k, phase in enumerate(problem.phases)
-        for name, mu in held_at_end(Arc(solution=solution, index=k)).items()
+        for name, mu in end_bound_multipliers(PhaseData(solution=solution, index=k)).items()
     }
     return Sides(free=free, ranges=ranges, states=states)
 
@@ -112,7 +112,7 @@ def unknowns_of(solution: Solution, boundary: BoundaryProblem, lengths: Sequence
     found += [float(solution.free[name]) for name in problem.free_names]
     for k, phase in enumerate(problem.phases):
         found += [float(solution.multipliers.get(f"{phase.name}.{c.name}", 0.0)) for c in phase.end_conditions]
-        held = held_at_end(Arc(solution=solution, index=k))
+        held = end_bound_multipliers(PhaseData(solution=solution, index=k))
         found += [held.get(phase.states[i].name, 0.0) for i in boundary.sides.held(phase)]
     found += [length for length, piece in zip(lengths, boundary.pieces, strict=True) if piece.switched]
     for i, (piece, arc) in enumerate(zip(boundary.pieces, boundary.arcs, strict=True)):

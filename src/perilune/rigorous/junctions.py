@@ -20,10 +20,10 @@ import numpy as np
 from flint import arb, arb_mat
 
 from perilune.rigorous.equations import Key
-from perilune.rigorous.flight import identity
-from perilune.rigorous.graph import Expression, Graph
+from perilune.rigorous.flight import ball_identity
+from perilune.rigorous.graph import Graph, GraphExpression
 from perilune.rigorous.minimum import positive_definite
-from perilune.rigorous.taylor import Ball, Program
+from perilune.rigorous.taylor import Ball, TaylorProgram
 
 _MORE = 1 + 1e-12  # times what doubles give for a sum, which is never less than that then
 
@@ -46,14 +46,14 @@ class Junction:
     """
 
     def __init__(
-        self, graph: Graph, inputs: Sequence[Key], varied: Sequence[Key], follows: Sequence[Expression],
-        lagrangian: Expression, psi: Sequence[Expression],
+        self, graph: Graph, inputs: Sequence[Key], varied: Sequence[Key], follows: Sequence[GraphExpression],
+        lagrangian: GraphExpression, psi: Sequence[GraphExpression],
     ) -> None:  # fmt: skip
         hessian = graph.jacobian(graph.gradient(lagrangian, varied), varied)
         self._shapes = [(len(follows), len(varied)), (len(varied), len(varied)), (len(psi), len(varied))]
         rows = [*graph.jacobian(follows, varied), *hessian, *graph.jacobian(psi, varied)]
-        self._follows = Program(graph, inputs, follows)
-        self._slopes = Program(graph, inputs, [e for row in rows for e in row])
+        self._follows = TaylorProgram(graph, inputs, follows)
+        self._slopes = TaylorProgram(graph, inputs, [e for row in rows for e in row])
 
     def follows(self, values: Sequence[Ball]) -> list[Ball]:
         """l."""
@@ -66,11 +66,11 @@ class Junction:
             matrices.append(arb_mat(rows, columns, found[: rows * columns]))
             found = found[rows * columns :]
         G, C, normals = matrices
-        N = kernel(normals, weights)
+        N = exact_kernel(normals, weights)
         return G * N, N.transpose() * (C if W is None else C - W) * N
 
 
-def passed(G: Any, C: Any, weights: Sequence[float]) -> Any:
+def pass_junction(G: Any, C: Any, weights: Sequence[float]) -> Any:
     """An exact W behind a junction; None where the weights do not outweigh what is negative."""
     size = len(weights)
     M = arb_mat([[arb(w) if i == j else arb(0) for j in range(size)] for i, w in enumerate(weights)])
@@ -78,11 +78,11 @@ def passed(G: Any, C: Any, weights: Sequence[float]) -> Any:
     if not positive_definite(core):
         return None
     if not core.nrows():
-        return above(M * -1, weights)
-    return above(M * G * core.inv() * G.transpose() * M - M, weights)
+        return upper_bound_matrix(M * -1, weights)
+    return upper_bound_matrix(M * G * core.inv() * G.transpose() * M - M, weights)
 
 
-def above(W: Any, weights: Sequence[float]) -> Any:
+def upper_bound_matrix(W: Any, weights: Sequence[float]) -> Any:
     """An exact symmetric matrix, hardly larger than W in balls: what lies before stays no less than -dx' W dx."""
     size, middle = W.nrows(), W.mid()
     found = arb_mat(size, size)
@@ -97,11 +97,11 @@ def above(W: Any, weights: Sequence[float]) -> Any:
     return found
 
 
-def kernel(normals: Any, weights: Sequence[float]) -> Any:
+def exact_kernel(normals: Any, weights: Sequence[float]) -> Any:
     """A basis of the kernel of a matrix, as columns."""
     half = len(weights)
     if not normals.nrows():
-        return identity(half)
+        return ball_identity(half)
     count, chosen = normals.nrows(), list[int]()
     scaled = np.array([[float(normals[i, j].mid()) / weights[j] ** 0.5 for j in range(half)] for i in range(count)])
     for _ in range(count):  # the largest pivot of what is left

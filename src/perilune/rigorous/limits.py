@@ -13,13 +13,13 @@ from typing import Any
 
 from perilune.problem.controls import Direction
 from perilune.rigorous.boundary import BoundaryProblem
-from perilune.rigorous.equations import Scalar
-from perilune.rigorous.given import exactly
-from perilune.rigorous.graph import Expression
-from perilune.rigorous.minimum import Minimum
-from perilune.rigorous.reading import read
-from perilune.rigorous.root import Root
-from perilune.rigorous.signs import Quantity, Seen, positive, vanishing
+from perilune.rigorous.equations import ArcScalar
+from perilune.rigorous.given import exact_value
+from perilune.rigorous.graph import GraphExpression
+from perilune.rigorous.minimum import HamiltonianMinimum
+from perilune.rigorous.reading import read_tape
+from perilune.rigorous.root import EnclosedRoot
+from perilune.rigorous.signs import SignedQuantity, SignResult, prove_positive, vanishing_order
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,10 +47,10 @@ class Statement:
     slack: float = 0.0
 
 
-class Limits:
+class FlightLimits:
     """The statements of one flight."""
 
-    def __init__(self, boundary: BoundaryProblem, root: Root) -> None:
+    def __init__(self, boundary: BoundaryProblem, root: EnclosedRoot) -> None:
         self.boundary, self.steps, self.box, self.ends = boundary, root.flight.steps, root.y, root.flight.ends
 
     def all(self) -> Iterator[Statement]:
@@ -102,7 +102,7 @@ class Limits:
                         i, f"{state.name} {'>' if sign > 0 else '<'} {limit} ({where})", room, touching=True
                     )
 
-    def _read(self, i: int, taped: Any) -> list[Expression]:
+    def _read(self, i: int, taped: Any) -> list[GraphExpression]:
         arc = self.boundary.arcs[i]
         graph = arc.graph
         values: dict[tuple[str, str], Any] = {}
@@ -110,17 +110,17 @@ class Limits:
             values["p", name] = self._parameter(i, name)
         values |= {("x", name): graph.input(("z", at)) for at, name in enumerate(arc.phase.state_names)}
         values |= {("u", name): graph.input(("u", name)) for name in arc.phase.control_names}
-        return graph.substitute(read(graph, taped, values), arc.control)
+        return graph.substitute(read_tape(graph, taped, values), arc.control)
 
-    def _parameter(self, i: int, name: str) -> Expression:
+    def _parameter(self, i: int, name: str) -> GraphExpression:
         arc, problem = self.boundary.arcs[i], self.boundary.problem
         if name in problem.given:
-            return exactly(problem.given[name]).expression(arc.graph)
+            return exact_value(problem.given[name]).expression(arc.graph)
         if name in arc.constants:
             return arc.graph.input(("z", len(arc.phase.states) + arc.constants.index(name)))
         return arc.graph.input(("y", self.boundary.names.index(name)))
 
-    def _scalar(self, i: int, where: str, scalar: Scalar) -> Iterator[Statement]:
+    def _scalar(self, i: int, where: str, scalar: ArcScalar) -> Iterator[Statement]:
         name = scalar.control.name
         if not (scalar.regime != "interior" and scalar.curvature.vanishes()):
             yield self._along(i, f"H is strictly convex in {name} ({where})", scalar.curvature)
@@ -135,20 +135,24 @@ class Limits:
     def _only(self, i: int, where: str) -> Statement:
         arc = self.boundary.arcs[i]
         words = f"({', '.join(s.control.name for s in arc.scalars)}) is the only minimum of H ({where})"
-        minimum = Minimum(arc)
+        minimum = HamiltonianMinimum(arc)
         if not minimum.bounded:
             return Statement(words=words, proved=False, where="as it has no bounds")
         at = minimum.unseen(self.steps[i])
         return Statement(words=words, proved=at is None, where="" if at is None else f"at {at:.6g} s")
 
-    def _along(self, i: int, words: str, of: Expression, touching: bool = False) -> Statement:
-        quantity = Quantity(self.boundary.arcs[i], of, self.box)
+    def _along(self, i: int, words: str, of: GraphExpression, touching: bool = False) -> Statement:
+        quantity = SignedQuantity(self.boundary.arcs[i], of, self.box)
         if of.constant is not None:
             return Statement(words=words, proved=of.constant > 0, least=float(of.constant.p) / float(of.constant.q))
-        seen = positive(quantity, self.steps[i], (self._zeros(i, quantity, -1), self._zeros(i, quantity, 0)), touching)
-        return Statement(words=words, proved=seen.proved, least=seen.least, where=_told(seen), slack=seen.slack)
+        seen = prove_positive(
+            quantity, self.steps[i], (self._zeros(i, quantity, -1), self._zeros(i, quantity, 0)), touching
+        )
+        return Statement(
+            words=words, proved=seen.proved, least=seen.least, where=_unproved_place(seen), slack=seen.slack
+        )
 
-    def _zeros(self, i: int, quantity: Quantity, side: int) -> int:
+    def _zeros(self, i: int, quantity: SignedQuantity, side: int) -> int:
         """Return how many derivatives of a quantity vanish at the begin (side -1) or the end (0) of arc i."""
         at = i + side
         if at < 0 or (side and self.boundary.pieces[at].phase != self.boundary.pieces[i].phase):
@@ -157,8 +161,8 @@ class Limits:
         arc = self.boundary.arcs[at]
         count = 2 * arc.half if side else len(arc.rates)
         known = {("z", j): arc.graph.input(("end", at, j)) for j in range(count)}
-        return vanishing(quantity, self.boundary.meets[at], known)
+        return vanishing_order(quantity, self.boundary.meets[at], known)
 
 
-def _told(seen: Seen) -> str:
+def _unproved_place(seen: SignResult) -> str:
     return "" if seen.proved else f"at {seen.at:.6g} s"

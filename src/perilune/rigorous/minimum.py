@@ -17,9 +17,9 @@ from typing import Any
 
 from flint import arb, arb_mat, ctx
 
-from perilune.rigorous.equations import Arc
-from perilune.rigorous.flow import Step
-from perilune.rigorous.taylor import Ball, Program
+from perilune.rigorous.equations import CanonicalArc
+from perilune.rigorous.flow import EnclosedStep
+from perilune.rigorous.taylor import Ball, TaylorProgram
 
 _BITS = 80
 _BOXES = 4000  # of a piece of the flight
@@ -28,24 +28,24 @@ _NARROWEST = 2.0**-24  # of the range of a control
 Box = list[Ball]
 
 
-class Minimum:
+class HamiltonianMinimum:
     """The scalars of an arc, and H as a function of them."""
 
-    def __init__(self, arc: Arc) -> None:
+    def __init__(self, arc: CanonicalArc) -> None:
         graph, names = arc.graph, [scalar.control.name for scalar in arc.scalars]
         keys = [("u", name) for name in names]
         gradient = graph.gradient(arc.reduced, keys)
         self._pairs = list(combinations_with_replacement(range(len(keys)), 2))
         curvature = [graph.gradient(gradient[i], [keys[j]])[0] for i, j in self._pairs]
-        self._slopes = Program(graph, [*arc.keys, *keys], [*gradient, arc.reduced])
-        self._all = Program(graph, [*arc.keys, *keys], [*gradient, *curvature])
-        self._controls = Program(graph, arc.keys, [scalar.value for scalar in arc.scalars])
+        self._slopes = TaylorProgram(graph, [*arc.keys, *keys], [*gradient, arc.reduced])
+        self._all = TaylorProgram(graph, [*arc.keys, *keys], [*gradient, *curvature])
+        self._controls = TaylorProgram(graph, arc.keys, [scalar.value for scalar in arc.scalars])
         limits = [limit for scalar in arc.scalars for limit in scalar.limits]
         self.bounded = all(limit is not None for limit in limits)
-        self._limits = Program(graph, arc.keys, [limit for limit in limits if limit is not None])
+        self._limits = TaylorProgram(graph, arc.keys, [limit for limit in limits if limit is not None])
         self._count, self._regimes = len(keys), [scalar.regime for scalar in arc.scalars]
 
-    def unseen(self, steps: Sequence[Step]) -> float | None:
+    def unseen(self, steps: Sequence[EnclosedStep]) -> float | None:
         """A time [s] of the arc at which it is not seen that the control is the only minimum; None where it always is.
 
         A control that is on a bound has to have been seen to be the least next to it (`limits`).

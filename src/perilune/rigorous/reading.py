@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from perilune.problem.tape import ROLES, Expression as Taped
-from perilune.rigorous.graph import Expression, Graph
+from perilune.rigorous.graph import Graph, GraphExpression
 from perilune.words.outcome import PeriluneError
 
 
@@ -21,7 +21,7 @@ class Unsupported(PeriluneError):
         super().__init__(what, advice="levels 1 to 4 do not need it")
 
 
-def read(graph: Graph, taped: Taped, values: Mapping[tuple[str, str], Any]) -> list[Expression]:
+def read_tape(graph: Graph, taped: Taped, values: Mapping[tuple[str, str], Any]) -> list[GraphExpression]:
     """The outputs of a tape as expressions.
 
     Parameters
@@ -38,7 +38,7 @@ def read(graph: Graph, taped: Taped, values: Mapping[tuple[str, str], Any]) -> l
     Unsupported
         If it has an operation without a Taylor series here.
     """
-    found: list[Expression] = []
+    found: list[GraphExpression] = []
     for word, *rest in taped.tape.instructions:
         if word in ROLES:
             found.append(graph.of(values[word, rest[0]]))
@@ -59,33 +59,33 @@ _TOLD = {
 }
 
 
-def _itself(name: str) -> Callable[..., Expression]:
+def _same_operation(name: str) -> Callable[..., GraphExpression]:
     return lambda graph, *at: graph.do(name, *at)
 
 
-def _power(graph: Graph, a: Expression, b: Expression) -> Expression:
+def _exact_power_node(graph: Graph, a: GraphExpression, b: GraphExpression) -> GraphExpression:
     exponent = b.constant
     if exponent is None:
         return graph.do("exp", b * graph.do("log", a))
     return graph.power(a, exponent)
 
 
-def _arcsine(graph: Graph, a: Expression) -> Expression:
+def _arcsine(graph: Graph, a: GraphExpression) -> GraphExpression:
     return graph.do("asin", a, graph.do("sqrt", 1 - a * a))
 
 
-def _hyperbolic(graph: Graph, a: Expression) -> tuple[Expression, Expression]:
+def _hyperbolic(graph: Graph, a: GraphExpression) -> tuple[GraphExpression, GraphExpression]:
     up, down = graph.do("exp", a), graph.do("exp", -a)
     return (up - down) / 2, (up + down) / 2
 
 
-def _ratio(both: tuple[Expression, Expression]) -> Expression:
+def _quotient_of_pair(both: tuple[GraphExpression, GraphExpression]) -> GraphExpression:
     return both[0] / both[1]
 
 
-_MEANING: dict[str, Callable[..., Expression]] = {
-    **{name: _itself(name) for name in ("add", "sub", "mul", "div", "neg", "sqrt", "exp", "log", "sin", "cos")},
-    "pow": _power,
+_MEANING: dict[str, Callable[..., GraphExpression]] = {
+    **{name: _same_operation(name) for name in ("add", "sub", "mul", "div", "neg", "sqrt", "exp", "log", "sin", "cos")},
+    "pow": _exact_power_node,
     "tan": lambda graph, a: graph.do("sin", a) / graph.do("cos", a),
     "asin": _arcsine,
     "acos": lambda graph, a: graph.pi() / 2 - _arcsine(graph, a),
@@ -93,5 +93,5 @@ _MEANING: dict[str, Callable[..., Expression]] = {
     "atan2": lambda graph, y, x: graph.do("atan2", y, x, x * x + y * y),
     "sinh": lambda graph, a: _hyperbolic(graph, a)[0],
     "cosh": lambda graph, a: _hyperbolic(graph, a)[1],
-    "tanh": lambda graph, a: _ratio(_hyperbolic(graph, a)),
+    "tanh": lambda graph, a: _quotient_of_pair(_hyperbolic(graph, a)),
 }  # fmt: skip

@@ -8,14 +8,14 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from perilune.rigorous.flight import identity
-from perilune.rigorous.flow import Step
+from perilune.rigorous.flight import ball_identity
+from perilune.rigorous.flow import EnclosedStep
 from perilune.rigorous.taylor import Ball
 
 _DEEPEST = 16  # halvings of a step
 
 
-def irregular(proved: Step, half: int) -> Ball | None:
+def first_irregular_time(proved: EnclosedStep, half: int) -> Ball | None:
     """A time at which X is not seen to be regular; None where it is all along the step."""
     order, waiting = len(proved.tangents) - 1, [(0.0, 1.0, 0)]
     *polynomial, last = (arb_mat(own.tolist()[:half]) for own in proved.tangents)
@@ -23,7 +23,7 @@ def irregular(proved: Step, half: int) -> Ball | None:
         a, b, depth = waiting.pop()
         middle, away = proved.length * arb(0.5 * (a + b)), proved.length * arb(0.5 * (b - a))
         missing = last * (proved.length * arb(a).union(arb(b))) ** order
-        if _regular(_about(polynomial, middle), missing, away.abs_upper()):
+        if _is_regular_about(_shifted_coefficients(polynomial, middle), missing, away.abs_upper()):
             continue
         if depth == _DEEPEST:
             return proved.begin + middle
@@ -31,7 +31,7 @@ def irregular(proved: Step, half: int) -> Ball | None:
     return None
 
 
-def _about(polynomial: Sequence[Any], middle: Ball) -> list[Any]:
+def _shifted_coefficients(polynomial: Sequence[Any], middle: Ball) -> list[Any]:
     """The coefficients of a polynomial about another time."""
     c = list(polynomial)
     for i in range(len(c) - 1):
@@ -40,7 +40,7 @@ def _about(polynomial: Sequence[Any], middle: Ball) -> list[Any]:
     return c
 
 
-def _regular(c: Sequence[Any], missing: Any, away: Ball) -> bool:
+def _is_regular_about(c: Sequence[Any], missing: Any, away: Ball) -> bool:
     """Return True if X = sum of c[k] s^k + missing is regular for all |s| <= away.
 
     X C = 1 + E with C about the inverse of its centre. From this side, and for each coefficient by itself, E is as
@@ -52,7 +52,7 @@ def _regular(c: Sequence[Any], missing: Any, away: Ball) -> bool:
     except ZeroDivisionError:
         return False
     size = inverse.nrows()
-    unit = identity(size)
+    unit = ball_identity(size)
     parts = [(c[0] + missing) * inverse - unit, *(own * inverse * away**k for k, own in enumerate(c[1:], start=1))]
     E = [sum(entry.abs_upper() for entry in entries) for entries in zip(*(p.entries() for p in parts), strict=True)]
     sums = [arb(1)] * size

@@ -18,7 +18,17 @@ from typing import Any
 from flint import arb, arb_mat
 
 from perilune.rigorous.boundary import BoundaryProblem
-from perilune.rigorous.flight import Flight, Grid, column, enclosed, identity, middle, plainly, residual, slopes
+from perilune.rigorous.flight import (
+    EnclosedFlight,
+    Grid,
+    ball_centres,
+    ball_column,
+    ball_identity,
+    enclose_flight,
+    fly_unproved,
+    residual,
+    slopes,
+)
 from perilune.rigorous.flow import NotEnclosed
 from perilune.rigorous.taylor import Ball
 from perilune.words.outcome import PeriluneError
@@ -35,7 +45,7 @@ class NotProved(PeriluneError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class ProofEffort:
     """Effort of a proof: precision, orders and tolerances.
 
     Attributes
@@ -63,7 +73,7 @@ class Settings:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Refined:
+class RefinedRoot:
     """Result of Newton's method: y, the inverse of F' there, the grid of the flights, and the steps it took."""
 
     y: list[Ball]
@@ -79,7 +89,7 @@ class Refined:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Root:
+class EnclosedRoot:
     """A root that is proved to be the only one in a box.
 
     Attributes
@@ -98,12 +108,12 @@ class Root:
 
     y: list[Ball]
     box: list[Ball]
-    flight: Flight
+    flight: EnclosedFlight
     contraction: float
     defect: float
 
 
-def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tell: Tell) -> Refined:
+def refine_root(boundary: BoundaryProblem, y: Sequence[Ball], settings: ProofEffort, tell: Tell) -> RefinedRoot:
     """Newton's method from a guess.
 
     Raises
@@ -120,18 +130,18 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
     tell
         Receives lines of text.
     """
-    grid, moved, y, enough = None, list[float](), middle(y), settings.enough
+    grid, moved, y, enough = None, list[float](), ball_centres(y), settings.enough
     inverse, slowly = arb_mat(0, 0), False
     for number in range(settings.newton):
-        flown, chosen = plainly(boundary, y, settings.order, settings.tolerance, grid)
+        flown, chosen = fly_unproved(boundary, y, settings.order, settings.tolerance, grid)
         grid = chosen if number == 0 else grid
         F, J = slopes(boundary, y, flown)
-        inverse = _inverse(J)
-        change = (inverse * column(middle(F))).entries()
+        inverse = _inverse_of_middle(J)
+        change = (inverse * ball_column(ball_centres(F))).entries()
         least = _ZERO * max(abs(float(a)) for a in y)
         largest = max(abs(float(b)) / max(abs(float(a)), least) for a, b in zip(y, change, strict=True))
         moved.append(largest)
-        y = middle([a - b for a, b in zip(y, change, strict=True)])
+        y = ball_centres([a - b for a, b in zip(y, change, strict=True)])
         tell(f"Newton's method in {settings.bits} bits: step {largest:.2g}, {sum(map(len, chosen))} steps of the flow")
         # What converges only linearly is not the function that its derivatives are of: one of the two is cut off. An
         # unknown that is small beside the others may come out once as if it did, and not again.
@@ -144,17 +154,19 @@ def refine(boundary: BoundaryProblem, y: Sequence[Ball], settings: Settings, tel
     else:
         raise NotProved("Newton's method in many digits does not converge", got=f"steps {moved}")
     assert grid is not None
-    return Refined(y=y, inverse=inverse, grid=grid, steps=moved)
+    return RefinedRoot(y=y, inverse=inverse, grid=grid, steps=moved)
 
 
-def _inverse(J: Any) -> Any:
+def _inverse_of_middle(J: Any) -> Any:
     try:
         return J.mid().inv().mid()
     except ZeroDivisionError:
         raise NotProved("the extremal is not isolated: the matrix of its conditions is singular") from None
 
 
-def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Settings, tell: Tell) -> Root:
+def enlarge_uniqueness_box(
+    boundary: BoundaryProblem, refined: RefinedRoot, root: EnclosedRoot, settings: ProofEffort, tell: Tell
+) -> EnclosedRoot:
     """Return the same root in about the largest box in which it can be proved to be the only one.
 
     Parameters
@@ -180,9 +192,9 @@ def alone(boundary: BoundaryProblem, refined: Refined, root: Root, settings: Set
 
 
 def prove_root(
-    boundary: BoundaryProblem, refined: Refined, settings: Settings, tell: Tell,
+    boundary: BoundaryProblem, refined: RefinedRoot, settings: ProofEffort, tell: Tell,
     radii: Sequence[float] | None = None,
-) -> Root:  # fmt: skip
+) -> EnclosedRoot:  # fmt: skip
     """Krawczyk's operator on a box around a refined root.
 
     Parameters
@@ -201,15 +213,15 @@ def prove_root(
     """
     own = [settings.box * size for size in refined.sizes] if radii is None else list(radii)
     box = [c + arb(0, r) for c, r in zip(refined.y, own, strict=True)]
-    centre = middle(box)  # of which F is: in fewer bits than before it is another number
+    centre = ball_centres(box)  # of which F is: in fewer bits than before it is another number
     finest = _REMAINDER * settings.box if radii is None else math.inf
-    flown = enclosed(boundary, box, refined.grid, settings.order, finest)
+    flown = enclose_flight(boundary, box, refined.grid, settings.order, finest)
     F = residual(boundary, box, flown)
-    off = (refined.inverse * column(F)).entries()
+    off = (refined.inverse * ball_column(F)).entries()
     defects = [float(value.abs_upper()) for value in off]
     _, J = slopes(boundary, box, flown)
-    rest = identity(len(box)) - refined.inverse * J
-    moved = (rest * column([b - c for b, c in zip(box, centre, strict=True)])).entries()
+    rest = ball_identity(len(box)) - refined.inverse * J
+    moved = (rest * ball_column([b - c for b, c in zip(box, centre, strict=True)])).entries()
     krawczyk = [c - d + e for c, d, e in zip(centre, off, moved, strict=True)]
     contraction = max(float(e.abs_upper()) / r for e, r in zip(moved, own, strict=True))
     tell(f"box enclosed: defect {max(defects):.2g}, contraction {contraction:.2g}")
@@ -218,5 +230,5 @@ def prove_root(
             "no root is proved: Krawczyk's operator leaves the box",
             got=f"contraction {contraction:.3g}, defect {max(defects):.3g}",
         )
-    return Root(y=krawczyk, box=box, flight=flown, contraction=contraction,
+    return EnclosedRoot(y=krawczyk, box=box, flight=flown, contraction=contraction,
                 defect=max(d / r for d, r in zip(defects, own, strict=True)))  # fmt: skip

@@ -37,17 +37,17 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from perilune.rigorous.boundary import BoundaryProblem, Differentiated, lasting
-from perilune.rigorous.equations import Arc, Reader
-from perilune.rigorous.flight import identity
-from perilune.rigorous.flow import NotEnclosed, step
-from perilune.rigorous.graph import Expression
-from perilune.rigorous.junctions import Junction, above, passed
+from perilune.rigorous.boundary import BoundaryProblem, Differentiated, arc_duration
+from perilune.rigorous.equations import CanonicalArc, ProblemReader
+from perilune.rigorous.flight import ball_identity
+from perilune.rigorous.flow import NotEnclosed, enclose_step
+from perilune.rigorous.graph import GraphExpression
+from perilune.rigorous.junctions import Junction, pass_junction, upper_bound_matrix
 from perilune.rigorous.limits import Statement
 from perilune.rigorous.minimum import positive_definite
-from perilune.rigorous.regular import irregular
-from perilune.rigorous.root import Root
-from perilune.rigorous.signs import Quantity
+from perilune.rigorous.regular import first_irregular_time
+from perilune.rigorous.root import EnclosedRoot
+from perilune.rigorous.signs import SignedQuantity
 from perilune.rigorous.taylor import Ball
 
 _WEIGHTS = (1e2, 1e4, 1e6)  # times the size of J over the square of that of a state
@@ -56,7 +56,7 @@ _HALVED = 5  # times at most is a step
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optimum(Statement):
+class OptimumStatement(Statement):
     """Statement that an extremal is a strict local optimum.
 
     Attributes
@@ -69,7 +69,9 @@ class Optimum(Statement):
     weights: Sequence[Sequence[float]] = ()
 
 
-def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Callable[[str], None]) -> Optimum:
+def prove_local_optimum(
+    boundary: BoundaryProblem, root: EnclosedRoot, order: int, tell: Callable[[str], None]
+) -> OptimumStatement:
     """Prove, if possible, that a proved extremal is a strict local optimum.
 
     Parameters
@@ -81,10 +83,10 @@ def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Calla
     tell
         Called with a line for every part.
     """
-    where = next(_not_covered(boundary, root), "")
+    where = next(_unsupported_cases(boundary, root), "")
     if where:
-        return Optimum(proved=False, where=f"as {where}")
-    form, found = _Form(boundary, root), list[str]()
+        return OptimumStatement(proved=False, where=f"as {where}")
+    form, found = _SecondVariationForm(boundary, root), list[str]()
     for weight in _WEIGHTS:
         try:
             found.append(form.fails(order, weight))
@@ -92,12 +94,12 @@ def local_optimum(boundary: BoundaryProblem, root: Root, order: int, tell: Calla
             found.append(error.what if isinstance(error, NotEnclosed) else "a matrix is singular")
         tell(f"second variation, weight {weight:.0e}: {found[-1] or 'positive'}")
         if not found[-1]:
-            return Optimum(proved=True, weights=form.weights_of_moving(weight))
+            return OptimumStatement(proved=True, weights=form.weights_of_moving(weight))
     last = next((where for where in found if where == _NOT_POSITIVE), found[-1])  # it says the most
-    return Optimum(proved=False, where=f"as {last}")
+    return OptimumStatement(proved=False, where=f"as {last}")
 
 
-def _not_covered(boundary: BoundaryProblem, root: Root) -> Iterator[str]:
+def _unsupported_cases(boundary: BoundaryProblem, root: EnclosedRoot) -> Iterator[str]:
     """Yield the requirements on scalars on bounds and at switches that are not proved, in words."""
     for i, (piece, arc) in enumerate(zip(boundary.pieces, boundary.arcs, strict=True)):
         if arc.idle:
@@ -117,19 +119,19 @@ def _not_covered(boundary: BoundaryProblem, root: Root) -> Iterator[str]:
                 yield f"H is not affine in {name}, which switches"
             if scalar.regime == "interior":
                 continue
-            sign, slope = 1 if scalar.regime == "lower" else -1, Quantity(arc, scalar.slope, root.y)
+            sign, slope = 1 if scalar.regime == "lower" else -1, SignedQuantity(arc, scalar.slope, root.y)
             for z, zero in zip((flown[0], flown[-1]), zeros, strict=True):
                 if not sign * (zero * slope.value(z, 1) if zero else slope.value(z)) > 0:
                     yield f"dH/d({name}) is not seen to {'cross 0 with a slope' if zero else 'keep its sign to an end'}"
 
 
-class _Form:
+class _SecondVariationForm:
     """The second variation of a flight."""
 
-    def __init__(self, boundary: BoundaryProblem, root: Root) -> None:
+    def __init__(self, boundary: BoundaryProblem, root: EnclosedRoot) -> None:
         problem, pieces = boundary.problem, boundary.pieces
         self.boundary, self.phases = boundary, problem.phases
-        reader = self.reader = Reader(problem)
+        reader = self.reader = ProblemReader(problem)
         self.names = (*problem.free_names, *boundary.lengths.values())
         self.free = {name: reader.graph.input(("p", name)) for name in self.names}
         named = dict(zip(boundary.names, root.y, strict=True))
@@ -142,13 +144,13 @@ class _Form:
         self.multipliers = [[root.y[i] for i in own] for own in boundary.multipliers]
         lengths = {i: self.free[name] for i, name in boundary.lengths.items()}
         given = {**reader.given, **self.free}
-        self.arcs: list[list[tuple[int, Arc]]] = [[] for _ in self.phases]
+        self.arcs: list[list[tuple[int, CanonicalArc]]] = [[] for _ in self.phases]
         for i, piece in enumerate(pieces):
-            length = lasting(pieces, i, lengths, given[self.phases[piece.phase].duration])
+            length = arc_duration(pieces, i, lengths, given[self.phases[piece.phase].duration])
             self.arcs[piece.phase].append((i, reader.arc(piece.phase, piece.regimes, length, self.names)))
         self.moving = [("p", name) for name in self.names if name not in boundary.sides.free]
         self.junctions = [self._junction(k) for k in range(len(self.phases) + 1)]
-        self.sizes = _sizes(boundary, root)
+        self.sizes = _state_sizes(boundary, root)
         self.durations = [duration.values(root.y)[0] for duration in boundary.durations]
         self.times = [
             [*(own.begin / duration for own in steps), arb(1)]
@@ -163,7 +165,7 @@ class _Form:
     def _junction(self, k: int) -> tuple[Junction, list[Ball]]:
         """Return the junction before phase k, or behind the last one, and its multipliers."""
         graph, reader = self.reader.graph, self.reader
-        psi, nu = list[Expression](), list[Ball]()
+        psi, nu = list[GraphExpression](), list[Ball]()
         if k == 0:
             before, inputs = None, [("p", name) for name in self.names]
             at, free = [], self.free
@@ -172,7 +174,7 @@ class _Form:
             inputs = [("z", i) for i in range(len(before.states) + len(self.names))]
             at = [graph.input(key) for key in inputs]
             free = dict(zip(self.names, at[len(before.states) :], strict=True))
-            values, held = list[Expression](), self.boundary.sides.held(before)
+            values, held = list[GraphExpression](), self.boundary.sides.held(before)
             if before.end_conditions:
                 values = reader.function((k - 1, "end"), at, free=free, phase=before)
             sides = [self.boundary.sides.ranges.get((before.name, c.name)) for c in before.end_conditions]
@@ -222,13 +224,13 @@ class _Form:
         for k, weights in enumerate(self._weights(weight)):
             (junction, multipliers), half = self.junctions[k], len(weights)
             at = [*z, *multipliers]
-            W = passed(*junction.form(at, W, before), weights)
+            W = pass_junction(*junction.form(at, W, before), weights)
             if W is None:
                 return f"the weights do not outweigh the curvature of the start of {self.phases[k].name}"
             z = [*junction.follows(at), *self.costates[k], *([arb(0)] * len(self.names))]
             for i, arc in self.arcs[k]:
                 z = [*z[: 2 * half], *self.w[i]]
-                z, W, t = _flown(arc, z, W, self.times[i], self.nodes[i], weights, order)
+                z, W, t = _propagate_bound(arc, z, W, self.times[i], self.nodes[i], weights, order)
                 if t is not None:
                     place = f"{arc.phase.name}, arc {i + 1}" if len(self.arcs[k]) > 1 else arc.phase.name
                     seconds = float((t * self.durations[i]).mid())
@@ -239,10 +241,15 @@ class _Form:
         return "" if positive_definite(C) else _NOT_POSITIVE
 
 
-def _flown(
-    arc: Arc, z: list[Ball], W: Any, times: Sequence[Ball], nodes: Sequence[Sequence[Ball]], weights: Sequence[float],
+def _propagate_bound(
+    arc: CanonicalArc,
+    z: list[Ball],
+    W: Any,
+    times: Sequence[Ball],
+    nodes: Sequence[Sequence[Ball]],
+    weights: Sequence[float],
     order: int,
-) -> tuple[list[Ball], Any, Ball | None]:  # fmt: skip
+) -> tuple[list[Ball], Any, Ball | None]:
     """Return z and an exact W at the end of an arc, and a time at which X is not seen to be regular, else None.
 
     Each step begins with X = 1 and an exact W, hardly larger than where the one before ends it: tangents of a whole arc
@@ -256,15 +263,15 @@ def _flown(
     while waiting:
         begin, end, depth, node = waiting.pop(0)
         try:
-            ahead, V, proved = step(arc, z, _tangents(kept, z, W), begin, end - begin, order)
-            t, rows = irregular(proved, half), V.tolist()
+            ahead, V, proved = enclose_step(arc, z, _tangents_with_control(kept, z, W), begin, end - begin, order)
+            t, rows = first_irregular_time(proved, half), V.tolist()
         except NotEnclosed:
             if depth == _HALVED:
                 raise
             ahead, t, rows = z, begin, []
         if t is None:
             z = ahead
-            W = above(arb_mat(rows[half : 2 * half]) * arb_mat(rows[:half]).inv(), weights)
+            W = upper_bound_matrix(arb_mat(rows[half : 2 * half]) * arb_mat(rows[:half]).inv(), weights)
             for i, known in zip(own, node, strict=True) if node else ():
                 if not z[i].overlaps(known):
                     raise NotEnclosed("two enclosures of one flight are apart")
@@ -277,13 +284,13 @@ def _flown(
     return z, W, None
 
 
-def _without_constants(z: Sequence[Any], arc: Arc) -> list[Any]:
+def _without_constants(z: Sequence[Any], arc: CanonicalArc) -> list[Any]:
     """Return the entries of z without constant states and their costates."""
     n = len(arc.phase.states)
     return [*z[:n], *z[arc.half : arc.half + n], *z[2 * arc.half :]]
 
 
-def _sizes(boundary: BoundaryProblem, root: Root) -> list[list[float]]:
+def _state_sizes(boundary: BoundaryProblem, root: EnclosedRoot) -> list[list[float]]:
     """About how large the states of each phase are; 1 where nothing is known but that one may be 0 all along."""
     found = list[list[float]]()
     for k, phase in enumerate(boundary.problem.phases):
@@ -297,10 +304,10 @@ def _sizes(boundary: BoundaryProblem, root: Root) -> list[list[float]]:
     return found
 
 
-def _tangents(kept: Differentiated, z: Sequence[Ball], W: Any) -> Any:
+def _tangents_with_control(kept: Differentiated, z: Sequence[Ball], W: Any) -> Any:
     """(1, W), and below how that moves what no formula gives of the control: so that dH/dw is kept 0."""
     half = W.nrows()
-    V = arb_mat(identity(half).tolist() + W.tolist())
+    V = arb_mat(ball_identity(half).tolist() + W.tolist())
     if not kept.count:
         return V
     _, (by_z, by_w) = kept.slopes(z[: 2 * half], z[2 * half :])

@@ -3,7 +3,7 @@
 Where a quantity is known to vanish at an end of its arc, as the height at touchdown or the switching function at a
 switch, no enclosure of it can be positive up to there. Then its first derivative that does not vanish there is enclosed
 on the last piece: g(T) = g'(T) = 0 and g'' > 0 on [a, T] make g > 0 on [a, T). That it vanishes is never read off an
-enclosure: it is an equation of the extremal, found as one by `affine`.
+enclosure: it is an equation of the extremal, found as one by `affine_form`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 
 from flint import arb
 
-from perilune.rigorous.equations import Arc, Key
-from perilune.rigorous.flow import Step
-from perilune.rigorous.graph import Expression, Graph
-from perilune.rigorous.taylor import Ball, Program
+from perilune.rigorous.equations import CanonicalArc, Key
+from perilune.rigorous.flow import EnclosedStep
+from perilune.rigorous.graph import Graph, GraphExpression
+from perilune.rigorous.taylor import Ball, TaylorProgram
 
 _DEEPEST = 12  # halvings of a step
 _SLACK = 1e-12  # SI: by less may be missed what vanishes at an end
@@ -28,7 +28,7 @@ Affine = dict[Any, Any]  # input key (None: the constant) -> rational
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
+class SignResult:
     """Result of the proof of a sign.
 
     Attributes
@@ -49,19 +49,19 @@ class Seen:
     at: float = float("nan")
 
 
-class Quantity:
+class SignedQuantity:
     """An expression of z on an arc, and of the unknowns y, with its derivatives along the flow."""
 
-    def __init__(self, arc: Arc, of: Expression, unknowns: Sequence[Ball]) -> None:
+    def __init__(self, arc: CanonicalArc, of: GraphExpression, unknowns: Sequence[Ball]) -> None:
         self.arc, self.of, self.unknowns = arc, of, unknowns
         self._derivatives = [of]
-        self._programs: dict[int, Program] = {}
+        self._programs: dict[int, TaylorProgram] = {}
 
     @cached_property
     def _keys(self) -> list[Key]:
         return [*self.arc.keys, *(("y", i) for i in range(len(self.unknowns)))]
 
-    def derivative(self, order: int) -> Expression:
+    def derivative(self, order: int) -> GraphExpression:
         """Return its derivative of an order by time, along the flow."""
         while len(self._derivatives) <= order:
             graph, last = self.arc.graph, self._derivatives[-1]
@@ -73,13 +73,13 @@ class Quantity:
     def value(self, z: Sequence[Ball], order: int = 0) -> Ball:
         """Itself, or a derivative, at some z."""
         if order not in self._programs:
-            self._programs[order] = Program(self.arc.graph, self._keys, [self.derivative(order)])
+            self._programs[order] = TaylorProgram(self.arc.graph, self._keys, [self.derivative(order)])
         return self._programs[order].values([*z, *self.unknowns])[0]
 
 
-def positive(
-    quantity: Quantity, steps: Sequence[Step], zeros: tuple[int, int] = (0, 0), touching: bool = False
-) -> Seen:
+def prove_positive(
+    quantity: SignedQuantity, steps: Sequence[EnclosedStep], zeros: tuple[int, int] = (0, 0), touching: bool = False
+) -> SignResult:
     """Prove, if possible, that a quantity is positive along an arc.
 
     Parameters
@@ -113,18 +113,18 @@ def positive(
                 and b == 1.0
                 and number + 1 == len(steps)
                 and not at_end
-                and (lost := _falls(quantity, step, span, z)) is not None
+                and (lost := _end_slack(quantity, step, span, z)) is not None
             ):
                 slack = max(slack, lost)
                 continue
             if depth == _DEEPEST or value < 0:
-                return Seen(proved=False, least=least, at=float((step.begin + span).mid()))
+                return SignResult(proved=False, least=least, at=float((step.begin + span).mid()))
             middle = 0.5 * (a + b)
             waiting += [(a, middle, depth + 1), (middle, b, depth + 1)]
-    return Seen(proved=True, least=least, slack=slack)
+    return SignResult(proved=True, least=least, slack=slack)
 
 
-def _falls(quantity: Quantity, step: Step, span: Ball, z: Sequence[Ball]) -> float | None:
+def _end_slack(quantity: SignedQuantity, step: EnclosedStep, span: Ball, z: Sequence[Ball]) -> float | None:
     """Return how far a quantity may lie below 0 on an arc's last piece, if only by the uncertainty of its end.
 
     It falls up to the end, g' < 0, or g'' > 0 with g' about 0 there: then g >= g(T), or g >= g(T) - |g'(T)| (T - a).
@@ -141,7 +141,9 @@ def _falls(quantity: Quantity, step: Step, span: Ball, z: Sequence[Ball]) -> flo
     return float(lost.upper()) if lost < _SLACK else None
 
 
-def vanishing(quantity: Quantity, known: Sequence[Expression], at: Mapping[Any, Expression]) -> int:
+def vanishing_order(
+    quantity: SignedQuantity, known: Sequence[GraphExpression], at: Mapping[Any, GraphExpression]
+) -> int:
     """Return how many derivatives of a quantity, itself the first, vanish where equations hold.
 
     Parameters
@@ -155,16 +157,16 @@ def vanishing(quantity: Quantity, known: Sequence[Expression], at: Mapping[Any, 
     """
     graph = quantity.arc.graph
     same = {e.index for one in known for e in (one, -one)}
-    forms = [form for one in known if (form := affine(graph, one)) is not None]
+    forms = [form for one in known if (form := affine_form(graph, one)) is not None]
     for order in range(_HIGHEST):
         here = graph.substitute([quantity.derivative(order)], at)[0]
-        own = None if here.index in same else affine(graph, here)
-        if here.index not in same and (own is None or not any(_proportional(own, one) for one in forms)):
+        own = None if here.index in same else affine_form(graph, here)
+        if here.index not in same and (own is None or not any(_is_proportional(own, one) for one in forms)):
             return order
     return 0  # as far as was looked: nothing can be said of its sign
 
 
-def affine(graph: Graph, of: Expression) -> Affine | None:
+def affine_form(graph: Graph, of: GraphExpression) -> Affine | None:
     """An expression as exact rational factors of its inputs; None where it is not affine."""
     found: dict[int, Affine | None] = {}
     for index in graph.needed([of]):
@@ -174,11 +176,11 @@ def affine(graph: Graph, of: Expression) -> Affine | None:
         elif name == "const":
             found[index] = {None: at[0]} if at[0] != 0 else {}
         else:
-            found[index] = _combined(name, [found.get(i) for i in at])
+            found[index] = _combine_affine(name, [found.get(i) for i in at])
     return found[of.index]
 
 
-def _combined(name: str, parts: list[Affine | None]) -> Affine | None:
+def _combine_affine(name: str, parts: list[Affine | None]) -> Affine | None:
     if any(part is None for part in parts):
         return None
     a, *others = (part for part in parts if part is not None)
@@ -196,7 +198,7 @@ def _combined(name: str, parts: list[Affine | None]) -> Affine | None:
     return None
 
 
-def _proportional(a: Affine, b: Affine) -> bool:
+def _is_proportional(a: Affine, b: Affine) -> bool:
     if set(a) != set(b) or not a:
         return not a and not b
     ratios = [a[key] / b[key] for key in a]

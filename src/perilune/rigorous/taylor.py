@@ -3,8 +3,8 @@
 Along a flow z' = F(z) the coefficients of z to order k give those of F(z) to order k, and these give z's of order
 k + 1. Each operation has a recurrence (Moore 1966; Griewank, Walther 2008, table 13.2). Coefficients are plain lists,
 as long as the orders that were computed: there is no length that could be wrong and cut something off unseen. What is
-known along the flow already goes through FLINT's power series (`Program.along`), which is quicker, but wider where
-balls are wide; they know how long they are, and what has become shorter than it should be is no result.
+known along the flow already goes through FLINT's power series (`TaylorProgram.along`), which is quicker, but wider
+where balls are wide; they know how long they are, and what has become shorter than it should be is no result.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import Any
 
 from flint import arb, arb_series, ctx
 
-from perilune.rigorous.graph import Expression, Graph, operands
+from perilune.rigorous.graph import Graph, GraphExpression, node_operands
 from perilune.words.outcome import PeriluneError
 
 Ball = Any  # flint.arb, which comes without types
 Coefficients = list[Ball]
 
 
-class Program:
+class TaylorProgram:
     """Expressions that are evaluated together.
 
     Parameters
@@ -35,7 +35,7 @@ class Program:
         What is wanted.
     """
 
-    def __init__(self, graph: Graph, inputs: Sequence[Hashable], outputs: Sequence[Expression]) -> None:
+    def __init__(self, graph: Graph, inputs: Sequence[Hashable], outputs: Sequence[GraphExpression]) -> None:
         self.inputs, self.outputs = tuple(inputs), [e.index for e in outputs]
         place = {key: k for k, key in enumerate(self.inputs)}
         self._fixed: list[tuple[int, Any]] = []  # nodes without an input below them
@@ -47,7 +47,7 @@ class Program:
             if node[0] == "input":
                 self._inputs[index] = place[node[1]]
                 self._moving.add(index)
-            elif any(i in self._moving for i in operands(node)):
+            elif any(i in self._moving for i in node_operands(node)):
                 self._moving.add(index)
                 self._steps.append((index, node))
             else:
@@ -59,13 +59,15 @@ class Program:
         for index, k in self._inputs.items():
             found[index] = at[k]
         for index, node in self._steps:
-            found[index] = _value(node, found)
+            found[index] = _ball_value(node, found)
         return [found[i] for i in self.outputs]
 
     def _constants(self) -> dict[int, Ball]:
         found: dict[int, Ball] = {}
         for index, node in self._fixed:
-            found[index] = arb(node[1]) if node[0] == "const" else arb.pi() if node[0] == "pi" else _value(node, found)
+            found[index] = (
+                arb(node[1]) if node[0] == "const" else arb.pi() if node[0] == "pi" else _ball_value(node, found)
+            )
         return found
 
     def flow(self, start: Sequence[Ball], orders: int) -> tuple[list[Coefficients], list[Coefficients]]:
@@ -116,8 +118,8 @@ class Program:
             for index, k in self._inputs.items():
                 found[index] = arb_series(inputs[k][:orders], orders)
             for index, node in self._steps:
-                found[index] = _of_series(node, found)
-            return [_listed(found[i], orders) for i in self.outputs]
+                found[index] = _series_value(node, found)
+            return [_series_orders(found[i], orders) for i in self.outputs]
         finally:
             ctx.cap = before
 
@@ -126,7 +128,7 @@ class CutOff(PeriluneError):
     """A series that has lost some of its orders: an error of the prover."""
 
 
-def _listed(series: Any, orders: int) -> Coefficients:
+def _series_orders(series: Any, orders: int) -> Coefficients:
     if not isinstance(series, arb_series):
         return [series, *[arb(0)] * (orders - 1)]
     if series.prec < orders:
@@ -135,17 +137,17 @@ def _listed(series: Any, orders: int) -> Coefficients:
     return [*c, *[arb(0)] * (orders - len(c))]
 
 
-def _of_series(node: Any, found: dict[int, Any]) -> Any:
+def _series_value(node: Any, found: dict[int, Any]) -> Any:
     name, a, *others = node[0], *(found[i] for i in node[1:])
     if name == "pow":
         return (a.log() * others[0]).exp()
     if name == "atan2":
         y, x = arb_series(a), arb_series(others[0])
-        return ((x * y.derivative() - y * x.derivative()) / others[1]).integral() + _atan2(y[0], x[0])
-    return getattr(a, name)() if name == "asin" else _value(node, found)
+        return ((x * y.derivative() - y * x.derivative()) / others[1]).integral() + _smooth_atan2(y[0], x[0])
+    return getattr(a, name)() if name == "asin" else _ball_value(node, found)
 
 
-def _value(node: Any, found: dict[int, Ball]) -> Ball:
+def _ball_value(node: Any, found: dict[int, Ball]) -> Ball:
     name, a, *others = node[0], *(found[i] for i in node[1:])
     if name == "add":
         return a + others[0]
@@ -160,11 +162,11 @@ def _value(node: Any, found: dict[int, Ball]) -> Ball:
     if name == "pow":
         return a ** others[0]
     if name == "atan2":
-        return _atan2(a, others[0])
+        return _smooth_atan2(a, others[0])
     return getattr(a, name)()
 
 
-def _atan2(y: Ball, x: Ball) -> Ball:
+def _smooth_atan2(y: Ball, x: Ball) -> Ball:
     """The angle where it is smooth; nothing is known of it at its jump by 2 pi, which no recurrence of slopes sees."""
     return arb.atan2(y, x) if x > 0 or y > 0 or y < 0 else arb.nan()
 
@@ -189,14 +191,16 @@ class _Recurrences:
             c, a = self.table[index], self.table.get(at[0])
             if name in ("sin", "cos"):
                 if at[0] not in done and a is not None:
-                    found.append(_turn(a, turned.get(("sin", at[0]), []), turned.get(("cos", at[0]), [])))
+                    found.append(
+                        _sine_cosine_recurrence(a, turned.get(("sin", at[0]), []), turned.get(("cos", at[0]), []))
+                    )
                 done.add(at[0])
             elif name in ("add", "sub", "mul", "div"):
                 found.append(self._binary(c, name, *at))
             elif name == "atan2":
-                found.append(_angle(c, *(self._all(i) for i in at)))
+                found.append(_atan2_recurrence(c, *(self._all(i) for i in at)))
             elif name == "pow":
-                found.append(_power(c, self.table[at[0]], self.known[at[1]]))
+                found.append(_power_recurrence(c, self.table[at[0]], self.known[at[1]]))
             else:
                 assert a is not None  # else it would not move
                 found.append(_OF_ONE[name](c, a, *(self.table[i] for i in at[1:])))
@@ -210,7 +214,7 @@ class _Recurrences:
         a, b = self.table.get(left), self.table.get(right)
         if a is not None and b is not None:
             if name == "mul" and a is b:
-                return lambda k: c.append(_square(a, k))
+                return lambda k: c.append(_square_coefficient(a, k))
             return {
                 "add": lambda k: c.append(a[k] + b[k]),
                 "sub": lambda k: c.append(a[k] - b[k]),
@@ -245,21 +249,21 @@ class _Constant(list[Ball]):
         return super().__getitem__(0) if k == 0 else arb(0)
 
 
-def _square(a: Coefficients, k: int) -> Ball:
+def _square_coefficient(a: Coefficients, k: int) -> Ball:
     half = 2 * sum(map(mul, a[: (k + 1) // 2], a[: k // 2 : -1])) if k else arb(0)
     return half if k % 2 else half + a[k // 2] * a[k // 2]
 
 
-def _neg(c: Coefficients, a: Coefficients) -> Step:
+def _neg_recurrence(c: Coefficients, a: Coefficients) -> Step:
     return lambda k: c.append(-a[k])
 
 
-def _sqrt(c: Coefficients, a: Coefficients) -> Step:
+def _sqrt_recurrence(c: Coefficients, a: Coefficients) -> Step:
     """c c = a."""
     return lambda k: c.append((a[k] - sum(map(mul, c[1:], c[:0:-1]))) / (2 * c[0]) if k else a[0].sqrt())
 
 
-def _exp(c: Coefficients, a: Coefficients) -> Step:
+def _exp_recurrence(c: Coefficients, a: Coefficients) -> Step:
     """c' = a' c."""
     rates = list[Ball]()
 
@@ -271,7 +275,7 @@ def _exp(c: Coefficients, a: Coefficients) -> Step:
     return step
 
 
-def _turn(a: Coefficients, sine: Coefficients, cosine: Coefficients) -> Step:
+def _sine_cosine_recurrence(a: Coefficients, sine: Coefficients, cosine: Coefficients) -> Step:
     """sine' = a' cosine, cosine' = -a' sine."""
     rates = list[Ball]()
 
@@ -288,7 +292,7 @@ def _turn(a: Coefficients, sine: Coefficients, cosine: Coefficients) -> Step:
     return step
 
 
-def _quotient(name: str) -> Callable[..., Step]:
+def _quotient_recurrence(name: str) -> Callable[..., Step]:
     """c' w = a', where w is a itself if there is no other."""
 
     def make(c: Coefficients, a: Coefficients, w: Coefficients | None = None) -> Step:
@@ -307,13 +311,13 @@ def _quotient(name: str) -> Callable[..., Step]:
     return make
 
 
-def _angle(c: Coefficients, y: Coefficients, x: Coefficients, w: Coefficients) -> Step:
+def _atan2_recurrence(c: Coefficients, y: Coefficients, x: Coefficients, w: Coefficients) -> Step:
     """c' w = x y' - y x'."""
     rates = list[Ball]()
 
     def step(k: int) -> None:
         if not k:
-            c.append(_atan2(y[0], x[0]))
+            c.append(_smooth_atan2(y[0], x[0]))
             return
         turning = sum((j * (y[j] * x[k - j] - x[j] * y[k - j]) for j in range(1, k + 1)), arb(0))
         rate = (turning - sum((rates[j - 1] * w[k - j] for j in range(1, k)), arb(0))) / w[0]
@@ -323,7 +327,7 @@ def _angle(c: Coefficients, y: Coefficients, x: Coefficients, w: Coefficients) -
     return step
 
 
-def _power(c: Coefficients, a: Coefficients, exponent: Ball) -> Step:
+def _power_recurrence(c: Coefficients, a: Coefficients, exponent: Ball) -> Step:
     """c' a = exponent a' c."""
     rates = list[Ball]()
 
@@ -339,6 +343,6 @@ def _power(c: Coefficients, a: Coefficients, exponent: Ball) -> Step:
 
 
 _OF_ONE: dict[str, Callable[..., Step]] = {
-    "neg": _neg, "sqrt": _sqrt, "exp": _exp,
-    "log": _quotient("log"), "atan": _quotient("atan"), "asin": _quotient("asin"),
+    "neg": _neg_recurrence, "sqrt": _sqrt_recurrence, "exp": _exp_recurrence,
+    "log": _quotient_recurrence("log"), "atan": _quotient_recurrence("atan"), "asin": _quotient_recurrence("asin"),
 }  # fmt: skip

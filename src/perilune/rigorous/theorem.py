@@ -12,20 +12,28 @@ from flint import ctx
 from perilune.problem.solution import Solution
 from perilune.rigorous.boundary import BoundaryProblem, boundary_problem
 from perilune.rigorous.flow import NotEnclosed
-from perilune.rigorous.guess import pieces_of, sides_of, unknowns_of
-from perilune.rigorous.limits import Limits, Statement
+from perilune.rigorous.guess import sides_of, suggested_pieces, unknowns_of
+from perilune.rigorous.limits import FlightLimits, Statement
 from perilune.rigorous.reading import Unsupported
-from perilune.rigorous.root import NotProved, Refined, Root, Settings, alone, prove_root, refine
-from perilune.rigorous.second_order import Optimum, local_optimum
+from perilune.rigorous.root import (
+    EnclosedRoot,
+    NotProved,
+    ProofEffort,
+    RefinedRoot,
+    enlarge_uniqueness_box,
+    prove_root,
+    refine_root,
+)
+from perilune.rigorous.second_order import OptimumStatement, prove_local_optimum
 from perilune.rigorous.taylor import Ball
 
 # Tried in order: shorter steps and more bits where the first are not enclosed.
-EFFORTS = (Settings(), Settings(tolerance=1e-78, bits=256), Settings(tolerance=1e-94, bits=320))
+EFFORTS = (ProofEffort(), ProofEffort(tolerance=1e-78, bits=256), ProofEffort(tolerance=1e-94, bits=320))
 _NEARLY_ZERO = 1e-6  # of the largest unknown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Proved:
+class ProvedExtremal:
     """A root that is proved, with everything that was to be proved of it.
 
     Attributes
@@ -47,13 +55,13 @@ class Proved:
     """
 
     boundary: BoundaryProblem
-    refined: Refined
-    settings: Settings
-    root: Root
-    alone: Root
+    refined: RefinedRoot
+    settings: ProofEffort
+    root: EnclosedRoot
+    alone: EnclosedRoot
     objective: Ball
     statements: tuple[Statement, ...]
-    optimum: Optimum
+    optimum: OptimumStatement
     distance: float
     reached: bool
 
@@ -67,12 +75,12 @@ class Proved:
 class Attempt:
     """Result of an attempt: a proved root, or why there is none; and its duration [s]."""
 
-    proved: Proved | None
+    proved: ProvedExtremal | None
     unsaid: str
     seconds: float
 
 
-def attempt(solution: Solution, tell: Callable[[str], None], efforts: Sequence[Settings] = EFFORTS) -> Attempt:
+def attempt_proof(solution: Solution, tell: Callable[[str], None], efforts: Sequence[ProofEffort] = EFFORTS) -> Attempt:
     """Prove what can be proved of a solution.
 
     Parameters
@@ -86,13 +94,13 @@ def attempt(solution: Solution, tell: Callable[[str], None], efforts: Sequence[S
     """
     began, unsaid = time.monotonic(), ""
     try:
-        pieces, lengths = pieces_of(solution)
+        pieces, lengths = suggested_pieces(solution)
         boundary = boundary_problem(solution.problem, pieces, sides_of(solution))
         guess = unknowns_of(solution, boundary, lengths)
         for settings in efforts:
             with ctx.workprec(settings.bits):
                 try:
-                    found = _proved(boundary, guess, settings, tell)
+                    found = _prove_extremal(boundary, guess, settings, tell)
                     return Attempt(proved=found, unsaid="", seconds=time.monotonic() - began)
                 except (NotProved, NotEnclosed) as error:
                     unsaid = error.what + (f": {error.got}" if error.got else "")
@@ -104,25 +112,25 @@ def attempt(solution: Solution, tell: Callable[[str], None], efforts: Sequence[S
     return Attempt(proved=None, unsaid=unsaid, seconds=time.monotonic() - began)
 
 
-def _proved(
-    boundary: BoundaryProblem, guess: Sequence[Ball], settings: Settings, tell: Callable[[str], None]
-) -> Proved:
-    refined = refine(boundary, guess, settings, tell)
+def _prove_extremal(
+    boundary: BoundaryProblem, guess: Sequence[Ball], settings: ProofEffort, tell: Callable[[str], None]
+) -> ProvedExtremal:
+    refined = refine_root(boundary, guess, settings, tell)
     root = prove_root(boundary, refined, settings, tell)
     distance = _distance(boundary, root, guess)
-    large = alone(boundary, refined, root, settings, tell)
+    large = enlarge_uniqueness_box(boundary, refined, root, settings, tell)
     tell("signs along the flight")
-    statements = tuple(Limits(boundary, root).all())
-    optimum = local_optimum(boundary, root, settings.order, tell)
+    statements = tuple(FlightLimits(boundary, root).all())
+    optimum = prove_local_optimum(boundary, root, settings.order, tell)
     known = [b for b, value in zip(large.box, guess, strict=True) if not b.contains(value)]
-    return Proved(
+    return ProvedExtremal(
         boundary=boundary, refined=refined, settings=settings, root=root, alone=large,
         objective=boundary.objective.values(root.y, root.flight.ends[-1])[0],
         statements=statements, optimum=optimum, distance=distance, reached=not known,
     )  # fmt: skip
 
 
-def _distance(boundary: BoundaryProblem, root: Root, guess: Sequence[Ball]) -> float:
+def _distance(boundary: BoundaryProblem, root: EnclosedRoot, guess: Sequence[Ball]) -> float:
     """Return the distance from the guess, without costates of constant states, which no solution gives."""
     told = [i for i in range(len(guess)) if i not in boundary.untold]
     least = _NEARLY_ZERO * max(float(guess[i].abs_upper()) for i in told)

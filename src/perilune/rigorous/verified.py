@@ -6,14 +6,14 @@ from dataclasses import replace
 
 from perilune.problem.solution import Solution
 from perilune.problem.verification import THEOREM, Check, Verification
-from perilune.rigorous.theorem import Attempt, Proved, attempt
-from perilune.rigorous.told import certificate, missing_text, theorem_text
-from perilune.words.watch import Watch, silent
+from perilune.rigorous.theorem import Attempt, ProvedExtremal, attempt_proof
+from perilune.rigorous.told import certificate_document, theorem_text, unproved_sentence
+from perilune.words.watch import Watch, ignore_events
 
 _FAR = 1e-6  # of an unknown: an extremal that is farther away is another one
 
 
-def with_theorem(verification: Verification, solution: Solution, watch: Watch | None = None) -> Verification:
+def add_theorem_checks(verification: Verification, solution: Solution, watch: Watch | None = None) -> Verification:
     """A verification with what of level 5 can be proved; what cannot is a note, and changes no other level.
 
     Parameters
@@ -25,33 +25,33 @@ def with_theorem(verification: Verification, solution: Solution, watch: Watch | 
     watch
         Receives a line for every part.
     """
-    return with_attempt(verification, attempt(solution, watch or silent))
+    return add_attempt(verification, attempt_proof(solution, watch or ignore_events))
 
 
-def with_attempt(verification: Verification, found: Attempt) -> Verification:
+def add_attempt(verification: Verification, found: Attempt) -> Verification:
     """Return the verification with the result of an attempt."""
     if found.proved is None:
-        return _noted(verification, found.unsaid)
+        return _note_no_theorem(verification, found.unsaid)
     if not found.proved.distance <= _FAR:
-        return _noted(
+        return _note_no_theorem(
             verification, f"beside the answer only another extremal is proved, {found.proved.distance:.2g} away"
         )
     if found.proved.missing:
-        return _noted(verification, missing_text(found.proved.missing))
+        return _note_no_theorem(verification, unproved_sentence(found.proved.missing))
     text = theorem_text(found.proved)
     return replace(
         verification,
-        checks=(*verification.checks, *_checks(found.proved)),
+        checks=(*verification.checks, *_theorem_checks(found.proved)),
         notes=(text, *verification.notes),
-        certificate=certificate(found.proved, text),
+        certificate=certificate_document(found.proved, text),
     )
 
 
-def _noted(verification: Verification, why: str) -> Verification:
+def _note_no_theorem(verification: Verification, why: str) -> Verification:
     return replace(verification, notes=(f"no theorem: {why}", *verification.notes))
 
 
-def _checks(proved: Proved) -> tuple[Check, ...]:
+def _theorem_checks(proved: ProvedExtremal) -> tuple[Check, ...]:
     return (
         Check(
             name="extremal_proved", level=THEOREM, value=proved.root.contraction, limit=1.0, unit="1",

@@ -22,10 +22,10 @@ from perilune.problem.tolerance import Tolerance
 from perilune.scenario.ranges import bounds_of, values_of
 from perilune.scenario.reader import names_files, problem_of, quantities_in, tolerance_of
 from perilune.scenario.reference import template
-from perilune.scenario.text import apply, parse, read, written
-from perilune.words.asked import called_in_words, demand, demand_path
+from perilune.scenario.text import apply_change, parse, read_scenario_file, scenario_toml
+from perilune.words.asked import check_call, require_path, require_type
 from perilune.words.declared import Quantity
-from perilune.words.face import listed
+from perilune.words.face import public_names
 
 __all__ = [
     "KINDS",
@@ -52,7 +52,7 @@ class Scenario:
     tolerance: Tolerance
 
 
-@called_in_words
+@check_call
 def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
     """Read a scenario file.
 
@@ -68,9 +68,9 @@ def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
     PeriluneError
         If the file cannot be read, is no scenario, or a value is wrong or looks wrong.
     """
-    text, document = _document(path, changes)
+    text, document = _changed_document(path, changes)
     problem = problem_of(document, Path(path).parent)
-    whole = written(document, changes) if changes else text
+    whole = scenario_toml(document, changes) if changes else text
     return Scenario(
         text=None if names_files(document) else whole,
         problem=problem,
@@ -78,7 +78,7 @@ def load_file(path: str | Path, changes: Sequence[str] = ()) -> Scenario:
     )
 
 
-@called_in_words
+@check_call
 def quantities_of(path: str | Path, changes: Sequence[str] = ()) -> dict[str, Quantity]:
     """Return the declaration of each key that is a quantity in a file of this kind, which may be incomplete.
 
@@ -89,24 +89,24 @@ def quantities_of(path: str | Path, changes: Sequence[str] = ()) -> dict[str, Qu
     changes
         ``"section.key=value"`` texts that replace values of the file.
     """
-    return quantities_in(_document(path, changes)[1])
+    return quantities_in(_changed_document(path, changes)[1])
 
 
-def _document(path: str | Path, changes: Sequence[str]) -> tuple[str, dict[str, Any]]:
-    text = read(demand_path(path, "a scenario file"))
-    demand(changes, Sequence, "a list of changes", '["vehicle.thrust=500 N"]')
+def _changed_document(path: str | Path, changes: Sequence[str]) -> tuple[str, dict[str, Any]]:
+    text = read_scenario_file(require_path(path, "a scenario file"))
+    require_type(changes, Sequence, "a list of changes", '["vehicle.thrust=500 N"]')
     document = parse(text)
     for change in [changes] if isinstance(changes, str) else changes:
-        apply(document, change)
+        apply_change(document, change)
     return text, document
 
 
-@called_in_words
+@check_call
 def load_text(text: str) -> Problem:
     """Return the problem of a scenario's text; errors as `load_file`."""
-    demand(text, str, "the text of a scenario", "perilune.scenario.load_file(FILE) reads a file")
+    require_type(text, str, "the text of a scenario", "perilune.scenario.load_file(FILE) reads a file")
     return problem_of(parse(text))
 
 
 def __dir__() -> list[str]:
-    return listed(__all__)
+    return public_names(__all__)

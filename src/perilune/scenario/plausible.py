@@ -9,13 +9,13 @@ import math
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
-from perilune.models.bodies import Body, UniformGravity, known_like
+from perilune.models.bodies import Body, UniformGravity, matching_known_body
 from perilune.models.deorbit.records import Interface, Landing, Returner
 from perilune.models.descent import Ignition, Site
 from perilune.models.landing import LandingSite, Orbit
 from perilune.models.precision import Approach
 from perilune.models.vehicle import Vehicle
-from perilune.words.declared import values_of
+from perilune.words.declared import record_values
 from perilune.words.outcome import PeriluneError
 
 GRAVITATIONAL_CONSTANT = 6.6743e-11  # m^3/(kg s^2), CODATA 2018; only for the plausibility of a body's density
@@ -51,10 +51,10 @@ def refuse_slips(records: Mapping[str, Any]) -> None:
 
 def _check_body(body: Body) -> None:
     """Refuse a density or rotation that no body has, as a slip of units."""
-    like = known_like(body)
+    like = matching_known_body(body)
     density = body.gravitational_parameter / GRAVITATIONAL_CONSTANT / (4 / 3 * math.pi * body.radius**3)
     if not DENSITIES[0] < density < DENSITIES[1]:
-        _refuse(
+        _refuse_implausible(
             "body.gravitational_parameter and body.radius do not belong together",
             got=f"a mean density of {density:.3g} kg/m^3",
             expected="about 500 to 6000 kg/m^3",
@@ -63,16 +63,16 @@ def _check_body(body: Body) -> None:
     break_up = math.sqrt(body.gravitational_parameter / body.radius**3)
     degrees = math.degrees(1.0)
     if like is not None and any(
-        _close(body.rotation_rate, like.rotation_rate * f, 0.02) for f in (degrees, 1 / degrees)
+        _relatively_close(body.rotation_rate, like.rotation_rate * f, 0.02) for f in (degrees, 1 / degrees)
     ):
-        _refuse(
+        _refuse_implausible(
             "body.rotation_rate mixes degrees and radians",
             got=f"{body.rotation_rate:.5g} rad/s",
             expected=f"{like.rotation_rate:.5g} rad/s for the {like.name}",
             advice="write the unit the number is in: rad/s or deg/s",
         )
     if abs(body.rotation_rate) >= break_up:
-        _refuse(
+        _refuse_implausible(
             "body.rotation_rate would throw the ground into space",
             got=f"{body.rotation_rate:.5g} rad/s",
             expected=f"less than {break_up:.3g} rad/s",
@@ -83,9 +83,9 @@ def _check_body(body: Body) -> None:
 def _check_orbit(orbit: Orbit, body: Body) -> None:
     """Refuse altitudes that a slip between km and m makes; one below the surface is checked elsewhere."""
     terrain = 1e-4 * body.radius
-    for name, altitude in values_of(orbit).items():
+    for name, altitude in record_values(orbit).items():
         if 0.0 < altitude < terrain:
-            _refuse(
+            _refuse_implausible(
                 f"orbit.{name} is lower than the terrain",
                 got=f"{altitude:g} m",
                 expected=f"at least {terrain:.3g} m",
@@ -97,14 +97,14 @@ def _check_orbit(orbit: Orbit, body: Body) -> None:
 def _check_away(key: str, way: float, body: Body | UniformGravity) -> None:
     if isinstance(body, UniformGravity):
         if abs(way) > FURTHEST_FLAT:
-            _refuse(
+            _refuse_implausible(
                 f"{key} is so far away that no ground is flat",
                 got=f"{way / 1e3:g} km",
                 expected=f"at most {FURTHEST_FLAT / 1e3:g} km",
                 advice="look for km in place of m, or state a round body",
             )
     elif abs(way) > 50 * body.radius:
-        _refuse(
+        _refuse_implausible(
             f"{key} is so far away that the body no longer rules the flight",
             got=f"{way / 1e3:g} km",
             expected=f"at most {50 * body.radius / 1e3:.3g} km, 50 radii",
@@ -114,7 +114,7 @@ def _check_away(key: str, way: float, body: Body | UniformGravity) -> None:
 
 def _check_site(key: str, altitude: float, body: Body) -> None:
     if altitude < -DEEPEST_SITE * body.radius:
-        _refuse(
+        _refuse_implausible(
             f"{key} is deeper than any valley",
             got=f"{altitude / 1e3:g} km",
             expected=f"at least {-DEEPEST_SITE * body.radius / 1e3:.3g} km",
@@ -125,7 +125,7 @@ def _check_site(key: str, altitude: float, body: Body) -> None:
 def _check_interface(interface: Interface, body: Body) -> None:
     """Refuse an interface as low as mountains."""
     if interface.altitude < HIGHEST_GROUND * body.radius:
-        _refuse(
+        _refuse_implausible(
             "interface.altitude is lower than mountains",
             got=f"{interface.altitude:g} m",
             expected=f"at least {HIGHEST_GROUND * body.radius / 1e3:.3g} km",
@@ -137,14 +137,14 @@ def _check_vehicle(vehicle: Vehicle | Returner) -> None:
     """Refuse a thrust that is out of proportion."""
     acceleration = vehicle.thrust / vehicle.mass
     if acceleration > 500.0:
-        _refuse(
+        _refuse_implausible(
             "vehicle.thrust is more than a lander withstands",
             got=f"{acceleration:.3g} m/s^2",
             expected="below 500 m/s^2",
             advice="look for kN in place of N, or g in place of kg",
         )
     if isinstance(vehicle, Vehicle) and acceleration < 1e-8:  # the light of the Sun does more
-        _refuse(
+        _refuse_implausible(
             "vehicle.thrust moves no lander",
             got=f"{acceleration:.3g} m/s^2",
             expected="above 1e-8 m/s^2",
@@ -152,9 +152,9 @@ def _check_vehicle(vehicle: Vehicle | Returner) -> None:
         )
 
 
-def _refuse(what: str, *, got: str = "", expected: str = "", advice: str = "") -> NoReturn:
+def _refuse_implausible(what: str, *, got: str = "", expected: str = "", advice: str = "") -> NoReturn:
     raise PeriluneError(what, got=got, expected=expected, advice=advice)
 
 
-def _close(a: float, b: float, relative: float) -> bool:
+def _relatively_close(a: float, b: float, relative: float) -> bool:
     return abs(a - b) <= relative * abs(b)

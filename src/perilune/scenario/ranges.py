@@ -6,9 +6,9 @@ import math
 import re
 from collections.abc import Mapping
 
-from perilune.words.asked import called_in_words, demand, refused
+from perilune.words.asked import check_call, require_type, wrong_type_error
 from perilune.words.bounded import one_line
-from perilune.words.declared import LONGEST_VALUE, Quantity, named
+from perilune.words.declared import LONGEST_VALUE, Quantity, with_key_named
 from perilune.words.outcome import PeriluneError, unknown_name
 from perilune.words.units import parse_quantity
 
@@ -21,7 +21,7 @@ _ADVICE = (
 _LONGEST_LIST = 20_000  # characters
 
 
-@called_in_words
+@check_call
 def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
     """Return the values in SI of ``"START:STOP:STEP"`` or of a list ``"A,B,C"`` for a key.
 
@@ -41,13 +41,13 @@ def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]
         leads away from STOP, or a value stands in the list twice.
     """
     if isinstance(text, str) and "," in text:
-        return _listed(key, text, known)
-    quantity, parts = _parts(key, text, known, "START:STOP:STEP", _ADVICE)
+        return _listed_values(key, text, known)
+    quantity, parts = _range_parts(key, text, known, "START:STOP:STEP", _ADVICE)
     try:
         start, stop = (float(quantity.read(part)) for part in parts[:2])
         step = parse_quantity(parts[2], quantity.unit)
     except PeriluneError as error:
-        said = named(key, error)
+        said = with_key_named(key, error)
         raise PeriluneError(said.what, got=said.got, expected=said.expected, advice=_ADVICE) from None
     steps = (stop - start) / step if step else math.inf
     if not 0 <= steps < MOST_STEPS:
@@ -61,9 +61,9 @@ def values_of(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]
     return [start + k * step for k in range(int(steps + 1e-9) + 1)]
 
 
-def _listed(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
+def _listed_values(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
     """Return the values in SI of a list, in its order."""
-    quantity, parts = _split(key, text, known, ",")
+    quantity, parts = _split_range(key, text, known, ",")
     if not all(parts) or any(":" in part for part in parts) or len(text) > _LONGEST_LIST:
         raise PeriluneError(
             f"the values of {key} are no list", got=one_line(text, 60),
@@ -73,7 +73,7 @@ def _listed(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
     try:
         values = [float(quantity.read(part)) for part in parts]
     except PeriluneError as error:
-        said = named(key, error)
+        said = with_key_named(key, error)
         raise PeriluneError(said.what, got=said.got, expected=said.expected, advice=_ADVICE) from None
     if len(set(values)) < len(values):
         twice = next(part for k, part in enumerate(parts) if values[k] in values[:k])
@@ -83,7 +83,7 @@ def _listed(key: str, text: str, known: Mapping[str, Quantity]) -> list[float]:
     return values
 
 
-@called_in_words
+@check_call
 def bounds_of(key: str, text: str, known: Mapping[str, Quantity]) -> tuple[float, float]:
     """Return the ends in SI of ``"LOW:HIGH"`` for a key; the unit may stand in each part or in the last only.
 
@@ -92,20 +92,22 @@ def bounds_of(key: str, text: str, known: Mapping[str, Quantity]) -> tuple[float
     PeriluneError
         If there is no such key, or it is no such range.
     """
-    quantity, parts = _parts(key, text, known, "LOW:HIGH", _ENDS)
+    quantity, parts = _range_parts(key, text, known, "LOW:HIGH", _ENDS)
     try:
         low, high = (float(quantity.read(part)) for part in parts)
     except PeriluneError as error:
-        said = named(key, error)
+        said = with_key_named(key, error)
         raise PeriluneError(said.what, got=said.got, expected=said.expected, advice=_ENDS) from None
     if not low < high:
         raise PeriluneError(f"the range of {key} is empty", got=repr(text[:60]), expected="LOW < HIGH", advice=_ENDS)
     return low, high
 
 
-def _parts(key: str, text: str, known: Mapping[str, Quantity], form: str, advice: str) -> tuple[Quantity, list[str]]:
+def _range_parts(
+    key: str, text: str, known: Mapping[str, Quantity], form: str, advice: str
+) -> tuple[Quantity, list[str]]:
     """Return the declaration of a key, and the parts of a range, each with its unit."""
-    quantity, parts = _split(key, text, known, ":")
+    quantity, parts = _split_range(key, text, known, ":")
     wanted = form.count(":") + 1
     if len(parts) != wanted or not all(parts) or len(text) > LONGEST_VALUE:
         many = {2: "two", 3: "three"}[wanted]
@@ -118,12 +120,12 @@ def _parts(key: str, text: str, known: Mapping[str, Quantity], form: str, advice
     return quantity, parts
 
 
-def _split(key: str, text: str, known: Mapping[str, Quantity], sign: str) -> tuple[Quantity, list[str]]:
+def _split_range(key: str, text: str, known: Mapping[str, Quantity], sign: str) -> tuple[Quantity, list[str]]:
     """Return the declaration of a key, and the parts between signs; a part without a unit has that of the last."""
-    demand(known, Mapping, "what is known of the keys that may be varied")
+    require_type(known, Mapping, "what is known of the keys that may be varied")
     for value, what in ((key, "a key"), (text, "a range")):
         if not isinstance(value, str):
-            raise refused(value, "a text", what)
+            raise wrong_type_error(value, "a text", what)
     if key not in known:
         raise unknown_name("key with a quantity", key, list(known))
     parts = [part.strip() for part in text.split(sign)]

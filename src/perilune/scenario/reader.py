@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from perilune.models.bodies import Body, recognised
+from perilune.models.bodies import Body, recognise_body
 from perilune.models.kinds import HYBRID, KINDS, PROOF, Kind, Section, kind_named
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.scenario.plausible import refuse_slips
-from perilune.words.declared import Key, Quantity, Words, keys_of, made_of, named
+from perilune.words.declared import Key, Quantity, TextField, record_keys, record_of_values, with_key_named
 from perilune.words.outcome import PeriluneError, unknown_name
 
-KIND = Words(example=HYBRID.name, choices=tuple(KINDS), about="which kind of problem the file states")
+KIND = TextField(example=HYBRID.name, choices=tuple(KINDS), about="which kind of problem the file states")
 
 
 def problem_of(document: Mapping[str, Any], folder: Path | None = None) -> Problem:
@@ -34,12 +34,13 @@ def problem_of(document: Mapping[str, Any], folder: Path | None = None) -> Probl
     """
     kind = _kind_of(document)
     for name, table in document.items():
-        _check_names(kind, name, table)
+        _check_section_names(kind, name, table)
     records = {
-        name: _record(kind, name, section, document.get(name), folder) for name, section in kind.sections.items()
+        name: _record_from_section(kind, name, section, document.get(name), folder)
+        for name, section in kind.sections.items()
     }
     if isinstance(body := records.get("body"), Body):
-        records["body"] = recognised(body)
+        records["body"] = recognise_body(body)
     refuse_slips(records)
     return kind.make(**records)
 
@@ -47,7 +48,7 @@ def problem_of(document: Mapping[str, Any], folder: Path | None = None) -> Probl
 def tolerance_of(document: Mapping[str, Any]) -> Tolerance:
     """Return the tolerance that a file states for the proof; errors as `problem_of`."""
     section = _kind_of(document).in_file[PROOF]
-    return _record(_kind_of(document), PROOF, section, document.get(PROOF))
+    return _record_from_section(_kind_of(document), PROOF, section, document.get(PROOF))
 
 
 def quantities_in(document: Mapping[str, Any]) -> dict[str, Quantity]:
@@ -89,7 +90,7 @@ def _kind_of(document: Mapping[str, Any]) -> Kind:
     return kind_named(name)
 
 
-def _check_names(kind: Kind, name: str, table: Any) -> None:
+def _check_section_names(kind: Kind, name: str, table: Any) -> None:
     sections = kind.in_file
     if name not in sections:
         elsewhere = [other.name for other in KINDS.values() if name in other.sections]
@@ -110,7 +111,7 @@ def _check_names(kind: Kind, name: str, table: Any) -> None:
             raise PeriluneError(what, got=error.got, expected=error.expected, advice=error.advice)
 
 
-def _record(kind: Kind, name: str, section: Section, table: Any, folder: Path | None = None) -> Any:
+def _record_from_section(kind: Kind, name: str, section: Section, table: Any, folder: Path | None = None) -> Any:
     """Return the record that a section states."""
     compare = f"compare with `perilune new {kind.name}`"
     if table is None:
@@ -120,27 +121,30 @@ def _record(kind: Kind, name: str, section: Section, table: Any, folder: Path | 
     if not isinstance(table, Mapping):
         expected = f"a section [{name}]"
         raise PeriluneError(f"{name} has the wrong type", got=str(table)[:60], expected=expected, advice=compare)
-    values = {key: _value(f"{name}.{key}", found, table[key], folder) for key, found in names_of(name, section).items()
-              if key in table}  # fmt: skip
+    values = {
+        key: _read_key(f"{name}.{key}", found, table[key], folder)
+        for key, found in names_of(name, section).items()
+        if key in table
+    }
     values.pop("kind", None)
     record = section.stated(values)
     if record is section.instead:
-        return made_of(record, values)
+        return record_of_values(record, values)
     if section.instead is not None:
         _refuse_both(name, section, values)
     if section.known:
-        values = _known(name, section, values)
-    for key, found in keys_of(record).items():
+        values = _values_of_named_record(name, section, values)
+    for key, found in record_keys(record).items():
         if key not in values and found.required:
-            raise PeriluneError(f"{name}.{key} is missing", expected=_line(key, found), advice=compare)
-    return made_of(record, values)
+            raise PeriluneError(f"{name}.{key} is missing", expected=_example_line(key, found), advice=compare)
+    return record_of_values(record, values)
 
 
 def _refuse_both(name: str, section: Section, values: Mapping[str, Any]) -> None:
     """Refuse a section that states parts of two alternative records."""
-    one = next((key for key in values if key not in keys_of(section.record)), None)
+    one = next((key for key in values if key not in record_keys(section.record)), None)
     if one is not None:
-        others = [key for key in values if key in keys_of(section.record)]
+        others = [key for key in values if key in record_keys(section.record)]
         raise PeriluneError(
             f"{name}.{one} stands in place of other quantities, which are stated too",
             got=", ".join(f"{name}.{key}" for key in (one, *others)),
@@ -149,17 +153,17 @@ def _refuse_both(name: str, section: Section, values: Mapping[str, Any]) -> None
         )
 
 
-def _known(name: str, section: Section, values: dict[str, Any]) -> dict[str, Any]:
+def _values_of_named_record(name: str, section: Section, values: dict[str, Any]) -> dict[str, Any]:
     """Return the values of a record that may be stated by its name in place of all required keys."""
-    own = {key: k for key, k in keys_of(section.record).items() if k.required and key != "name"}
+    own = {key: k for key, k in record_keys(section.record).items() if k.required and key != "name"}
     if "name" not in values:
         missing = next((key for key in own if key not in values), None)
         if missing is not None:
-            alone = [key for key in section.keys if key not in keys_of(section.record)]
+            alone = [key for key in section.keys if key not in record_keys(section.record)]
             raise PeriluneError(
                 f"{name}.{missing} is missing",
                 expected=" or ".join(["a name, or " + ", ".join(own), *(f"{key} alone" for key in alone)]),
-                advice=f'{_line(missing, own[missing])}, or name = "{next(iter(section.known))}" alone',
+                advice=f'{_example_line(missing, own[missing])}, or name = "{next(iter(section.known))}" alone',
             )
         return {**values, "name": name}
     if own.keys() & values.keys():
@@ -174,15 +178,15 @@ def _known(name: str, section: Section, values: dict[str, Any]) -> dict[str, Any
     return {**vars(section.known[values["name"].lower()]), **values, "name": values["name"].lower()}
 
 
-def _value(key: str, found: Key, stated: Any, folder: Path | None) -> Any:
+def _read_key(key: str, found: Key, stated: Any, folder: Path | None) -> Any:
     try:
         value = found.declared.read(stated)
     except PeriluneError as error:
-        raise named(key, error) from None
-    return _beside(key, str(value), folder) if getattr(found.declared, "file", False) else value
+        raise with_key_named(key, error) from None
+    return _file_in_folder(key, str(value), folder) if getattr(found.declared, "file", False) else value
 
 
-def _beside(key: str, stated: str, folder: Path | None) -> str:
+def _file_in_folder(key: str, stated: str, folder: Path | None) -> str:
     """Return the file that a scenario names, in its own folder or below it, so that a stranger's reaches no other."""
     way = PurePosixPath(stated)
     within = bool(stated) and stated.isprintable() and not way.is_absolute() and ".." not in way.parts
@@ -197,5 +201,5 @@ def _beside(key: str, stated: str, folder: Path | None) -> str:
     return str(found)
 
 
-def _line(key: str, found: Key) -> str:
+def _example_line(key: str, found: Key) -> str:
     return f'{key} = "{found.declared.example}"'

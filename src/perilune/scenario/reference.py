@@ -5,10 +5,10 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 
-from perilune.models.kinds import KINDS, Kind, Section, in_a_line, kind_named, kind_names, unknown_kind
+from perilune.models.kinds import KINDS, Kind, Section, kind_named, kind_names, one_line_error, unknown_kind
 from perilune.scenario.reader import names_files, names_of, problem_of, tolerance_of
 from perilune.scenario.text import parse
-from perilune.words.asked import called_in_words, refused
+from perilune.words.asked import check_call, wrong_type_error
 from perilune.words.declared import Key, Quantity
 from perilune.words.outcome import PeriluneError
 
@@ -21,7 +21,7 @@ _HEAD = """\
 """
 
 
-@called_in_words
+@check_call
 def template(kind: str = "hybrid_landing") -> str:
     """Return a commented scenario to start from.
 
@@ -31,7 +31,7 @@ def template(kind: str = "hybrid_landing") -> str:
         If there is no such kind of problem, or the example of one that a package brings is no scenario.
     """
     if not isinstance(kind, str):
-        raise refused(kind, "a text", "a kind of problem")
+        raise wrong_type_error(kind, "a text", "a kind of problem")
     if kind not in KINDS and kind not in kind_names():
         raise unknown_kind("kind of problem", kind)
     found = kind_named(kind)
@@ -51,9 +51,11 @@ def _refuse_no_scenario(kind: Kind, body: str) -> None:
         tolerance_of(document)
     except PeriluneError as error:
         raise PeriluneError(
-            f"the example of the kind of problem {kind.name} is no scenario", got=f"{kind.package}: {in_a_line(error)}",
-            expected="Kind(example=...) whose values are a problem", advice="tell it who wrote the package",
-        ) from error  # fmt: skip
+            f"the example of the kind of problem {kind.name} is no scenario",
+            got=f"{kind.package}: {one_line_error(error)}",
+            expected="Kind(example=...) whose values are a problem",
+            advice="tell it who wrote the package",
+        ) from error
 
 
 def _first_quantity(kind: Kind, body: str) -> str:
@@ -71,21 +73,21 @@ def _section(kind: Kind, name: str, section: Section) -> Iterator[str]:
     stated = {key.partition(".")[2] for key in kind.example if key.startswith(f"{name}.")}
     away = not section.required and not stated
     head = f"{'# ' if away else ''}[{name}]"
-    yield head if section.required or section.otherwise is not None else _beside(head, section.absent)
+    yield head if section.required or section.otherwise is not None else _line_with_comment(head, section.absent)
     for key, found in names_of(name, section).items():
         by_name = bool(section.known) and key != "name" and found.required
         needed = (found.required and not by_name) or (key == "kind" and section.required)
         value = kind.name if key == "kind" else kind.example.get(f"{name}.{key}", found.declared.example)
-        text = str(value) if _bare(found) else f'"{value}"'
+        text = str(value) if _is_dimensionless(found) else f'"{value}"'
         used = not away and (needed or key in stated)
-        yield _beside(f"{'' if used else '# '}{key} = {text}", found.declared.about)
+        yield _line_with_comment(f"{'' if used else '# '}{key} = {text}", found.declared.about)
 
 
-def _bare(found: Key) -> bool:
+def _is_dimensionless(found: Key) -> bool:
     return isinstance(found.declared, Quantity) and found.declared.unit == "1"
 
 
-def _beside(line: str, comment: str) -> str:
+def _line_with_comment(line: str, comment: str) -> str:
     return f"{line:{_COMMENT_COLUMN - 1}} # {comment}"
 
 
@@ -106,11 +108,13 @@ def reference() -> str:
             left_out = "" if section.required else f", {section.absent}"
             lines += ["", f"### [{name}]{left_out}", ""]
             lines += ["| key | unit | range | default | for example | what it is |", "|---|---|---|---|---|---|"]
-            lines += [_row(key, found, key in section.alone) for key, found in names_of(name, section).items()]
+            lines += [
+                _reference_row(key, found, key in section.alone) for key, found in names_of(name, section).items()
+            ]
     return "\n".join(lines) + "\n"
 
 
-def _row(key: str, found: Key, alone: bool) -> str:
+def _reference_row(key: str, found: Key, alone: bool) -> str:
     declared = found.declared
     if isinstance(declared, Quantity):
         unit, span = "–" if declared.unit == "1" else declared.spoken_unit, declared.range

@@ -19,7 +19,7 @@ _COMPARE = "compare with `perilune new KIND`, " + " or ".join(KINDS)
 DEEPEST_NESTING = 4  # brackets; a scenario needs one
 
 
-def read(path: Path) -> str:
+def read_scenario_file(path: Path) -> str:
     """Read the text of a file of bounded size."""
     advice = f"perilune new {path.name if path.suffix == '.toml' else 'my_lander.toml'}"
     return bounded_text(path, "scenario file", LARGEST_FILE, expected="a TOML file, which is text", advice=advice)
@@ -44,7 +44,7 @@ def parse(text: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise PeriluneError(
             "the scenario is not valid TOML",
-            got=_at_fault(text, str(error)),
+            got=_parse_error(text, str(error)),
             expected='lines such as mass = "300 kg"',
             advice=_COMPARE,
         ) from None
@@ -57,14 +57,14 @@ def parse(text: str) -> dict[str, Any]:
     return document
 
 
-def _at_fault(text: str, message: str) -> str:
+def _parse_error(text: str, message: str) -> str:
     """Return the parser's message with the line that it names."""
     lines, number = text.splitlines(), re.search(r"at line (\d+)", message)
     line = lines[int(number[1]) - 1].strip() if number and int(number[1]) <= len(lines) else ""
     return f"{message[:200]}: {line[:60]}" if line else message[:200]
 
 
-def apply(document: dict[str, Any], change: str) -> None:
+def apply_change(document: dict[str, Any], change: str) -> None:
     """Put ``section.key=value`` into the tree."""
     key, equals, value = change.partition("=")
     section, dot, name = key.strip().partition(".")
@@ -80,7 +80,7 @@ def apply(document: dict[str, Any], change: str) -> None:
         table[name] = value.strip().strip("\"'")
 
 
-def written(document: Mapping[str, Any], changes: Sequence[str]) -> str:
+def scenario_toml(document: Mapping[str, Any], changes: Sequence[str]) -> str:
     """Return TOML of a tree of sections, with the changes in a comment."""
     lines = [f"# changed with --set {json.dumps(change, ensure_ascii=False)}" for change in changes]
     for section, table in document.items():

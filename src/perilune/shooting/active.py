@@ -27,7 +27,7 @@ _BEYOND = 1e-11  # by which a limit may be missed: a tenth of what the proof all
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class ActiveSetBounds:
     """Limits of free parameters, then of ranges, canonical, (k,) or (lanes, k); infinite where there is none."""
 
     lower: Vector | Matrix
@@ -38,15 +38,15 @@ class Limits:
         """Return the number of limits, of a lane at most."""
         return int((np.isfinite(self.lower).sum(axis=-1) + np.isfinite(self.upper).sum(axis=-1)).max())
 
-    def without(self, index: int | None) -> Limits:
+    def without(self, index: int | None) -> ActiveSetBounds:
         """Return the limits without those of one free parameter."""
         if index is None:
             return self
         lower, upper = self.lower.copy(), self.upper.copy()
         lower[index], upper[index] = -np.inf, np.inf
-        return Limits(lower=lower, upper=upper)
+        return ActiveSetBounds(lower=lower, upper=upper)
 
-    def taken_over(self, choice: Vector, before: Limits) -> Vector:
+    def taken_over(self, choice: Vector, before: ActiveSetBounds) -> Vector:
         """Return the choice of another problem with the values that it holds at its limits moved to the limits here."""
         count = len(self.lower)
         masks, held = choice[:count], choice[count:]
@@ -69,7 +69,7 @@ class Limits:
         return np.hstack([((masks & ~free) | low | high).astype(float), held])
 
 
-def limits_of(problem: Problem, conditions: Conditions) -> Limits:
+def limits_of(problem: Problem, conditions: Conditions) -> ActiveSetBounds:
     """Return the bounds of the free parameters and of the ranges, canonical."""
     free = problem.free
     ends = [c for phase in problem.phases for c in phase.end_conditions]
@@ -82,15 +82,15 @@ def limits_of(problem: Problem, conditions: Conditions) -> Limits:
         # The only phase cannot vanish: a flight of zero length is none.
         at = problem.free_names.index(problem.duration_names[0])
         lower[at] = -np.inf if lower[at] == 0 else lower[at]
-    return Limits(lower=lower, upper=upper)
+    return ActiveSetBounds(lower=lower, upper=upper)
 
 
-def settle(
+def solve_active_set(
     shooting: Shooting,
     Y: Matrix,
     p: Matrix,
     choice: Matrix,
-    limits: Limits,
+    limits: ActiveSetBounds,
     watch: Watch | None = None,
     **settings: Any,
 ) -> Roots:

@@ -22,7 +22,7 @@ class Member:
     root: Root
 
 
-def follow(
+def follow_family(
     first: Member, values: Sequence[float], correct: Correct, tangent: Tangent, halvings: int = 6
 ) -> Iterator[Member | None]:
     """Yield the member at each value in turn, starting from `first`; None where it could not be reached.

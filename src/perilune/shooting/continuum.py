@@ -33,15 +33,15 @@ _SAME = 1e-9  # relative change of J by it
 
 def open_directions(root: Root) -> int:
     """Count the directions that lead from a root to others; none from one that is isolated."""
-    return _open(root.inverse, _SINGULAR)
+    return _count_flat_directions(root.inverse, _SINGULAR)
 
 
 def nearly_open(root: Root) -> bool:
     """Return True if Newton's method ended near roots that are not isolated, without reaching one."""
-    return float(np.abs(root.residual).max()) < _NEAR and _open(root.inverse, _OPEN) > 0
+    return float(np.abs(root.residual).max()) < _NEAR and _count_flat_directions(root.inverse, _OPEN) > 0
 
 
-def completed(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
+def complete_open_roots(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
     """Return the roots, with those where Newton's method did not converge moved onto the nearby curve.
 
     Parameters
@@ -52,14 +52,16 @@ def completed(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
     residuals = np.where(roots.converged | ~np.isfinite(roots.rows).all(axis=1), np.inf, roots.residuals)
     near = np.argsort(residuals)[:_MOST]
     near = near[residuals[near] < _NEAR]
-    leave = np.array([_open(roots[lane].inverse, _OPEN) for lane in near.tolist()], dtype=int)
+    leave = np.array([_count_flat_directions(roots[lane].inverse, _OPEN) for lane in near.tolist()], dtype=int)
     near, leave = near[leave > 0], leave[leave > 0]
     if not len(near):
         return roots
-    return roots.replaced(near, reached(shooting, roots.y[near], _of(p, near), roots.choice[near], leave))
+    return roots.replaced(
+        near, reach_open_roots(shooting, roots.y[near], _lane_parameters(p, near), roots.choice[near], leave)
+    )
 
 
-def reached(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lanes) -> Roots:
+def reach_open_roots(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lanes) -> Roots:
     """Return roots on curves, by the shortest steps; not converged where there is none, or no curve.
 
     Parameters
@@ -69,7 +71,7 @@ def reached(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lan
     leave
         How many directions are open in each lane.
     """
-    roots = _shortest(shooting, Y, p, choice, leave)
+    roots = _shortest_steps(shooting, Y, p, choice, leave)
     finite: NDArray[np.bool_] = np.all(np.isfinite(roots.rows), axis=1)
     roots = roots.failed(~finite)  # for others no direction is known
     curve = np.zeros(len(Y), dtype=bool)
@@ -82,14 +84,14 @@ def reached(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lan
         for row, root in enumerate(here):
             along = np.linalg.svd(root.inverse)[0][:, 0]
             moved[row, here.plan.active] += way * (1 + np.linalg.norm(root.y)) * along
-        again = _shortest(shooting, moved, _of(p, lanes), here.choice, leave[lanes])
+        again = _shortest_steps(shooting, moved, _lane_parameters(p, lanes), here.choice, leave[lanes])
         went, left = (np.linalg.norm(y - here.y, axis=1) for y in (moved, again.y))
         same = np.abs(again.costs - here.costs) <= _SAME * (1 + np.abs(here.costs))
         curve[lanes] = again.converged & same & (left > 0.5 * went)
     return roots.failed(~curve)
 
 
-def _shortest(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lanes) -> Roots:
+def _shortest_steps(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: Lanes) -> Roots:
     """Step without so many directions until the residual is round-off, in all lanes; keep each lane's best iterate."""
     Y, roots = Y.copy(), shooting.at(Y, p, choice)
     best, active = roots, roots.plan.active
@@ -99,7 +101,7 @@ def _shortest(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: L
         lanes = np.nonzero(moving)[0]
         if not len(lanes):
             break
-        for lane, J in zip(lanes, shooting.jacobians(Y[lanes], _of(p, lanes), choice[lanes]), strict=True):
+        for lane, J in zip(lanes, shooting.jacobians(Y[lanes], _lane_parameters(p, lanes), choice[lanes]), strict=True):
             h, (U, s, Vt) = roots.rows[lane, roots.plan.columns.residual], np.linalg.svd(J)
             keep = len(s) - leave[lane]
             step = -(Vt[:keep].T / s[:keep]) @ (U[:, :keep].T @ h)
@@ -114,7 +116,7 @@ def _shortest(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, leave: L
     return replace(best, converged=converged)
 
 
-def _open(inverse: Matrix, beyond: float) -> int:
+def _count_flat_directions(inverse: Matrix, beyond: float) -> int:
     """Count the singular values of J^-1 that exceed all others by `beyond`: directions in which the residual is flat.
 
     None are counted where J has no finite inverse.
@@ -126,5 +128,5 @@ def _open(inverse: Matrix, beyond: float) -> int:
     return int(gaps[0]) + 1 if len(gaps) else 0
 
 
-def _of(p: Matrix, lanes: Lanes) -> Matrix:
+def _lane_parameters(p: Matrix, lanes: Lanes) -> Matrix:
     return p if p.ndim == 1 or len(p) == 1 else p[lanes]

@@ -14,19 +14,19 @@ from itertools import pairwise
 
 import numpy as np
 
-from perilune.shooting.active import Limits, settle
-from perilune.shooting.continuation import Member, follow
+from perilune.shooting.active import ActiveSetBounds, solve_active_set
+from perilune.shooting.continuation import Member, follow_family
 from perilune.shooting.continuum import open_directions
 from perilune.shooting.function import Root, Roots, Shooting
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import Watch, silent
+from perilune.words.watch import Watch, ignore_events
 
 _HALVINGS = 18  # of a step along a family: where a flight becomes short its costates grow a hundredfold in a step
 _ATTEMPTS = 24  # at an extremal between two members: from 1 mm over the site dJ/dq is a step of some cm/s in 50 m/s
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class ExtremalRoot:
     """An extremal: its root, with its active bounds, and whether J has a minimum there."""
 
     root: Root
@@ -54,21 +54,21 @@ class HeldFamily:
     shooting: Shooting
     p: Vector
     index: int
-    limits: Limits
+    limits: ActiveSetBounds
     keeps: Callable[[Root], bool]
-    watch: Watch = silent
+    watch: Watch = ignore_events
 
     def held(self, Y: Matrix, values: Vector, like: Root) -> Roots:
         """Solve in lanes with q held at `values`; the initial active set is otherwise that of `like`."""
         choices = np.tile(like.choice, (len(values), 1))
         self.shooting.plan.hold(choices, self.index, values)
-        return settle(self.shooting, Y, self.p, choices, self.limits, self.watch)
+        return solve_active_set(self.shooting, Y, self.p, choices, self.limits, self.watch)
 
     def released(self, Y: Matrix, like: Root) -> Roots:
         """Solve in lanes with q free: the transversality condition (19) in place of the held value."""
         choice = like.choice.copy()
         choice[[self.index, self.shooting.plan.held + self.index]] = 0.0
-        return settle(self.shooting, Y, self.p, np.tile(choice, (len(Y), 1)), self.limits, self.watch)
+        return solve_active_set(self.shooting, Y, self.p, np.tile(choice, (len(Y), 1)), self.limits, self.watch)
 
     def value(self, root: Root) -> float:
         """Return q at a root."""
@@ -87,12 +87,12 @@ class HeldFamily:
         def tangent(root: Root, value: float) -> Vector:
             return self.shooting.tangent(root, self.index)
 
-        return next(iter(follow(here, [target], correct, tangent, halvings=_HALVINGS)))
+        return next(iter(follow_family(here, [target], correct, tangent, halvings=_HALVINGS)))
 
 
-def scan(
+def scan_family(
     family: HeldFamily, first: Member, bounds: tuple[float, float], points: int
-) -> tuple[list[Found], list[Member]]:
+) -> tuple[list[ExtremalRoot], list[Member]]:
     """Continue from `first` towards both bounds; return the extremals met, and the members visited.
 
     Parameters
@@ -105,8 +105,8 @@ def scan(
     """
     values = np.linspace(*bounds, points)
     tried = list(zip(values.tolist(), family.held(np.tile(first.root.y, (points, 1)), values, first.root), strict=True))
-    below = _chain(family, first, [pair for pair in tried[::-1] if pair[0] < first.value])
-    above = _chain(family, first, [pair for pair in tried if pair[0] > first.value])
+    below = _connected_members(family, first, [pair for pair in tried[::-1] if pair[0] < first.value])
+    above = _connected_members(family, first, [pair for pair in tried if pair[0] > first.value])
     members = [*below[::-1], first, *above]
     slopes = [family.slope(m.root) for m in members]
     found = []
@@ -114,19 +114,19 @@ def scan(
         if members[end].value != limit:
             family.watch(f"the family of extremals ends at {members[end].value:.6g}, before {limit:.6g} (canonical)")
         elif slopes[end] * bound < 0:  # J rises into the interior; otherwise the bound is no extremal at all
-            found.append(Found(root=members[end].root, minimum=True))
+            found.append(ExtremalRoot(root=members[end].root, minimum=True))
     brackets = [
         _Bracket(a, b, slope_a, slope_b)
         for (a, slope_a), (b, slope_b) in pairwise(zip(members, slopes, strict=True))
         if slope_a * slope_b < 0
     ]
-    inner = [*_between(family, brackets), *_dips(family, members, slopes)]
+    inner = [*_solve_brackets(family, brackets), *_extremal_pairs(family, members, slopes)]
     for root in inner:
-        found.append(Found(root=root, minimum=family.shooting.curvature(root, family.index) > 0))
+        found.append(ExtremalRoot(root=root, minimum=family.shooting.curvature(root, family.index) > 0))
     return found, members
 
 
-def _chain(family: HeldFamily, first: Member, tried: list[tuple[float, Root]]) -> list[Member]:
+def _connected_members(family: HeldFamily, first: Member, tried: list[tuple[float, Root]]) -> list[Member]:
     """Return members outwards from `first`: a lane's root where it continues the branch, else one by single steps."""
     members, here, stride = [], first, np.inf
     for value, root in tried:
@@ -175,7 +175,7 @@ class _Bracket:
             self.b, self.slope_b = middle, slope
 
 
-def _between(family: HeldFamily, brackets: list[_Bracket]) -> list[Root]:
+def _solve_brackets(family: HeldFamily, brackets: list[_Bracket]) -> list[Root]:
     """Solve for the extremals in brackets, all at once.
 
     By secant and bisection with q held, then by Newton's method with q free.
@@ -207,7 +207,7 @@ def _between(family: HeldFamily, brackets: list[_Bracket]) -> list[Root]:
     return [found[number] for number in sorted(found)]
 
 
-def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> list[Root]:
+def _extremal_pairs(family: HeldFamily, members: list[Member], slopes: list[float]) -> list[Root]:
     """Look closer where |dJ/dq| has a minimum without a sign change: for pairs of extremals between grid points."""
     starts, ranges = [], []
     for i in range(1, len(members) - 1):
@@ -231,7 +231,7 @@ def _dips(family: HeldFamily, members: list[Member], slopes: list[float]) -> lis
     return found
 
 
-def distinct(roots: Iterable[Root]) -> list[Root]:
+def distinct_roots(roots: Iterable[Root]) -> list[Root]:
     """Return different extremals, best first."""
     kept: list[Root] = []
     for root in roots:
@@ -242,18 +242,18 @@ def distinct(roots: Iterable[Root]) -> list[Root]:
 
 def same_extremal(one: Root, other: Root) -> bool:
     """Return True if two roots are one extremal: the same, or members of one continuum with the same J."""
-    if same(one.y, other.y, 1e-6):
+    if same_vector(one.y, other.y, 1e-6):
         return True
     alike = abs(one.cost - other.cost) <= 1e-8 * (1.0 + abs(other.cost))
     return alike and open_directions(one) > 0 and open_directions(other) > 0
 
 
-def new_among(found: list[Found], known: list[Found]) -> list[Found]:
+def unknown_extremals(found: list[ExtremalRoot], known: list[ExtremalRoot]) -> list[ExtremalRoot]:
     """Return those of the extremals found that are not known yet."""
-    return [f for f in found if not any(same(f.root.y, other.root.y, 1e-6) for other in known)]
+    return [f for f in found if not any(same_vector(f.root.y, other.root.y, 1e-6) for other in known)]
 
 
-def same(one: Vector, other: Vector, tolerance: float) -> bool:
+def same_vector(one: Vector, other: Vector, tolerance: float) -> bool:
     """Return True if two vectors of unknowns are one root.
 
     Parameters

@@ -29,7 +29,7 @@ _STEPS_OF_COLUMNS = 400  # at most: at that tolerance a flight to the ground tak
 
 
 class Code:
-    """The openings and the closing of a plan as machine code; `Flight` flies it."""
+    """The openings and the closing of a plan as machine code; `PlanIntegrator` flies it."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -103,7 +103,7 @@ class Shared:
         return np.unique(self._arcs.lost // LANES)
 
 
-class Flight:
+class PlanIntegrator:
     """A plan bound to arrays, which are read at each call: (lanes, ...) or, for `choice` and `p`, (1, ...)."""
 
     def __init__(self, code: Code, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> None:
@@ -136,7 +136,7 @@ class Flight:
         if not self.plan.compiled:
             n = self.plan.columns.n
             h, J, extra = rows[:, :n], rows[:, n : n + n * n].reshape(-1, n, n), rows[:, n + n * n :]
-            rows = newton.rows(self.Y, h, J, self.inverse, extra)
+            rows = newton.evaluation_rows(self.Y, h, J, self.inverse, extra)
         return rows
 
     def flown(self) -> Matrix:
@@ -160,10 +160,10 @@ class FewLanes:
         n, numbers = plan.columns.n, plan.conditions.residual.size1_in(2)
         shapes = (lanes, n), (lanes, 2 * plan.held), (lanes, numbers), (lanes,), (lanes, n * n)
         self.arrays = [np.zeros(shape) for shape in shapes]
-        self.flight = Flight(code, *self.arrays)
+        self.flight = PlanIntegrator(code, *self.arrays)
 
     def __call__(self, *arguments: Matrix) -> Matrix:
-        """Return the rows of an evaluation; arguments as for `Flight`."""
+        """Return the rows of an evaluation; arguments as for `PlanIntegrator`."""
         for own, given in zip(self.arrays, arguments, strict=True):
             own[:] = given
         return self.flight().copy()
@@ -182,12 +182,12 @@ class Fleet:
         """The plan as machine code."""
         return Code(self.plan)
 
-    def bind(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> Flight:
+    def bind(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> PlanIntegrator:
         """Bind a flight to arrays that live as long."""
-        return Flight(self.code, Y, choice, p, accuracy, inverse)
+        return PlanIntegrator(self.code, Y, choice, p, accuracy, inverse)
 
     def fly(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> Matrix:
-        """Return the rows of an evaluation; arguments as for `Flight`."""
+        """Return the rows of an evaluation; arguments as for `PlanIntegrator`."""
         arguments, lanes = (Y, choice, p, accuracy, inverse), len(Y)
         if not 0 < lanes <= self._few:
             return self.bind(*arguments)()
@@ -220,12 +220,12 @@ def jacobians(conditions: Conditions, segments: int, Y: Matrix, p: Matrix, choic
     choice
         Active set: masks, then values, (lanes, ...) or (1, ...).
     """
-    code, count = _bare(conditions, segments), len(Y)
+    code, count = _plan_without_step(conditions, segments), len(Y)
     n = code.plan.columns.n
-    flight = Flight(code, Y, choice, p, np.full(count, newton.FINEST), np.zeros((count, n * n)))
+    flight = PlanIntegrator(code, Y, choice, p, np.full(count, newton.FINEST), np.zeros((count, n * n)))
     return flight.flown()[:, n : n + n * n].reshape(count, n, n).copy()
 
 
 @lru_cache(maxsize=16)
-def _bare(conditions: Conditions, segments: int) -> Code:
+def _plan_without_step(conditions: Conditions, segments: int) -> Code:
     return Code(plan(conditions, segments, most=-1))

@@ -18,7 +18,7 @@ from perilune.conditions.pontryagin import Conditions
 from perilune.shooting.flyer import fleet, jacobians
 from perilune.shooting.newton import FINEST, Ends, Lanes, newton
 from perilune.shooting.plan import Plan
-from perilune.shooting.propagate import flight
+from perilune.shooting.propagate import propagate_arc
 from perilune.words.types import Matrix, Vector
 from perilune.words.watch import Iteration, Watch
 
@@ -180,7 +180,7 @@ class Shooting:
         **settings
             Of `newton`.
         """
-        p, choice, count = _rows(p), _rows(choice), len(Y)
+        p, choice, count = _as_rows(p), _as_rows(choice), len(Y)
 
         def of(array: Matrix, lanes: Lanes) -> Matrix:
             return array if len(array) == 1 or len(lanes) == count else array[lanes]
@@ -201,7 +201,7 @@ class Shooting:
 
     def at(self, Y: Matrix, p: Matrix, choice: Matrix) -> Roots:
         """Evaluate the shooting function at full accuracy; NaN where an arc could not be flown."""
-        p, choice, count = _rows(p), _rows(choice), len(Y)
+        p, choice, count = _as_rows(p), _as_rows(choice), len(Y)
         y = self._exactly(Y.take(self.plan.active, axis=1), choice)
         rows = self._fleet.fly(y, choice, p, np.full(count, FINEST), np.zeros((count, self.plan.columns.n**2)))
         self.arcs += count * len(self.plan.legs)
@@ -222,7 +222,7 @@ class Shooting:
 
     def jacobians(self, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
         """Return the Jacobians by the unknowns that are not silent, (lanes, n, n); NaN where an arc was lost."""
-        p, choice = _rows(p), _rows(choice)
+        p, choice = _as_rows(p), _as_rows(choice)
         return jacobians(self.conditions, self.segments, Y.take(self.plan.active, axis=1), p, choice)
 
     def joints(self, y: Vector, p: Vector) -> Vector | None:
@@ -230,7 +230,7 @@ class Shooting:
         before, nodes = np.zeros(0), [y]
         for extremal, start in zip(self.conditions.phases, self.conditions.starts, strict=True):
             z0, duration = (np.array(out).ravel() for out in start(y, before, p))
-            curve = flight(extremal, z0, p, float(duration[0]))
+            curve = propagate_arc(extremal, z0, p, float(duration[0]))
             at = curve(np.linspace(0.0, float(duration[0]), self.segments + 1))
             if not np.all(np.isfinite(at)):
                 return None
@@ -345,6 +345,6 @@ class Shooting:
         )
 
 
-def _rows(array: Vector | Matrix) -> Matrix:
+def _as_rows(array: Vector | Matrix) -> Matrix:
     """Return one row for all lanes, where there are none."""
     return array if array.ndim == 2 else array[None]

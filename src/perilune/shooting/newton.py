@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.words.types import Matrix, Vector
-from perilune.words.watch import Iteration, Watch, silent
+from perilune.words.watch import Iteration, Watch, ignore_events
 
 Lanes = NDArray[np.int64]
 
@@ -85,7 +85,7 @@ class Columns:
 Evaluate = Callable[[Lanes, Matrix, Vector, Matrix], Matrix]
 
 
-def rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matrix) -> Matrix:
+def evaluation_rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matrix) -> Matrix:
     """Return rows of an evaluation from residual (lanes, n), Jacobian (lanes, n, n) and inverse before, by LAPACK.
 
     Parameters
@@ -110,7 +110,7 @@ def rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matri
     try:
         inverse = np.linalg.inv(J)
     except np.linalg.LinAlgError:  # a single singular matrix stops all
-        inverse = np.array([_inverse(matrix) for matrix in J])
+        inverse = np.array([_inverse_or_nan(matrix) for matrix in J])
     with np.errstate(all="ignore"):  # a diverged lane is known by its NaN
         step = -(inverse @ h[:, :, None])[:, :, 0]
         simplified = (old.reshape(lanes, n, n) @ h[:, :, None])[:, :, 0]
@@ -119,7 +119,7 @@ def rows(y: Matrix, h: Matrix, J: NDArray[np.float64], old: Matrix, extra: Matri
     return np.hstack([head, h, step, inverse.reshape(lanes, n * n), extra])
 
 
-def _inverse(matrix: Matrix) -> Matrix:
+def _inverse_or_nan(matrix: Matrix) -> Matrix:
     try:
         return np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
@@ -201,12 +201,12 @@ def newton(
     watch
         Called after each iteration of a single lane; with a line of text after each round of many.
     """
-    run = _one if len(start) == 1 else _many
-    settings = _Settings(tolerance, accuracy, limit, max_step, doubt, reach)
-    return run(evaluate, start, columns, settings, None if watch is silent else watch)
+    run = _newton_one_lane if len(start) == 1 else _newton_many_lanes
+    settings = _NewtonSettings(tolerance, accuracy, limit, max_step, doubt, reach)
+    return run(evaluate, start, columns, settings, None if watch is ignore_events else watch)
 
 
-class _Settings(NamedTuple):
+class _NewtonSettings(NamedTuple):
     tolerance: float
     accuracy: float
     limit: int
@@ -225,7 +225,9 @@ class _Settings(NamedTuple):
         return length <= np.maximum(self.reach[lanes], before), length
 
 
-def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
+def _newton_many_lanes(
+    evaluate: Evaluate, start: Matrix, columns: Columns, settings: _NewtonSettings, watch: Watch | None
+) -> Ends:
     """Solve lanes side by side; those that have ended drop out."""
     tolerance, accuracy, limit, max_step, doubt, _ = settings
     y = np.array(start, dtype=float)
@@ -239,7 +241,7 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
         evaluations=np.ones(count, dtype=np.int64),
         iterations=np.zeros(count, dtype=np.int64),
     )
-    alpha, again = _limited(np.ones(count), row, columns, max_step), np.zeros(count, dtype=bool)
+    alpha, again = _limit_damping(np.ones(count), row, columns, max_step), np.zeros(count, dtype=bool)
     coarsest = np.full(count, ROUGHEST)
     trial = y + alpha[:, None] * row[:, columns.step]
     led, away = settings.led(trial, start, lanes, np.full(count, np.inf))
@@ -253,7 +255,7 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
         coarsest = np.where(again, FINEST, coarsest)  # a lane misled once is evaluated accurately from then on
         finer = np.clip(_FORCING * (row[:, 0] * row[:, 0]), FINEST, coarsest)
         new = evaluate(lanes, trial, finer, row[:, columns.inverse])
-        good, root = _judged(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
+        good, root = _judge_trial(row[:, :4].T, new[:, :4].T, alpha, flown, finer, again, tolerance)
         ends.iterations[lanes] += good & ~again
         # What damped the steps was the rough evaluation: from the better one the whole step is tried.
         after = np.where(again, 1.0, np.where(good, np.minimum(1.0, 2.0 * alpha), 0.5 * alpha))
@@ -262,23 +264,25 @@ def _many(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settin
         for ahead, here in ((trial, y), (new, row), (finer, flown)):
             ahead[refused] = here[refused]
         y, row, flown = trial, new, finer
-        alpha = _limited(after, row, columns, max_step)
+        alpha = _limit_damping(after, row, columns, max_step)
         trial = y + np.where(again, 0.0, alpha)[:, None] * row[:, columns.step]
         led, away = settings.led(trial, start, lanes, away)
         active = ~root & ~lost & (alpha > _LEAST_DAMPING) & (number < limit) & led
         ends.keep(lanes, y, row, root, ~active, number)
         if watch is not None:
-            watch(_round(number, ends, row[active, 0]))
+            watch(_describe_round(number, ends, row[active, 0]))
     return ends
 
 
-def _round(number: int, ends: Ends, residuals: Vector) -> str:
+def _describe_round(number: int, ends: Ends, residuals: Vector) -> str:
     """Format how far many lanes have come; `residuals` are those of lanes still at work."""
     text = f"round {number - 1}: {np.count_nonzero(ends.converged)} of {len(ends.y)} converged"
     return f"{text}, {len(residuals)} at work, least residual {residuals.min():.1e}" if len(residuals) else text
 
 
-def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Settings, watch: Watch | None) -> Ends:
+def _newton_one_lane(
+    evaluate: Evaluate, start: Matrix, columns: Columns, settings: _NewtonSettings, watch: Watch | None
+) -> Ends:
     """Solve in one lane, whose few numbers Python compares faster than NumPy, and which shows its iterations."""
     tolerance, accuracy, limit, max_step, doubt, _ = settings
     lanes, history = np.zeros(1, dtype=np.int64), list[Iteration]()
@@ -286,7 +290,7 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
     coarsest, away = ROUGHEST, np.full(1, np.inf)
     row = evaluate(lanes, y, np.array([flown]), np.zeros((1, columns.n**2)))
     head = row[0, :4].tolist()
-    alpha = _limited(1.0, row, columns, max_step)
+    alpha = _limit_damping(1.0, row, columns, max_step)
     while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root and not lost:
         trial = y if again else y + alpha * row[:, columns.step]
         led, away = settings.led(trial, start, lanes, away)
@@ -296,7 +300,7 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
         finer = min(max(_FORCING * (head[0] * head[0]), FINEST), coarsest)
         new = evaluate(lanes, trial, np.array([finer]), row[:, columns.inverse])
         number, ahead = number + 1, new[0, :4].tolist()
-        good, root = _judged(head, ahead, alpha, flown, finer, again, tolerance)
+        good, root = _judge_trial(head, ahead, alpha, flown, finer, again, tolerance)
         if good and not again:
             history.append(Iteration(number=len(history) + 1, residual=ahead[0], step=head[2], damping=float(alpha)))
             if watch is not None:
@@ -306,7 +310,7 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
         lost, again = again and not good, not good and flown > FINEST and 2.0 * alpha <= doubt
         if good:
             y, row, head, flown = trial, new, ahead, finer
-        alpha = _limited(alpha, row, columns, max_step)
+        alpha = _limit_damping(alpha, row, columns, max_step)
     return Ends(
         y=y,
         rows=row,
@@ -317,7 +321,9 @@ def _one(evaluate: Evaluate, start: Matrix, columns: Columns, settings: _Setting
     )
 
 
-def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, tolerance: float) -> tuple[Any, Any]:
+def _judge_trial(
+    row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, tolerance: float
+) -> tuple[Any, Any]:
     """Return whether a trial is accepted, and whether it reaches a root: of numbers, or of arrays of lanes.
 
     Parameters
@@ -354,7 +360,7 @@ def _judged(row: Any, new: Any, alpha: Any, flown: Any, finer: Any, again: Any, 
     return good, (root | (good ^ True) & stuck) & (again ^ True)
 
 
-def _limited(alpha: Any, row: Matrix, columns: Columns, max_step: float) -> Any:
+def _limit_damping(alpha: Any, row: Matrix, columns: Columns, max_step: float) -> Any:
     """Return the damping that keeps the largest component of each step within `max_step`."""
     if math.isinf(max_step):
         return alpha

@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from perilune.conditions.pontryagin import Conditions
 from perilune.kernels import LANES, Engine, Request
 from perilune.shooting.newton import Columns
-from perilune.shooting.propagate import Equations, engine, equations
-from perilune.shooting.settling import MOST_STEPS, settling
+from perilune.shooting.propagate import Equations, arc_engine, reduced_equations
+from perilune.shooting.settling import MOST_STEPS, settling_equations
 from perilune.words.types import Matrix, Vector
 
 #: Up to so many coupled unknowns Newton's step is compiled with the residual; beyond, LAPACK takes over.
@@ -40,7 +40,7 @@ COMPILED = 12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Leg:
+class PlanLeg:
     """One arc of the plan.
 
     Parameters
@@ -91,7 +91,7 @@ class Plan:
 
     conditions: Conditions
     segments: int
-    legs: tuple[Leg, ...]
+    legs: tuple[PlanLeg, ...]
     at_free: int
     size: int
     active: NDArray[np.int64]
@@ -180,9 +180,9 @@ class _Tracing:
 
     def __init__(self, conditions: Conditions, segments: int, most: int) -> None:
         self.conditions, self.segments, self.most = conditions, segments, most
-        self.settling = [settling(phase) if phase.settles else None for phase in conditions.phases]
+        self.settling = [settling_equations(phase) if phase.settles else None for phase in conditions.phases]
         parts = zip(conditions.phases, conditions.needed, conditions.silent, self.settling, strict=True)
-        self.flown = [s.flown if s else equations(phase, needed, silent) for phase, needed, silent, s in parts]
+        self.flown = [s.flown if s else reduced_equations(phase, needed, silent) for phase, needed, silent, s in parts]
         count, silent = len(conditions.unknowns), {unknown for _, unknown in conditions.silent_rows}
         active, size = [i for i in range(count) if i not in silent], count
         self.nodes: dict[tuple[int, int], list[int]] = {}  # where the start of a later segment lies in the whole Y
@@ -231,7 +231,7 @@ class _Tracing:
             held=c.free_at.stop - c.free_at.start + len(c.ranges),
         )
 
-    def _leg(self, k: int, j: int, before: _End | None) -> tuple[Leg, _End]:
+    def _leg(self, k: int, j: int, before: _End | None) -> tuple[PlanLeg, _End]:
         extremal, flown = self.conditions.phases[k], self.flown[k]
         kept = flown.kept.tolist()
         whole_before = ca.SX.zeros(2 * self.conditions.phases[k - 1].half, 1) if k else ca.SX(0, 1)
@@ -262,8 +262,8 @@ class _Tracing:
         shared = settles is not None and count > 1  # each of the lanes that fly together takes a share of the columns
         if shared:
             pattern = np.repeat(pattern.max(axis=1, keepdims=True), -(-count // LANES), axis=1)
-        arcs = engine(flown, tuple(tuple(row) for row in pattern.tolist()))
-        leg = Leg(
+        arcs = arc_engine(flown, tuple(tuple(row) for row in pattern.tolist()))
+        leg = PlanLeg(
             flown=flown,
             arcs=arcs,
             opening=ca.Function("opening", symbols, ca.cse([ca.SX(r) for r in results])),
@@ -333,7 +333,7 @@ class _Tracing:
         J = ca.sparsify(ca.vertcat(slope, *(gap_slope for _, gap_slope in gaps)))
         extra = ca.vertcat(plain[c.stationarity_at], plain[[row for row, _ in c.ranges]], cost)
         columns = Columns(n=n, extra=extra.numel())
-        order = _peeled(J)
+        order = _decoupled_unknowns(J)
         compiled = n - len(order) <= self.most
         arguments = [Y, ca.vertcat(masks, values), self.p]
         flights = [s for end in ends for s in end.symbols]
@@ -341,7 +341,7 @@ class _Tracing:
             results = ca.densify(ca.vertcat(h, ca.vec(ca.densify(J).T), extra))
             return ca.Function("closing", [*arguments, *flights], [ca.cse(results)]), columns, False
         old = ca.SX.sym("inverse", n * n)
-        inverse = _inverse(J, order)
+        inverse = _invert_symbolically(J, order)
         step = -ca.mtimes(inverse, h)
         simplified = ca.mtimes(ca.reshape(old, n, n).T, h)
         size = ca.fabs(h[0])
@@ -353,7 +353,7 @@ class _Tracing:
         return closing, columns, True
 
 
-def _peeled(J: ca.SX) -> list[tuple[int, int]]:
+def _decoupled_unknowns(J: ca.SX) -> list[tuple[int, int]]:
     """Return (row, column) of unknowns in only one row, then of those that are so once these are gone, and so on."""
     pattern = np.array(ca.DM.ones(J.sparsity()).full(), dtype=bool)
     rows, found = np.ones(len(pattern), dtype=bool), []
@@ -366,7 +366,7 @@ def _peeled(J: ca.SX) -> list[tuple[int, int]]:
     return found
 
 
-def _inverse(J: ca.SX, peeled: list[tuple[int, int]]) -> ca.SX:
+def _invert_symbolically(J: ca.SX, peeled: list[tuple[int, int]]) -> ca.SX:
     """Return J^-1: of the coupled core by an orthogonal factorisation, then row by row of what was peeled off it."""
     n = J.size1()
     rows = [i for i in range(n) if i not in {row for row, _ in peeled}]

@@ -33,7 +33,7 @@ class Equations:
 
 
 @lru_cache(maxsize=256)
-def equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[int, ...]) -> Equations:
+def reduced_equations(extremal: PhaseExtremal, wanted: tuple[int, ...], silent: tuple[int, ...]) -> Equations:
     """Return equations for the entries of z that are `wanted` at the end, with the `silent` ones zero.
 
     An empty `wanted` keeps all of z.
@@ -95,14 +95,14 @@ Pattern = tuple[tuple[bool, ...], ...]  # which entries of the columns S(0) may 
 
 
 @lru_cache(maxsize=256)
-def engine(flown: Equations, seeds: Pattern = ()) -> Engine:
+def arc_engine(flown: Equations, seeds: Pattern = ()) -> Engine:
     """Return the engine with the variational columns that such seeds need, which is made once."""
     return compile_arcs(
         flown.modes, solved=flown.solved, columns=np.array(seeds) if seeds else 0, events=flown.switches
     )
 
 
-def flight(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **settings: float) -> DenseArc:
+def propagate_arc(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **settings: float) -> DenseArc:
     """Propagate all of z along one arc.
 
     Parameters
@@ -123,8 +123,8 @@ def flight(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **se
     DenseArc
         z as a function of time.
     """
-    whole = equations(extremal, (), ())
-    return engine(whole).dense(z0, p[whole.numbers], duration, mode=mode_at(extremal, z0, p), **settings)
+    whole = reduced_equations(extremal, (), ())
+    return arc_engine(whole).dense(z0, p[whole.numbers], duration, mode=mode_at(extremal, z0, p), **settings)
 
 
 def mode_at(extremal: PhaseExtremal, z: Vector, p: Vector) -> int:

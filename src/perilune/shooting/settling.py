@@ -21,7 +21,7 @@ import numpy as np
 
 from perilune.conditions.canonical import PhaseExtremal
 from perilune.kernels import DenseArc
-from perilune.shooting.propagate import Equations, engine, flight, mode_at
+from perilune.shooting.propagate import Equations, arc_engine, mode_at, propagate_arc
 from perilune.words.types import Matrix, Vector
 
 MOST_STEPS = 1000  # a flight that ends at a site takes 50 to 500; one that takes more falls through the ground
@@ -31,7 +31,7 @@ _SHORTEST = 1e-3  # of the phase
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Settling:
+class SettlingPhase:
     """A phase that settles, flown as z = (x, the rows of Phi that move, one behind the other).
 
     Attributes
@@ -56,17 +56,17 @@ class Settling:
 
     def transition(self, z: ca.SX) -> ca.SX:
         """Return Phi of z, (n, n)."""
-        return _transition(z, len(self.flown.kept), self.rows)
+        return _transition_of(z, len(self.flown.kept), self.rows)
 
 
-def _transition(z: ca.SX, n: int, rows: tuple[int, ...]) -> ca.SX:
+def _transition_of(z: ca.SX, n: int, rows: tuple[int, ...]) -> ca.SX:
     matrix = ca.SX.eye(n)
     matrix[list(rows), :] = ca.reshape(z[n:], n, len(rows)).T
     return matrix
 
 
 @lru_cache(maxsize=256)
-def settling(extremal: PhaseExtremal) -> Settling:
+def settling_equations(extremal: PhaseExtremal) -> SettlingPhase:
     """Derive the equations of a phase that settles."""
     n, numbers = extremal.half, extremal.modes[0].size1_in(1)
     x, p = ca.SX.sym("x", n), ca.SX.sym("p", numbers)
@@ -75,7 +75,7 @@ def settling(extremal: PhaseExtremal) -> Settling:
     rows = tuple(i for i in range(n) if not all(rate[i].is_zero() for rate in rates))
     moved = ca.SX.sym("Phi", n * len(rows))
     z = ca.vertcat(x, moved)
-    phi = _transition(z, n, rows)
+    phi = _transition_of(z, n, rows)
     flows = [ca.vertcat(rate, ca.vec(ca.mtimes(ca.jacobian(rate, x), phi)[list(rows), :].T)) for rate in rates]
     crossings = [ca.simplify(event.function(still, p)) for event in extremal.events]
     used = ca.vertcat(*rates, *crossings)
@@ -90,10 +90,10 @@ def settling(extremal: PhaseExtremal) -> Settling:
             for event, S in zip(extremal.events, crossings, strict=True)
         ),
     )
-    return Settling(flown=flown, rows=rows)
+    return SettlingPhase(flown=flown, rows=rows)
 
 
-def growth(phi: Matrix) -> float:
+def costate_error_growth(phi: Matrix) -> float:
     """Return how much errors of costates grow along a piece: norm of Phi^-1, inf where a state is lost in thick air.
 
     It is 0 where Phi is NaN, as shorter pieces do not help.
@@ -104,7 +104,7 @@ def growth(phi: Matrix) -> float:
     return 1.0 / least if least > 0.0 else np.inf
 
 
-def fallen(
+def propagate_settling_phase(
     extremal: PhaseExtremal, x: Vector, p: Vector, duration: float, end: Callable[[Vector], Vector], **settings: Any
 ) -> tuple[list[DenseArc], Vector]:
     """Propagate all of z along a phase that settles, and return its arcs with when each begins.
@@ -116,19 +116,19 @@ def fallen(
     end
         x(T) -> lambda(T).
     """
-    made, n = settling(extremal), extremal.half
+    made, n = settling_equations(extremal), extremal.half
     flown = made.flown
     starts, begins, through = [np.asarray(x)], [0.0], list[Matrix]()
     length = duration / _PIECES
     while begins[-1] < duration:
         length = min(length, duration - begins[-1])
         mode = mode_at(extremal, np.concatenate([starts[-1], np.zeros(n)]), p)
-        z = engine(flown).propagate(
+        z = arc_engine(flown).propagate(
             np.concatenate([starts[-1], made.seeds]), p[flown.numbers], length, mode=np.array([mode]), **settings
         ).z[0]  # fmt: skip
         phi = np.eye(n)
         phi[list(made.rows)] = z[n:].reshape(len(made.rows), n)
-        if growth(phi) > _MOST_GROWTH and length > _SHORTEST * duration:
+        if costate_error_growth(phi) > _MOST_GROWTH and length > _SHORTEST * duration:
             length *= 0.5
             continue
         through.append(phi)
@@ -139,5 +139,7 @@ def fallen(
     for phi in reversed(through):
         lam.append(phi.T @ lam[-1])
     pieces = zip(starts, reversed(lam[1:]), np.diff(begins), strict=False)
-    arcs = [flight(extremal, np.concatenate([start, own]), p, float(each), **settings) for start, own, each in pieces]
+    arcs = [
+        propagate_arc(extremal, np.concatenate([start, own]), p, float(each), **settings) for start, own, each in pieces
+    ]
     return arcs, np.array(begins[:-1])

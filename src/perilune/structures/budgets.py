@@ -25,7 +25,7 @@ import numpy as np
 from perilune.problem.controls import Control
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.rates import acts, acts_linearly, gathered, rate
+from perilune.problem.rates import depends_linearly_on_control, depends_on_control, gather_expressions, total_derivative
 from perilune.problem.tape import ROLES, Expression, Recorder
 from perilune.problem.variables import Variable
 from perilune.structures.structure import margins, plain_bounds
@@ -55,9 +55,13 @@ def with_budgets(problem: Problem, *, linear: bool) -> Problem:
 
 def _limited_at_end(problem: Problem, k: int, linear: bool) -> Phase:
     phase, known = problem.phases[k], problem.form.expressions.get((k, "end"))
-    after = set(_used_up(problem, k + 1, linear)) if k + 1 < len(problem.phases) else set[str]()
-    names = [name for name in _used_up(problem, k, linear) if not (name in after and _holds_on(problem, k, name))]
-    limits = [_at_end(phase, *margins(problem, k)[name]) for name in names]
+    after = set(_monotone_limits(problem, k + 1, linear)) if k + 1 < len(problem.phases) else set[str]()
+    names = [
+        name
+        for name in _monotone_limits(problem, k, linear)
+        if not (name in after and _is_tighter_in_next_phase(problem, k, name))
+    ]
+    limits = [_end_range_of_limit(phase, *margins(problem, k)[name]) for name in names]
     if not limits:
         return phase
     values = [*([] if known is None else [known]), *(value for _, value in limits)]
@@ -66,10 +70,10 @@ def _limited_at_end(problem: Problem, k: int, linear: bool) -> Phase:
         while condition.name in taken:
             condition = replace(condition, name=f"{condition.name}_")
         conditions.append(condition)
-    return replace(phase, end=gathered(values, ("x", "p")), end_conditions=tuple(conditions))
+    return replace(phase, end=gather_expressions(values, ("x", "p")), end_conditions=tuple(conditions))
 
 
-def _at_end(
+def _end_range_of_limit(
     phase: Phase, variable: Variable, value: Expression, bound: tuple[int, str] | None
 ) -> tuple[Variable, Expression]:
     """Return the range that says at the end what a limit says on the way, and its value."""
@@ -82,24 +86,24 @@ def _at_end(
     return replace(state, name=f"{state.name}{AT_END}", **open_side), Expression(tape, ("x", "p"), origin="a bound")
 
 
-def _used_up(problem: Problem, k: int, linear: bool) -> Iterator[str]:
+def _monotone_limits(problem: Problem, k: int, linear: bool) -> Iterator[str]:
     """Yield the names of the limits of phase k that only fall, as the control has them."""
     form, phase = problem.form.expressions, problem.phases[k]
-    ends, objective = _read(form.get((k, "end"))), _read(form["objective"])
+    ends, objective = _read_components(form.get((k, "end"))), _read_components(form["objective"])
     chosen = {("p", name) for name in problem.free_names}
     for name, (_, value, _) in margins(problem, k).items():
-        own = {of for of in _read(value) if of[0] == "x"}
+        own = {of for of in _read_components(value) if of[0] == "x"}
         alone = objective & (chosen | {of for of in objective if of[0] == "x"}) <= own
-        if acts(value) or own & ends or alone:
+        if depends_on_control(value) or own & ends or alone:
             continue
-        change = rate(value, form[k, "dynamics"], phase.state_names)
+        change = total_derivative(value, form[k, "dynamics"], phase.state_names)
         acting = [name for name in phase.control_names if ("u", name) in change.tape.instructions]
-        wanted = linear or not all(acts_linearly(change, name) for name in acting)
-        if acting and wanted and _falls(problem, phase, change):
+        wanted = linear or not all(depends_linearly_on_control(change, name) for name in acting)
+        if acting and wanted and _is_monotone(problem, phase, change):
             yield name
 
 
-def _holds_on(problem: Problem, k: int, name: str) -> bool:
+def _is_tighter_in_next_phase(problem: Problem, k: int, name: str) -> bool:
     """Return True if phase k + 1 begins with no more left of this limit, as far as points drawn at random tell.
 
     Then the end of phase k need not say it. One that is tighter before, or that starts again, is a budget of its own.
@@ -117,12 +121,12 @@ def _holds_on(problem: Problem, k: int, name: str) -> bool:
     return bool(np.all(there <= here))
 
 
-def _read(expression: Expression | None) -> set[tuple[str, str]]:
+def _read_components(expression: Expression | None) -> set[tuple[str, str]]:
     """Return role and name of each component that an expression reads."""
     return set() if expression is None else {(op[0], op[1]) for op in expression.tape.instructions if op[0] in ROLES}
 
 
-def _falls(problem: Problem, phase: Phase, change: Expression) -> bool:
+def _is_monotone(problem: Problem, phase: Phase, change: Expression) -> bool:
     """Return True if S' is nowhere positive, as far as points drawn at random tell.
 
     That it is asks for nothing: the range at the end says what holds anyway.

@@ -17,8 +17,8 @@ from perilune.problem.problem import Problem
 from perilune.problem.solution import Curve, Solution, Trajectory
 from perilune.problem.verification import Verification
 from perilune.structures.named import with_names
-from perilune.structures.restate import part_durations, part_name, restate, summed
-from perilune.structures.structure import Structure, check_structure
+from perilune.structures.restate import part_durations, part_name, restate, summed_durations
+from perilune.structures.structure import Structure, check_arc_structure
 from perilune.words.deferred import Deferred
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.types import Vector
@@ -27,7 +27,7 @@ _NEAR = 1e-9  # of a phase: a cut so near to a node is at it
 _NOTHING = 1e-13  # of a phase: nodes of a shorter arc would fall together
 
 
-def split(solution: Solution, structure: Structure, restated: Problem | None = None) -> Solution:
+def split_solution(solution: Solution, structure: Structure, restated: Problem | None = None) -> Solution:
     """Cut a solution of a problem where the arcs of the structure end: one of the problem restated.
 
     Parameters
@@ -50,7 +50,7 @@ def split(solution: Solution, structure: Structure, restated: Problem | None = N
         If an arc has no length.
     """
     problem = solution.problem
-    check_structure(problem, structure)
+    check_arc_structure(problem, structure)
     pieces, free, multipliers = list[Trajectory](), dict(solution.free), dict[str, float]()
     for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
         count, ends = len(structure.phases[k]), structure.ends(k, flown.duration)
@@ -62,7 +62,7 @@ def split(solution: Solution, structure: Structure, restated: Problem | None = N
                 expected="ends in increasing order, each before the end of the phase",
             )
         for j, (begin, end) in enumerate(zip(begins, ends, strict=True)):
-            pieces.append(_between(flown, begin, end, part_name(phase.name, j, count)))
+            pieces.append(_cut_trajectory(flown, begin, end, part_name(phase.name, j, count)))
         if count > 1:
             lengths = [piece.duration for piece in pieces[-count:]]
             free |= dict(zip(part_durations(problem, structure, k), lengths, strict=True))
@@ -76,7 +76,7 @@ def split(solution: Solution, structure: Structure, restated: Problem | None = N
         free={f.name: free.get(f.name, f.typical) for f in restated.free},
         trajectories=tuple(pieces),
         multipliers=multipliers,
-        outcome=_unproved(solution.outcome),
+        outcome=_without_proof(solution.outcome),
         extremals=(),
         listed=(),
         unknowns=None,
@@ -85,7 +85,7 @@ def split(solution: Solution, structure: Structure, restated: Problem | None = N
     )
 
 
-class Joined(Deferred):
+class JoinedTrajectories(Deferred):
     """Trajectories in the user's phases, made when first looked at of those of a restated problem.
 
     Attributes
@@ -104,10 +104,10 @@ class Joined(Deferred):
     def _trajectories(self) -> tuple[Trajectory, ...]:
         parts = iter(self.restated.trajectories)
         arcs = zip(self._names, self.structure.phases, strict=True)
-        return tuple(_joined(name, list(islice(parts, len(own)))) for name, own in arcs)
+        return tuple(_join_trajectories(name, list(islice(parts, len(own)))) for name, own in arcs)
 
 
-def joined(problem: Problem, restated: Solution, structure: Structure, *, named: bool = True) -> Solution:
+def join_solution(problem: Problem, restated: Solution, structure: Structure, *, named: bool = True) -> Solution:
     """Join a solution of the restated problem to one of the user's.
 
     Parameters
@@ -127,22 +127,22 @@ def joined(problem: Problem, restated: Solution, structure: Structure, *, named:
         In the user's phases, unverified. Of its multipliers those of the user's conditions are
         kept; those of touches and entries are the jumps of its costates.
     """
-    check_structure(problem, structure)
+    check_arc_structure(problem, structure)
     counts, multipliers = [len(arcs) for arcs in structure.phases], dict[str, float]()
     for phase, count in zip(problem.phases, counts, strict=True):
         last = part_name(phase.name, count - 1, count)
         known = {c.name: restated.multipliers.get(f"{last}.{c.name}") for c in phase.end_conditions}
         multipliers |= {f"{phase.name}.{name}": nu for name, nu in known.items() if nu is not None}
-    structure = timed(structure, restated)
+    structure = structure_with_times(structure, restated)
     whole = replace(
         restated,
         problem=problem,
-        free=_users(problem, structure, restated.free),
-        trajectories=Joined(problem, structure, restated),
+        free=_user_free_values(problem, structure, restated.free),
+        trajectories=JoinedTrajectories(problem, structure, restated),
         multipliers=multipliers,
-        outcome=_unproved(restated.outcome),
+        outcome=_without_proof(restated.outcome),
         extremals=tuple(
-            Extremal(free=_users(problem, structure, e.free), objective=e.objective, nature=e.nature)
+            Extremal(free=_user_free_values(problem, structure, e.free), objective=e.objective, nature=e.nature)
             for e in restated.extremals
         ),
         listed=(),
@@ -152,30 +152,30 @@ def joined(problem: Problem, restated: Solution, structure: Structure, *, named:
     return with_names(whole, structure) if named else whole
 
 
-def timed(structure: Structure, restated: Solution) -> Structure:
+def structure_with_times(structure: Structure, restated: Solution) -> Structure:
     """Return the structure with the times of a solution of its restated problem, whose curves need not be made."""
     p = restated.parameters
     lengths = iter([float(getattr(p, phase.duration)) for phase in restated.problem.phases])
     return structure.timed([list(islice(lengths, len(arcs))) for arcs in structure.phases])
 
 
-def _users(problem: Problem, structure: Structure, free: Mapping[str, float]) -> dict[str, float]:
+def _user_free_values(problem: Problem, structure: Structure, free: Mapping[str, float]) -> dict[str, float]:
     """Return the values of the user's free parameters: durations that are sums are summed."""
     sums = {
         name: sum(free[part] for part in part_durations(problem, structure, k))
-        for name, k in summed(problem, structure).items()
+        for name, k in summed_durations(problem, structure).items()
     }
     return {name: sums[name] if name in sums else free[name] for name in problem.free_names}
 
 
-def _unproved(outcome: Outcome) -> Outcome:
+def _without_proof(outcome: Outcome) -> Outcome:
     return Outcome.SOLVED if outcome in (Outcome.PROVED, Outcome.NOT_PROVED) else outcome
 
 
-def _between(flown: Trajectory, begin: float, end: float, name: str) -> Trajectory:
+def _cut_trajectory(flown: Trajectory, begin: float, end: float, name: str) -> Trajectory:
     curves = (flown.state, flown.control, flown.costate)
     begin, end = (_at_node(flown, t) for t in (begin, end))
-    state, control, costate = (None if curve is None else _cut(curve, begin, end) for curve in curves)
+    state, control, costate = (None if curve is None else _cut_curve(curve, begin, end) for curve in curves)
     assert state is not None and control is not None
     return Trajectory(phase=name, state=state, control=control, costate=costate)
 
@@ -187,10 +187,10 @@ def _at_node(flown: Trajectory, t: float) -> float:
     return nearest if abs(nearest - t) <= _NEAR * flown.duration else t
 
 
-def _cut(curve: Curve, begin: float, end: float) -> Curve:
+def _cut_curve(curve: Curve, begin: float, end: float) -> Curve:
     """Cut a curve between two times, which become 0 and the length; at a double node, on its own side of it."""
     inside = (curve.time > begin) & (curve.time < end)
-    first, last = _here(curve, begin, "right"), _here(curve, end, "left")
+    first, last = _one_sided_value(curve, begin, "right"), _one_sided_value(curve, end, "left")
     return Curve(
         time=np.concatenate([[0.0], curve.time[inside] - begin, [end - begin]]),
         values=np.vstack([first[0], curve.values[inside], last[0]]),
@@ -198,7 +198,7 @@ def _cut(curve: Curve, begin: float, end: float) -> Curve:
     )
 
 
-def _here(curve: Curve, t: float, side: str) -> tuple[Vector, Vector]:
+def _one_sided_value(curve: Curve, t: float, side: str) -> tuple[Vector, Vector]:
     """Return the value and rate of a curve at a time, on the side that is asked for where it breaks."""
     at = np.nonzero(curve.time == t)[0]
     if len(at):
@@ -213,17 +213,17 @@ def _here(curve: Curve, t: float, side: str) -> tuple[Vector, Vector]:
     return np.asarray(curve(t)), rate
 
 
-def _joined(name: str, parts: Sequence[Trajectory]) -> Trajectory:
+def _join_trajectories(name: str, parts: Sequence[Trajectory]) -> Trajectory:
     costates = [part.costate for part in parts if part.costate is not None]
     return Trajectory(
         phase=name,
-        state=_chained([part.state for part in parts]),
-        control=_chained([part.control for part in parts]),
-        costate=_chained(costates) if len(costates) == len(parts) else None,
+        state=_join_curves([part.state for part in parts]),
+        control=_join_curves([part.control for part in parts]),
+        costate=_join_curves(costates) if len(costates) == len(parts) else None,
     )
 
 
-def _chained(curves: Sequence[Curve]) -> Curve:
+def _join_curves(curves: Sequence[Curve]) -> Curve:
     shortest = _NOTHING * sum(float(curve.time[-1]) for curve in curves)
     curves = [curve for curve in curves if curve.time[-1] > shortest] or curves[:1]  # one of no length leaves nothing
     begins = np.concatenate([[0.0], np.cumsum([curve.time[-1] for curve in curves])])

@@ -20,7 +20,7 @@ _ARC_TIMES = 100  # times along an arc
 _CONCAVE_BY, _HELD_STRAIGHT = 1e-6, 1e-6  # of the terms of H, and of those of what is held
 
 
-def chattering(solution: Solution) -> str | None:
+def find_chattering_arc(solution: Solution) -> str | None:
     """Return the name of a scalar that would better switch back and forth along an arc; None where there is none.
 
     Parameters

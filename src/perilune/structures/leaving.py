@@ -19,9 +19,9 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.polynomial.chebyshev import chebpts1
 
-from perilune.problem.controls import Bounded, control_scales, normalised, placed, tangents
+from perilune.problem.controls import Bounded, control_scales, control_slices, normalised, tangents
 from perilune.problem.solution import Solution, full
-from perilune.structures.regimes import runs
+from perilune.structures.regimes import runs_by_kind
 from perilune.structures.structure import Condition
 from perilune.words.types import Matrix, Vector
 
@@ -34,7 +34,7 @@ WRONG = (
 )
 
 
-def worth_riding(solved: Solution, index: int, condition: Condition) -> list[tuple[float, float]] | None:
+def paying_intervals(solved: Solution, index: int, condition: Condition) -> list[tuple[float, float]] | None:
     """Return the intervals in which an arc along a condition pays [s of the arc]; None where that is not known.
 
     Parameters
@@ -64,7 +64,7 @@ def worth_riding(solved: Solution, index: int, condition: Condition) -> list[tup
         t.append(np.linspace(begin, end, _LOOKS))
         pays.append((-1) ** q * curve.deriv(q)(t[-1]) * flown.duration**q >= -WRONG * size)
     every, worth = np.concatenate(t), np.concatenate(pays)
-    return [(float(every[first]), float(every[last])) for first, last in runs(worth) if last > first]
+    return [(float(every[first]), float(every[last])) for first, last in runs_by_kind(worth) if last > first]
 
 
 def _multiplier(solved: Solution, index: int, rate: str, t: Vector) -> Vector:
@@ -80,7 +80,7 @@ def _multiplier(solved: Solution, index: int, rate: str, t: Vector) -> Vector:
         H = sum(a * np.asarray(b) for a, b in zip(lam, phase.rates(list(x), list(u), p), strict=True))
         return np.array([full(value, t) for value in (*held, *kept, H)])
 
-    moves = tangents(phase.controls, scales, u) * _moving(solved, index, u)[:, None]
+    moves = tangents(phase.controls, scales, u) * _movable_components(solved, index, u)[:, None]
     steps = [_STEP * moves[:, i] for i in range(moves.shape[1])]
     slopes = np.array(
         [(at(normalised(phase.controls, u + d)) - at(normalised(phase.controls, u - d))) / (2 * _STEP) for d in steps]
@@ -99,10 +99,10 @@ def _multiplier(solved: Solution, index: int, rate: str, t: Vector) -> Vector:
     return eta
 
 
-def _moving(solved: Solution, index: int, u: Matrix) -> Matrix:
+def _movable_components(solved: Solution, index: int, u: Matrix) -> Matrix:
     """Return 1 for each component of the control that can move both ways, 0 for scalars on a bound."""
     phase, p, moving = solved.problem.phases[index], solved.parameters, np.ones(u.shape)
-    for here, control in placed(phase.controls):
+    for here, control in control_slices(phase.controls):
         if isinstance(control, Bounded):
             low, high = control.on_bounds(u[here], _ON * solved.problem.scales.of(control.unit), p)
             moving[here] = ~(low | high)

@@ -11,7 +11,7 @@ import numpy as np
 from perilune.problem.controls import scalars
 from perilune.problem.named_arcs import NamedArc
 from perilune.problem.phase import Phase
-from perilune.problem.rates import acts
+from perilune.problem.rates import depends_on_control
 from perilune.problem.solution import Solution
 from perilune.problem.variables import Variable
 from perilune.structures.regimes import Stay, stays_of
@@ -44,13 +44,13 @@ def with_names(solution: Solution, structure: Structure | None = None) -> Soluti
 
 def _of_phase(solution: Solution, k: int, structure: Structure | None) -> list[NamedArc]:
     singular = [] if structure is None else [s for s in stays_of(structure, k) if s.regime == "singular"]
-    found = [*_controls(solution, k, singular), *_held_at_once(solution, k)]
+    found = [*_control_arcs_in_words(solution, k, singular), *_held_at_once(solution, k)]
     if structure is not None:
-        found += _conditions(solution, k, structure)
+        found += _boundary_arcs_in_words(solution, k, structure)
     return sorted(found, key=lambda arc: (arc.begin, arc.end))
 
 
-def _controls(solution: Solution, k: int, singular: Sequence[Stay]) -> Iterator[NamedArc]:
+def _control_arcs_in_words(solution: Solution, k: int, singular: Sequence[Stay]) -> Iterator[NamedArc]:
     """Yield the arcs on which each bounded scalar is at a bound, between its bounds, or singular."""
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     edges = np.unique(flown.control.time)
@@ -66,7 +66,9 @@ def _controls(solution: Solution, k: int, singular: Sequence[Stay]) -> Iterator[
             places[(edges[1:] > stay.begin) & (edges[:-1] < stay.end)] = _SINGULAR
         if places.any():
             name = control.name.replace("_", " ")
-            yield from _runs(phase, edges, places, {place: f"{name} {words}" for place, words in _PLACES.items()})
+            yield from _merge_pieces(
+                phase, edges, places, {place: f"{name} {words}" for place, words in _PLACES.items()}
+            )
 
 
 def _held_at_once(solution: Solution, k: int) -> Iterator[NamedArc]:
@@ -76,13 +78,13 @@ def _held_at_once(solution: Solution, k: int) -> Iterator[NamedArc]:
     x, u = solution.flown(k, 0.5 * (edges[1:] + edges[:-1]))
     known = margins(solution.problem, k)
     for variable, room in phase.path_along(x, u, solution.parameters):
-        if acts(known[variable.name][1]):
+        if depends_on_control(known[variable.name][1]):
             places = (room <= ON * max(float(np.ptp(room)), ON * solution.problem.size_of(variable))).astype(int)
-            runs = _runs(phase, edges, places, {0: "", 1: f"along {_called(variable)}"})
+            runs = _merge_pieces(phase, edges, places, {0: "", 1: f"along {_variable_in_words(variable)}"})
             yield from (arc for arc in runs if arc.words)
 
 
-def _runs(phase: Phase, edges: Vector, places: Vector, words: dict[int, str]) -> Iterator[NamedArc]:
+def _merge_pieces(phase: Phase, edges: Vector, places: Vector, words: dict[int, str]) -> Iterator[NamedArc]:
     """Merge neighbouring pieces of the same kind into one arc each."""
     for place, run in groupby(range(len(places)), key=lambda i: int(places[i])):
         pieces = list(run)
@@ -90,11 +92,11 @@ def _runs(phase: Phase, edges: Vector, places: Vector, words: dict[int, str]) ->
         yield NamedArc(phase=phase.name, begin=begin, end=end, words=words[place])
 
 
-def _conditions(solution: Solution, k: int, structure: Structure) -> Iterator[NamedArc]:
+def _boundary_arcs_in_words(solution: Solution, k: int, structure: Structure) -> Iterator[NamedArc]:
     """Yield the boundary arcs and contact points that the structure has."""
     phase, arcs = solution.problem.phases[k], structure.phases[k]
     ends = structure.ends(k, solution.trajectories[k].duration)
-    called = {name: _spoken(name, variable) for name, (variable, _, _) in margins(solution.problem, k).items()}
+    called = {name: _margin_in_words(name, variable) for name, (variable, _, _) in margins(solution.problem, k).items()}
     for name in structure.named(k):
         ridden = [name in arc.along for arc in arcs]
         for along, run in groupby(range(len(arcs)), key=ridden.__getitem__):
@@ -107,10 +109,10 @@ def _conditions(solution: Solution, k: int, structure: Structure) -> Iterator[Na
                 yield NamedArc(phase=phase.name, begin=end, end=end, words=f"{called[name]} touched")
 
 
-def _spoken(name: str, variable: Variable) -> str:
+def _margin_in_words(name: str, variable: Variable) -> str:
     state, _, side = name.partition(".")
-    return f"the {side} bound of {state.replace('_', ' ')}" if side else _called(variable)
+    return f"the {side} bound of {state.replace('_', ' ')}" if side else _variable_in_words(variable)
 
 
-def _called(variable: Variable) -> str:
+def _variable_in_words(variable: Variable) -> str:
     return variable.label or variable.name.replace("_", " ")

@@ -17,16 +17,15 @@ from weakref import ref
 
 import numpy as np
 
-from perilune.problem.form import Form
+from perilune.problem.form import TracedProblem
 from perilune.problem.problem import Problem
-from perilune.problem.rates import acts
+from perilune.problem.rates import depends_on_control
 from perilune.problem.solution import Solution, full
 from perilune.problem.tape import Expression
 from perilune.structures.regimes import (
     EXACT,
     LEVELS,
     Stay,
-    bounds_beside,
     brief_stays,
     gain_along,
     leaves_bounds,
@@ -34,8 +33,9 @@ from perilune.structures.regimes import (
     read_stays,
     regimes_at,
     seen_stays,
+    stays_around_singular,
 )
-from perilune.structures.structure import Arc, Structure, conditions_of, margins, moved_by, plain_bounds
+from perilune.structures.structure import Arc, Structure, conditions_of, margins, plain_bounds, steering_controls
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
 
@@ -61,7 +61,7 @@ class Contact:
     ridden: bool
 
 
-def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
+def detect_structure(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
     """Detect the arcs of a solution, by its curves, of conditions on states only.
 
     Parameters
@@ -78,11 +78,13 @@ def read(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Struct
     Structure
         With times; None where no condition on states only is at its limit on the way.
     """
-    structure = _structure(problem, solution, _met(problem, solution, least), [[] for _ in problem.phases])
+    structure = _assemble_structure(
+        problem, solution, _contacts_by_phase(problem, solution, least), [[] for _ in problem.phases]
+    )
     return None if structure.plain else structure
 
 
-def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
+def detect_structures(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
     """Return every structure a solution may have: by exact tables, with singular arcs (few arcs first), without.
 
     Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds; so
@@ -98,20 +100,22 @@ def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> li
     least
         Share of its range below which S is at its limit.
     """
-    met, nothing = _met(problem, solution, least), [list[Stay]() for _ in problem.phases]
-    without = _structure(problem, solution, met, nothing)
+    met, nothing = _contacts_by_phase(problem, solution, least), [list[Stay]() for _ in problem.phases]
+    without = _assemble_structure(problem, solution, met, nothing)
     touched = any(arc.touches for arcs in without.phases for arc in arcs)
     stays = [read_stays(solution, k) for k in range(len(problem.phases))]
     # Beside a slow switch the gain is small for long: exact tables that never leave the bounds are singular nowhere.
     told = touched or (least < NEAR[0] and not any(leaves_bounds(solution, k) for k in range(len(met))))
     by_level = {level: [own[level] for own in stays] for level in ((EXACT,) if told else (EXACT, *LEVELS))}
-    structures = {level: _structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing}
+    structures = {
+        level: _assemble_structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing
+    }
     different = dict[str, Structure]()
     if (brief := [brief_stays(solution, k) for k in range(len(met))]) != nothing:
-        structure = _structure(problem, solution, met, brief)
+        structure = _assemble_structure(problem, solution, met, brief)
         different[structure.text] = structure
-    if (switched := [_switched(problem, solution, k, met[k]) for k in range(len(met))]) != nothing:
-        structure = _structure(problem, solution, met, switched)
+    if (switched := [_switched_stays(problem, solution, k, met[k]) for k in range(len(met))]) != nothing:
+        structure = _assemble_structure(problem, solution, met, switched)
         different[structure.text] = structure
     for level in sorted(structures, key=lambda level: (level != EXACT, level[0], structures[level].count)):
         different.setdefault(structures[level].text, structures[level])
@@ -119,7 +123,7 @@ def readings(problem: Problem, solution: Solution, least: float = NEAR[0]) -> li
         different.setdefault(without.text, without)
     # Where a pair of switches begins no law finds it: last the arcs stay on the bounds on which they are seen.
     if touched and (bound := [seen_stays(solution, k) for k in range(len(met))]) != nothing:
-        structure = _structure(problem, solution, met, bound)
+        structure = _assemble_structure(problem, solution, met, bound)
         different.setdefault(structure.text, structure)
     return list(different.values())
 
@@ -138,19 +142,19 @@ class _Guess:
         return self._hash
 
 
-def own_readings(solution: Solution, least: float) -> list[Structure]:
-    """Return `readings` of a solution for its own problem, kept for the last few: its neighbours all ask for them."""
-    return list(_own_readings(_Guess(solution), least))
+def detect_own_structures(solution: Solution, least: float) -> list[Structure]:
+    """Return `detect_structures` of a solution for its own problem, kept for the last few: its neighbours all ask for them."""
+    return list(_remembered_structures(_Guess(solution), least))
 
 
 @lru_cache(maxsize=8)
-def _own_readings(guess: _Guess, least: float) -> tuple[Structure, ...]:
+def _remembered_structures(guess: _Guess, least: float) -> tuple[Structure, ...]:
     solution = guess.solution()
     assert solution is not None, "which the caller holds"
-    return tuple(readings(solution.problem, solution, least))
+    return tuple(detect_structures(solution.problem, solution, least))
 
 
-def _switched(problem: Problem, solution: Solution, k: int, met: Sequence[Contact]) -> list[Stay]:
+def _switched_stays(problem: Problem, solution: Solution, k: int, met: Sequence[Contact]) -> list[Stay]:
     """Return the bounds that the one switched scalar of phase k is on, except where it keeps what is ridden."""
     ridden = sorted((c for c in met if c.ridden), key=lambda c: c.begin)
     known = linear_scalars(problem, k)
@@ -158,44 +162,44 @@ def _switched(problem: Problem, solution: Solution, k: int, met: Sequence[Contac
         return []
     at, control = known[0]
     conditions = conditions_of(problem, k, tuple({c.name for c in ridden}))
-    if any(c.order < 2 or moved_by(c) != {control.name} for c in conditions.values()):
+    if any(c.order < 2 or steering_controls(c) != {control.name} for c in conditions.values()):
         return []
     t, _, share = gain_along(solution, k, at, control)
-    return bounds_beside(control.name, t, share > 0.5, [(c.begin, c.end) for c in ridden])
+    return stays_around_singular(control.name, t, share > 0.5, [(c.begin, c.end) for c in ridden])
 
 
-def _met(problem: Problem, solution: Solution, least: float) -> list[list[Contact]]:
+def _contacts_by_phase(problem: Problem, solution: Solution, least: float) -> list[list[Contact]]:
     """Return for each phase the contacts of conditions on states only."""
     return [
-        [c for name in of_states(problem, k) for c in contacts(solution, k, name, least)]
+        [c for name in state_conditions(problem, k) for c in find_contacts(solution, k, name, least)]
         for k in range(len(problem.phases))
     ]
 
 
-def _structure(
+def _assemble_structure(
     problem: Problem, solution: Solution, met: Sequence[Sequence[Contact]], stays: Sequence[Sequence[Stay]]
 ) -> Structure:
     return Structure(
         tuple(
-            arcs_of(problem, k, [c for c in met[k] if not _at_bounds(c, stays[k])], flown.duration, stays[k])
+            arcs_of(problem, k, [c for c in met[k] if not _follows_from_bounds(c, stays[k])], flown.duration, stays[k])
             for k, flown in enumerate(solution.trajectories)
         )
     )
 
 
-def _at_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
+def _follows_from_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
     """Return True if a condition is ridden while all scalars are on their bounds, which keep to it by themselves."""
     names = {s.control for s in stays}
     here = [s for s in stays if s.begin < 0.5 * (contact.begin + contact.end) < s.end]
     return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
 
 
-def of_states(problem: Problem, k: int) -> list[str]:
+def state_conditions(problem: Problem, k: int) -> list[str]:
     """Return the names of the conditions of phase k on states only."""
-    return [name for name, (_, value, _) in margins(problem, k).items() if not acts(value)]
+    return [name for name, (_, value, _) in margins(problem, k).items() if not depends_on_control(value)]
 
 
-def still(problem: Problem, k: int, name: str) -> bool:
+def is_constant_condition(problem: Problem, k: int, name: str) -> bool:
     """Return True if a condition does not change along phase k, as no state in it does: that of a mass on a coast.
 
     Parameters
@@ -205,18 +209,18 @@ def still(problem: Problem, k: int, name: str) -> bool:
     name
         Name of the condition, as `margins` has it.
     """
-    return _still(problem.form, k, problem.phases[k].state_names, margins(problem, k)[name][1])
+    return _is_constant(problem.form, k, problem.phases[k].state_names, margins(problem, k)[name][1])
 
 
 @lru_cache(maxsize=256)
-def _still(form: Form, k: int, names: tuple[str, ...], value: Expression) -> bool:
+def _is_constant(form: TracedProblem, k: int, names: tuple[str, ...], value: Expression) -> bool:
     tape = form.expressions[k, "dynamics"].tape
     rates = [tape.instructions[at] for at in tape.outputs]
     moved = {n for n, op in zip(names, rates, strict=True) if op[0] != "const" or float(op[1]) != 0.0}
     return not any(op[0] == "x" and op[1] in moved for op in value.tape.instructions)
 
 
-def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
+def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
     """Yield where a condition of phase k is at its limit on the way; a start or an end that lies on it is none.
 
     Parameters
@@ -228,15 +232,15 @@ def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> I
     share
         Share of its range along the phase below which S is at its limit.
     """
-    t, room = room_along(solution, k, name)
+    t, room = margin_along(solution, k, name)
     least, most = share * float(np.ptp(room)), NEAR[1] * float(np.ptp(room))
     near = min(max(-BULGE * float(room.min()), least), most)
-    for first, last in _groups(room <= near):
+    for first, last in _runs_of_true(room <= near):
         inside = first > 0 and last < len(t) - 1
-        length = _length(t, room, first, last, near)
-        stays = length > STAYS * _length(t, room, first, last, WIDER * near)
+        length = _time_below(t, room, first, last, near)
+        stays = length > STAYS * _time_below(t, room, first, last, WIDER * near)
         if share < NEAR[0] and not inside:  # exact tables: S goes to zero at an end like t^3 where a low hop begins
-            stays &= length > STAYS_EXACTLY * _length(t, room, first, last, WIDER**3 * near)
+            stays &= length > STAYS_EXACTLY * _time_below(t, room, first, last, WIDER**3 * near)
         condition = conditions_of(solution.problem, k, (name,))[name]
         here = t[first : last + 1]
         if condition.steered and (stays or (inside and condition.order == 1)):
@@ -247,7 +251,7 @@ def contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> I
             yield Contact(name=name, begin=at, end=at, ridden=False)
 
 
-def broken(t: Vector, room: Vector, size: float) -> Iterator[tuple[float, float, float]]:
+def broken_intervals(t: Vector, room: Vector, size: float) -> Iterator[tuple[float, float, float]]:
     """Yield where a condition is broken by more than rounding: from when to when, and when the most [s].
 
     `size` is that of S.
@@ -261,11 +265,11 @@ def broken(t: Vector, room: Vector, size: float) -> Iterator[tuple[float, float,
     size
         Size of S [SI].
     """
-    for first, last in _groups(room < -rounding(room, size)):
+    for first, last in _runs_of_true(room < -margin_rounding(room, size)):
         yield float(t[first]), float(t[last]), float(t[first + int(np.argmin(room[first : last + 1]))])
 
 
-def closer(t: Vector, room: Vector, slack: float) -> Vector:
+def refine_minima(t: Vector, room: Vector, slack: float) -> Vector:
     """Return times around each minimum of S at which S may still vanish unseen: more of them, between the looks.
 
     Between looks a smooth S is less than at the least of them by an eighth of what it rises to the farther neighbour,
@@ -295,7 +299,7 @@ def closer(t: Vector, room: Vector, slack: float) -> Vector:
     return np.concatenate([*around, t[:0]])
 
 
-def rounding(room: Vector, size: float) -> float:
+def margin_rounding(room: Vector, size: float) -> float:
     """Return what counts as rounding of S along a phase; that of its `size` where S goes through little.
 
     Parameters
@@ -308,7 +312,7 @@ def rounding(room: Vector, size: float) -> float:
     return max(ROUNDING * float(np.ptp(room)), EXACTLY * size)
 
 
-def room_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
+def margin_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
     """Return times of a phase [s] and S there [SI].
 
     Parameters
@@ -320,10 +324,10 @@ def room_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
     """
     flown = solution.trajectories[k]
     t = np.union1d(flown.time, np.linspace(0.0, flown.duration, POINTS))
-    return t, room_at(solution.problem, solution.parameters, k, name, t, np.asarray(flown.state(t)).T)
+    return t, margin_at(solution.problem, solution.parameters, k, name, t, np.asarray(flown.state(t)).T)
 
 
-def room_at(problem: Problem, p: Any, k: int, name: str, t: Vector, x: Matrix) -> Vector:
+def margin_at(problem: Problem, p: Any, k: int, name: str, t: Vector, x: Matrix) -> Vector:
     """Return S of a condition on states only at times of phase k [SI], from the states there, (n, times).
 
     Parameters
@@ -348,15 +352,15 @@ def room_at(problem: Problem, p: Any, k: int, name: str, t: Vector, x: Matrix) -
     return full(value(phase.state_record(*x), phase.control_record(*u), known, NUMERIC)[0], t)
 
 
-def _groups(near: Any) -> list[tuple[int, int]]:
+def _runs_of_true(near: Any) -> list[tuple[int, int]]:
     """Return the first and last index of each run of true values."""
     edges = np.diff(np.concatenate([[False], near, [False]]).astype(int))
     return list(zip(np.nonzero(edges == 1)[0].tolist(), (np.nonzero(edges == -1)[0] - 1).tolist(), strict=True))
 
 
-def _length(t: Vector, room: Vector, first: int, last: int, level: float) -> float:
+def _time_below(t: Vector, room: Vector, first: int, last: int, level: float) -> float:
     """Return how long S stays below a level about the points from `first` to `last` [s]."""
-    low, high = next((a, b) for a, b in _groups(room <= level) if a <= first <= b)
+    low, high = next((a, b) for a, b in _runs_of_true(room <= level) if a <= first <= b)
     begin, end = float(t[low]), float(t[high])
     if low > 0:
         begin = float(np.interp(-level, -room[low - 1 : low + 1], t[low - 1 : low + 1]))
@@ -392,7 +396,7 @@ def arcs_of(
         middle = 0.5 * (begin + end)
         along = tuple(c.name for c in found if c.ridden and c.begin < middle < c.end)
         touches = tuple(c.name for c in found if not c.ridden and c.end == end)
-        held = {name for condition in along if condition in known for name in moved_by(known[condition])}
+        held = {name for condition in along if condition in known for name in steering_controls(known[condition])}
         arc = Arc(along=along, touches=touches, regimes=regimes_at(stays, middle, held), until=end)
         if arcs and arc.regimes and replace(arcs[-1], touches=touches, until=end) == arc and not arcs[-1].touches:
             arcs.pop()  # nothing begins where two regimes of a control meet that is held along both

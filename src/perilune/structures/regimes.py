@@ -19,7 +19,7 @@ import numpy as np
 
 from perilune.problem.controls import Bounded, Settled, scalars
 from perilune.problem.problem import Problem
-from perilune.problem.rates import acts_linearly
+from perilune.problem.rates import depends_linearly_on_control
 from perilune.problem.solution import Solution
 from perilune.problem.unpriced import priced_rates
 from perilune.structures.structure import Regimes, Structure
@@ -64,12 +64,12 @@ def linear_scalars(problem: Problem, k: int) -> list[tuple[int, Bounded]]:
         (at, control)
         for at, control in scalars(phase.controls)
         if control.bounded
-        and any(acts_linearly(rates, control.name) for rates in (dynamics, priced_rates(problem, k)))
+        and any(depends_linearly_on_control(rates, control.name) for rates in (dynamics, priced_rates(problem, k)))
         and not any(f is not None and ("u", control.name) in f.tape.instructions for f in functions)
     ]
 
 
-def wavering(solution: Solution) -> bool:
+def stays_between_bounds(solution: Solution) -> bool:
     """Return True if a scalar that enters linearly is between its bounds for longer than a switch on a mesh."""
     for k in range(len(solution.trajectories)):
         for at, control in linear_scalars(solution.problem, k):
@@ -108,13 +108,13 @@ def read_stays(solution: Solution, k: int) -> dict[tuple[int, float], list[Stay]
     for at, control in linear_scalars(solution.problem, k):
         t, gain, share = gain_along(solution, k, at, control)
         found[EXACT] += _between_breaks(control.name, solution.trajectories[k].control.time, t, gain, share)
-        sizes = _sizes(gain, share)
+        sizes = _gain_sizes(gain, share)
         for size, level in LEVELS:
             zero = level * sizes[size]
             if singular := list(_singular(t, gain, share, zero)):
                 # A mesh passes from bound to bound within a segment: there the gain says which it is.
                 upper = (share > 0.5) | ((share > CLEAR) & (gain < -zero))
-                found[size, level] += bounds_beside(control.name, t, upper, singular)
+                found[size, level] += stays_around_singular(control.name, t, upper, singular)
     return found
 
 
@@ -151,7 +151,7 @@ def seen_stays(solution: Solution, k: int) -> list[Stay]:
         return []
     (at, control), t = known[0], np.linspace(0.0, solution.trajectories[k].duration, POINTS)
     upper = control.share(solution.flown(k, t)[1][at], solution.parameters) > 0.5
-    return _at_bounds(control.name, t, upper, 0.0, float(t[-1]))
+    return _bang_bang_stays(control.name, t, upper, 0.0, float(t[-1]))
 
 
 def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[Vector, Vector, Vector]:
@@ -201,7 +201,7 @@ def _between_breaks(name: str, nodes: Vector, t: Vector, gain: Vector, share: Ve
     return found if any(stay.regime == "singular" for stay in found) else []
 
 
-def _sizes(gain: Vector, share: Vector) -> tuple[float, float]:
+def _gain_sizes(gain: Vector, share: Vector) -> tuple[float, float]:
     """Return the largest gain while the control is on a bound: on the one where it is less, and on the other."""
     sizes = [float(np.abs(gain[on]).max()) for on in (share < INSIDE, share > 1 - INSIDE) if on.mean() > SHORTEST]
     sizes = sizes or [float(np.abs(gain).max())]
@@ -211,8 +211,8 @@ def _sizes(gain: Vector, share: Vector) -> tuple[float, float]:
 def _singular(t: Vector, gain: Vector, share: Vector, level: float) -> Iterator[tuple[float, float]]:
     """Yield from when to when the gain stays at zero."""
     size, total = np.abs(gain), float(t[-1])
-    wide = runs(size <= WIDER * level)
-    for first, last in runs(size <= level):
+    wide = runs_by_kind(size <= WIDER * level)
+    for first, last in runs_by_kind(size <= level):
         low, high = next((a, b) for a, b in wide if a <= first <= b)
         stays = (t[last] - t[first]) > STAYS * (t[high] - t[low])
         if not stays or not INSIDE < share[first : last + 1].mean() < 1 - INSIDE:
@@ -224,7 +224,7 @@ def _singular(t: Vector, gain: Vector, share: Vector, level: float) -> Iterator[
             yield begin, end
 
 
-def bounds_beside(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[float, float]]) -> list[Stay]:
+def stays_around_singular(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[float, float]]) -> list[Stay]:
     """Return singular arcs, and those at bounds between them.
 
     Parameters
@@ -241,7 +241,7 @@ def bounds_beside(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[
     found, total, before = list[Stay](), float(t[-1]), 0.0
     for begin, end in [*singular, (total, total)]:
         if begin - before > SHORTEST * total:
-            found += _at_bounds(name, t, upper, before, begin)
+            found += _bang_bang_stays(name, t, upper, before, begin)
         elif found:
             found[-1] = replace(found[-1], end=begin)
         else:
@@ -252,12 +252,12 @@ def bounds_beside(name: str, t: Vector, upper: Vector, singular: Sequence[tuple[
     return [*found[:-1], replace(found[-1], end=total)]
 
 
-def _at_bounds(name: str, t: Vector, upper: Vector, begin: float, end: float) -> list[Stay]:
+def _bang_bang_stays(name: str, t: Vector, upper: Vector, begin: float, end: float) -> list[Stay]:
     """Return bang-bang stays from one time to another."""
     inside = (t >= begin) & (t <= end)
     here, upper = t[inside], upper[inside]
     found = list[Stay]()
-    for first, last in runs(np.ones(len(here), dtype=bool), upper):
+    for first, last in runs_by_kind(np.ones(len(here), dtype=bool), upper):
         if found and here[last] - here[first] <= BURST * t[-1]:
             continue
         regime = "upper" if upper[first] else "lower"
@@ -270,7 +270,7 @@ def _at_bounds(name: str, t: Vector, upper: Vector, begin: float, end: float) ->
     return found
 
 
-def runs(true: Vector, kind: Vector | None = None) -> list[tuple[int, int]]:
+def runs_by_kind(true: Vector, kind: Vector | None = None) -> list[tuple[int, int]]:
     """Return the first and last index of each run of true values, each of one kind.
 
     Parameters
@@ -317,7 +317,7 @@ def regimes_at(stays: Sequence[Stay], t: float, held: Collection[str] = ()) -> R
     return tuple((name, "held" if name in held else regime) for name, regime in free.items())
 
 
-def settled(control: Bounded, regime: str) -> Settled:
+def settle_scalar(control: Bounded, regime: str) -> Settled:
     """Return a scalar that stays in a regime."""
     own = {name: getattr(control, name) for name in ("name", "unit", "lower", "upper")}
     return Settled(**own, regime=regime)  # pyright: ignore[reportArgumentType]
@@ -355,12 +355,12 @@ def revised_stays(whole: Solution, k: int, known: Sequence[Stay], shortest: floa
             if stay.regime == "singular" and np.abs(gain[inside]).max(initial=0.0) > WRONG * most:
                 return None
             born = _born(stay, t[inside], gain[inside] / most) if bang_bang else []
-            kept += born or _kept(stay, t[inside], gain[inside] / most, share[inside])
-        found += _closed(kept, known[-1].end)
+            kept += born or _revise_stay(stay, t[inside], gain[inside] / most, share[inside])
+        found += _close_gaps(kept, known[-1].end)
     return sorted(found, key=lambda s: (s.begin, s.control))
 
 
-def _kept(stay: Stay, t: Vector, gain: Vector, share: Vector) -> Iterator[Stay]:
+def _revise_stay(stay: Stay, t: Vector, gain: Vector, share: Vector) -> Iterator[Stay]:
     """Yield a stay cut where it should be another: on a bound that is the worse one, or beyond the bounds."""
     if stay.regime == "held":
         yield stay
@@ -375,7 +375,7 @@ def _kept(stay: Stay, t: Vector, gain: Vector, share: Vector) -> Iterator[Stay]:
     if not asked.any():
         yield stay
         return
-    pieces = runs(np.ones(len(t), dtype=bool), asked)
+    pieces = runs_by_kind(np.ones(len(t), dtype=bool), asked)
     for first, last in pieces:
         begin = stay.begin if first == 0 else float(t[first])
         end = stay.end if last == len(t) - 1 else float(t[last + 1])
@@ -403,7 +403,7 @@ def _born(stay: Stay, t: Vector, gain: Vector) -> list[Stay]:
     ]  # fmt: skip
 
 
-def _closed(stays: Sequence[Stay], total: float) -> list[Stay]:
+def _close_gaps(stays: Sequence[Stay], total: float) -> list[Stay]:
     """Close the gaps from the beginning of the phase to its end, and join neighbours of one regime."""
     found = list[Stay]()
     for stay in stays:

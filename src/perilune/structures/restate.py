@@ -23,23 +23,23 @@ from perilune.problem.controls import Bounded, Control
 from perilune.problem.form import PHASE_FUNCTIONS, roles_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.rates import MOST_ORDER, component, gathered, run
+from perilune.problem.rates import MOST_ORDER, component, gather_expressions, run_expression
 from perilune.problem.tape import Expression, Recorder
 from perilune.problem.variables import Free, Variable
-from perilune.structures.regimes import settled
+from perilune.structures.regimes import settle_scalar
 from perilune.structures.repeated_ends import repeated_ends
 from perilune.structures.structure import (
     Arc,
     Condition,
     Structure,
-    check_structure,
+    check_arc_structure,
     conditions_of,
     plain_bound,
     plain_bounds,
     without_bounds,
 )
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import told_range
+from perilune.words.units import format_value_range
 
 _ENDLESS = 1e6  # canonical units of time: what a free duration without an upper bound may last
 
@@ -70,11 +70,11 @@ def restate(problem: Problem, structure: Structure, *, repeated: bool = True, va
         If the structure is none of the problem's, no control acts on one of its conditions, or a condition is touched
         that can only be ridden, as the control acts on its first derivative.
     """
-    check_structure(problem, structure)
+    check_arc_structure(problem, structure)
     return _Restated(problem, structure, repeated, varied).problem()
 
 
-def renumbered(restated: Problem, problem: Problem, structure: Structure) -> Problem:
+def renumber_restated(restated: Problem, problem: Problem, structure: Structure) -> Problem:
     """Return what `restate` returns, from its result for a problem of other values: nothing is traced again.
 
     Parameters
@@ -91,14 +91,14 @@ def renumbered(restated: Problem, problem: Problem, structure: Structure) -> Pro
     """
     given = {**{name: g for name, g in restated.given.items() if name not in problem.given}, **problem.given}
     given = MappingProxyType({name: given[name] for name in restated.given})  # in its order
-    free, phases = _Restated(problem, structure, True).free(), _summed_anew(restated, problem, structure)
+    free, phases = _Restated(problem, structure, True).free(), _resummed_phases(restated, problem, structure)
     return restated.changed(phases=tuple(phases), given=given, free=tuple(free), structure=restated.structure)
 
 
-def _summed_anew(restated: Problem, problem: Problem, structure: Structure) -> Sequence[Phase]:
-    """Return the phases of `renumbered`: ranges of durations that are sums, stated at the end, may have moved."""
+def _resummed_phases(restated: Problem, problem: Problem, structure: Structure) -> Sequence[Phase]:
+    """Return the phases of `renumber_restated`: ranges of durations that are sums, stated at the end, may have moved."""
     phases, most = list(restated.phases), {f.name: f.upper for f in restated.free}
-    for name, k in summed(problem, structure).items():
+    for name, k in summed_durations(problem, structure).items():
         of, at = problem.free[problem.free_names.index(name)], sum(map(len, structure.phases[: k + 1])) - 1
         one, (lower, upper), stated = of.lower == of.upper, _range_of_sum(of), phases[at].end_conditions
         if stated and (was := stated[-1]).name == name:
@@ -109,7 +109,9 @@ def _summed_anew(restated: Problem, problem: Problem, structure: Structure) -> S
             alike = not (math.isfinite(lower) or math.isfinite(upper))
         if not alike:
             what = f"the range of {name} is of another kind there: none, one value, or between bounds"
-            raise PeriluneError(what, got=told_range((lower, upper), of.unit), advice="solve there from nothing")
+            raise PeriluneError(
+                what, got=format_value_range((lower, upper), of.unit), advice="solve there from nothing"
+            )
     return restated.phases if all(new is old for new, old in zip(phases, restated.phases, strict=True)) else phases
 
 
@@ -117,13 +119,15 @@ def _range_of_sum(of: Free) -> tuple[float, float]:
     return (of.lower if of.lower > 0 else -math.inf), of.upper  # none of the durations is negative
 
 
-def refuse_unsaid(restated: Problem, problem: Problem, structure: Structure, varied: Collection[str] = ()) -> None:
+def refuse_unstated_ends(
+    restated: Problem, problem: Problem, structure: Structure, varied: Collection[str] = ()
+) -> None:
     """Refuse values at which an arc to the end does not say what `restate` left out as said by it.
 
     Parameters
     ----------
     restated, problem, structure
-        As for `renumbered`.
+        As for `renumber_restated`.
     varied
         Given parameters that will have other values.
     """
@@ -175,7 +179,7 @@ def part_durations(problem: Problem, structure: Structure, k: int) -> tuple[str,
     return tuple(part_name(own, j, count) for j in range(count))
 
 
-def summed(problem: Problem, structure: Structure) -> dict[str, int]:
+def summed_durations(problem: Problem, structure: Structure) -> dict[str, int]:
     """Return free durations that are sums of new ones, each with the number of the phase whose parts it sums."""
     found: dict[str, int] = {}
     for k, phase in enumerate(problem.phases):
@@ -187,7 +191,7 @@ def summed(problem: Problem, structure: Structure) -> dict[str, int]:
 
 def sums_of(problem: Problem, structure: Structure) -> dict[str, tuple[str, ...]]:
     """Return free durations that are sums, with the names of the new ones that they sum."""
-    return {name: part_durations(problem, structure, k) for name, k in summed(problem, structure).items()}
+    return {name: part_durations(problem, structure, k) for name, k in summed_durations(problem, structure).items()}
 
 
 @dataclass
@@ -216,7 +220,7 @@ class _Restated:
             if k:
                 links.append(own["links", k - 1])
             parts = list(self._parts(k))
-            links += [_identity(phase)] * (len(parts) - 1)
+            links += [_identity_link(phase)] * (len(parts) - 1)
             phases += parts
         bounds = {name: g for name, g in plain_bounds(user).items() if name in self._bounds_named()}
         return user.changed(
@@ -282,13 +286,13 @@ class _Restated:
                 **{name: own.get((k, name)) for name in PHASE_FUNCTIONS},
                 "name": part_name(phase.name, j, count),
                 "duration": durations[j],
-                "controls": _settled(phase, arc),
+                "controls": _arc_controls(phase, arc),
                 "states": without_bounds(phase, [c.bound for c in conditions.values() if c.bound is not None]),
                 "typical_end": rough[j],
                 **({} if j + 1 == count else {"marks": None, "mark_variables": ()}),
-                **_stated("end", "end_conditions", ends),
-                **_stated("path", "path_conditions", self._kept(k, arc, conditions)),
-                **_stated("held", "held_conditions", held + self._user_held(k)),
+                **_gathered_function("end", "end_conditions", ends),
+                **_gathered_function("path", "path_conditions", self._kept(k, arc, conditions)),
+                **_gathered_function("held", "held_conditions", held + self._user_held(k)),
             }
             yield replace(phase, **changes)
 
@@ -349,7 +353,7 @@ class _Restated:
         if len(durations) == 1:
             return
         recorder, name = Recorder(), phase.duration
-        total = _sum(recorder, durations)
+        total = _sum_of_parameters(recorder, durations)
         if self.sums.get(name) == tuple(durations):
             of = next(f for f in self.user.free if f.name == name)
             if of.lower == of.upper:
@@ -361,7 +365,7 @@ class _Restated:
                 whole = Variable(name=name, unit="s", lower=lower, upper=upper)
                 yield whole, Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
             return
-        said = _sum(recorder, self.sums[name]) if name in self.sums else recorder.input("p", name)
+        said = _sum_of_parameters(recorder, self.sums[name]) if name in self.sums else recorder.input("p", name)
         yield Variable(name=name, unit="s"), Expression(recorder.tape([total - said]), ("x", "p"), origin="a duration")
 
     def _rough(self, k: int) -> list[Expression | None]:
@@ -370,37 +374,42 @@ class _Restated:
         if (k, "typical_end") not in user:
             return [None] * len(arcs)
         recorder = Recorder()
-        begin, names = run(user["start"], recorder), self.user.phases[0].state_names
+        begin, names = run_expression(user["start"], recorder), self.user.phases[0].state_names
         for before in range(k):
-            end = run(user[before, "typical_end"], recorder) if (before, "typical_end") in user else begin
-            begin = run(user["links", before], recorder, {("x", n): v for n, v in zip(names, end, strict=True)})
+            end = run_expression(user[before, "typical_end"], recorder) if (before, "typical_end") in user else begin
+            begin = run_expression(
+                user["links", before], recorder, {("x", n): v for n, v in zip(names, end, strict=True)}
+            )
             names = self.user.phases[before + 1].state_names
-        end, shares = run(user[k, "typical_end"], recorder), self.structure.ends(k, 1.0)
+        end, shares = run_expression(user[k, "typical_end"], recorder), self.structure.ends(k, 1.0)
         inner = [recorder.tape([a + share * (b - a) for a, b in zip(begin, end, strict=True)]) for share in shares[:-1]]
         roles = roles_of((k, "typical_end"))
         return [*(Expression(tape, roles, origin="a straight line") for tape in inner), user[k, "typical_end"]]
 
 
-def _stated(function: str, names: str, rows: Sequence[tuple[Variable, Expression]]) -> dict[str, Any]:
+def _gathered_function(function: str, names: str, rows: Sequence[tuple[Variable, Expression]]) -> dict[str, Any]:
     """Return a function of a phase and the names of its values; None where there are none."""
     roles = PHASE_FUNCTIONS[function][0]
-    return {function: gathered([e for _, e in rows], roles) if rows else None, names: tuple(v for v, _ in rows)}
+    return {
+        function: gather_expressions([e for _, e in rows], roles) if rows else None,
+        names: tuple(v for v, _ in rows),
+    }
 
 
-def _settled(phase: Phase, arc: Arc) -> tuple[Control, ...]:
+def _arc_controls(phase: Phase, arc: Arc) -> tuple[Control, ...]:
     """Return the controls of an arc: those that stay in a regime along it say so."""
     regimes = {name: regime for name, regime in arc.regimes if regime != "held"}
     return tuple(
-        settled(c, regimes[c.name]) if isinstance(c, Bounded) and c.name in regimes else c for c in phase.controls
+        settle_scalar(c, regimes[c.name]) if isinstance(c, Bounded) and c.name in regimes else c for c in phase.controls
     )
 
 
-def _identity(phase: Phase) -> Expression:
+def _identity_link(phase: Phase) -> Expression:
     recorder = Recorder()
     return Expression(recorder.tape([recorder.input("x", n) for n in phase.state_names]), ("x", "p"), origin="identity")
 
 
-def _sum(recorder: Recorder, names: Sequence[str]) -> Any:
+def _sum_of_parameters(recorder: Recorder, names: Sequence[str]) -> Any:
     total, *others = [recorder.input("p", name) for name in names]
     for other in others:
         total = recorder.do("add", total, other)
@@ -413,5 +422,7 @@ def with_sums(expression: Expression, sums: Mapping[str, Sequence[str]]) -> Expr
     if not inside:
         return expression
     recorder = Recorder()
-    values = run(expression, recorder, {("p", name): _sum(recorder, sums[name]) for name in inside})
+    values = run_expression(
+        expression, recorder, {("p", name): _sum_of_parameters(recorder, sums[name]) for name in inside}
+    )
     return Expression(recorder.tape(values), expression.roles, expression.scalar, expression.origin)

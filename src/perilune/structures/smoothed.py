@@ -27,7 +27,7 @@ from perilune.problem.controls import Bounded, Control, Direction, limit_value
 from perilune.problem.form import PHASE_FUNCTIONS
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.rates import run
+from perilune.problem.rates import run_expression
 from perilune.problem.tape import Expression, Recorder
 from perilune.problem.variables import Given, Variable
 from perilune.structures.regimes import linear_scalars
@@ -37,7 +37,7 @@ RATE = "smoothing_rate"  # the given parameter that goes to zero
 _GAINED = "smoothing_gain"  # the state that counts what is taken from J
 
 
-def smoothed(problem: Problem, share: float) -> Problem | None:
+def smooth_problem(problem: Problem, share: float) -> Problem | None:
     """Return the problem with smooth controls; None where no control is switched.
 
     Parameters
@@ -53,7 +53,7 @@ def smoothed(problem: Problem, share: float) -> Problem | None:
     Problem
         With a state more in each phase, which is the last, and without outputs and results.
     """
-    turned = [_turned(problem, k) for k in range(len(problem.phases))]
+    turned = [_switched_scalars(problem, k) for k in range(len(problem.phases))]
     if not any(turned):
         return None
     own, unit = problem.form.expressions, problem.objective_unit
@@ -63,30 +63,30 @@ def smoothed(problem: Problem, share: float) -> Problem | None:
         name: Given(value=float(limit_value(limit, p)), unit=c.unit)
         for k, scalars in enumerate(turned)
         for c in scalars
-        for name, limit in zip(_limits(k, c), (c.lower, c.upper), strict=True)
+        for name, limit in zip(_limit_parameters(k, c), (c.lower, c.upper), strict=True)
     }
     given[RATE] = Given(value=share * problem.objective_size / whole, unit=f"{unit}/s")
     return problem.changed(
-        phases=tuple(_phase(problem, k, scalars) for k, scalars in enumerate(turned)),
-        start=_extended(own["start"], lambda recorder: 0.0),
+        phases=tuple(_smoothed_phase(problem, k, scalars) for k, scalars in enumerate(turned)),
+        start=_extend_expression(own["start"], lambda recorder: 0.0),
         links=tuple(
-            _extended(own["links", k], lambda recorder: recorder.input("x", _GAINED))
+            _extend_expression(own["links", k], lambda recorder: recorder.input("x", _GAINED))
             for k in range(len(problem.links))
         ),
-        objective=_less(own["objective"]),
+        objective=_objective_less_gain(own["objective"]),
         given=MappingProxyType({**problem.given, **given}),
         switching_guesses=None,
-        rough_flight=None if problem.rough_flight is None else partial(_nothing_gained, problem.rough_flight),
+        rough_flight=None if problem.rough_flight is None else partial(_guess_without_gain, problem.rough_flight),
         results=None, result_variables=(), maximised="", minimised="", preflight=None, bookkeeping=None, form=None,
     )  # fmt: skip
 
 
-def _nothing_gained(rough_flight: Callable[[Any], Sequence[Matrix]], p: Any) -> list[Matrix]:
+def _guess_without_gain(rough_flight: Callable[[Any], Sequence[Matrix]], p: Any) -> list[Matrix]:
     """Return the user's picture of the flight with a state more."""
     return [np.column_stack([states, np.zeros(len(states))]) for states in rough_flight(p)]
 
 
-def _turned(problem: Problem, k: int) -> list[Bounded]:
+def _switched_scalars(problem: Problem, k: int) -> list[Bounded]:
     """Return the scalars of phase k that are switched: those whose limits are numbers or given."""
     return [
         control
@@ -95,38 +95,38 @@ def _turned(problem: Problem, k: int) -> list[Bounded]:
     ]
 
 
-def _limits(k: int, control: Bounded) -> tuple[str, str]:
+def _limit_parameters(k: int, control: Bounded) -> tuple[str, str]:
     """Return the names of the given parameters that hold the limits of a scalar."""
     return f"least_{control.name}_{k}", f"greatest_{control.name}_{k}"
 
 
-def _axes(control: Bounded) -> tuple[str, str]:
+def _circle_axes(control: Bounded) -> tuple[str, str]:
     """Return the names of s and c. Where nothing is known its first component is 1: the middle of the range."""
     return f"{control.name}_smooth", f"{control.name}_height"
 
 
-def _phase(problem: Problem, k: int, scalars: list[Bounded]) -> Phase:
+def _smoothed_phase(problem: Problem, k: int, scalars: list[Bounded]) -> Phase:
     phase, own = problem.phases[k], problem.form.expressions
-    controls: list[Control] = [Direction(names=_axes(c)) if c in scalars else c for c in phase.controls]
+    controls: list[Control] = [Direction(names=_circle_axes(c)) if c in scalars else c for c in phase.controls]
     functions: dict[str, Any] = {name: None for name in PHASE_FUNCTIONS}
     for name in ("dynamics", "end", "path", "held", "typical_end"):
         if (k, name) in own:
-            functions[name] = _written(own[k, name], k, scalars, name, phase.duration)
+            functions[name] = _smoothed_function(own[k, name], k, scalars, name, phase.duration)
     return replace(
         phase, controls=tuple(controls), output_variables=(), integral_variables=(), mark_variables=(), **functions,
         states=(*phase.states, Variable(name=_GAINED, unit=problem.objective_unit, scale=problem.objective_scale)),
     )  # fmt: skip
 
 
-def _written(expression: Expression, k: int, scalars: list[Bounded], name: str, duration: str) -> Expression:
+def _smoothed_function(expression: Expression, k: int, scalars: list[Bounded], name: str, duration: str) -> Expression:
     """Return a function of a phase with the scalars on their circles, and with a rate or a value of what is gained."""
     recorder = Recorder()
-    inputs = dict(_heights(recorder, k, scalars)) if "u" in expression.roles else {}
-    values = run(expression, recorder, inputs)
+    inputs = dict(_circle_heights(recorder, k, scalars)) if "u" in expression.roles else {}
+    values = run_expression(expression, recorder, inputs)
     if name == "dynamics":
         gained: Any = 0.0
         for control in scalars:
-            gained = gained + recorder.input("u", _axes(control)[0])
+            gained = gained + recorder.input("u", _circle_axes(control)[0])
         values.append(recorder.input("p", RATE) * gained)
     if name == "typical_end":  # so that a straight line leads through the middle of the ranges
         rate: Any = recorder.input("p", RATE)
@@ -134,20 +134,20 @@ def _written(expression: Expression, k: int, scalars: list[Bounded], name: str, 
     return Expression(recorder.tape(values), expression.roles, origin=expression.origin)
 
 
-def _heights(recorder: Any, k: int, scalars: list[Bounded]) -> Iterator[tuple[tuple[str, str], Any]]:
+def _circle_heights(recorder: Any, k: int, scalars: list[Bounded]) -> Iterator[tuple[tuple[str, str], Any]]:
     for control in scalars:
-        least, greatest = (recorder.input("p", name) for name in _limits(k, control))
-        height = recorder.input("u", _axes(control)[1])
+        least, greatest = (recorder.input("p", name) for name in _limit_parameters(k, control))
+        height = recorder.input("u", _circle_axes(control)[1])
         yield ("u", control.name), 0.5 * (greatest + least) + 0.5 * (greatest - least) * height
 
 
-def _extended(expression: Expression, more: Any) -> Expression:
+def _extend_expression(expression: Expression, more: Any) -> Expression:
     recorder = Recorder()
-    values = run(expression, recorder)
+    values = run_expression(expression, recorder)
     return Expression(recorder.tape([*values, more(recorder)]), expression.roles, origin=expression.origin)
 
 
-def _less(objective: Expression) -> Expression:
+def _objective_less_gain(objective: Expression) -> Expression:
     recorder = Recorder()
-    (value,) = run(objective, recorder)
+    (value,) = run_expression(objective, recorder)
     return Expression(recorder.tape([value - recorder.input("x", _GAINED)]), objective.roles, True, objective.origin)

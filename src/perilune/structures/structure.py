@@ -19,11 +19,11 @@ from typing import Any
 
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.rates import acts, component, derivatives
+from perilune.problem.rates import component, depends_on_control, derivatives_to_control
 from perilune.problem.tape import Expression, Recorder
 from perilune.problem.variables import Given, Variable
 from perilune.words.outcome import PeriluneError, unknown_name
-from perilune.words.units import quotient
+from perilune.words.units import quotient_unit
 
 SIDES = ("lower", "upper")
 Regimes = tuple[tuple[str, str], ...]  # scalar controls with "lower", "upper", "singular" or "held"
@@ -150,13 +150,13 @@ class Condition:
     @property
     def steered(self) -> bool:
         """Return True if a control moves it. Else its phase's begin determines it: touched, and never ridden."""
-        return acts(self.values[-1])
+        return depends_on_control(self.values[-1])
 
     def rated(self, i: int, prefix: str, time: float) -> Variable:
         """Return the i-th derivative as a variable: name, unit and scale; `time` is the size of a second."""
         own, unit = self.variable, self.variable.unit
         for _ in range(i):
-            unit = quotient(unit, "s")
+            unit = quotient_unit(unit, "s")
         name = prefix + own.name + ("_rate" if i else "") + (f"_{i}" if i > 1 else "")
         return Variable(name=name, unit=unit, scale=None if own.scale is None else own.scale / time**i)
 
@@ -185,7 +185,7 @@ def _margins(
             if isinstance(limit, str) or math.isfinite(limit):
                 own = Variable(name=f"{state.name}_{side}", unit=state.unit, scale=state.scale)
                 held = limit if isinstance(limit, str) else plain_bound(phase, state, side)
-                found[f"{state.name}.{side}"] = (own, _room(state, side, held), (i, side))
+                found[f"{state.name}.{side}"] = (own, _bound_margin(state, side, held), (i, side))
     return MappingProxyType(found)
 
 
@@ -210,12 +210,12 @@ def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, C
         if name not in known:
             raise unknown_name(f"condition of {phase.name}", name, sorted(known))
         variable, value, bound = known[name]
-        values = derivatives(value, dynamics, phase.state_names)
+        values = derivatives_to_control(value, dynamics, phase.state_names)
         found[name] = Condition(name=name, variable=variable, values=values, bound=bound)
     return found
 
 
-def moved_by(condition: Condition) -> set[str]:
+def steering_controls(condition: Condition) -> set[str]:
     """Return the components of the control that keep a condition while it is ridden."""
     return {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
 
@@ -246,7 +246,7 @@ def plain_bounds(problem: Problem) -> dict[str, Given]:
     }
 
 
-def _room(state: Variable, side: str, limit: str) -> Expression:
+def _bound_margin(state: Variable, side: str, limit: str) -> Expression:
     """Return the margin of a state to its bound, positive inside."""
     recorder = Recorder()
     x: Any = recorder.input("x", state.name)
@@ -271,7 +271,7 @@ def without_bounds(phase: Phase, bounds: Sequence[tuple[int, str]]) -> tuple[Var
     return tuple(states)
 
 
-def check_structure(problem: Problem, structure: Structure) -> None:
+def check_arc_structure(problem: Problem, structure: Structure) -> None:
     """Refuse a structure that is none of the problem's.
 
     Raises

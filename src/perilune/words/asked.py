@@ -21,7 +21,7 @@ _FEW = 4  # of a list that is shown whole
 _SPOKEN: dict[Any, str] = {str: "a text", Callable: "a function"}
 
 
-def called_in_words(asked: Asked) -> Asked:
+def check_call(asked: Asked) -> Asked:
     """Make a function, method or class report a wrong call: an unknown keyword, too many or too few values."""
     given: Any = asked
     # What is itself called is named by its class, as what is made of that would be: curve(t).
@@ -33,7 +33,7 @@ def called_in_words(asked: Asked) -> Asked:
         try:
             return function(*args, **keywords)
         except TypeError:  # looked at here alone, so that a call that is right costs nothing
-            wrong = _wrong_call(name, function, args, keywords)
+            wrong = _wrong_call_error(name, function, args, keywords)
             if wrong is None:
                 raise
             raise wrong from None
@@ -44,7 +44,7 @@ def called_in_words(asked: Asked) -> Asked:
     return asked
 
 
-def computing_in_words(expected: str, *names: str) -> Callable[[type[Kind]], type[Kind]]:
+def check_operands(expected: str, *names: str) -> Callable[[type[Kind]], type[Kind]]:
     """Make methods of a class report values that they cannot compute with, and what they expect.
 
     Parameters
@@ -57,13 +57,13 @@ def computing_in_words(expected: str, *names: str) -> Callable[[type[Kind]], typ
 
     def of(kind: type[Kind]) -> type[Kind]:
         for name in names:
-            setattr(kind, name, _computing(vars(kind)[name], f"{name} of a {kind.__name__}", expected))
+            setattr(kind, name, _checked_operand(vars(kind)[name], f"{name} of a {kind.__name__}", expected))
         return kind
 
     return of
 
 
-def _computing(method: Callable[..., Any], name: str, expected: str) -> Callable[..., Any]:
+def _checked_operand(method: Callable[..., Any], name: str, expected: str) -> Callable[..., Any]:
     @wraps(method)
     def call(*args: Any, **keywords: Any) -> Any:
         try:
@@ -71,16 +71,16 @@ def _computing(method: Callable[..., Any], name: str, expected: str) -> Callable
         except PeriluneError:
             raise
         except (TypeError, ValueError, IndexError, AttributeError) as error:
-            wrong = _wrong_call(method.__name__, method, args, keywords)
+            wrong = _wrong_call_error(method.__name__, method, args, keywords)
             if wrong is None:
-                got = ", ".join(map(_shown, (*args[1:], *keywords.values())))[:80]
+                got = ", ".join(map(_value_text, (*args[1:], *keywords.values())))[:80]
                 wrong = PeriluneError(f"{name} cannot be computed of this", got=got, expected=expected)
             raise wrong from error
 
     return call
 
 
-def _wrong_call(
+def _wrong_call_error(
     name: str, function: Callable[..., Any], args: Sequence[Any], keywords: Mapping[str, Any]
 ) -> PeriluneError | None:
     """Return the error of a call that does not fit a function's signature; None for a call that fits."""
@@ -98,7 +98,7 @@ def _wrong_call(
         most = f"at most {len(placed)}" if placed else "none"
         return PeriluneError(
             f"{name} takes {most} of its values without their names",
-            got=", ".join(map(_shown, args))[:80],
+            got=", ".join(map(_value_text, args))[:80],
             expected=f"{name}({', '.join((*placed, *named))})",
         )
     taken = {*placed[: len(args)], *keywords}
@@ -106,7 +106,7 @@ def _wrong_call(
     return PeriluneError(f"{name} needs {', '.join(missing)}") if missing else None
 
 
-def demand(value: Any, kind: type, what: str, advice: str = "") -> None:
+def require_type(value: Any, kind: type, what: str, advice: str = "") -> None:
     """Refuse a value that is not of a kind.
 
     Parameters
@@ -122,10 +122,10 @@ def demand(value: Any, kind: type, what: str, advice: str = "") -> None:
         If it is anything else.
     """
     if not isinstance(value, kind):
-        raise refused(value, _SPOKEN.get(kind, kind.__name__), what, advice)
+        raise wrong_type_error(value, _SPOKEN.get(kind, kind.__name__), what, advice)
 
 
-def demand_row(values: Any, what: str, *kinds: Any) -> None:
+def require_row(values: Any, what: str, *kinds: Any) -> None:
     """Refuse anything but a row of records of these kinds; a single record is not a row.
 
     Parameters
@@ -142,23 +142,23 @@ def demand_row(values: Any, what: str, *kinds: Any) -> None:
     """
     one, named = what.removesuffix("s"), " or ".join(_SPOKEN.get(kind, f"{kind.__name__}(...)") for kind in kinds)
     if isinstance(values, str) or not isinstance(values, Sequence):
-        raise refused(values, f"({named}, ...)", f"a row of {what}", "a row of one ends with a comma: (one,)")
+        raise wrong_type_error(values, f"({named}, ...)", f"a row of {what}", "a row of one ends with a comma: (one,)")
     for value in values:
         if not isinstance(value, kinds):
             by_name = isinstance(value, str) and kinds[-1] not in _SPOKEN
-            advice = f"{kinds[-1].__name__}(name={_shown(value)}, ...)" if by_name else ""
-            raise refused(value, named, f"{_article(one)} {one}", advice)
+            advice = f"{kinds[-1].__name__}(name={_value_text(value)}, ...)" if by_name else ""
+            raise wrong_type_error(value, named, f"{_article(one)} {one}", advice)
 
 
-def demand_records(*pairs: tuple[Any, type]) -> None:
+def require_records(*pairs: tuple[Any, type]) -> None:
     """Refuse values that are not records of the class paired with each."""
     for value, kind in pairs:
-        demand(
+        require_type(
             value, kind, f"{_article(kind.__name__)} {kind.__name__}", f"{kind.__name__}(...) with its numbers in SI"
         )
 
 
-def demand_callable(value: Any, what: str) -> None:
+def require_callable(value: Any, what: str) -> None:
     """Refuse a value that can neither be called nor is None.
 
     Parameters
@@ -172,10 +172,10 @@ def demand_callable(value: Any, what: str) -> None:
         If it is neither.
     """
     if value is not None and not callable(value):
-        raise refused(value, "a function, or None", what)
+        raise wrong_type_error(value, "a function, or None", what)
 
 
-def demand_path(value: Any, what: str) -> Path:
+def require_path(value: Any, what: str) -> Path:
     """Return a value as a path, which need not exist.
 
     Parameters
@@ -189,7 +189,7 @@ def demand_path(value: Any, what: str) -> Path:
         If it is no path, or one that cannot even be looked at.
     """
     if not isinstance(value, str | os.PathLike) or not isinstance(os.fspath(value), str):
-        raise refused(value, "a path, as a text or a pathlib.Path", what)
+        raise wrong_type_error(value, "a path, as a text or a pathlib.Path", what)
     try:
         with suppress(FileNotFoundError, NotADirectoryError):
             os.stat(value)
@@ -199,7 +199,7 @@ def demand_path(value: Any, what: str) -> Path:
     return Path(value)
 
 
-def refused(value: Any, expected: str, what: str, advice: str = "") -> PeriluneError:
+def wrong_type_error(value: Any, expected: str, what: str, advice: str = "") -> PeriluneError:
     """Return the error for a value of a wrong kind.
 
     Parameters
@@ -209,11 +209,11 @@ def refused(value: Any, expected: str, what: str, advice: str = "") -> PeriluneE
     what, advice
         Use of the value, for the message; advice on what to try.
     """
-    got = f"the class {value.__name__}, and not {value.__name__}()" if isinstance(value, type) else _shown(value)
+    got = f"the class {value.__name__}, and not {value.__name__}()" if isinstance(value, type) else _value_text(value)
     return PeriluneError(f"this is not {what}", got=got, expected=expected, advice=advice)
 
 
-def demand_level(level: Any, known: Sequence[int]) -> None:
+def require_level(level: Any, known: Sequence[int]) -> None:
     """Refuse an unknown verification level.
 
     Raises
@@ -228,7 +228,7 @@ def demand_level(level: Any, known: Sequence[int]) -> None:
         )
 
 
-def demand_number(value: Any, name: str) -> None:
+def require_number(value: Any, name: str) -> None:
     """Refuse a setting that is not a real number; NaN and infinity are accepted.
 
     Parameters
@@ -241,16 +241,16 @@ def demand_number(value: Any, name: str) -> None:
     PeriluneError
         Named.
     """
-    if not _is_number(value):
-        raise PeriluneError(f"{name} must be a number", got=_shown(value))
+    if not _is_real_number(value):
+        raise PeriluneError(f"{name} must be a number", got=_value_text(value))
 
 
-def _is_number(value: Any) -> bool:
+def _is_real_number(value: Any) -> bool:
     """Return True for a real number; a truth value is none, though Python makes a float of it."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
-def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N', 'N') reads a text") -> None:
+def require_si_number(value: Any, what: str, advice: str = "units.parse_quantity('440 N', 'N') reads a text") -> None:
     """Refuse anything but a single real number: NaN, truth values and texts too, though Python makes floats of them.
 
     Parameters
@@ -266,13 +266,13 @@ def demand_si(value: Any, what: str, advice: str = "units.parse_quantity('440 N'
         Named.
     """
     plain = value.item() if getattr(value, "ndim", None) == 0 else value  # of NumPy and xarray
-    if not _is_number(plain):
-        raise refused(value, "a number in SI", what, advice)
+    if not _is_real_number(plain):
+        raise wrong_type_error(value, "a number in SI", what, advice)
     if plain != plain:  # as NaN alone is
-        raise refused(value, "a number in SI that is finite", what)
+        raise wrong_type_error(value, "a number in SI that is finite", what)
 
 
-def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
+def require_numbers(values: Any, what: str, most: float = math.inf) -> Any:
     """Return a number, or an array of numbers with at most `most` axes, as NumPy has it.
 
     Parameters
@@ -292,19 +292,19 @@ def demand_numbers(values: Any, what: str, most: float = math.inf) -> Any:
     expected = f"a number, or {'a list' if most == 1 else 'an array'} of numbers"
     try:
         told = np.asarray(values)
-        if told.dtype.kind not in "iuf" and not all(map(_is_number, told.flat)):
+        if told.dtype.kind not in "iuf" and not all(map(_is_real_number, told.flat)):
             raise TypeError  # of texts and None NumPy makes numbers
         found = np.asarray(told, dtype=float)[()]
     except (TypeError, ValueError, OverflowError):
-        raise refused(values, expected, what) from None
+        raise wrong_type_error(values, expected, what) from None
     if found.ndim > most:
-        raise refused(values, expected, what)
+        raise wrong_type_error(values, expected, what)
     if np.ma.is_masked(values):  # an array forgets what hides some of them
-        raise refused(values, f"{expected}, none of them masked", what)
+        raise wrong_type_error(values, f"{expected}, none of them masked", what)
     return found
 
 
-def demand_index(value: Any, count: int, what: str) -> None:
+def require_index(value: Any, count: int, what: str) -> None:
     """Refuse anything but an index below `count`.
 
     Parameters
@@ -320,10 +320,10 @@ def demand_index(value: Any, count: int, what: str) -> None:
         Named.
     """
     if isinstance(value, bool) or not isinstance(value, Integral) or not -count <= int(value) < count:
-        raise refused(value, f"its number, 0 to {count - 1}", what)
+        raise wrong_type_error(value, f"its number, 0 to {count - 1}", what)
 
 
-def demand_identifier(value: Any) -> None:
+def require_identifier(value: Any) -> None:
     """Refuse a name that could not follow a dot.
 
     Raises
@@ -332,14 +332,14 @@ def demand_identifier(value: Any) -> None:
         Named.
     """
     if not isinstance(value, str):
-        raise refused(value, "a text", "a name")
+        raise wrong_type_error(value, "a text", "a name")
     if not value.isidentifier():
         raise PeriluneError("a name must be a Python identifier", got=repr(value[:60]))
     if iskeyword(value) or value.startswith("_"):
         raise PeriluneError("a name must not be a word of Python, nor begin with _", got=repr(value[:60]))
 
 
-def demand_whole(settings: Any, **least: int) -> None:
+def require_integers(settings: Any, **least: int) -> None:
     """Refuse settings that are not whole numbers of at least so much.
 
     Raises
@@ -359,7 +359,7 @@ def _article(name: str) -> str:
     return "an" if name[:1].upper() in "AEIO" else "a"
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     few = list(value) if isinstance(value, (list, tuple)) and len(value) <= _FEW else [value]
     plain = all(v is None or isinstance(v, (str, int, float)) for v in few)
     return repr(value)[:60] if plain else type(value).__name__

@@ -8,7 +8,7 @@ From that follow the section and the key of a scenario (``[vehicle]`` ``mass``),
 problem, the check of its range wherever a value enters, the template and the reference page. A record is a frozen
 dataclass with keywords only, and checks itself when it is made.
 
-Inside, a value is a float in SI; one that was read is a `Stated`, which remembers the text it was stated in.
+Inside, a value is a float in SI; one that was read is a `StatedNumber`, which remembers the text it was stated in.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from functools import cache, wraps
 from types import MappingProxyType
 from typing import Any, TypeVar, dataclass_transform
 
-from perilune.words.asked import called_in_words
+from perilune.words.asked import check_call
 from perilune.words.outcome import PeriluneError, unknown_name
-from perilune.words.units import parse_quantity, unit
+from perilune.words.units import parse_quantity, parse_unit
 
 LONGEST_VALUE = 200  # characters
 ORDINARY = 1e30  # in SI: the Sun's mu is 1.3e20 m^3/s^2; beyond it, squares and cubes of values overflow
@@ -34,24 +34,24 @@ def parameter_name(key: str) -> str:
     return key.replace(".", "_")
 
 
-class Stated(float):
+class StatedNumber(float):
     """Number in SI that remembers the decimal text and unit in which it was stated; results of computing do not."""
 
     text: str
 
-    def __new__(cls, value: float, text: str) -> Stated:
+    def __new__(cls, value: float, text: str) -> StatedNumber:
         """Number and text."""
         number = super().__new__(cls, value)
         number.text = text
         return number
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Stated, (float(self), self.text)
+        return StatedNumber, (float(self), self.text)
 
 
 def stated_text(value: float) -> str:
     """Return the text in which a value was stated; empty for a plain number."""
-    return value.text if isinstance(value, Stated) else ""
+    return value.text if isinstance(value, StatedNumber) else ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class Quantity:
     about: str = ""
     also: tuple[str, ...] = ()
 
-    def read(self, value: object) -> Stated:
+    def read(self, value: object) -> StatedNumber:
         """Return the value in SI of a scenario's text, or of a bare number where there is no unit to guess.
 
         Raises
@@ -77,12 +77,12 @@ class Quantity:
         PeriluneError
             If the text is not such a quantity; the message does not name the key.
         """
-        if self.unit == "1" and _is_number(value):
+        if self.unit == "1" and _is_plain_number(value):
             value = repr(value)
         if not isinstance(value, str):
             raise PeriluneError(
                 "must be a number and a unit in quotes",
-                got=f"{str(value)[:60]} without a unit" if _is_number(value) else str(value)[:60],
+                got=f"{str(value)[:60]} without a unit" if _is_plain_number(value) else str(value)[:60],
                 expected=f'for example "{self.example}"',
                 advice="a bare number is refused, as its unit could only be guessed",
             )
@@ -95,7 +95,7 @@ class Quantity:
             )
         number = parse_quantity(value, self.spoken_unit, self.example, self.hint)
         self.check(number, repr(value))
-        return Stated(number, value.strip())
+        return StatedNumber(number, value.strip())
 
     def check(self, value: float, got: str = "") -> None:
         """Raise PeriluneError, without the key, for a value in SI that is no number, not finite or out of range."""
@@ -134,13 +134,13 @@ class Quantity:
 
     def shown(self, value: float) -> str:
         """Format a value in SI in its spoken unit."""
-        return f"{value / unit(self.spoken_unit)[0]:g} {self.spoken_unit}".removesuffix(" 1")
+        return f"{value / parse_unit(self.spoken_unit)[0]:g} {self.spoken_unit}".removesuffix(" 1")
 
     @property
     def range(self) -> str:
         """Return the range in words; empty for none."""
         if math.isfinite(self.low) and math.isfinite(self.high):
-            low, high = f"{self.low / unit(self.spoken_unit)[0]:g}", self.shown(self.high)
+            low, high = f"{self.low / parse_unit(self.spoken_unit)[0]:g}", self.shown(self.high)
             if not (self.open_low or self.open_high):
                 return f"between {low} and {high}"
             least, most = "more than" if self.open_low else "at least", "less than" if self.open_high else "at most"
@@ -151,7 +151,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Words:
+class TextField:
     """Declaration of a text of a record: any text, one of `choices`, or a path relative to the stating file."""
 
     example: str
@@ -179,7 +179,7 @@ class Key:
     """
 
     field: str
-    declared: Quantity | Words
+    declared: Quantity | TextField
     default: Any
     place: int | None = None
 
@@ -263,18 +263,18 @@ def span(unit: str, lower: str, upper: str, *, default: tuple[float, float], nam
     return field(default=default, metadata={"keys": declared, "span": name})
 
 
-def words(
+def text_field(
     example: str, *choices: str, default: Any = MISSING, called: str = "", about: str = "", file: bool = False
 ) -> Any:  # fmt: skip
     """Declare a field of a record that is a text, one of the choices if there are any, or the path of a `file`.
 
     `called` is its key if that is a reserved word of Python.
     """
-    declared = Words(example=example, choices=choices, about=about, file=file)
+    declared = TextField(example=example, choices=choices, about=about, file=file)
     return field(default=default, metadata={"keys": {"": declared}, "called": called})
 
 
-@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(quantity, span, words))
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(quantity, span, text_field))
 def record(section: str) -> Callable[[type[T]], type[T]]:
     """Make a class a declared record, whose numbers are the keys of a section."""
 
@@ -289,13 +289,13 @@ def record(section: str) -> Callable[[type[T]], type[T]]:
         cls.__post_init__ = check  # type: ignore[attr-defined]
         cls.__section__ = section  # type: ignore[attr-defined]
         made = dataclass(frozen=True, kw_only=True)(cls)
-        made.__init__ = _asked_for(made)  # type: ignore[misc]
-        return called_in_words(made)
+        made.__init__ = _record_constructor(made)  # type: ignore[misc]
+        return check_call(made)
 
     return make
 
 
-def _asked_for(kind: type) -> Callable[..., None]:
+def _record_constructor(kind: type) -> Callable[..., None]:
     """Return the constructor of a record, which refuses unknown names and reports missing ones."""
     constructor, known = kind.__init__, {f.name: f for f in fields(kind)}  # type: ignore[misc]
 
@@ -303,11 +303,11 @@ def _asked_for(kind: type) -> Callable[..., None]:
     def init(self: Any, **values: Any) -> None:
         for name in values:
             if name not in known:
-                also = {other: key for key, k in keys_of(kind).items() for other in getattr(k.declared, "also", ())}
+                also = {other: key for key, k in record_keys(kind).items() for other in getattr(k.declared, "also", ())}
                 raise unknown_name(f"field of {kind.__name__}", name, list(known), also)
         for name, f in known.items():
             if name not in values and f.default is MISSING:
-                examples = [f"{k.declared.example}" for k in keys_of(kind).values() if k.field == name]
+                examples = [f"{k.declared.example}" for k in record_keys(kind).values() if k.field == name]
                 raise PeriluneError(f"{kind.__name__}.{name} is missing", expected=f"for example {', '.join(examples)}")
         constructor(self, **values)
 
@@ -320,7 +320,7 @@ def section_of(kind: type) -> str:
 
 
 @cache
-def keys_of(kind: type) -> Mapping[str, Key]:
+def record_keys(kind: type) -> Mapping[str, Key]:
     """Return the keys of a record's section, in order."""
     found = dict[str, Key]()
     for f in fields(kind):
@@ -336,23 +336,23 @@ def keys_of(kind: type) -> Mapping[str, Key]:
 
 
 @cache
-def _spans(kind: type) -> tuple[Field[Any], ...]:
+def _pair_fields(kind: type) -> tuple[Field[Any], ...]:
     """Return the fields of a record that are pairs."""
     return tuple(f for f in fields(kind) if "span" in f.metadata)
 
 
-def values_of(made: Any) -> dict[str, Any]:
+def record_values(made: Any) -> dict[str, Any]:
     """Return the value of each key of a record."""
     return {
         name: getattr(made, key.field) if key.place is None else getattr(made, key.field)[key.place]
-        for name, key in keys_of(type(made)).items()
+        for name, key in record_keys(type(made)).items()
     }
 
 
-def made_of(kind: type[T], values: Mapping[str, Any]) -> T:
+def record_of_values(kind: type[T], values: Mapping[str, Any]) -> T:
     """Build a record with these values of its keys, checked; other keys have their defaults."""
     arguments: dict[str, Any] = {}
-    for name, key in keys_of(kind).items():
+    for name, key in record_keys(kind).items():
         value = values.get(name, key.default)
         if key.place is None:
             if value is not MISSING:
@@ -364,28 +364,28 @@ def made_of(kind: type[T], values: Mapping[str, Any]) -> T:
 
 def check_values(made: Any, parameters: Mapping[str, float]) -> None:
     """Raise PeriluneError if parameters that a record declares could not be its values; others are ignored."""
-    section, keys, own = section_of(type(made)), keys_of(type(made)), values_of(made)
+    section, keys, own = section_of(type(made)), record_keys(type(made)), record_values(made)
     values = {n: parameters[f"{section}_{n}"] for n in keys if f"{section}_{n}" in parameters}
-    texts = {n: own[n] for n, key in keys.items() if isinstance(key.declared, Words)}
+    texts = {n: own[n] for n, key in keys.items() if isinstance(key.declared, TextField)}
     if values and all(n in values or n in texts or key.default is not MISSING for n, key in keys.items()):
-        made_of(type(made), {**texts, **values})
+        record_of_values(type(made), {**texts, **values})
 
 
 def _check_fields(made: Any) -> None:
     section = section_of(type(made))
-    values = values_of(made)
-    for name, key in keys_of(type(made)).items():
+    values = record_values(made)
+    for name, key in record_keys(type(made)).items():
         if values[name] is None and key.default is None:
             continue
         if isinstance(key.declared, Quantity) and key.place is None:
             try:
                 key.declared.check(values[name])
             except PeriluneError as error:
-                raise named(f"{section}.{name}", error) from None
-        elif isinstance(key.declared, Words) and key.declared.choices and values[name] not in key.declared.choices:
+                raise with_key_named(f"{section}.{name}", error) from None
+        elif isinstance(key.declared, TextField) and key.declared.choices and values[name] not in key.declared.choices:
             known = ", ".join(map(repr, key.declared.choices))
             raise PeriluneError(f"unknown {name}", got=repr(values[name])[:60], expected=f"one of {known}")
-    for f in _spans(type(made)):
+    for f in _pair_fields(type(made)):
         (lower, upper), bound = getattr(made, f.name), next(iter(f.metadata["keys"].values()))
         if not bound.low <= lower < upper <= bound.high:
             raise PeriluneError(
@@ -395,11 +395,11 @@ def _check_fields(made: Any) -> None:
             )
 
 
-def named(key: str, error: PeriluneError) -> PeriluneError:
+def with_key_named(key: str, error: PeriluneError) -> PeriluneError:
     """Return the same error with the key in front."""
     what = f"- {error.what}" if error.what.startswith(("this ", "the ")) else error.what
     return PeriluneError(f"{key} {what}", got=error.got, expected=error.expected, advice=error.advice)
 
 
-def _is_number(value: object) -> bool:
+def _is_plain_number(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -81,7 +81,7 @@ class DelimitedTable:
             Number of cells wanted.
         """
         for delimiter in (self.delimiter, *_DELIMITERS):
-            found = _split(line.text, delimiter)
+            found = _split_cells(line.text, delimiter)
             if found is not None and delimiter == " ":
                 found = _with_brackets(found)
             if found is not None and len(found) == count:
@@ -127,9 +127,9 @@ def delimited_table(text: str, what: str) -> DelimitedTable:
         lines = lines[1:]
     plain = [line for line in lines if not _is_comment(line)]
     delimiter = max(_DELIMITERS, key=lambda one: _likeness(plain[:_LOOKED_AT], one))
-    rows = [_row(line, delimiter, what) for line in plain]
+    rows = [_cell_row(line, delimiter, what) for line in plain]
     rows = [row for row in rows if any(row.cells)]
-    first = next((k for k, row in enumerate(rows) if _numbers(row.cells) > min(1, len(row.cells) - 1)), len(rows))
+    first = next((k for k, row in enumerate(rows) if _count_numbers(row.cells) > min(1, len(row.cells) - 1)), len(rows))
     body = rows[first:]
     begin = body[0].line if body else lines[-1].number + 1 if lines else 1
     filled = {row.line for row in rows[:first]}
@@ -161,7 +161,7 @@ def _refuse_long(comments: list[TextLine], what: str) -> None:
         )  # fmt: skip
 
 
-def _split(text: str, delimiter: str) -> list[str] | None:
+def _split_cells(text: str, delimiter: str) -> list[str] | None:
     """Split a line into cells; None if its quotes do not close."""
     if delimiter == " ":
         text = text.replace("\t", " ").strip()
@@ -172,8 +172,8 @@ def _split(text: str, delimiter: str) -> list[str] | None:
     return [cell.strip() for cell in cells]
 
 
-def _row(line: TextLine, delimiter: str, what: str) -> CellRow:
-    cells = _split(line.text, delimiter)
+def _cell_row(line: TextLine, delimiter: str, what: str) -> CellRow:
+    cells = _split_cells(line.text, delimiter)
     if cells is None:
         raise PeriluneError(
             f"line {line.number} of the {what} is no row of cells", got=one_line(line.text, _LONGEST),
@@ -182,7 +182,7 @@ def _row(line: TextLine, delimiter: str, what: str) -> CellRow:
     return CellRow(line.number, cells)
 
 
-def _numbers(cells: list[str]) -> int:
+def _count_numbers(cells: list[str]) -> int:
     return sum(_NUMBER.fullmatch(cell) is not None for cell in cells)
 
 
@@ -190,8 +190,8 @@ def _likeness(lines: list[TextLine], delimiter: str) -> tuple[int, int]:
     """Return the number of lines made of at least two numbers only, and of lines with at least two numbers."""
     whole = some = 0
     for line in lines:
-        cells = [cell for cell in _split(line.text, delimiter) or [] if cell]
-        count = _numbers(cells)
+        cells = [cell for cell in _split_cells(line.text, delimiter) or [] if cell]
+        count = _count_numbers(cells)
         whole, some = whole + (1 < count == len(cells)), some + (count > 1)
     return whole, some
 

@@ -18,24 +18,24 @@ from perilune.words.types import Vector
 STEP = 1e-40  # of the complex step: its square vanishes against 1
 
 
-def _atan2(y: Any, x: Any) -> Any:
+def _complex_step_atan2(y: Any, x: Any) -> Any:
     y, x = np.asarray(y), np.asarray(x)
     turn = (y.imag * x.real - y.real * x.imag) / (x.real**2 + y.real**2)
     return np.arctan2(y.real, x.real) + 1j * turn
 
 
-def _fabs(x: Any) -> Any:
+def _complex_step_fabs(x: Any) -> Any:
     return np.where(np.real(x) < 0, -np.asarray(x), x)
 
 
 # The functions that numpy has for real numbers only, or not as analytic functions, replaced by ones that
 # carry the step.
-COMPLEX = SimpleNamespace(**{**vars(NUMERIC), "atan2": _atan2, "fabs": _fabs})
+COMPLEX = SimpleNamespace(**{**vars(NUMERIC), "atan2": _complex_step_atan2, "fabs": _complex_step_fabs})
 COMPLEX.fmin = lambda a, b: np.where(np.real(a) <= np.real(b), a, b)
 COMPLEX.fmax = lambda a, b: np.where(np.real(a) >= np.real(b), a, b)
 
 
-def stacked(values: Sequence[Any], shape: tuple[int, ...], dtype: Any = complex) -> Any:
+def stack_broadcast(values: Sequence[Any], shape: tuple[int, ...], dtype: Any = complex) -> Any:
     """Stack the values of a user's function into one array (len(values), *shape); constants are broadcast.
 
     Parameters
@@ -53,7 +53,7 @@ def stacked(values: Sequence[Any], shape: tuple[int, ...], dtype: Any = complex)
     return out
 
 
-def jacobian(function: Callable[[Any], Any], z: Any, scale: Vector) -> Any:
+def complex_step_jacobian(function: Callable[[Any], Any], z: Any, scale: Vector) -> Any:
     """Compute first derivatives by complex step with respect to z/scale, at many points at once.
 
     Parameters

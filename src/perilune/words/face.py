@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 
-def listed(public: Iterable[str]) -> list[str]:
+def public_names(public: Iterable[str]) -> list[str]:
     """Return the names that ``dir`` shows of a module: public ones, loaded or not yet, and no other import."""
     return sorted({*public, "__all__", "__doc__"})
 
 
-def method(name: str) -> Callable[..., Any]:
+def method_function(name: str) -> Callable[..., Any]:
     """Return the function that a method of this name calls with its record."""
     import perilune
 
-    return perilune._method(name)
+    return perilune._import_method_function(name)

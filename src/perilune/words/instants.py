@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime
 
-from perilune.words.asked import refused
+from perilune.words.asked import wrong_type_error
 from perilune.words.outcome import PeriluneError
 
 # How bodies are turned in space is told by polynomials about J2000, which are of use for a century or two.
@@ -25,7 +25,7 @@ def instant(stated: str | datetime, name: str = "the epoch") -> datetime:
         what is stated.
     """
     if isinstance(stated, type) or not isinstance(stated, str | datetime):
-        raise refused(stated, f'a text such as "{EXAMPLE}", or a datetime', "an epoch")
+        raise wrong_type_error(stated, f'a text such as "{EXAMPLE}", or a datetime', "an epoch")
     if _FINER.search(str(stated)):
         raise PeriluneError(
             f"{name} has more digits than are kept", got=str(stated)[:60], expected="microseconds at most",

@@ -20,9 +20,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from perilune.words.asked import called_in_words, refused
+from perilune.words.asked import check_call, wrong_type_error
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import told_range
+from perilune.words.units import format_value_range
 
 # name in `m`: name in numpy. The symbolic twin takes the same keys.
 NUMPY_NAMES = {
@@ -50,7 +50,7 @@ _SPLINES = {"smooth": 5, "smoother": 7}  # degrees
 Choose = Callable[[Any, Any, Any], Any]  # (condition, yes, no)
 
 
-def refuted(condition: Any) -> bool:
+def comparison_fails(condition: Any) -> bool:
     """Return True if a comparison fails, for arrays anywhere; False for symbols, of which nothing is known."""
     known = isinstance(condition, bool | np.bool_ | np.ndarray)
     return known and not np.all(condition)
@@ -60,10 +60,10 @@ def _knots(name: str, values: Any) -> tuple[float, ...]:
     try:
         return tuple(float(v) for v in values)
     except (TypeError, ValueError):
-        raise refused(values, "a list of numbers", f"a column {name} of a table") from None
+        raise wrong_type_error(values, "a list of numbers", f"a column {name} of a table") from None
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, repr=False)
 class Table:
     """Tabulated data as a function of one number without a dimension.
@@ -106,7 +106,7 @@ class Table:
             raise PeriluneError("unknown kind of table", got=repr(self.kind), expected=expected)
 
     def __repr__(self) -> str:
-        ends = (f"{told_range(values, '1')}" for values in (self.x, self.y))
+        ends = (f"{format_value_range(values, '1')}" for values in (self.x, self.y))
         return f"<Table of {len(self.x)} points, {self.kind}: {' onto '.join(ends)}>"
 
     @cached_property
@@ -145,7 +145,7 @@ class Table:
 
     def piece(self, i: Any, value: Any) -> Any:
         """Return values of its pieces i, wherever the numbers lie; piece 0 lies before the first knot."""
-        return _horner(self.pieces[:, i], value - self.knots[i])
+        return _horner_sum(self.pieces[:, i], value - self.knots[i])
 
     @property
     def kinks(self) -> tuple[float, ...]:
@@ -177,20 +177,20 @@ class Table:
         for k in range(first + 1, last + 1):
             beyond = value >= self.x[k - 1]
             found = [choose(beyond, row[k], before) for row, before in zip(rows, found, strict=True)]
-        return _horner(found[1:], value - found[0])
+        return _horner_sum(found[1:], value - found[0])
 
 
-def _horner(coefficients: Any, s: Any) -> Any:
+def _horner_sum(coefficients: Any, s: Any) -> Any:
     total = coefficients[0]
     for c in coefficients[1:]:
         total = total * s + c
     return total
 
 
-def _read(table: Table, value: Any) -> Any:
+def _evaluate_table(table: Table, value: Any) -> Any:
     return table(value)
 
 
 NUMERIC = SimpleNamespace(
-    **{name: getattr(np, numpy_name) for name, numpy_name in NUMPY_NAMES.items()}, where=np.where, table=_read
+    **{name: getattr(np, numpy_name) for name, numpy_name in NUMPY_NAMES.items()}, where=np.where, table=_evaluate_table
 )

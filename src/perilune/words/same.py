@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 
-def same(one: Any, other: Any) -> bool:
+def equal_values(one: Any, other: Any) -> bool:
     """Return True if two values are equal, where NaN equals NaN, and containers and arrays compare by their entries."""
     if one is other:
         return True
@@ -19,17 +19,17 @@ def same(one: Any, other: Any) -> bool:
     if isinstance(one, float) and isinstance(other, float):
         return one == other or (math.isnan(one) and math.isnan(other))
     if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
+        return one.keys() == other.keys() and all(equal_values(value, other[key]) for key, value in one.items())
     if isinstance(one, Sequence) and isinstance(other, Sequence) and not isinstance(one, str):
-        return len(one) == len(other) and all(map(same, one, other))
+        return len(one) == len(other) and all(map(equal_values, one, other))
     if is_dataclass(one) and type(one) is type(other) and _by_fields(type(one)):
-        return same_fields(one, other)
+        return equal_fields(one, other)
     return bool(one == other)
 
 
-def same_fields(one: Any, other: Any) -> bool:
+def equal_fields(one: Any, other: Any) -> bool:
     """Return True if two records of one class have equal fields."""
-    return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
+    return all(equal_values(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
 
 
 def _by_fields(kind: Any) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from perilune.words.bounded import one_line
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import unit
+from perilune.words.units import parse_unit
 
 _LONGEST = 80  # characters of a heading
 _BRACKETS = re.compile(r"[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
@@ -44,7 +44,7 @@ class TableHeading:
     words
         Those at its begin that are known, in lower case.
     unit
-        As `perilune.words.units.unit` takes it; "" where none is stated.
+        As `perilune.words.units.parse_unit` takes it; "" where none is stated.
     unread
         What is neither; "" where all of it is understood.
     bracketed
@@ -117,7 +117,7 @@ def unit_as_written(text: str) -> str | None:
             operator = "*" if power.startswith("-") else "/"
         found += operator + name + (f"^{power}" if power else "")
     try:
-        unit(found)
+        parse_unit(found)
     except PeriluneError:
         return None
     return found

@@ -20,7 +20,7 @@ from functools import cached_property, lru_cache
 from numbers import Real
 from typing import Any
 
-from perilune.words.asked import called_in_words, demand
+from perilune.words.asked import check_call, require_type
 from perilune.words.outcome import PeriluneError
 
 Dimension = tuple[float, float, float, float]  # exponents of length, time, mass, temperature; halves are exact
@@ -75,7 +75,7 @@ _EXACT = {"slug": Fraction(repr(_POUND)) * Fraction(repr(STANDARD_GRAVITY)) / Fr
 
 
 @lru_cache(maxsize=256)
-def unit(text: str) -> tuple[float, Dimension]:
+def parse_unit(text: str) -> tuple[float, Dimension]:
     """Return the factor to SI and the dimension of a unit expression.
 
     Parameters
@@ -113,12 +113,12 @@ def _powers(text: str) -> Iterator[tuple[str, float]]:
                 "this is not a unit perilune knows",
                 got=repr(text[:60]),
                 expected="products and powers of " + ", ".join(u for u in _UNITS if u != "1") + ', as "km^3/s^2"',
-                advice=_nearest(match.group(1) if match else part),
+                advice=_nearest_unit_advice(match.group(1) if match else part),
             )
         yield match.group(1), float(match.group(2) or 1) * (1 if operator == "*" else -1)
 
 
-def _nearest(name: str) -> str:
+def _nearest_unit_advice(name: str) -> str:
     """Return the advice to use the unit that is spelt most like a name, if any is."""
     import difflib  # which nothing needs that is right
 
@@ -130,7 +130,7 @@ def _nearest(name: str) -> str:
     return f'did you mean "{found[near[0]]}"?' if near else ""
 
 
-def demand_si_unit(text: Any, what: str) -> None:
+def require_si_unit(text: Any, what: str) -> None:
     """Refuse a unit that is not SI: inside, a unit that scales numbers invites mistakes.
 
     Raises
@@ -138,8 +138,8 @@ def demand_si_unit(text: Any, what: str) -> None:
     PeriluneError
         With `what`, the quantity of the unit, in the message.
     """
-    demand(text, str, f"the unit of {what}", 'write for example "m/s"')
-    factor, dimension = unit(text)
+    require_type(text, str, f"the unit of {what}", 'write for example "m/s"')
+    factor, dimension = parse_unit(text)
     if factor != 1.0:
         raise PeriluneError(
             f"inside a problem numbers are in SI: {what}",
@@ -156,7 +156,7 @@ def dimension_text(dimension: Dimension) -> str:
     return "*".join(over or ["1"]) + "".join("/" + u for u in under)
 
 
-def told(value: float, unit_text: str, digits: int = 6) -> str:
+def format_quantity(value: float, unit_text: str, digits: int = 6) -> str:
     """Format a value in SI for people: angles in degrees, no unit for a pure number.
 
     Parameters
@@ -171,7 +171,7 @@ def told(value: float, unit_text: str, digits: int = 6) -> str:
     return f"{value:z.{digits}g} {unit_text}".removesuffix(" 1")
 
 
-def told_outwards(value: float, unit_text: str, side: str, digits: int = 5) -> str:
+def format_bound(value: float, unit_text: str, side: str, digits: int = 5) -> str:
     """Return a bound for people, rounded so that what lies on it is within: a `lower` one down, an `upper` one up.
 
     Parameters
@@ -191,7 +191,7 @@ def told_outwards(value: float, unit_text: str, side: str, digits: int = 5) -> s
     return f"{value:.{digits}g} {unit_text}".removesuffix(" 1")
 
 
-def told_range(values: Iterable[float], unit_text: str) -> str:
+def format_value_range(values: Iterable[float], unit_text: str) -> str:
     """Format the range of finite values, as ``-3 kg to 4.5 kg``; one value if all are equal, empty for none.
 
     Parameters
@@ -202,13 +202,13 @@ def told_range(values: Iterable[float], unit_text: str) -> str:
         SI unit.
     """
     finite = [value for value in values if math.isfinite(value)]
-    ends = (told(end, unit_text) for end in (min(finite), max(finite))) if finite else ()
+    ends = (format_quantity(end, unit_text) for end in (min(finite), max(finite))) if finite else ()
     return " to ".join(dict.fromkeys(ends))
 
 
-def quotient(numerator: str, denominator: str) -> str:
+def quotient_unit(numerator: str, denominator: str) -> str:
     """Return the SI unit of a quotient of two units, as of a costate."""
-    above, below = unit(numerator)[1], unit(denominator)[1]
+    above, below = parse_unit(numerator)[1], parse_unit(denominator)[1]
     a, b, c, d = (x - y for x, y in zip(above, below, strict=True))
     return dimension_text((a, b, c, d))
 
@@ -236,7 +236,7 @@ def parse_quantity(text: str, expected_unit: str, example: str = "", hint: str =
         If it is no quantity, is not finite, or has another dimension.
     """
     match = _QUANTITY.fullmatch(text)
-    such = f'for example "{example or _example(expected_unit)}"'
+    such = f'for example "{example or _unit_example(expected_unit)}"'
     if match is None or not (match.group(2) or expected_unit == "1"):
         raise PeriluneError(
             "this is not a quantity: a number and a unit",
@@ -245,11 +245,11 @@ def parse_quantity(text: str, expected_unit: str, example: str = "", hint: str =
             advice=hint or "put the number and its unit in one pair of quotes",
         )
     try:
-        factor, dimension = unit(match.group(2))
+        factor, dimension = parse_unit(match.group(2))
     except PeriluneError as error:
         advice = error.advice or f"write {such}"
         raise PeriluneError(error.what, got=error.got, expected=error.expected, advice=advice) from None
-    if dimension != unit(expected_unit)[1]:
+    if dimension != parse_unit(expected_unit)[1]:
         raise PeriluneError(
             "the unit has the wrong dimension",
             got=f"{text!r}, which is in {dimension_text(dimension)}",
@@ -295,14 +295,14 @@ def exact_quantity(text: str) -> tuple[Fraction, int] | None:
     return number, int(around)
 
 
-def _example(unit_text: str) -> str:
+def _unit_example(unit_text: str) -> str:
     return f"100 {unit_text}" if unit_text != "1" else "1.0"
 
 
 _LARGEST = 1e15  # of a scale in SI: a tenth of a light year
 
 
-@called_in_words
+@check_call
 @dataclass(frozen=True, kw_only=True)
 class Scales:
     """Scales of length [m], time [s], mass [kg] and temperature [K] that make the numbers of a problem of order one."""
@@ -331,6 +331,6 @@ class Scales:
         if size is None:
             if not isinstance(unit_text, str):
                 raise PeriluneError("this is no unit", got=repr(unit_text)[:60], expected='a text, as "km/s"')
-            a, b, c, d = unit(unit_text)[1]
+            a, b, c, d = parse_unit(unit_text)[1]
             size = self._sizes[unit_text] = self.length**a * self.time**b * self.mass**c * self.temperature**d
         return size

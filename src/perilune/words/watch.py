@@ -32,7 +32,7 @@ class Iteration:
 Watch = Callable[[Iteration | str], None]
 
 
-def silent(event: Iteration | str) -> None:
+def ignore_events(event: Iteration | str) -> None:
     """Ignore an event."""
 
 
@@ -59,7 +59,7 @@ class Progress:
     watch
         Receives the events.
     subject
-        What is computed, by which `best_so_far` tells whether a flight is one of it.
+        What is computed, by which `remember_best` tells whether a flight is one of it.
     limit
         Time [s] that it may take, without bound if infinite.
     outer
@@ -114,7 +114,7 @@ _AT_WORK: ContextVar[Progress | None] = ContextVar("_AT_WORK", default=None)
 
 
 @contextmanager
-def progressing(watch: Watch | None, subject: Any = None, limit: float = math.inf) -> Iterator[Progress]:
+def enter_computation(watch: Watch | None, subject: Any = None, limit: float = math.inf) -> Iterator[Progress]:
     """Enter a computation, as a part of the one at work in this context, if any.
 
     Parameters
@@ -127,7 +127,7 @@ def progressing(watch: Watch | None, subject: Any = None, limit: float = math.in
     if isinstance(watch, Progress):
         yield watch
         return
-    made = Progress(watch or silent, subject, limit, outer=_AT_WORK.get())
+    made = Progress(watch or ignore_events, subject, limit, outer=_AT_WORK.get())
     token = _AT_WORK.set(made)
     try:
         yield made
@@ -135,7 +135,7 @@ def progressing(watch: Watch | None, subject: Any = None, limit: float = math.in
         _AT_WORK.reset(token)
 
 
-def at_work(text: Iteration | str) -> None:
+def sign_of_life(text: Iteration | str) -> None:
     """Report a sign of life of the computation at work, if any; also a `Watch` for a part that reports no more.
 
     Raises
@@ -147,7 +147,7 @@ def at_work(text: Iteration | str) -> None:
         now.at_work(text if isinstance(text, str) else now.stage)
 
 
-def best_so_far(
+def remember_best(
     subject: Any, objective: float, told: Callable[[], str], flight: Callable[[], Any], *, extremal: bool
 ) -> None:
     """Remember and report the best flight of a computation, unless a better one is known.

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from perilune.io.exports.epochs import stamp
-from perilune.io.exports.path import JUMP, Leg, apart, legs, space_of
+from perilune.io.exports.path import JUMP, InertialLeg, legs, separate_jumps, space_of
 from perilune.io.files import json_text
 from perilune.problem.solution import Solution
 from perilune.words.types import Matrix, Vector
@@ -52,14 +52,14 @@ def write_czml(solution: Solution, about: Mapping[str, str], epoch: datetime, pa
     space = space_of(solution, NAME)
     rate = float(getattr(solution.parameters, space.rotation)) if space.rotation else 0.0
     flown = [leg.turning(rate) for leg in legs(solution, _TURNED / 4)]
-    path.write_text(json_text(_document(flown, about, epoch)), encoding="utf-8")
+    path.write_text(json_text(_czml_document(flown, about, epoch)), encoding="utf-8")
 
 
-def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> list[dict[str, Any]]:
+def _czml_document(flown: list[InertialLeg], about: Mapping[str, str], epoch: datetime) -> list[dict[str, Any]]:
     def utc(seconds: float) -> str:
         return f"{stamp(epoch, seconds)}Z"
 
-    flight = joined(flown)
+    flight = join_legs(flown)
     begin, end = float(flight.time[0]), float(flight.time[-1])
     whole = f"{utc(begin)}/{utc(end)}"
     head = {
@@ -77,11 +77,18 @@ def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> li
     }  # fmt: skip
     curved = {"interpolationAlgorithm": "HERMITE", "interpolationDegree": 3}
     vehicle: dict[str, Any] = {
-        "id": "vehicle", "name": about["title"], "description": _description(about), "availability": whole,
-        "position": {**sampled, **curved, "cartesianVelocity": _rows(flight.time, flight.position, flight.velocity)},
+        "id": "vehicle",
+        "name": about["title"],
+        "description": _description(about),
+        "availability": whole,
+        "position": {
+            **sampled,
+            **curved,
+            "cartesianVelocity": _interleaved_samples(flight.time, flight.position, flight.velocity),
+        },
         "path": {"width": 2, "material": _colour(0, 114, 178), "resolution": (end - begin) / 600},
         "point": {"pixelSize": 8, "color": {"rgba": [255, 255, 255, 255]}},
-    }  # fmt: skip
+    }
     if not flight.powered:
         return [head, vehicle]
     most = float(np.linalg.norm(flight.push, axis=0).max())
@@ -89,18 +96,23 @@ def _document(flown: list[Leg], about: Mapping[str, str], epoch: datetime) -> li
     tip_at, tip_velocity = flight.position + stretch * flight.push, flight.velocity + stretch * flight.push_rate
     vehicle["orientation"] = {"epoch": utc(0.0), **held, "unitQuaternion": attitudes(flight)}
     tip = {
-        "id": "thrust", "name": "thrust", "availability": whole, "parent": "vehicle",
+        "id": "thrust",
+        "name": "thrust",
+        "availability": whole,
+        "parent": "vehicle",
         "description": f"An arrow along the acceleration by thrust, {stretch:.6g} m long for each m/s^2.",
-        "position": {**sampled, **curved, "cartesianVelocity": _rows(flight.time, tip_at, tip_velocity)},
+        "position": {**sampled, **curved, "cartesianVelocity": _interleaved_samples(flight.time, tip_at, tip_velocity)},
         "polyline": {
-            "positions": {"references": ["vehicle#position", "thrust#position"]}, "width": 6, "arcType": "NONE",
+            "positions": {"references": ["vehicle#position", "thrust#position"]},
+            "width": 6,
+            "arcType": "NONE",
             "material": {"polylineArrow": {"color": {"rgba": [213, 94, 0, 255]}}},
             "show": [
                 {"interval": f"{utc(float(leg.time[0]))}/{utc(float(leg.time[-1]))}", "boolean": leg.powered}
                 for leg in flown
             ],
         },
-    }  # fmt: skip
+    }
     return [head, vehicle, tip]
 
 
@@ -114,10 +126,10 @@ def _colour(*rgb: int) -> dict[str, Any]:
     return {"solidColor": {"color": {"rgba": [*rgb, 255]}}}
 
 
-def joined(flown: list[Leg]) -> Leg:
+def join_legs(flown: list[InertialLeg]) -> InertialLeg:
     """Join legs into one flight with one sample of each time; about a jump the last, and the first before it."""
     time = np.concatenate([leg.time for leg in flown])
-    told, kept = apart(time)
+    told, kept = separate_jumps(time)
     found = {
         name: np.concatenate([getattr(leg, name) for leg in flown], axis=1)[:, kept]
         for name in ("position", "velocity", "push", "push_rate")
@@ -126,7 +138,7 @@ def joined(flown: list[Leg]) -> Leg:
     return replace(flown[0], time=told[kept], **found)
 
 
-def _rows(time: Vector, *values: Matrix) -> list[float]:
+def _interleaved_samples(time: Vector, *values: Matrix) -> list[float]:
     """Interleave time and values of each sample in one list."""
     return np.concatenate([time[None], *values]).T.ravel().tolist()
 
@@ -136,7 +148,7 @@ def _smooth(time: Vector) -> list[np.ndarray]:
     return np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) < 1.5 * JUMP) + 1)
 
 
-def attitudes(flight: Leg) -> list[float]:
+def attitudes(flight: InertialLeg) -> list[float]:
     """Return time and quaternion (x, y, z, w) from the axes of the vehicle to those of the body, for each sample."""
     size = np.linalg.norm(flight.push, axis=0)
     x, before, last, rows = flight.velocity[:, np.argmax(size > 0)], None, np.zeros(4), []
@@ -145,7 +157,7 @@ def attitudes(flight: Leg) -> list[float]:
         time, along = flight.time[on], (flight.push[:, on] / size[on]).T
         for i in _thinned(time, along) if len(on) else ():
             z = along[i]
-            x = _beside(x if before is None else _turned(x, before, z), z)
+            x = _perpendicular_unit(x if before is None else _parallel_transport(x, before, z), z)
             quaternion = _quaternion(np.column_stack([x, np.cross(z, x), z]))
             before, last = z, quaternion if quaternion @ last >= 0 else -quaternion
             rows += [float(time[i]), *last.tolist()]
@@ -160,10 +172,10 @@ def _thinned(time: Vector, along: Matrix) -> list[int]:
         if b <= a + 1:
             continue
         part = ((time[a + 1 : b] - time[a]) / (time[b] - time[a]))[:, None]
-        half_turns = _angle(along[a], along[b]) / np.pi
+        half_turns = _angle_between(along[a], along[b]) / np.pi
         met = (1 - part) * np.sinc((1 - part) * half_turns) * along[a] + part * np.sinc(part * half_turns) * along[b]
         length = np.maximum(np.linalg.norm(met, axis=1), np.finfo(float).tiny)  # half-way to the opposite it is none
-        off = _angle(met / length[:, None], along[a + 1 : b])
+        off = _angle_between(met / length[:, None], along[a + 1 : b])
         if off.max() > 0.5 * _TURNED:
             worst = a + 1 + int(np.argmax(off))
             kept.add(worst)
@@ -171,12 +183,12 @@ def _thinned(time: Vector, along: Matrix) -> list[int]:
     return sorted(kept)
 
 
-def _angle(one: np.ndarray, other: np.ndarray) -> Any:
+def _angle_between(one: np.ndarray, other: np.ndarray) -> Any:
     """Return the angle between unit vectors along the last axis of both [rad]."""
     return 2 * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(one - other, axis=-1)))
 
 
-def _turned(vector: Vector, before: Vector, behind: Vector) -> Vector:
+def _parallel_transport(vector: Vector, before: Vector, behind: Vector) -> Vector:
     """Rotate a vector by the smallest rotation that brings one direction to another."""
     axis, cosine = np.cross(before, behind), before @ behind
     if cosine < 1e-9 - 1:  # about any axis, that of the vector too
@@ -185,7 +197,7 @@ def _turned(vector: Vector, before: Vector, behind: Vector) -> Vector:
     return vector + across + np.cross(axis, across) / (1 + cosine)
 
 
-def _beside(vector: np.ndarray, axis: np.ndarray) -> np.ndarray:
+def _perpendicular_unit(vector: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Return the unit vector at right angles to an axis that is nearest to a vector."""
     axis = axis / np.linalg.norm(axis)
     for start in (vector, np.eye(3)[np.argmin(np.abs(axis))]):

@@ -12,7 +12,7 @@ from perilune.words.outcome import PeriluneError
 TICK = 1e-6  # s
 
 
-def epoch_of(solution: Solution, stated: str | datetime | None) -> datetime | None:
+def flight_epoch(solution: Solution, stated: str | datetime | None) -> datetime | None:
     """Return UTC at the begin of the flight: the stated epoch, else the problem's, else None.
 
     Raises
@@ -39,14 +39,14 @@ def epoch_of(solution: Solution, stated: str | datetime | None) -> datetime | No
 
 
 def needed_epoch(solution: Solution, stated: str | datetime | None, form: str) -> datetime:
-    """Return the epoch as `epoch_of` does, for a format that needs one.
+    """Return the epoch as `flight_epoch` does, for a format that needs one.
 
     Raises
     ------
     PeriluneError
         If there is none.
     """
-    found = epoch_of(solution, stated)
+    found = flight_epoch(solution, stated)
     if found is None:
         raise PeriluneError(
             f"{form} needs the time at which the flight begins, and {solution.problem.name} states none",
@@ -66,7 +66,7 @@ def stamp_of_tick(epoch: datetime, seconds: float) -> str:
     return utc_after(epoch, 1000 * round(seconds / TICK))[:-3]
 
 
-def leap_seconds_told(epoch: datetime, seconds: float) -> str:
+def leap_seconds_sentence(epoch: datetime, seconds: float) -> str:
     """Return a sentence on the known leap seconds within so many seconds after the epoch."""
     days = leap_seconds_within(epoch, seconds)
     if not days:

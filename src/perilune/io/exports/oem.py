@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from perilune.io.columns import nodes
-from perilune.io.exports.epochs import TICK, leap_seconds_told, stamp_of_tick
-from perilune.io.exports.path import Leg, legs, space_of
+from perilune.io.columns import node_times
+from perilune.io.exports.epochs import TICK, leap_seconds_sentence, stamp_of_tick
+from perilune.io.exports.path import InertialLeg, legs, space_of
 from perilune.io.format import hash_of
-from perilune.models.orientation import axes_in_space, told_orientation
+from perilune.models.orientation import axes_in_space, describe_orientation
 from perilune.problem.solution import Solution
 from perilune.words.bounded import one_line
 from perilune.words.outcome import PeriluneError
@@ -44,7 +44,7 @@ def write_oem(
     solution, about, epoch, path
         What is written, words about it, UTC at its begin, and the file.
     object_name, object_id
-        As `demand_object` allows; the name of the problem and `UNNAMED` if None.
+        As `require_object_name` allows; the name of the problem and `UNNAMED` if None.
 
     Raises
     ------
@@ -54,15 +54,18 @@ def write_oem(
     body = space_of(solution, NAME).body.lower()
     matrix = axes_in_space(body, epoch)
     flown = [leg.turned(matrix) for leg in legs(solution, tick=TICK)]
-    called = object_name or _plain(solution.problem.name)[:_NAMED], object_id or UNNAMED
-    lines = ["CCSDS_OEM_VERS = 2.0", *_comments(_told(solution, about, body, epoch, max(leg.lost for leg in flown)))]
+    called = object_name or _ascii_line(solution.problem.name)[:_NAMED], object_id or UNNAMED
+    lines = [
+        "CCSDS_OEM_VERS = 2.0",
+        *_comments(_header_comments(solution, about, body, epoch, max(leg.lost for leg in flown))),
+    ]
     lines += [f"CREATION_DATE = {datetime.now(UTC):%Y-%m-%dT%H:%M:%S}", "ORIGINATOR = PERILUNE", ""]
     for leg in flown:
         lines += _segment(leg, called, body, epoch, _mass_and_thrust(solution, leg.phase))
     path.write_text("\n".join(lines), encoding="ascii", newline="\n")
 
 
-def demand_object(text: str, keyword: str) -> None:
+def require_object_name(text: str, keyword: str) -> None:
     """Refuse a text that cannot be the OBJECT_NAME or OBJECT_ID of a message.
 
     Raises
@@ -80,7 +83,9 @@ def demand_object(text: str, keyword: str) -> None:
         )  # fmt: skip
 
 
-def _told(solution: Solution, about: Mapping[str, str], body: str, epoch: datetime, lost: float) -> Iterator[str]:
+def _header_comments(
+    solution: Solution, about: Mapping[str, str], body: str, epoch: datetime, lost: float
+) -> Iterator[str]:
     yield about["title"]
     yield about["source"]
     yield f"method {about['method']}; proof: {about['proof']}; J = {about['objective']}"
@@ -91,10 +96,10 @@ def _told(solution: Solution, about: Mapping[str, str], body: str, epoch: dateti
         yield space.chosen
     yield (
         "The model flies in inertial axes that are those of the body at the begin of the flight. Axes of the body in "
-        f"the ICRF at that time: {told_orientation(body, epoch)}."
+        f"the ICRF at that time: {describe_orientation(body, epoch)}."
     )
     yield f"Hermite interpolation of degree 3 between two lines loses at most {1e3 * lost:.1g} mm."
-    yield f"Times are UTC, to a microsecond. {leap_seconds_told(epoch, solution.duration)}"
+    yield f"Times are UTC, to a microsecond. {leap_seconds_sentence(epoch, solution.duration)}"
 
 
 def _mass_and_thrust(solution: Solution, name: str) -> list[str]:
@@ -104,7 +109,7 @@ def _mass_and_thrust(solution: Solution, name: str) -> list[str]:
     if len(masses) != 1:
         return []
     trajectory = solution.trajectories[k]
-    t = nodes(trajectory)
+    t = node_times(trajectory)
     mass = solution.flown(k, t)[0][masses[0]]
     thrust = mass * np.linalg.norm(solution.inertial(k, t)[2], axis=0)
     pushed = f"thrust from {thrust.min():.6g} to {thrust.max():.6g} N" if thrust.any() else "no thrust"
@@ -116,7 +121,7 @@ def _comments(texts: Iterator[str]) -> Iterator[str]:
     """Yield comments in lines of the standard's characters."""
     for text in texts:
         line = "COMMENT"
-        for word in _plain(text).split():
+        for word in _ascii_line(text).split():
             if len(line) + len(word) >= _WIDTH:
                 yield line
                 line = "COMMENT"
@@ -124,16 +129,16 @@ def _comments(texts: Iterator[str]) -> Iterator[str]:
         yield line
 
 
-def _plain(text: str) -> str:
+def _ascii_line(text: str) -> str:
     """Return a text as one line of the standard's characters, as names may have any."""
     return one_line(text.replace("Δ", "Delta "), most=10_000).encode("ascii", "replace").decode()
 
 
-def _segment(leg: Leg, called: tuple[str, str], body: str, epoch: datetime, remarks: list[str]) -> list[str]:
+def _segment(leg: InertialLeg, called: tuple[str, str], body: str, epoch: datetime, remarks: list[str]) -> list[str]:
     rows = zip(*(leg.position / 1e3).tolist(), *(leg.velocity / 1e3).tolist(), strict=True)
     stamps = [stamp_of_tick(epoch, float(t)) for t in leg.time]
     return [
-        "META_START", f"COMMENT phase {_plain(leg.phase)}", *remarks, f"OBJECT_NAME = {called[0]}",
+        "META_START", f"COMMENT phase {_ascii_line(leg.phase)}", *remarks, f"OBJECT_NAME = {called[0]}",
         f"OBJECT_ID = {called[1]}", f"CENTER_NAME = {body.upper()}", "REF_FRAME = ICRF", "TIME_SYSTEM = UTC",
         f"START_TIME = {stamps[0]}", f"STOP_TIME = {stamps[-1]}",
         "INTERPOLATION = HERMITE", "INTERPOLATION_DEGREE = 3", "META_STOP", "",

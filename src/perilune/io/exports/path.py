@@ -1,6 +1,6 @@
 """Path of a flight in space, at times so close that cubic Hermite interpolation is off by a millimetre at most.
 
-Axes are inertial, those of the body itself at the begin of the flight, or turn with the body (`Leg.turning`).
+Axes are inertial, those of the body itself at the begin of the flight, or turn with the body (`InertialLeg.turning`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from perilune.io.columns import sides
+from perilune.io.columns import times_around_switches
 from perilune.problem.solution import Solution
 from perilune.problem.views import Space
 from perilune.words.outcome import PeriluneError
@@ -22,7 +22,7 @@ _NEAR = 1e-3  # of the way to the next time, at which a rate is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
-class Leg:
+class InertialLeg:
     """Path of one phase in space.
 
     Parameters
@@ -50,12 +50,12 @@ class Leg:
         """Return True if there is thrust on it."""
         return bool(np.any(self.push))
 
-    def turned(self, matrix: Matrix) -> Leg:
+    def turned(self, matrix: Matrix) -> InertialLeg:
         """Return the leg in other axes that do not turn."""
         names = ("position", "velocity", "push", "push_rate")
         return replace(self, **{name: matrix @ getattr(self, name) for name in names})
 
-    def turning(self, rate: float) -> Leg:
+    def turning(self, rate: float) -> InertialLeg:
         """Return the leg in axes that turn about z at a rate [rad/s]; velocities and rates are relative to these."""
         sine, cosine = np.sin(rate * self.time), np.cos(rate * self.time)
 
@@ -71,7 +71,7 @@ class Leg:
         )  # fmt: skip
 
 
-def apart(time: Vector) -> tuple[Vector, np.ndarray]:
+def separate_jumps(time: Vector) -> tuple[Vector, np.ndarray]:
     """Space times by at least `JUMP`: of those about a jump keep the last, and the first moved that much before it.
 
     Returns
@@ -107,7 +107,7 @@ def space_of(solution: Solution, form: str) -> Space:
     return problem.views.space
 
 
-def legs(solution: Solution, bent: float | None = None, tick: float | None = None) -> list[Leg]:
+def legs(solution: Solution, bent: float | None = None, tick: float | None = None) -> list[InertialLeg]:
     """Return the phases in inertial axes; a phase of zero duration has none.
 
     Parameters
@@ -131,7 +131,7 @@ def legs(solution: Solution, bent: float | None = None, tick: float | None = Non
     for k, trajectory in enumerate(solution.trajectories):
         if trajectory.duration > 0:
             leg = _leg(solution, k, begin, bent)
-            leg = leg if tick is None else _ticking(leg, solution, k, begin, tick)
+            leg = leg if tick is None else _at_whole_ticks(leg, solution, k, begin, tick)
             found += [leg] if len(leg.time) > 1 else []
         begin += trajectory.duration
     if not found or not all(np.isfinite([leg.position, leg.velocity, leg.push]).all() for leg in found):
@@ -142,9 +142,9 @@ def legs(solution: Solution, bent: float | None = None, tick: float | None = Non
     return found
 
 
-def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> Leg:
+def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> InertialLeg:
     trajectory = solution.trajectories[k]
-    t = np.unique(trajectory.time) if bent is None else np.union1d(trajectory.time, sides(trajectory))
+    t = np.unique(trajectory.time) if bent is None else np.union1d(trajectory.time, times_around_switches(trajectory))
     for left in reversed(range(_HALVED)):
         r, v, push = solution.inertial(k, t)
         middle, width = 0.5 * (t[1:] + t[:-1]), np.diff(t)
@@ -152,17 +152,17 @@ def _leg(solution: Solution, k: int, begin: float, bent: float | None) -> Leg:
         lost = np.linalg.norm(between - solution.inertial(k, middle)[0], axis=0)
         bad = lost > LOST
         if bent is not None:
-            bad |= (width > JUMP) & (_bent(solution, k, t, push) > bent)
+            bad |= (width > JUMP) & (_thrust_interpolation_error(solution, k, t, push) > bent)
         if not bad.any() or not left:  # of what is no flight, as a guess, nothing is fine enough
             break
         t = np.union1d(t, middle[bad])
-    return Leg(
+    return InertialLeg(
         phase=solution.problem.phases[k].name, time=begin + t, position=r, velocity=v, push=push,
-        push_rate=_rates(solution, k, t, push), lost=float(lost.max()),
+        push_rate=_thrust_rates(solution, k, t, push), lost=float(lost.max()),
     )  # fmt: skip
 
 
-def _ticking(leg: Leg, solution: Solution, k: int, begin: float, tick: float) -> Leg:
+def _at_whole_ticks(leg: InertialLeg, solution: Solution, k: int, begin: float, tick: float) -> InertialLeg:
     """Return the leg at whole multiples of a tick, with the rate of thrust of the time before."""
     wholes, first = np.unique(np.round(leg.time / tick), return_index=True)
     duration = solution.trajectories[k].duration
@@ -177,7 +177,7 @@ def _ticking(leg: Leg, solution: Solution, k: int, begin: float, tick: float) ->
     )  # fmt: skip
 
 
-def _rates(solution: Solution, k: int, t: Vector, push: Matrix) -> Matrix:
+def _thrust_rates(solution: Solution, k: int, t: Vector, push: Matrix) -> Matrix:
     """Return the rates of thrust, by a difference ahead, or back from a time at which thrust jumps."""
     width = np.append(np.diff(t), 0.0)
     step = _NEAR * np.where(width > JUMP, width, -np.roll(width, 1))
@@ -185,7 +185,7 @@ def _rates(solution: Solution, k: int, t: Vector, push: Matrix) -> Matrix:
     return np.divide(moved, step, out=np.zeros_like(push), where=np.abs(step) > _NEAR * JUMP)
 
 
-def _bent(solution: Solution, k: int, t: Vector, push: Matrix) -> Vector:
+def _thrust_interpolation_error(solution: Solution, k: int, t: Vector, push: Matrix) -> Vector:
     """Return the relative error of linear interpolation of thrust between times, at two places, shape (n - 1,).
 
     A cubic with an error somewhere has one at one of these places, but not always in the middle.

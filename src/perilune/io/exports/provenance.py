@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from perilune.io.export import results, versions
+from perilune.io.export import program_versions, results_document
 from perilune.io.files import finite
 from perilune.io.reload import claims_of
 from perilune.problem.solution import Solution
@@ -31,14 +31,16 @@ def provenance(solution: Solution, scenario_text: str | None = None, document: A
     scenario, made_by = claims_of(document) if document is not None else ("", {})
     found = {
         "title": problem.heading,
-        "source": _program(made_by or versions()),
+        "source": _program(made_by or program_versions()),
         "method": solution.method,
         "outcome": solution.outcome.name,
         "proof": solution.verification.told,
         "objective": f"{float(solution.objective)!r} {problem.objective_unit}",
-        "free_parameters": _parameters({name: (value, problem.unit_of(name)) for name, value in solution.free.items()}),
-        "given_parameters": _parameters({name: (g.value, g.unit) for name, g in problem.given.items()}),
-        "results": _parameters({name: (r["value"], r["unit"]) for name, r in results(solution).items()}),
+        "free_parameters": _parameters_json(
+            {name: (value, problem.unit_of(name)) for name, value in solution.free.items()}
+        ),
+        "given_parameters": _parameters_json({name: (g.value, g.unit) for name, g in problem.given.items()}),
+        "results": _parameters_json({name: (r["value"], r["unit"]) for name, r in results_document(solution).items()}),
         "frame": views.frame,
         "chosen": views.space.chosen if views.space is not None else "",
         "body": views.space.body if views.space is not None else "",
@@ -52,6 +54,6 @@ def _program(found: Mapping[str, str]) -> str:
     return f"{own} ({', '.join(others)})"
 
 
-def _parameters(values: Mapping[str, tuple[float, str]]) -> str:
+def _parameters_json(values: Mapping[str, tuple[float, str]]) -> str:
     """Return JSON of values with their units."""
     return json.dumps(finite({name: [float(value), unit] for name, (value, unit) in values.items()}))

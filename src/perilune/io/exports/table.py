@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.io.columns import Column, columns, nodes
-from perilune.io.exports.path import apart
+from perilune.io.columns import Column, node_times, phase_columns
+from perilune.io.exports.path import separate_jumps
 from perilune.problem.solution import Solution
 from perilune.problem.views import Space
 from perilune.words.types import Vector
@@ -24,7 +24,7 @@ _AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Field:
+class FlightColumn:
     """Column of the table.
 
     Parameters
@@ -51,7 +51,7 @@ class FlightTable:
     time: Vector
     phase: np.ndarray
     phases: tuple[str, ...]
-    fields: tuple[Field, ...]
+    fields: tuple[FlightColumn, ...]
 
     @property
     def phase_names(self) -> np.ndarray:
@@ -71,23 +71,23 @@ def flight_table(solution: Solution, parted: bool = False) -> FlightTable:
     """
     begins = np.cumsum([0.0, *(trajectory.duration for trajectory in solution.trajectories[:-1])])
     times = [begin + trajectory.time for begin, trajectory in zip(begins, solution.trajectories, strict=True)]
-    looks = [nodes(trajectory) for trajectory in solution.trajectories]
+    looks = [node_times(trajectory) for trajectory in solution.trajectories]
     if parted:
-        times, looks = _parted(times, looks)
+        times, looks = _separated_times(times, looks)
     parts = []
     for k, look in enumerate(looks):
-        found = columns(solution, k, look) if len(look) else {}
+        found = phase_columns(solution, k, look) if len(look) else {}
         found.pop("time", None)
-        parts.append(found | {column.name: column for column in _in_space(solution, k, look)})
+        parts.append(found | {column.name: column for column in _inertial_columns(solution, k, look)})
     lengths = [len(time) for time in times]
-    told, placed = _told(solution), _placed(solution.problem.views.space)
+    told, placed = _column_descriptions(solution), _coordinate_kinds(solution.problem.views.space)
     names = {name: part[name].unit for part in parts for name in part}
     return FlightTable(
         time=np.concatenate(times),
         phase=np.repeat(np.arange(len(times), dtype=np.int8), lengths),
         phases=tuple(phase.name for phase in solution.problem.phases),
         fields=tuple(
-            Field(
+            FlightColumn(
                 name=name,
                 unit=unit,
                 about=told.get(name) or name.replace("_", " "),
@@ -102,13 +102,13 @@ def flight_table(solution: Solution, parted: bool = False) -> FlightTable:
     )  # fmt: skip
 
 
-def _parted(times: list[Vector], looks: list[Vector]) -> tuple[list[Vector], list[Vector]]:
+def _separated_times(times: list[Vector], looks: list[Vector]) -> tuple[list[Vector], list[Vector]]:
     """Return times of each phase at least a microsecond apart, and the times in it at which to evaluate it.
 
     Of those about a jump the last is kept, and the first moved that much before it.
     """
     whole, ends = np.concatenate(times), np.cumsum([len(time) for time in times])[:-1]
-    told, kept = apart(whole)
+    told, kept = separate_jumps(whole)
     look = np.where(told == whole, np.concatenate(looks), np.maximum(np.concatenate(looks) + (told - whole), 0.0))
     here = np.split(kept, ends)
 
@@ -118,7 +118,7 @@ def _parted(times: list[Vector], looks: list[Vector]) -> tuple[list[Vector], lis
     return rows(told), rows(look)
 
 
-def _in_space(solution: Solution, k: int, t: Vector) -> Iterator[Column]:
+def _inertial_columns(solution: Solution, k: int, t: Vector) -> Iterator[Column]:
     if solution.problem.phases[k].inertial is None or not len(t):
         return
     for stem, unit, rows in zip(("", "v", "thrust_"), ("m", "m/s", "m/s^2"), solution.inertial(k, t), strict=True):
@@ -126,7 +126,7 @@ def _in_space(solution: Solution, k: int, t: Vector) -> Iterator[Column]:
             yield Column(name=f"inertial_{stem}{axis}", unit=unit, values=values)
 
 
-def _told(solution: Solution) -> dict[str, str]:
+def _column_descriptions(solution: Solution) -> dict[str, str]:
     """Return a description of each column."""
     phases = solution.problem.phases
     told = {"H": "Hamiltonian, minimised by the control"}
@@ -141,7 +141,7 @@ def _told(solution: Solution) -> dict[str, str]:
     return told
 
 
-def _placed(space: Space | None) -> dict[str, str]:
+def _coordinate_kinds(space: Space | None) -> dict[str, str]:
     if space is None:
         return {}
     names = {space.longitude: "longitude", space.latitude: "latitude", space.height: "height"}

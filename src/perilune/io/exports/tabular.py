@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perilune import __version__
-from perilune.io.columns import rounded
-from perilune.io.exports.epochs import leap_seconds_told, stamp
-from perilune.io.exports.table import Field, FlightTable
+from perilune.io.columns import round_degrees
+from perilune.io.exports.epochs import leap_seconds_sentence, stamp
+from perilune.io.exports.table import FlightColumn, FlightTable
 from perilune.models.time_scales import leap_seconds_within
 from perilune.words.outcome import PeriluneError
 
@@ -62,7 +62,7 @@ def write_csv(table: FlightTable, about: Mapping[str, str], epoch: datetime | No
         writer = csv.writer(file, lineterminator="\n")
         stamps = [] if epoch is None else [("utc", "", [stamp(epoch, float(t)) for t in table.time])]
         cells = [
-            (f.name, f.unit, [repr(rounded(v, f.unit)) if math.isfinite(v) else "" for v in f.values.tolist()])
+            (f.name, f.unit, [repr(round_degrees(v, f.unit)) if math.isfinite(v) else "" for v in f.values.tolist()])
             for f in table.fields
         ]
         shown = [
@@ -107,7 +107,7 @@ def write_netcdf(table: FlightTable, about: Mapping[str, str], epoch: datetime |
         for name, text in _file_attributes(table, about, epoch).items():
             setattr(file, name, text.encode())
         file.createDimension(_DIMENSION, len(table.time))
-        for name, (values, attributes) in _variables(table, epoch).items():
+        for name, (values, attributes) in _netcdf_variables(table, epoch).items():
             dimensions = (_DIMENSION,)
             if values.dtype.kind == "S":
                 values, dimensions = np.frombuffer(values.tobytes(), dtype="S1"), ("name_length",)
@@ -126,7 +126,7 @@ def dataset_of(table: FlightTable, about: Mapping[str, str], epoch: datetime | N
         raise missing_package("a data set of xarray", "xarray") from None
     variables = {
         name: xarray.Variable((_DIMENSION,) if values.ndim else (), values, attributes)
-        for name, (values, attributes) in _variables(table, epoch).items()
+        for name, (values, attributes) in _netcdf_variables(table, epoch).items()
     }
     found = xarray.Dataset(variables, attrs=_file_attributes(table, about, epoch)).set_coords("phase")
     return xarray.decode_cf(found)
@@ -166,7 +166,7 @@ def _file_attributes(table: FlightTable, about: Mapping[str, str], epoch: dateti
     }
 
 
-def _variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np.ndarray, dict[str, Any]]]:
+def _netcdf_variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np.ndarray, dict[str, Any]]]:
     """Return values and attributes of each variable."""
     time: dict[str, Any] = {"units": "s", "long_name": _TIME}
     if epoch is not None:
@@ -174,26 +174,25 @@ def _variables(table: FlightTable, epoch: datetime | None) -> dict[str, tuple[np
         time = {"standard_name": "time", "long_name": "UTC", "units": since, "calendar": "standard"}
         if leap_seconds_within(epoch, float(table.time[-1])):
             # No calendar that readers know has leap seconds; lengths of time are right, dates behind the leap are not.
-            late = (
-                f"{leap_seconds_told(epoch, float(table.time[-1]))} It is counted here, and dates behind it are late."
-            )
+            late = f"{leap_seconds_sentence(epoch, float(table.time[-1]))} It is counted here, and dates behind it are late."
             time |= {"long_name": "UTC until a leap second", "units_metadata": "leap_seconds: none", "comment": late}
         else:
             time["units_metadata"] = "leap_seconds: utc"
     phase = {
-        "long_name": "phase of the flight", "flag_meanings": " ".join(table.phases),
+        "long_name": "phase of the flight",
+        "flag_meanings": " ".join(table.phases),
         "flag_values": np.arange(len(table.phases), dtype=np.int8),
-    }  # fmt: skip
+    }
     found = {"time": (table.time, time), "phase": (table.phase, phase)}
     places = [f.name for f in table.fields if f.placed]
     if _is_geometry(table, epoch):
         found[_TRAJECTORY] = (np.array(b"flight"), {"cf_role": "trajectory_id", "long_name": "name of the flight"})
     for f in table.fields:
-        found[f.name] = (f.values, _attributes(f, places))
+        found[f.name] = (f.values, _netcdf_attributes(f, places))
     return found
 
 
-def _attributes(f: Field, places: list[str]) -> dict[str, Any]:
+def _netcdf_attributes(f: FlightColumn, places: list[str]) -> dict[str, Any]:
     found: dict[str, Any] = {"units": cf_unit(f.unit), "long_name": f.about, **_PLACES.get(f.placed, {})}
     if not np.isfinite(f.values).all():
         found["_FillValue"] = np.float64(np.nan)

@@ -8,12 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from perilune.io.exports.epochs import epoch_of, needed_epoch
+from perilune.io.exports.epochs import flight_epoch, needed_epoch
 from perilune.io.exports.formats import ENDINGS, format_of
 from perilune.io.exports.provenance import provenance
 from perilune.io.files import fresh_file, new_file
 from perilune.problem.solution import Solution
-from perilune.words.asked import called_in_words, demand, refused
+from perilune.words.asked import check_call, require_type, wrong_type_error
 from perilune.words.outcome import PeriluneError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ FORMATS = tuple(ENDINGS)
 _TIMED = {"oem": "an orbit ephemeris message (OEM)", "czml": "CZML"}  # that have no times without an epoch
 
 
-@called_in_words
+@check_call
 def export(
     solution: Solution,
     file: str | Path,
@@ -70,14 +70,16 @@ def export(
         is named in a way that the format cannot have, the file is there already or cannot be written, or a package is
         not installed.
     """
-    demand(solution, Solution, "a solution to export", "perilune.load(DIR) reads one that was saved")
+    require_type(solution, Solution, "a solution to export", "perilune.load(DIR) reads one that was saved")
     if not isinstance(scenario_text, str | None):
-        raise refused(scenario_text, "a text, or None for a problem in Python", "the text of a scenario")
+        raise wrong_type_error(scenario_text, "a text, or None for a problem in Python", "the text of a scenario")
     about = provenance(solution, scenario_text)
-    return write(solution, file, format, about, epoch=epoch, object_name=object_name, object_id=object_id, force=force)
+    return write_export(
+        solution, file, format, about, epoch=epoch, object_name=object_name, object_id=object_id, force=force
+    )
 
 
-def write(
+def write_export(
     solution: Solution,
     file: str | Path,
     format: str | None,
@@ -89,15 +91,15 @@ def write(
     force: bool = False,
 ) -> Path:
     """Write a solution as `export` does, with given texts on its origin (`perilune.io.exports.provenance`)."""
-    path, format = placed(file, format, force)
-    named = demand_named(format, object_name, object_id)
+    path, format = export_target(file, format, force)
+    named = require_object(format, object_name, object_id)
     found = needed_epoch(solution, epoch, _TIMED[format]) if format in _TIMED else None
     with fresh_file(path, "the export") as beside:
-        _writer(format, named)(solution, about, found or epoch_of(solution, epoch), beside)
+        _writer(format, named)(solution, about, found or flight_epoch(solution, epoch), beside)
     return path
 
 
-def placed(file: str | Path, format: str | None, force: bool) -> tuple[Path, str]:
+def export_target(file: str | Path, format: str | None, force: bool) -> tuple[Path, str]:
     """Return the file as a path, and its format; refuse an unknown format, or a file that must not be replaced.
 
     Parameters
@@ -111,7 +113,7 @@ def placed(file: str | Path, format: str | None, force: bool) -> tuple[Path, str
     return path, format_of(path, format, FORMATS)
 
 
-def demand_named(format: str, object_name: str | None, object_id: str | None) -> dict[str, str | None]:
+def require_object(format: str, object_name: str | None, object_id: str | None) -> dict[str, str | None]:
     """Return the names of the object by their keywords; refuse a format without them, and names it does not allow."""
     named = {"object_name": object_name, "object_id": object_id}
     asked = {name: text for name, text in named.items() if text is not None}
@@ -120,9 +122,9 @@ def demand_named(format: str, object_name: str | None, object_id: str | None) ->
             f"{format} has no place for {' and '.join(asked)}", expected="oem, which has", advice="leave it out"
         )
     for name, text in asked.items():
-        from perilune.io.exports.oem import demand_object
+        from perilune.io.exports.oem import require_object_name
 
-        demand_object(text, name.upper())
+        require_object_name(text, name.upper())
     return named
 
 
@@ -162,8 +164,8 @@ def to_xarray(solution: Solution, *, epoch: str | datetime | None = None) -> xar
     from perilune.io.exports.table import flight_table
     from perilune.io.exports.tabular import dataset_of
 
-    demand(solution, Solution, "a solution to export")
-    return dataset_of(flight_table(solution, parted=True), provenance(solution), epoch_of(solution, epoch))
+    require_type(solution, Solution, "a solution to export")
+    return dataset_of(flight_table(solution, parted=True), provenance(solution), flight_epoch(solution, epoch))
 
 
 def to_dataframe(solution: Solution) -> pandas.DataFrame:
@@ -177,5 +179,5 @@ def to_dataframe(solution: Solution) -> pandas.DataFrame:
     from perilune.io.exports.table import flight_table
     from perilune.io.exports.tabular import frame_of
 
-    demand(solution, Solution, "a solution to export")
+    require_type(solution, Solution, "a solution to export")
     return frame_of(flight_table(solution), provenance(solution))

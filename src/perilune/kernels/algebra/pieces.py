@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from perilune.kernels.algebra.program import PLAIN, Instruction, Program, operands
+from perilune.kernels.algebra.program import PLAIN, Instruction, Program, instruction_operands
 
 #: Instructions in a piece.
 MOST = 2000
@@ -36,7 +36,7 @@ class Piece:
     kept: Mapping[int, int]
 
 
-def pieces(program: Program) -> tuple[list[Piece], int]:
+def split_program(program: Program) -> tuple[list[Piece], int]:
     """Divide a program.
 
     Returns
@@ -48,14 +48,14 @@ def pieces(program: Program) -> tuple[list[Piece], int]:
     count = len(program.instructions)
     number = max(-(-count // MOST), 1)
     length = -(-count // number)
-    last = {used: n // length for n, one in enumerate(program.instructions) for used in operands(one)}
+    last = {used: n // length for n, one in enumerate(program.instructions) for used in instruction_operands(one)}
     wanted: dict[int, list[int]] = {}
     for index, n in enumerate(program.outputs):
         wanted.setdefault(n, []).append(index)
     found, free, held = list[Piece](), list[int](), 0
     place: dict[int, int] = {}  # among what is held
     for k in range(number):
-        inside = _Inside(program, place)
+        inside = _PieceBuilder(program, place)
         results, kept = dict[int, int](), dict[int, int]()
         for n in range(k * length, min((k + 1) * length, count)):
             computed = program.instructions[n][0] not in PLAIN
@@ -73,7 +73,7 @@ def pieces(program: Program) -> tuple[list[Piece], int]:
     return found, held
 
 
-class _Inside:
+class _PieceBuilder:
     """The instructions of a piece in the making."""
 
     def __init__(self, program: Program, place: Mapping[int, int]) -> None:
@@ -91,7 +91,7 @@ class _Inside:
     def compute(self, n: int) -> None:
         """Append an operation of the program."""
         one = self._program.instructions[n]
-        self._add(n, (one[0], *map(self.at, operands(one))))
+        self._add(n, (one[0], *map(self.at, instruction_operands(one))))
 
     def _add(self, n: int, instruction: Instruction) -> None:
         self._at[n] = len(self.instructions)

@@ -181,7 +181,7 @@ def _casadi_names() -> dict[int, str]:
     return {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
 
 
-def trace(function: Any) -> Program:
+def trace_function(function: Any) -> Program:
     """Read an SX `casadi.Function` as a program.
 
     Parameters
@@ -236,25 +236,25 @@ def _simplify(program: Program) -> Program:
     divisors = Counter(op[2] for op in program.instructions if op[0] == "div")
     numbering = _Numbering(frozenset(number for number, uses in divisors.items() if uses > 1))
     place = numbering.rewrite(program)
-    return _live(Program(*with_tables(tuple(numbering.instructions), tuple(place[i] for i in program.outputs))))
+    return _drop_unused(Program(*with_tables(tuple(numbering.instructions), tuple(place[i] for i in program.outputs))))
 
 
-def operands(instruction: Instruction) -> tuple[int, ...]:
+def instruction_operands(instruction: Instruction) -> tuple[int, ...]:
     """Return the values that an instruction is computed from."""
     return () if instruction[0] in PLAIN else instruction[1:]
 
 
-def _live(program: Program) -> Program:
+def _drop_unused(program: Program) -> Program:
     needed = set(program.outputs)
     for number in range(len(program.instructions) - 1, -1, -1):
         if number in needed:
-            needed.update(operands(program.instructions[number]))
+            needed.update(instruction_operands(program.instructions[number]))
     place: dict[int, int] = {}
     kept: list[Instruction] = []
     for number, instruction in enumerate(program.instructions):
         if number in needed:
             place[number] = len(kept)
-            used = operands(instruction)
+            used = instruction_operands(instruction)
             kept.append((instruction[0], *(place[i] for i in used)) if used else instruction)
     return Program(tuple(kept), tuple(place[i] for i in program.outputs))
 
@@ -273,18 +273,18 @@ def hoist(program: Program, argument: int) -> tuple[Program, Program]:
         if instruction[0] == "input":
             alone.append(instruction[1] == argument)
         else:
-            of = operands(instruction)
+            of = instruction_operands(instruction)
             plain = all(alone[i] or program.instructions[i][0] in ("const", "table") for i in of)
             alone.append(plain and any(alone[i] for i in of))
     used = set(program.outputs)
     for number, instruction in enumerate(program.instructions):
         if not alone[number]:
-            used.update(operands(instruction))
+            used.update(instruction_operands(instruction))
     handed = [number for number in sorted(used) if alone[number]]
-    before = _live(Program(program.instructions, tuple(handed)))
+    before = _drop_unused(Program(program.instructions, tuple(handed)))
     position = {number: k for k, number in enumerate(handed)}
     body = tuple(
         ("input", argument, position[number]) if number in position else instruction
         for number, instruction in enumerate(program.instructions)
     )
-    return before, _live(Program(body, program.outputs))
+    return before, _drop_unused(Program(body, program.outputs))

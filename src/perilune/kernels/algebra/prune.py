@@ -70,7 +70,7 @@ def prune(rhs: Any, outputs: Iterable[int] | Sequence[Any], *, fixed: Mapping[in
             advice="fix only what has rate zero",
         )
     needs = _dependence(rate, z)
-    wanted = _wanted(outputs, z, p)
+    wanted = _output_entries(outputs, z, p)
     while True:
         grown = wanted.union(*(needs[i] for i in wanted))
         if grown == wanted:
@@ -97,7 +97,7 @@ def _dependence(rate: Any, z: Any) -> list[set[int]]:
     return found
 
 
-def _wanted(outputs: Iterable[Any], z: Any, p: Any) -> set[int]:
+def _output_entries(outputs: Iterable[Any], z: Any, p: Any) -> set[int]:
     import casadi as ca
 
     wanted: set[int] = set()

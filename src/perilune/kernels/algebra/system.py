@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.kernels.algebra.program import Program, trace
+from perilune.kernels.algebra.program import Program, trace_function
 from perilune.words.outcome import PeriluneError
 
 
@@ -152,12 +152,12 @@ class ArcSystem:
         """Digest of the expressions: equal for equal traced systems."""
         digest = hashlib.sha256()
         for function in (*self.modes, *self.solved):
-            digest.update(_text(function))
+            digest.update(_serialise_function(function))
         for event in self.events:
             ways = sorted(event.switches.items()), sorted(event.levels.items())
             digest.update(repr((event.direction, event.terminal, event.steady, *ways)).encode())
             for function in (event.function, event.jump):
-                digest.update(_text(function))
+                digest.update(_serialise_function(function))
         digest.update(repr(self.seeds.shape).encode() + self.seeds.tobytes())
         return digest.hexdigest()
 
@@ -171,10 +171,10 @@ class ArcSystem:
         while True:
             grown = pattern
             for mode in self.modes:
-                grown = _closed(grown, _jacobian(mode).sparsity())
+                grown = _fill_in_pattern(grown, _rate_jacobian(mode).sparsity())
             for event, before in self.carried:
                 slope, change, gradient = self._saltation(event, before)[2]
-                grown = _closed(grown, (slope + ca.mtimes(change, gradient)).sparsity())
+                grown = _fill_in_pattern(grown, (slope + ca.mtimes(change, gradient)).sparsity())
             if grown.nnz() == pattern.nnz():
                 return pattern
             pattern = grown
@@ -304,21 +304,21 @@ class ArcSystem:
     # --------------------------------------------------------------------------------------------------
     def field_program(self, mode: int) -> Program:
         """Return the shorter form of the field: reading both would give the same in three times the time."""
-        return trace(min(self.field(mode), key=lambda form: form.n_instructions()))
+        return trace_function(min(self.field(mode), key=lambda form: form.n_instructions()))
 
 
-def _text(function: Any) -> bytes:
+def _serialise_function(function: Any) -> bytes:
     return function.serialize().encode() if function is not None else b"none"
 
 
-def _jacobian(function: Any) -> Any:
+def _rate_jacobian(function: Any) -> Any:
     import casadi as ca
 
     z, p = ca.SX.sym("z", function.size1_in(0)), ca.SX.sym("p", function.size1_in(1))
     return ca.jacobian(function(z, p), z)
 
 
-def _closed(pattern: Any, factor: Any) -> Any:
+def _fill_in_pattern(pattern: Any, factor: Any) -> Any:
     """Return the pattern of S + factor S."""
     import casadi as ca
 

@@ -17,7 +17,7 @@ _LEAST = 4  # knots of a table that is read; of fewer the choices cost less
 
 
 @dataclass(frozen=True)
-class _Chain:
+class _ChoiceChain:
     """Values between knots of x, one more than these."""
 
     x: int
@@ -25,16 +25,16 @@ class _Chain:
     values: tuple[float, ...]
 
 
-class _Chains:
+class _ChoiceChains:
     """The values of a program that are chains, in order of computation."""
 
     def __init__(self, instructions: tuple[Instruction, ...]) -> None:
-        self._of, self.found = instructions, dict[int, _Chain]()
+        self._of, self.found = instructions, dict[int, _ChoiceChain]()
         for number in range(len(instructions)):
             if (chain := self._chain(number)) is not None:
                 self.found[number] = chain
 
-    def _chain(self, number: int) -> _Chain | None:
+    def _chain(self, number: int) -> _ChoiceChain | None:
         """Return the chain of an ``if condition: yes, else no``, of which CasADi leaves out what is 0; None if none."""
         op, *operands = self._of[number]
         parts = operands if op == "add" else [number] if op == "if_else_zero" else []
@@ -51,7 +51,7 @@ class _Chains:
         number_there = self._number(yes[condition]) if yes else 0.0
         return self._longer(condition, number_there, no.get(condition))
 
-    def _longer(self, condition: int, value: float | None, before: int | None) -> _Chain | None:
+    def _longer(self, condition: int, value: float | None, before: int | None) -> _ChoiceChain | None:
         """Return the chain of what is chosen before, with a number from a knot on; None where it is none."""
         op, *operands = self._of[condition]
         if op != "le" or value is None:
@@ -60,11 +60,11 @@ class _Chains:
         if knot is None:
             return None
         if start is not None:
-            return _Chain(x, (knot,), (start, value))
+            return _ChoiceChain(x, (knot,), (start, value))
         known = None if before is None else self.found.get(before)
         if known is None or known.x != x or not known.knots[-1] < knot:
             return None
-        return _Chain(x, (*known.knots, knot), (*known.values, value))
+        return _ChoiceChain(x, (*known.knots, knot), (*known.values, value))
 
     def _number(self, number: int) -> float | None:
         instruction = self._of[number]
@@ -75,7 +75,7 @@ def with_tables(
     program: tuple[Instruction, ...], outputs: tuple[int, ...]
 ) -> tuple[tuple[Instruction, ...], tuple[int, ...]]:
     """Return instructions and outputs of a program with long chains read off tables, and without their parts."""
-    chains = {n: c for n, c in _Chains(program).found.items() if len(c.knots) >= _LEAST}
+    chains = {n: c for n, c in _ChoiceChains(program).found.items() if len(c.knots) >= _LEAST}
     if not chains:
         return program, outputs
     instructions, place = list[Instruction](), dict[int, int]()
@@ -87,7 +87,7 @@ def with_tables(
             instructions.append(("table", tuple(value.hex() for value in values)))
         return known[values]
 
-    for number in _used(program, outputs, chains):
+    for number in _used_after_tables(program, outputs, chains):
         instruction = program[number]
         if (chain := chains.get(number)) is not None:
             at = table(chain.knots), table(tuple(value + 0.0 for value in chain.values))
@@ -99,7 +99,9 @@ def with_tables(
     return tuple(instructions), tuple(place[i] for i in outputs)
 
 
-def _used(program: tuple[Instruction, ...], outputs: tuple[int, ...], chains: Mapping[int, _Chain]) -> list[int]:
+def _used_after_tables(
+    program: tuple[Instruction, ...], outputs: tuple[int, ...], chains: Mapping[int, _ChoiceChain]
+) -> list[int]:
     """Return the values in use once chains are read off tables: of all that a chain is made of only x."""
     used = set(outputs)
     for number in reversed(range(len(program))):

@@ -67,7 +67,7 @@ def source_digest() -> str:
     return digest.hexdigest()
 
 
-def key(*parts: str) -> str:
+def object_key(*parts: str) -> str:
     """Return the digest of everything an object depends on."""
     digest = hashlib.sha256()
     for part in (source_digest(), *parts):
@@ -75,21 +75,21 @@ def key(*parts: str) -> str:
     return digest.hexdigest()
 
 
-def load(name: str) -> bytes | None:
+def load_object(name: str) -> bytes | None:
     """Return the object of a key, or None; a file that is not what was written is removed."""
     folder = directory()
     if folder is None:
         return None
     path = folder / (name + _SUFFIX)
     try:
-        if not _owned(folder) or not _owned(path):
+        if not _is_private_to_user(folder) or not _is_private_to_user(path):
             return None
         content = path.read_bytes()
     except OSError:
         return None
     body = content[len(_HEADER) + 32 :]
     # The name is in the digest: a file copied to another's name is foreign, whole though it is.
-    if content.startswith(_HEADER) and content[len(_HEADER) : len(_HEADER) + 32] == _digest(name, body):
+    if content.startswith(_HEADER) and content[len(_HEADER) : len(_HEADER) + 32] == _object_digest(name, body):
         with suppress(OSError):
             os.utime(path)  # it is in use
         return body
@@ -98,13 +98,13 @@ def load(name: str) -> bytes | None:
     return None
 
 
-def kept(name: str) -> bool:
+def is_cached(name: str) -> bool:
     """Return True if the object of a key is on disk; whether it is whole shows when it is loaded."""
     folder = directory()
     return folder is not None and (folder / (name + _SUFFIX)).is_file()
 
 
-def save(name: str, body: bytes) -> bool:
+def store_object(name: str, body: bytes) -> bool:
     """Keep an object; returns False where there is no directory that can be written, which is no error."""
     folder = directory()
     if folder is None:
@@ -114,7 +114,7 @@ def save(name: str, body: bytes) -> bool:
         handle, temporary = tempfile.mkstemp(dir=folder, suffix=_PART)
         try:
             with os.fdopen(handle, "wb") as file:
-                file.write(_HEADER + _digest(name, body) + body)
+                file.write(_HEADER + _object_digest(name, body) + body)
             os.replace(temporary, folder / (name + _SUFFIX))
         except BaseException:
             with suppress(OSError):
@@ -123,13 +123,13 @@ def save(name: str, body: bytes) -> bool:
         _new[0] += len(body)
         if _new[0] > _OFTEN * MOST_BYTES:
             _new[0] = 0.0
-            _prune(folder)
+            _evict_oldest(folder)
     except OSError:
         return False
     return True
 
 
-def _prune(folder: Path) -> None:
+def _evict_oldest(folder: Path) -> None:
     """Remove what was not used for longest while there is too much, and what killed writers left."""
     files, parts = [], []
     with os.scandir(folder) as entries:
@@ -150,7 +150,7 @@ def _prune(folder: Path) -> None:
             os.unlink(path)
 
 
-def fetch(name: str, build: Callable[[], bytes], *, enabled: bool) -> bytes:
+def fetch_object(name: str, build: Callable[[], bytes], *, enabled: bool) -> bytes:
     """Return the object from disk, or build and keep it.
 
     Parameters
@@ -164,14 +164,14 @@ def fetch(name: str, build: Callable[[], bytes], *, enabled: bool) -> bytes:
     """
     if not enabled:
         return build()
-    body = load(name)
+    body = load_object(name)
     if body is None:
         body = build()
-        save(name, body)
+        store_object(name, body)
     return body
 
 
-def report() -> CacheReport:
+def report_cache() -> CacheReport:
     """Return the state of the cache."""
     folder = directory()
     if folder is None:
@@ -182,11 +182,13 @@ def report() -> CacheReport:
         path=folder,
         files=len(files),
         size=sum(f.stat().st_size for f in files),
-        usable=existing.is_dir() and os.access(existing, os.W_OK) and (not folder.exists() or _owned(folder)),
+        usable=existing.is_dir()
+        and os.access(existing, os.W_OK)
+        and (not folder.exists() or _is_private_to_user(folder)),
     )
 
 
-def clear() -> int:
+def clear_cache() -> int:
     """Remove every object and every leftover of a killed writer; returns how many."""
     folder, removed = directory(), 0
     if folder is None:
@@ -198,11 +200,11 @@ def clear() -> int:
     return removed
 
 
-def _digest(name: str, body: bytes) -> bytes:
+def _object_digest(name: str, body: bytes) -> bytes:
     return hashlib.sha256(name.encode() + b"\n" + body).digest()
 
 
-def _owned(path: Path) -> bool:
+def _is_private_to_user(path: Path) -> bool:
     """Return True if nobody but this user could have written it (where the operating system says)."""
     if not hasattr(os, "getuid"):
         return True

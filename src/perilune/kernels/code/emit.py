@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence, Set
 
-from perilune.kernels.algebra.pieces import HELD, Piece, pieces
+from perilune.kernels.algebra.pieces import HELD, Piece, split_program
 from perilune.kernels.algebra.program import Instruction, Program
 from perilune.kernels.code import vecmath
 from perilune.kernels.code.ir import NUM, Bits, Mask, Num, Ptr, Vec, Writer
@@ -19,7 +19,7 @@ _RECENT = 20  # operations for which an input read stays in a register; 12 to 32
 _COMPARISONS = {"lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 
 
-def kernel(name: str, program: Program, arguments: Iterable[int], width: int, *, cleared: bool = False) -> str:
+def emit_kernel(name: str, program: Program, arguments: Iterable[int], width: int, *, cleared: bool = False) -> str:
     """Return the IR of ``void name(inputs..., result)``, each a pointer to vectors of `width` lanes.
 
     Parameters
@@ -37,7 +37,7 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int, *,
     """
     zero = ("const", (0.0).hex())
     left = {index for index, n in enumerate(program.outputs) if cleared and program.instructions[n] == zero}
-    parts, held = pieces(program)
+    parts, held = split_program(program)
     if len(parts) == 1:
         return _function(name, parts[0], [*arguments], width, left)
     w, taken = Writer(width), [*arguments]
@@ -46,7 +46,7 @@ def kernel(name: str, program: Program, arguments: Iterable[int], width: int, *,
     for number, part in enumerate(parts):
         functions.append(_function(f"{name}.{number}", part, [*taken, HELD], width, left))
         w.run(f"call void @{name}.{number}({passed})")
-    return "\n".join([*functions, _defined(name, taken, w)])
+    return "\n".join([*functions, _define_body(name, taken, w)])
 
 
 def _function(name: str, piece: Piece, arguments: list[int], width: int, left: Set[int]) -> str:
@@ -78,10 +78,10 @@ def _function(name: str, piece: Piece, arguments: list[int], width: int, left: S
         for pointer, index in places.get(number, ()):
             w.store(names.get(number) or fetch(number, number), Ptr(pointer, w.vector), index)
     constants = [w.constant(at, map(float.fromhex, piece.instructions[n][1])) for n, at in tables.items()]
-    return "".join([*constants, _defined(name, arguments, w)])
+    return "".join([*constants, _define_body(name, arguments, w)])
 
 
-def _defined(name: str, arguments: list[int], w: Writer) -> str:
+def _define_body(name: str, arguments: list[int], w: Writer) -> str:
     """Define a function of a body, its buffers distinct from each other but for what is held, read and written."""
     pointers = [f"ptr noalias nocapture {'' if i == HELD else 'readonly '}align 8 {_argument(i)}" for i in arguments]
     result = "ptr noalias nocapture writeonly align 8 %out"
@@ -129,7 +129,7 @@ def operation(w: Writer, op: str, *operands: Vec) -> Vec:
     if op == "neg":
         return w.neg(*operands)
     if op in _COMPARISONS:
-        return _number(w, w.compare(_COMPARISONS[op], *operands))
+        return _mask_as_number(w, w.compare(_COMPARISONS[op], *operands))
     if op in vecmath.NAMES:
         return vecmath.call(w, op, *operands)
     return _logic(w, op, *operands)
@@ -140,11 +140,11 @@ def _logic(w: Writer, op: str, *operands: Vec) -> Vec:
     true = [w.compare("une", x, zero) for x in operands]
     match op:
         case "not":
-            return _number(w, w.compare("oeq", operands[0], zero))
+            return _mask_as_number(w, w.compare("oeq", operands[0], zero))
         case "and":
-            return _number(w, w.both(*true))
+            return _mask_as_number(w, w.both(*true))
         case "or":
-            return _number(w, w.either(*true))
+            return _mask_as_number(w, w.either(*true))
         case "if_else_zero":
             return w.select(true[0], operands[1], zero)
         case "sign":
@@ -158,5 +158,5 @@ def _logic(w: Writer, op: str, *operands: Vec) -> Vec:
     raise KeyError(op)
 
 
-def _number(w: Writer, mask: Mask) -> Vec:
+def _mask_as_number(w: Writer, mask: Mask) -> Vec:
     return w.select(mask, w.const(1.0), w.const(0.0))

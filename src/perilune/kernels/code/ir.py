@@ -48,7 +48,7 @@ Index = Int | int
 
 
 @dataclass(frozen=True)
-class Kind(Generic[T]):
+class ValueKind(Generic[T]):
     """A type as LLVM writes it, the class that names its values, and the alignment in bytes that buffers keep."""
 
     text: str
@@ -59,15 +59,15 @@ class Kind(Generic[T]):
         return self.text
 
 
-NUM, INT, BIT = Kind("double", Num, 8), Kind("i64", Int, 8), Kind("i1", Bit, 1)
+NUM, INT, BIT = ValueKind("double", Num, 8), ValueKind("i64", Int, 8), ValueKind("i1", Bit, 1)
 
 
 class Ptr(str, Generic[T]):
     """The address of values of one kind."""
 
-    kind: Kind[T]
+    kind: ValueKind[T]
 
-    def __new__(cls, name: str, kind: Kind[T]) -> Ptr[T]:
+    def __new__(cls, name: str, kind: ValueKind[T]) -> Ptr[T]:
         """Name it."""
         pointer = super().__new__(cls, name)
         pointer.kind = kind
@@ -84,9 +84,9 @@ class Writer:
 
     def __init__(self, width: int) -> None:
         self.width = width
-        self.vector = Kind(f"<{width} x double>", Vec, 8 * width)
-        self.mask = Kind(f"<{width} x i1>", Mask, 1)
-        self.integers = Kind(f"<{width} x i64>", Bits, 8 * width)
+        self.vector = ValueKind(f"<{width} x double>", Vec, 8 * width)
+        self.mask = ValueKind(f"<{width} x i1>", Mask, 1)
+        self.integers = ValueKind(f"<{width} x i64>", Bits, 8 * width)
         self.lines: list[str] = []
         self.head: list[str] = []  # allocations, which belong at the entry of the function
         self._count = 0
@@ -98,7 +98,7 @@ class Writer:
         self._count += 1
         return f"{stem}{self._count}"
 
-    def let(self, kind: Kind[T], text: str) -> T:
+    def let(self, kind: ValueKind[T], text: str) -> T:
         """Append an instruction whose result is of a kind; returns its name."""
         name = f"%{self.fresh('v')}"
         self.lines.append(f"  {name} = {text}")
@@ -246,7 +246,7 @@ class Writer:
         """Select lane by lane, one or the other."""
         return self.let(self.vector, f"select {self.mask} {mask}, {self.vector} {yes}, {self.vector} {no}")
 
-    def choose(self, bit: Bit, kind: Kind[T], yes: T, no: T) -> T:
+    def choose(self, bit: Bit, kind: ValueKind[T], yes: T, no: T) -> T:
         """Return one or the other, in all lanes."""
         return self.let(kind, f"select i1 {bit}, {kind} {yes}, {kind} {no}")
 
@@ -282,7 +282,7 @@ class Writer:
 
     # -- memory
     # ------------------------------------------------------------------------------------------------
-    def allocate(self, kind: Kind[T], count: int) -> Ptr[T]:
+    def allocate(self, kind: ValueKind[T], count: int) -> Ptr[T]:
         """Allocate values for the duration of the function."""
         name = f"%{self.fresh('b')}"
         self.head.append(f"  {name} = alloca [{max(count, 1)} x {kind}], align 64")
@@ -292,9 +292,9 @@ class Writer:
         """Allocate vectors."""
         return self.allocate(self.vector, count)
 
-    def several(self, kind: Kind[T], count: Int) -> Ptr[T]:
+    def several(self, kind: ValueKind[T], count: Int) -> Ptr[T]:
         """Allocate values whose number only the function knows, outside of its loops."""
-        return Ptr(self.let(Kind("ptr", str, 8), f"alloca {kind}, i64 {count}, align 64"), kind)
+        return Ptr(self.let(ValueKind("ptr", str, 8), f"alloca {kind}, i64 {count}, align 64"), kind)
 
     def at(self, pointer: Ptr[T], index: Index) -> Ptr[T]:
         """Return the address of an element."""
@@ -316,9 +316,9 @@ class Writer:
         """Return the same memory as doubles, lane after lane of vector after vector."""
         return Ptr(pointer, NUM)
 
-    def address(self, table: Ptr[Int], index: Index, kind: Kind[T]) -> Ptr[T]:
+    def address(self, table: Ptr[Int], index: Index, kind: ValueKind[T]) -> Ptr[T]:
         """Read the address of values of a kind from a table."""
-        return Ptr(self.load(Ptr(table, Kind("ptr", str, 8)), index), kind)
+        return Ptr(self.load(Ptr(table, ValueKind("ptr", str, 8)), index), kind)
 
     # -- control
     # -----------------------------------------------------------------------------------------------

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from perilune.kernels.algebra.program import trace
+from perilune.kernels.algebra.program import trace_function
 from perilune.kernels.code import cache as disk, native
-from perilune.kernels.code.emit import kernel, library
+from perilune.kernels.code.emit import emit_kernel, library
 from perilune.kernels.code.ir import INT, NUM, Index, Int, Ptr, Vec, Writer
-from perilune.kernels.code.threads import spread
+from perilune.kernels.code.threads import run_in_threads
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix
 
@@ -138,7 +138,7 @@ def compile_map(function: Any, *, times: int = 1, cache: bool = True, backend: s
         (a (lanes, na), b (lanes, nb), ...) -> its outputs, each (lanes, m), matrices row by row as NumPy reads them; an
         argument of one row serves every lane.
     """
-    return Map(function, times, cache, native.chosen(backend))
+    return Map(function, times, cache, native.choose_native(backend))
 
 
 def _flat(function: Any) -> Any:
@@ -156,22 +156,24 @@ def _evaluation(kernel: _Kernel, bound: BoundMap) -> Callable[[], Any]:
     sizes = [sum(a.shape[1] for a in arrays) for arrays in (bound.inputs, bound.outputs)]
     entries = [kernel.place, kernel.times, bound.lanes, *counts, *sizes]
     for a in (*bound.inputs, *bound.outputs):
-        place = native.address(a) if a.flags.c_contiguous else a.ctypes.data
+        place = native.array_address(a) if a.flags.c_contiguous else a.ctypes.data
         entries += [place, a.strides[0] // a.itemsize if len(a) == bound.lanes else 0, a.shape[1]]
-    call, table, groups = _rows_of_groups(), native.table(entries), -(-bound.lanes // _WIDTH)
+    call, table, groups = _rows_of_groups(), native.argument_table(entries), -(-bound.lanes // _WIDTH)
     most = bound.lanes // _LANES_PER_THREAD
     threads = min(os.cpu_count() or 1, most) if most > 1 else 1
     share = max(-(-groups // threads), 1)
     # What each share computes with, as no stack holds a large Jacobian; zeros stay where the function has them.
     rooms = {first: np.zeros(_WIDTH * (sum(sizes) + 1)) for first in range(0, max(groups, 1), share)}
     aligned = 8 * _WIDTH
-    begins = {first: -(-native.address(room) // aligned) * aligned for first, room in rooms.items()}
+    begins = {first: -(-native.array_address(room) // aligned) * aligned for first, room in rooms.items()}
     table.of = kernel, rooms  # which live as long as what points to them; of two kernels made at once one is let go
     if threads == 1:
         return partial(call, 0, groups, table, begins[0])
 
     def evaluate() -> None:
-        spread(lambda first: call(first, min(first + share, groups), table, begins[first]), list(begins), threads)
+        run_in_threads(
+            lambda first: call(first, min(first + share, groups), table, begins[first]), list(begins), threads
+        )
 
     return evaluate
 
@@ -194,29 +196,29 @@ class _Kernel(NamedTuple):
 
 def _native(function: Any, times: int, cache: bool) -> _Kernel:
     """Return the kernel of a flat function, from disk or compiled."""
-    name = disk.key(function.serialize(), f"kernel {_WIDTH}", *native.processor(), *native.versions())
-    content = disk.fetch(name, lambda: native.compile_ir(_module(function)), enabled=cache)
+    name = disk.object_key(function.serialize(), f"kernel {_WIDTH}", *native.host_processor(), *native.code_versions())
+    content = disk.fetch_object(name, lambda: native.compile_ir(_map_module(function)), enabled=cache)
     code = native.MachineCode(content).function("kernel", ctypes.c_void_p, ctypes.c_void_p)
     return _Kernel(code, ctypes.cast(code, ctypes.c_void_p).value or 0, times)
 
 
-def _module(function: Any) -> str:
-    program, w, begin = trace(function), Writer(_WIDTH), 0
+def _map_module(function: Any) -> str:
+    program, w, begin = trace_function(function), Writer(_WIDTH), 0
     inputs = list[str]()
     for i in range(function.n_in()):
         inputs.append(w.at(Ptr("%held", w.vector), begin))
         begin += function.size1_in(i)
     w.run(f"call void @flat({', '.join(f'ptr {x}' for x in (*inputs, '%out'))})")
     entry = f"define void @kernel(ptr %held, ptr %out) nounwind {{\n{w.body()}\n  ret void\n}}\n"
-    flat = kernel("flat", program, range(len(inputs)), _WIDTH, cleared=True)
+    flat = emit_kernel("flat", program, range(len(inputs)), _WIDTH, cleared=True)
     return "\n".join([library([program], _WIDTH), flat, entry])
 
 
 @cache
 def _rows_of_groups() -> Callable[..., None]:
     """Return ``map(first group, last group, table, room)``, one for all: their own would be most of their code."""
-    name = disk.key("map", f"{_WIDTH}", *native.processor(), *native.versions())
-    code = native.MachineCode(disk.fetch(name, lambda: native.compile_ir(_mapping()), enabled=True))
+    name = disk.object_key("map", f"{_WIDTH}", *native.host_processor(), *native.code_versions())
+    code = native.MachineCode(disk.fetch_object(name, lambda: native.compile_ir(_mapping()), enabled=True))
     return code.function("map", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)
 
 
@@ -250,10 +252,10 @@ def _mapping() -> str:
     mapping = (
         f"define void @map(i64 %first, i64 %last, ptr %table, ptr %room) nounwind {{\n{w.body()}\n  ret void\n}}\n"
     )
-    return "\n".join([_rows("gather"), _rows("scatter"), mapping])
+    return "\n".join([_write_row_transfer("gather"), _write_row_transfer("scatter"), mapping])
 
 
-def _rows(name: str) -> str:
+def _write_row_transfer(name: str) -> str:
     """Write what gathers the rows of a group into vectors, or scatters them; places beyond repeat the last lane."""
     w, base, lanes, size = Writer(_WIDTH), Int("%base"), Int("%lanes"), Int("%size")
     rows, held = Ptr("%rows", NUM), Ptr("%held", w.vector)

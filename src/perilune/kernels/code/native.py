@@ -12,13 +12,13 @@ from typing import Any
 from numpy.typing import NDArray
 
 from perilune.words.outcome import PeriluneError
-from perilune.words.watch import at_work
+from perilune.words.watch import sign_of_life
 
 _PIECES = 1 << 23, 1 << 12, 1 << 14, 1 << 16, 1 << 20  # bytes: sections of all sizes
 _TOGETHER = 2**31 - 2**27
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Return True if machine code can be made here."""
     try:
         import llvmlite.binding  # noqa: F401
@@ -27,7 +27,7 @@ def available() -> bool:
     return True
 
 
-def chosen(backend: str | None) -> bool:
+def choose_native(backend: str | None) -> bool:
     """Return True if a backend means machine code: "native", "scipy", or None for native where it can be made.
 
     Raises
@@ -37,11 +37,11 @@ def chosen(backend: str | None) -> bool:
     """
     if backend not in (None, "native", "scipy"):
         raise PeriluneError("no such backend", got=repr(backend), expected="native, scipy or None")
-    return backend == "native" or (backend is None and available())
+    return backend == "native" or (backend is None and is_available())
 
 
 @cache
-def processor() -> tuple[str, str, str]:
+def host_processor() -> tuple[str, str, str]:
     """Return the processor that code is made for: its triple, its name and its features."""
     import llvmlite.binding as llvm
 
@@ -49,13 +49,13 @@ def processor() -> tuple[str, str, str]:
     return llvm.get_process_triple(), llvm.get_host_cpu_name(), features.flatten()
 
 
-def versions() -> tuple[str, ...]:
+def code_versions() -> tuple[str, ...]:
     """Return what else the code depends on: the versions of CasADi, llvmlite and LLVM, and where it may be loaded."""
-    return (*_versions(), *([] if _near() else ["anywhere"]))
+    return (*_library_versions(), *([] if _allocates_nearby() else ["anywhere"]))
 
 
 @cache
-def _versions() -> tuple[str, ...]:
+def _library_versions() -> tuple[str, ...]:
     import casadi as ca
     import llvmlite
     import llvmlite.binding as llvm
@@ -63,7 +63,7 @@ def _versions() -> tuple[str, ...]:
     return ca.CasadiMeta.version(), llvmlite.__version__, ".".join(map(str, llvm.llvm_version_info))
 
 
-def _near() -> bool:
+def _allocates_nearby() -> bool:
     """Return True if memory that is asked for now lies together: LLVM aborts where code is 2 GB from its constants.
 
     In a process that holds more than that the system puts small pieces into gaps, far from larger ones. Code for
@@ -78,16 +78,16 @@ def _near() -> bool:
     return max(places) - min(places) < _TOGETHER
 
 
-def _machine() -> Any:
+def _target_machine() -> Any:
     """Return a machine to generate code for; each module needs its own."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    triple, name, features = processor()
+    triple, name, features = host_processor()
     target = llvm.Target.from_triple(triple)
     return target.create_target_machine(
-        cpu=name, features=features, opt=2, reloc="pic", codemodel="small" if _near() else "large", jit=True
+        cpu=name, features=features, opt=2, reloc="pic", codemodel="small" if _allocates_nearby() else "large", jit=True
     )
 
 
@@ -101,8 +101,8 @@ def compile_ir(text: str) -> bytes:
     """
     import llvmlite.binding as llvm
 
-    at_work("compiling machine code")
-    machine = _machine()
+    sign_of_life("compiling machine code")
+    machine = _target_machine()
     try:
         module = llvm.parse_assembly(text)
         module.triple, module.data_layout = machine.triple, str(machine.target_data)
@@ -121,7 +121,7 @@ def compile_ir(text: str) -> bytes:
     return machine.emit_object(module)
 
 
-def address(array: NDArray[Any]) -> int:
+def array_address(array: NDArray[Any]) -> int:
     """Return where a contiguous array begins: ``array.ctypes.data``, in a sixth of its time where possible."""
     if array.size and array.flags.writeable:
         buffer: Any = array
@@ -129,7 +129,7 @@ def address(array: NDArray[Any]) -> int:
     return array.ctypes.data
 
 
-def table(entries: Iterable[int]) -> Any:
+def argument_table(entries: Iterable[int]) -> Any:
     """Return what machine code is handed: addresses and whole numbers, 64 bits each. It lives as long as it is held."""
     numbers = list(entries)
     return (ctypes.c_int64 * len(numbers))(*numbers)
@@ -141,7 +141,7 @@ class MachineCode:
     def __init__(self, content: bytes) -> None:
         import llvmlite.binding as llvm
 
-        machine = _machine()
+        machine = _target_machine()
         self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(content))
         self._engine.finalize_object()

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 
-def spread(call: Callable[[int], Any], starts: list[int], threads: int) -> None:
+def run_in_threads(call: Callable[[int], Any], starts: list[int], threads: int) -> None:
     """Call with each of the starts, the last first; this thread does its share, and all are done when it returns.
 
     Parameters
@@ -30,7 +30,7 @@ def spread(call: Callable[[int], Any], starts: list[int], threads: int) -> None:
                 return
             call(start)
 
-    helpers = [_pool().submit(share) for _ in range(threads - 1)]
+    helpers = [_thread_pool().submit(share) for _ in range(threads - 1)]
     try:
         share()
     finally:
@@ -41,9 +41,9 @@ def spread(call: Callable[[int], Any], starts: list[int], threads: int) -> None:
 
 
 @lru_cache(maxsize=1)
-def _pool() -> ThreadPoolExecutor:
+def _thread_pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count() or 1, "perilune")
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not go with a fork
+    os.register_at_fork(after_in_child=_thread_pool.cache_clear)  # threads do not go with a fork

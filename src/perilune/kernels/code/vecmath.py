@@ -141,7 +141,7 @@ def _periodic(name: str, advance: int) -> Callable[..., Vec]:
     return write
 
 
-def _far(name: str) -> Callable[..., Vec]:
+def _library_function(name: str) -> Callable[..., Vec]:
     """Return the function for angles beyond the reduction: the library's, out of line."""
 
     def write(w: Writer, x: Vec) -> Vec:
@@ -154,7 +154,7 @@ def _tan(w: Writer, x: Vec) -> Vec:
     return w.div(call(w, "sin", x), call(w, "cos", x))
 
 
-def _exp(w: Writer, x: Vec) -> Vec:
+def _exp_by_reduction(w: Writer, x: Vec) -> Vec:
     x = w.select(w.compare("ogt", x, w.const(720.0)), w.const(720.0), x)
     x = w.select(w.compare("olt", x, w.const(-760.0)), w.const(-760.0), x)
     n = w.sub(w.add(w.mul(x, w.const(1 / math.log(2))), w.const(_ROUND)), w.const(_ROUND))
@@ -191,7 +191,7 @@ def _log(w: Writer, x: Vec) -> Vec:
     return w.select(w.compare("uge", x, w.const(0.0)), w.select(w.compare("uno", x, x), x, value), w.const(math.nan))
 
 
-def _atan2(w: Writer, y: Vec, x: Vec) -> Vec:
+def _atan2_by_octants(w: Writer, y: Vec, x: Vec) -> Vec:
     """Return atan2 by the angle of the first octant from the ratio of the smaller to the larger, then reflected."""
     wide, high = w.intrinsic("fabs", x), w.intrinsic("fabs", y)
     steep = w.compare("ogt", high, wide)
@@ -244,12 +244,12 @@ def _tanh(w: Writer, x: Vec) -> Vec:
 _VECTOR: dict[str, tuple[Callable[..., Vec], int, list[str]]] = {
     "sin": (_periodic("sin", 0), 1, ["far_sin"]),
     "cos": (_periodic("cos", 1), 1, ["far_cos"]),
-    "far_sin": (_far("sin"), 1, []),
-    "far_cos": (_far("cos"), 1, []),
+    "far_sin": (_library_function("sin"), 1, []),
+    "far_cos": (_library_function("cos"), 1, []),
     "tan": (_tan, 1, ["sin", "cos"]),
-    "exp": (_exp, 1, []),
+    "exp": (_exp_by_reduction, 1, []),
     "log": (_log, 1, []),
-    "atan2": (_atan2, 2, []),
+    "atan2": (_atan2_by_octants, 2, []),
     "atan": (lambda w, x: call(w, "atan2", x, w.const(1.0)), 1, ["atan2"]),
     "asin": (lambda w, x: call(w, "atan2", x, _other_leg(w, x)), 1, ["atan2"]),
     "acos": (lambda w, x: call(w, "atan2", _other_leg(w, x), x), 1, ["atan2"]),

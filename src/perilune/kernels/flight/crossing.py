@@ -20,7 +20,7 @@ from collections.abc import Iterable
 from perilune.kernels.algebra.system import Event
 from perilune.kernels.code.ir import BIT, INT, Mask, Num, Ptr, Vec, Writer
 from perilune.kernels.flight.arcs import MAX_EVENTS, ArcStatus
-from perilune.kernels.flight.frame import Frame, Table
+from perilune.kernels.flight.frame import CallTable, Frame
 
 #: How near to the zero, as a fraction of the duration, an event fires.
 TOLERANCE = 1e-13
@@ -32,7 +32,7 @@ _BISECTIONS = 20  # after them Newton has two steps to the last digit
 _WHOLE = 1.0 - 1e-5
 
 
-class Crossing:
+class EventCrossings:
     """The events of one function in the writing: g and g' at the start and at the end of a step, and which fire."""
 
     def __init__(self, frame: Frame) -> None:
@@ -135,7 +135,7 @@ class Crossing:
         self.w.store(mask, self.aimed)
         self.w.run(f"call void @{name}(ptr {self.aimed}, {values}, ptr {theta})")
 
-    def fire(self, t: Table) -> None:
+    def fire(self, t: CallTable) -> None:
         """Note the events at the end of the committed step, and end the arc or change its mode."""
         f, w = self.f, self.w
         masks = [w.load(self.fired, number) for number in range(self.count)]
@@ -160,7 +160,7 @@ class Crossing:
         for number in range(self.count):
             w.store(w.const_mask(False), self.fired, number)
 
-    def _log(self, t: Table, number: int, mask: Mask) -> None:
+    def _log(self, t: CallTable, number: int, mask: Mask) -> None:
         f, w = self.f, self.w
         with w.when(w.any(mask)):
             w.store(w.load(f.time), f.element, 0)
@@ -205,12 +205,12 @@ class Crossing:
             w.store(w.select(some, rate, w.load(self.old, count + number)), self.old, count + number)
 
 
-def aiming(width: int) -> str:
+def crossing_searches(width: int) -> str:
     """Return the IR of what aims at a crossing inside of a step: ``zero``, and ``dip`` where there are two."""
-    return _aim("zero", Writer(width), derivative=False) + _aim("dip", Writer(width), derivative=True)
+    return _bisect_cubic("zero", Writer(width), derivative=False) + _bisect_cubic("dip", Writer(width), derivative=True)
 
 
-def _aim(name: str, w: Writer, *, derivative: bool) -> str:
+def _bisect_cubic(name: str, w: Writer, *, derivative: bool) -> str:
     """Bisect the Hermite cubic for its zero, or its slope for a dip to zero; the earliest counts."""
     mask, theta = w.load(Ptr("%mask", w.mask)), Ptr("%theta", w.vector)
     g0, g1, rate0, rate1 = (Vec(f"%{x}") for x in ("g0", "g1", "rate0", "rate1"))

@@ -24,7 +24,7 @@ Rates = Callable[[Matrix, Vector], Matrix]
 _MOMENT, _TURNED = 1e-12, 1e-3  # of a step, and of a rate
 
 
-def _matrix(rows: tuple[dict[int, float], ...]) -> Matrix:
+def _dense_rows(rows: tuple[dict[int, float], ...]) -> Matrix:
     result = np.zeros((len(rows), tableau.DENSE_STAGES))
     for i, row in enumerate(rows):
         result[i, list(row)] = list(row.values())
@@ -32,8 +32,8 @@ def _matrix(rows: tuple[dict[int, float], ...]) -> Matrix:
 
 
 @cache
-def _tables() -> tuple[Matrix, Vector, Matrix]:
-    return _matrix(tableau.A), _matrix((tableau.B,))[0], _matrix(tableau.D)
+def _tableau_arrays() -> tuple[Matrix, Vector, Matrix]:
+    return _dense_rows(tableau.A), _dense_rows((tableau.B,))[0], _dense_rows(tableau.D)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +106,7 @@ def dense_arc(end: Arcs, nodes: Matrix, rates: Rates) -> DenseArc:
     """
     t, h, mode, start = nodes[:, 0], nodes[:, 1][:, None], np.ascontiguousarray(nodes[:, 2]), nodes[:, 3:]
     slopes = np.zeros((tableau.DENSE_STAGES, *start.shape))
-    weights, final, interpolant = _tables()
+    weights, final, interpolant = _tableau_arrays()
     flat = slopes.reshape(tableau.DENSE_STAGES, -1)
     slopes[0] = rates(start, mode)
     for stage in range(1, tableau.STAGES):

@@ -20,8 +20,8 @@ from perilune.kernels.algebra.system import ArcSystem
 from perilune.kernels.code.ir import BIT, INT, Int, Mask, Ptr, Vec, Writer
 from perilune.kernels.flight import lanes, tableau
 from perilune.kernels.flight.arcs import ArcStatus
-from perilune.kernels.flight.crossing import Crossing, aiming
-from perilune.kernels.flight.frame import Frame, Table
+from perilune.kernels.flight.crossing import EventCrossings, crossing_searches
+from perilune.kernels.flight.frame import CallTable, Frame
 
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 10.0
 # Hairer's first step is for any order: with order 8 its error was found 1e-6 to 1e-5 of what is allowed.
@@ -30,16 +30,16 @@ _LEAST = 0.01**0.125  # an error below 0.01 says little of the trend
 _RESOLVED = 1e-14  # a step below this fraction of the duration is not taken
 
 
-def module(system: ArcSystem, width: int) -> str:
+def stepping_module(system: ArcSystem, width: int) -> str:
     """Return the IR of ``void arcs(i64 first group, i64 last group, ptr table)`` and, for one lane, of ``rates``.
 
     It is the same for all systems of one `course`.
     """
-    parts = [aiming(width)] if system.events else []
-    return "\n".join([*parts, _Stepping(system, width).arcs(), *([_rates(system)] if width == 1 else [])])
+    parts = [crossing_searches(width)] if system.events else []
+    return "\n".join([*parts, _Stepping(system, width).arcs(), *([_write_rates(system)] if width == 1 else [])])
 
 
-def _rates(system: ArcSystem) -> str:
+def _write_rates(system: ArcSystem) -> str:
     """Write ``rates(count, Y, p, modes, result, equations)``: Y' at many points with one p, for the dense output."""
     f = Frame(system, Writer(1), Ptr("%equations", INT))
     w, y, p, modes, out = f.w, *(Ptr(f"%{name}", f.w.vector) for name in ("y", "p", "modes", "out"))
@@ -59,10 +59,10 @@ class _Stepping:
 
     def __init__(self, system: ArcSystem, width: int) -> None:
         w = self.w = Writer(width)
-        self.table = Table(w)
+        self.table = CallTable(w)
         f = self.f = Frame(system, w, self.table.equations)
         self.nz, self.n, self.entries = f.nz, f.n, w.broadcast(f.nz)
-        self.crossing = Crossing(f) if system.events else None
+        self.crossing = EventCrossings(f) if system.events else None
         self.fixed = w.let(BIT, f"icmp sgt i64 {self.table.fixed_steps}, 0")
 
     def arcs(self) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from perilune.kernels.algebra.system import ArcSystem, Event
 from perilune.kernels.code import cache as disk, native
-from perilune.kernels.code.threads import spread
+from perilune.kernels.code.threads import run_in_threads
 from perilune.kernels.flight.arcs import EQUATIONS, TABLE, Arcs, Request, request
 from perilune.kernels.flight.bound import BoundArcs, Engine
 from perilune.kernels.flight.dense import DenseArc, dense_arc
@@ -71,7 +71,7 @@ def compile_arcs(
         np.ones((modes[0].size1_in(0), columns), dtype=bool) if isinstance(columns, int) else np.array(columns, bool)
     )
     system = ArcSystem(modes=modes, solved=tuple(solved) or (None,) * len(modes), events=tuple(events), seeds=seeds)
-    if native.chosen(backend):
+    if native.choose_native(backend):
         return NativeEngine(system, cache=cache)
     from perilune.kernels.flight.fallback import ScipyEngine
 
@@ -90,10 +90,10 @@ class NativeEngine:
         self.system = system
         self._bare = system.without_columns() if system.nc else system
         self._cache = cache
-        self._flown = dict[tuple[bool, int], _Flown]()
+        self._flown = dict[tuple[bool, int], _CompiledSystem]()
         self._rate: Callable[..., None] | None = None
 
-    def _code(self, columns: bool, width: int) -> _Flown:
+    def _code(self, columns: bool, width: int) -> _CompiledSystem:
         which = (columns, width)
         if which not in self._flown:
             system = self.system if columns else self._bare
@@ -101,15 +101,15 @@ class NativeEngine:
             def build() -> bytes:
                 from perilune.kernels.flight import equations
 
-                return native.compile_ir(equations.module(system, width))
+                return native.compile_ir(equations.equations_module(system, width))
 
-            name = disk.key(system.key, str(width), *native.processor(), *native.versions())
-            code = native.MachineCode(disk.fetch(name, build, enabled=self._cache))
-            table = native.table([0] * (len(EQUATIONS) + len(system.transitions)))
+            name = disk.object_key(system.key, str(width), *native.host_processor(), *native.code_versions())
+            code = native.MachineCode(disk.fetch_object(name, build, enabled=self._cache))
+            table = native.argument_table([0] * (len(EQUATIONS) + len(system.transitions)))
             code.function("equations", ctypes.c_void_p)(table)
-            stepping = _stepping(system, width)
+            stepping = _stepping_loop(system, width)
             call = stepping.function("arcs", ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
-            self._flown[which] = _Flown(call, stepping, ctypes.addressof(table), (table, code))
+            self._flown[which] = _CompiledSystem(call, stepping, ctypes.addressof(table), (table, code))
         return self._flown[which]
 
     def propagate(
@@ -179,7 +179,7 @@ class NativeEngine:
         """
         width = LANES if nodes is None else 1  # nodes are written by the code for one lane only
         flown = self._code(asked.seeds is not None, width)
-        return BoundArcs(self.system, asked, lambda flight: _flying(flown, width, flight), nodes)
+        return BoundArcs(self.system, asked, lambda flight: _bound_flight(flown, width, flight), nodes)
 
     def _rates(self, z: Matrix, p: Vector, mode: Vector) -> Matrix:
         """Return z' at many points, (count, nz)."""
@@ -188,11 +188,11 @@ class NativeEngine:
         if rates is None:
             rates = self._rate = flown.stepping.function("rates", ctypes.c_int64, *[ctypes.c_void_p] * 5)
         held = [np.ascontiguousarray(array) for array in (z, p, mode, out)]
-        rates(len(z), *map(native.address, held), flown.equations)
+        rates(len(z), *map(native.array_address, held), flown.equations)
         return out
 
 
-class _Flown(NamedTuple):
+class _CompiledSystem(NamedTuple):
     """A system in machine code: the stepping loop of its course, and where its equations are."""
 
     call: Callable[..., None]
@@ -201,27 +201,29 @@ class _Flown(NamedTuple):
     held: Any  # what has to live as long
 
 
-def _stepping(system: ArcSystem, width: int) -> native.MachineCode:
+def _stepping_loop(system: ArcSystem, width: int) -> native.MachineCode:
     """Return the stepping loop of all systems whose events are met alike."""
-    name = disk.key("arcs", system.course, str(width), *native.processor(), *native.versions())
+    name = disk.object_key("arcs", system.course, str(width), *native.host_processor(), *native.code_versions())
     if name not in _loops:
 
         def build() -> bytes:
             from perilune.kernels.flight import driver
 
-            return native.compile_ir(driver.module(system, width))
+            return native.compile_ir(driver.stepping_module(system, width))
 
-        _loops[name] = native.MachineCode(disk.fetch(name, build, enabled=True))
+        _loops[name] = native.MachineCode(disk.fetch_object(name, build, enabled=True))
     return _loops[name]
 
 
-def _flying(flown: _Flown, width: int, flight: BoundArcs) -> Callable[[int | None], None]:
+def _bound_flight(flown: _CompiledSystem, width: int, flight: BoundArcs) -> Callable[[int | None], None]:
     """Return what flies bound arcs, whose arrays live as long as they do."""
     asked, order, duration, lanes = flight.asked, flight.order, flight.asked.duration, len(flight.order)
     call = flown.call
     counts = {"lanes": lanes, "p_stride": asked.p.shape[1] if len(asked.p) > 1 else 0}
     held = {**vars(asked), **vars(flight), **counts, "equations": flown.equations}
-    table = native.table(native.address(v) if isinstance(v, np.ndarray) else v or 0 for v in map(held.get, TABLE))
+    table = native.argument_table(
+        native.array_address(v) if isinstance(v, np.ndarray) else v or 0 for v in map(held.get, TABLE)
+    )
     table.of = flown  # which lives as long as what points to it
     groups = -(-lanes // width)
     most = groups // _GROUPS_PER_THREAD
@@ -234,6 +236,8 @@ def _flying(flown: _Flown, width: int, flight: BoundArcs) -> Callable[[int | Non
             return
         # Sorted by length, the last groups are the longest: small pieces, longest first, keep all cores busy.
         piece = max(4, groups // (8 * count))
-        spread(lambda first: call(first, min(first + piece, groups), table), list(range(0, groups, piece)), count)
+        run_in_threads(
+            lambda first: call(first, min(first + piece, groups), table), list(range(0, groups, piece)), count
+        )
 
     return fly if groups > 1 else lambda _: call(0, groups, table)

@@ -6,9 +6,9 @@ system's own.
 
 from __future__ import annotations
 
-from perilune.kernels.algebra.program import Program, hoist, trace
+from perilune.kernels.algebra.program import Program, hoist, trace_function
 from perilune.kernels.algebra.system import ArcSystem
-from perilune.kernels.code.emit import kernel, library
+from perilune.kernels.code.emit import emit_kernel, library
 from perilune.kernels.code.ir import INT, Int, Ptr, Writer
 from perilune.kernels.flight.arcs import EQUATIONS
 from perilune.kernels.flight.frame import blend
@@ -16,16 +16,16 @@ from perilune.kernels.flight.frame import blend
 _OFFSETS = "@offsets"
 
 
-def module(system: ArcSystem, width: int) -> str:
+def equations_module(system: ArcSystem, width: int) -> str:
     """Return the IR of ``void equations(ptr table)``, which fills the table of `arcs.EQUATIONS`, and of what it names.
 
     ``fill(p, constants)`` evaluates what depends on the parameters only; ``field(constants, mode, Y, spare, Y')``,
     ``crossings(constants, z, z', mode, (g, g'))`` and the transitions ``(constants, Y, Y after)`` take those constants.
     """
-    return _Equations(system, width).text()
+    return _EquationsWriter(system, width).text()
 
 
-class _Equations:
+class _EquationsWriter:
     """The functions of a system in the writing: what depends only on the parameters, once, and the rest."""
 
     def __init__(self, system: ArcSystem, width: int) -> None:
@@ -38,9 +38,9 @@ class _Equations:
         for mode in range(len(system.modes)):
             self._add(f"field{mode}", system.field_program(mode), (0,), 1)
         if system.events:
-            self._add("at_crossings", trace(system.crossings()), (0, 1, 2), 3)
+            self._add("at_crossings", trace_function(system.crossings()), (0, 1, 2), 3)
             for event, before in system.carried:
-                self._add(_carrying(event, before), trace(system.transition(event, before)), (0,), 1)
+                self._add(_transition_symbol(event, before), trace_function(system.transition(event, before)), (0,), 1)
 
     def text(self) -> str:
         """Return the IR."""
@@ -50,13 +50,16 @@ class _Equations:
         taking = [self._fill(), self._field()]
         if self.system.events:
             taking.append(self._taking("crossings", "at_crossings", "z", "rates", "mode"))
-            taking += [self._taking(f"{_carrying(*way)}.at", _carrying(*way), "y") for way in self.system.carried]
+            taking += [
+                self._taking(f"{_transition_symbol(*way)}.at", _transition_symbol(*way), "y")
+                for way in self.system.carried
+            ]
         return "\n".join([constant, library(self._programs, self.width), *self._functions, *taking, self._table()])
 
     def _add(self, name: str, program: Program, arguments: tuple[int, ...], parameters: int) -> None:
         before, during = hoist(program, parameters)
-        self._functions.append(kernel(f"{name}.once", before, (parameters,), self.width))
-        self._functions.append(kernel(name, during, (*arguments, parameters), self.width))
+        self._functions.append(emit_kernel(f"{name}.once", before, (parameters,), self.width))
+        self._functions.append(emit_kernel(name, during, (*arguments, parameters), self.width))
         self._programs += [before, during]
         self._once.append((f"{name}.once", self._constants))
         self._held[name] = self._constants
@@ -72,13 +75,13 @@ class _Equations:
         """Write a function that takes all constants, of a kernel that takes its own."""
         w, taken = Writer(self.width), [f"%{x}" for x in inputs]
         self._call(w, kernel, *taken, "%result")
-        return _defined(name, ["%constants", *taken, "%result"], w)
+        return _define_function(name, ["%constants", *taken, "%result"], w)
 
     def _fill(self) -> str:
         w = Writer(self.width)
         for name, place in self._once:
             w.run(f"call void @{name}(ptr %p, ptr {w.at(Ptr('%constants', w.vector), place)})")
-        return _defined("fill", ["%p", "%constants"], w)
+        return _define_function("fill", ["%p", "%constants"], w)
 
     def _field(self) -> str:
         """Write Y' of each lane in its mode. Where all lanes share a mode, as mostly they do, nothing is blended."""
@@ -96,7 +99,7 @@ class _Equations:
                 with w.when(w.and_bit(w.any(mine), elsewhere)):
                     self._call(w, f"field{number}", "%y", spare)
                     blend(w, mine, spare, result, self.system.size)
-        return _defined("field", ["%constants", "%mode", "%y", "%spare", "%result"], w)
+        return _define_function("field", ["%constants", "%mode", "%y", "%spare", "%result"], w)
 
     def _table(self) -> str:
         s, w = self.system, Writer(self.width)
@@ -108,16 +111,16 @@ class _Equations:
         if s.events:
             named["crossings"] = "@crossings"
         places = {EQUATIONS.index(name): symbol for name, symbol in named.items()}
-        places |= {len(EQUATIONS) + k: f"@{_carrying(*way)}.at" for k, way in enumerate(s.carried)}
+        places |= {len(EQUATIONS) + k: f"@{_transition_symbol(*way)}.at" for k, way in enumerate(s.carried)}
         for place, symbol in places.items():
             w.store(w.let(INT, f"ptrtoint ptr {symbol} to i64"), table, place)
         return f"define void @equations(ptr %table) nounwind {{\n{w.body()}\n  ret void\n}}\n"
 
 
-def _carrying(event: int, before: int) -> str:
+def _transition_symbol(event: int, before: int) -> str:
     return f"transition{event}_{before}"
 
 
-def _defined(name: str, arguments: list[str], w: Writer) -> str:
+def _define_function(name: str, arguments: list[str], w: Writer) -> str:
     taken = ", ".join(f"ptr {x}" for x in arguments)
     return f"define internal void @{name}({taken}) nounwind {{\n{w.body()}\n  ret void\n}}\n"

@@ -34,8 +34,8 @@ class ScipyEngine:
 
     def __init__(self, system: ArcSystem) -> None:
         self.system = system
-        self._functions = {False: _Functions(system.without_columns() if system.nc else system)}
-        self._functions[True] = _Functions(system) if system.nc else self._functions[False]
+        self._functions = {False: _SystemFunctions(system.without_columns() if system.nc else system)}
+        self._functions[True] = _SystemFunctions(system) if system.nc else self._functions[False]
 
     def propagate(
         self,
@@ -94,7 +94,7 @@ class ScipyEngine:
         return BoundArcs(self.system, asked, bind)
 
 
-class _Functions:
+class _SystemFunctions:
     """The functions of a system, for every lane."""
 
     def __init__(self, system: ArcSystem) -> None:
@@ -108,7 +108,7 @@ class _Functions:
 class _Lane:
     """One arc in flight: its time, Y, mode, the events met and the starts of its steps."""
 
-    def __init__(self, functions: _Functions, asked: Request, lane: int) -> None:
+    def __init__(self, functions: _SystemFunctions, asked: Request, lane: int) -> None:
         system = functions.system
         seeds = np.zeros(0) if asked.seeds is None else asked.seeds[lane].ravel()[system.offsets]
         self.system, self.targets, self.carried = system, functions.targets, functions.carried
@@ -122,8 +122,8 @@ class _Lane:
         self.atol = np.full(len(self.y), np.inf)
         if not self.fixed:
             self.atol[: system.nz] = share * asked.atol[lane]
-        self._fields = [_direct(field) for field in functions.fields]
-        self._crossings = _direct(functions.crossings) if functions.crossings is not None else None
+        self._fields = [_unwrapped_call(field) for field in functions.fields]
+        self._crossings = _unwrapped_call(functions.crossings) if functions.crossings is not None else None
 
     def rate(self, y: Vector) -> Vector:
         """Return Y' in the present mode."""
@@ -197,10 +197,10 @@ class _Lane:
 
             points = [(self.t, g0), (solver.t, g1)]
             if turns:
-                middle = _root(lambda t, at=at: at(t, 1), (self.t, r0), (solver.t, r1))
+                middle = _interval_root(lambda t, at=at: at(t, 1), (self.t, r0), (solver.t, r1))
                 points.insert(1, (middle, at(middle)))
             pairs = [(a, b) for a, b in pairwise(points) if _crosses(event.direction, a[1], b[1])]
-            found += [(_root(at, *pair), number) for pair in pairs[:1]]
+            found += [(_interval_root(at, *pair), number) for pair in pairs[:1]]
         return min(found, default=None)
 
     def _happen(self, time: float, number: int, beyond: Vector) -> ArcStatus | None:
@@ -251,7 +251,7 @@ def _crosses(direction: int, before: float, after: float) -> bool:
     return (rises and direction >= 0) or (falls and direction <= 0)
 
 
-def _root(function: Callable[[float], float], start: tuple[float, float], end: tuple[float, float]) -> float:
+def _interval_root(function: Callable[[float], float], start: tuple[float, float], end: tuple[float, float]) -> float:
     """Return the zero between two points (time, value) of opposite signs, whose values are taken as given."""
     if end[1] == 0.0:
         return end[0]
@@ -259,7 +259,7 @@ def _root(function: Callable[[float], float], start: tuple[float, float], end: t
     return float(np.asarray(brentq(lambda t: told.get(t) or function(t), start[0], end[0], xtol=1e-14)))
 
 
-def _direct(function: Any) -> Callable[..., Vector]:
+def _unwrapped_call(function: Any) -> Callable[..., Vector]:
     """Return a CasADi function on vectors without the conversions of its call, which take ten times its time."""
     buffer, run = function.buffer()
     arguments: list[Any] = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]

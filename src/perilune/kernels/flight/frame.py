@@ -7,7 +7,7 @@ is known before it runs but how events are met, and where the numbers of the equ
 from __future__ import annotations
 
 from perilune.kernels.algebra.system import ArcSystem
-from perilune.kernels.code.ir import INT, NUM, Index, Int, Kind, Mask, Num, Ptr, T, Vec, Writer
+from perilune.kernels.code.ir import INT, NUM, Index, Int, Mask, Num, Ptr, T, ValueKind, Vec, Writer
 from perilune.kernels.flight.arcs import EQUATIONS, TABLE, ArcStatus
 
 # Stages 1 and 2 are not needed after stage 4, nor stage 3 for the end of the step: the last three take their
@@ -35,7 +35,7 @@ def blend(w: Writer, mask: Mask, source: Ptr[Vec], target: Ptr[Vec], count: Inde
         w.store(w.select(mask, w.load(source, c), old), target, c)
 
 
-class Table:
+class CallTable:
     """The table that a call takes, read in the order of `arcs.TABLE`: numbers, and addresses of arrays of doubles."""
 
     def __init__(self, w: Writer) -> None:
@@ -44,7 +44,7 @@ class Table:
         def number(name: str) -> Int:
             return w.load(table, TABLE.index(name))
 
-        def array(name: str, kind: Kind[T]) -> Ptr[T]:
+        def array(name: str, kind: ValueKind[T]) -> Ptr[T]:
             return w.address(table, TABLE.index(name), kind)
 
         self.equations = array("equations", INT)

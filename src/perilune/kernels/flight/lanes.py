@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from perilune.kernels.code.ir import INT, NUM, Index, Int, Mask, Num, Ptr, Vec
 from perilune.kernels.flight.arcs import INFO
-from perilune.kernels.flight.frame import Frame, Table
+from perilune.kernels.flight.frame import CallTable, Frame
 
 
-def gather(f: Frame, t: Table, group: Int) -> None:
+def gather(f: Frame, t: CallTable, group: Int) -> None:
     """Fetch the lanes of a group; places beyond the batch repeat its last lane and are not active."""
     w = f.w
     first = w.integer("mul", group, f.width)
@@ -43,7 +43,7 @@ def _copy_in(f: Frame, source: Ptr[Num], base: Int, target: Ptr[Vec], count: Ind
         w.store(value, w.by_lane(target), w.entry(c, f.width, lane))
 
 
-def write_out(f: Frame, t: Table, ended: Mask) -> None:
+def write_out(f: Frame, t: CallTable, ended: Mask) -> None:
     """Write state, rates, columns and report of the lanes that have ended: the first slopes are those of the state."""
     w = f.w
     report = {"time": f.time, "status": f.status, "steps": f.steps, "mode": f.mode, "events": f.events}

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from perilune.models import ellipsoid
-from perilune.models.atmosphere import Air, Way, standard, thermosphere
+from perilune.models.atmosphere import Air, TrajectoryProfile, standard, thermosphere
 from perilune.models.deorbit.records import Atmosphere
-from perilune.models.deorbit.times import picture, typical_times
+from perilune.models.deorbit.times import rough_trajectory, typical_times
 from perilune.problem.variables import Given
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Physics, Vector
@@ -27,10 +27,10 @@ _ROUNDS = 4
 _LOOKS = np.linspace(0.0, 150.0, 301)  # km
 
 
-def way_of(rows: Matrix, time: Vector, p: Any) -> Way:
+def profile_of_states(rows: Matrix, time: Vector, p: Any) -> TrajectoryProfile:
     """The way of states (points, states) at times [s] after t = 0."""
     position = tuple(rows[:, :3].T)
-    return Way.down(
+    return TrajectoryProfile.down(
         ellipsoid.altitude(position, p, NUMERIC), np.arctan2(position[1], position[0]),
         ellipsoid.latitude(position, p, NUMERIC), time,
     )  # fmt: skip
@@ -48,22 +48,22 @@ def rough_air(
         lengths = typical_times(p, angles, air, coasts="coast" in names, drifts="drift" in names)
         for name, value in lengths.items():
             setattr(p, name, value)
-        rows = picture(p, angles=angles, air=air, names=tuple(names), heat=False)[list(names).index("entry")]
+        rows = rough_trajectory(p, angles=angles, air=air, names=tuple(names), heat=False)[list(names).index("entry")]
         before = sum(value for name, value in lengths.items() if name in ("coast_time", "burn_time", "drift_time"))
         time = before + np.linspace(0.0, lengths["entry_time"], len(rows))
-        last, air = air, air_along(stated, epoch, way_of(rows, time, p))
-        if changed(last, air) < NEAR:
+        last, air = air, air_along(stated, epoch, profile_of_states(rows, time, p))
+        if largest_density_change(last, air) < NEAR:
             break
     return air
 
 
-def air_along(stated: Atmosphere, epoch: datetime, way: Way) -> Air:
+def air_along(stated: Atmosphere, epoch: datetime, way: TrajectoryProfile) -> Air:
     """Air of a day along a way."""
     assert stated.f107 is not None and stated.f107a is not None and stated.ap is not None
     return thermosphere(epoch, way, f107=stated.f107, f107a=stated.f107a, ap=stated.ap)
 
 
-def changed(before: Air, after: Air) -> float:
+def largest_density_change(before: Air, after: Air) -> float:
     """The largest change of the density between two airs of tables, as a share of it."""
     assert before.table is not None and after.table is not None
     return float(np.abs(np.expm1(after.table(_LOOKS) - before.table(_LOOKS))).max())

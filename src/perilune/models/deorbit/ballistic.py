@@ -31,8 +31,8 @@ from perilune.models import aerodynamics
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.bounds import interface_speeds
 from perilune.models.deorbit.fall import Fall, fall
-from perilune.models.deorbit.passes import furthest_turned, lightest
-from perilune.models.deorbit.records import is_something_left, velocity_change
+from perilune.models.deorbit.passes import largest_plane_turn, least_burnout_mass
+from perilune.models.deorbit.records import is_something_left, total_velocity_change
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Vector
@@ -45,7 +45,7 @@ _LEAST_PULL = 0.01  # of the body's pull
 _POINTS = 4001  # of a fall, which may leave the air and come back
 
 
-class _Said(NamedTuple):
+class _ReportedLimit(NamedTuple):
     """Name of a compared quantity, its unit, and the SI value of one such unit."""
 
     what: str
@@ -54,13 +54,13 @@ class _Said(NamedTuple):
 
 
 _SAID = {
-    "load": _Said("peak load", "g0", STANDARD_GRAVITY),
-    "heat_rate": _Said("peak heat rate", "W/m^2", 1.0),
-    "dynamic_pressure": _Said("peak dynamic pressure", "Pa", 1.0),
+    "load": _ReportedLimit("peak load", "g0", STANDARD_GRAVITY),
+    "heat_rate": _ReportedLimit("peak heat rate", "W/m^2", 1.0),
+    "dynamic_pressure": _ReportedLimit("peak dynamic pressure", "Pa", 1.0),
 }
 
 
-def borne_at_least(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
+def compare_least_loads(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
     """Compare each limit with the least load of every ballistic entry, or of a typical one where the box is not known.
 
     Parameters
@@ -71,8 +71,8 @@ def borne_at_least(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
         A fall of them.
     """
     limited = [name for name in _SAID if hasattr(p, f"limits_{name}")]
-    if box_of_angles(p) is None or box_of_speeds(p) is None:
-        yield from (_of_typical(name, typical, p, air) for name in limited if typical.lands)
+    if angle_interval(p) is None or speed_interval(p) is None:
+        yield from (_compare_typical_load(name, typical, p, air) for name in limited if typical.lands)
         return
     found = list[tuple[Finding, bool]]()
     for grid in _GRIDS if limited else ():
@@ -86,10 +86,14 @@ def _over_box(
     p: Any, air: Air, limited: list[str], angle_count: int, speed_count: int, mass_count: int
 ) -> Iterator[tuple[Finding, bool]]:
     """Compare each limit with the least over the box, and tell whether all falls of the grid break what it keeps."""
-    angles, speeds, masses = box_of_angles(p, angle_count), box_of_speeds(p, speed_count), box_of_masses(p, mass_count)
+    angles, speeds, masses = (
+        angle_interval(p, angle_count),
+        speed_interval(p, speed_count),
+        mass_interval(p, mass_count),
+    )
     assert angles is not None and speeds is not None
-    held = held_up(p)
-    entries = [(of_mass(held, mass), steep, speed) for mass, steep, speed in product(masses, angles, speeds)]
+    held = with_upward_bound(p)
+    entries = [(with_mass(held, mass), steep, speed) for mass, steep, speed in product(masses, angles, speeds)]
     falls = [fall(light, air, float(steep), float(speed), _POINTS) for light, steep, speed in entries]
     shape = len(masses), len(angles), len(speeds)
     lands = np.array([fallen.lands for fallen in falls])
@@ -97,10 +101,12 @@ def _over_box(
         return
     for name in limited:
         one = _SAID[name].one
-        peaks = np.array([peak(name, fallen, light, air) for fallen, (light, *_) in zip(falls, entries, strict=True)])
-        least = (1 - LEFT_OUT) * least_between(np.where(lands, peaks, np.nan).reshape(shape)) / one
+        peaks = np.array(
+            [peak_load(name, fallen, light, air) for fallen, (light, *_) in zip(falls, entries, strict=True)]
+        )
+        least = (1 - LEFT_OUT) * cell_minima(np.where(lands, peaks, np.nan).reshape(shape)) / one
         mildest, hardest = np.min(peaks[lands]) / one, np.max(peaks[lands]) / one
-        beside = _beside_limit(
+        beside = _compare_with_limit(
             name, "every fall", least, p, binding=True,
             meaning=f"no ballistic entry that the interface allows keeps limits.{name}: over"
             f" all masses, angles and speeds there they peak at {mildest:.3g} to {hardest:.3g} {_SAID[name].unit}",
@@ -108,15 +114,15 @@ def _over_box(
         yield beside, mildest > beside.limit
 
 
-def _of_typical(name: str, fallen: Fall, p: Any, air: Air) -> Finding:
-    return _beside_limit(
-        name, "a fall", peak(name, fallen, p, air) / _SAID[name].one, p, binding=False,
+def _compare_typical_load(name: str, fallen: Fall, p: Any, air: Air) -> Finding:
+    return _compare_with_limit(
+        name, "a fall", peak_load(name, fallen, p, air) / _SAID[name].one, p, binding=False,
         meaning=f"a typical ballistic entry does not keep limits.{name}; whether any does is said where the speeds and"
         " angles at the interface are bounded (interface.speed_lower, vehicle.dry_mass)",
     )  # fmt: skip
 
 
-def _beside_limit(name: str, which: str, value: float, p: Any, *, binding: bool, meaning: str) -> Finding:
+def _compare_with_limit(name: str, which: str, value: float, p: Any, *, binding: bool, meaning: str) -> Finding:
     said = _SAID[name]
     return Finding(
         name=f"{said.what} of {which} without lift", value=value, limit=float(getattr(p, f"limits_{name}")) / said.one,
@@ -125,7 +131,7 @@ def _beside_limit(name: str, which: str, value: float, p: Any, *, binding: bool,
     )  # fmt: skip
 
 
-def least_between(peaks: Matrix) -> float:
+def cell_minima(peaks: Matrix) -> float:
     """Return the least of a function in the cells of a grid, from its values there, which are nan where undefined."""
     bends = np.zeros_like(peaks)
     for axis, count in enumerate(peaks.shape):
@@ -145,13 +151,13 @@ def least_between(peaks: Matrix) -> float:
     return least
 
 
-def held_up(p: Any) -> Any:
+def with_upward_bound(p: Any) -> Any:
     """Return the same problem with every effect that planar falls neglect taken at its most upwards."""
     gate, mu = p.body_radius + p.interface_altitude, p.body_gravitational_parameter
     oblate = sum((k + 1) * abs(getattr(p, f"body_j{k}", 0.0)) for k in (2, 3, 4))
     centrifugal = (p.body_rotation_rate * gate) ** 2 * gate / mu
     missing = oblate + centrifugal + 2 * getattr(p, "body_flattening", 0.0)
-    turned = float(furthest_turned(p, velocity_change(p)))
+    turned = float(largest_plane_turn(p, total_velocity_change(p)))
     along = math.copysign(1.0, p.body_rotation_rate)  # the way that the air goes
     away = max(math.acos(along * math.cos(p.orbit_inclination)) - turned, 0.0)
     changed = {
@@ -161,20 +167,20 @@ def held_up(p: Any) -> Any:
     return SimpleNamespace(**{**vars(p), **changed})
 
 
-def of_mass(p: Any, mass: float) -> Any:
+def with_mass(p: Any, mass: float) -> Any:
     """Return the parameters with another mass [kg] at the interface."""
     name = "separation_mass" if hasattr(p, "separation_mass") else "vehicle_mass"
     return SimpleNamespace(**{**vars(p), name: mass})
 
 
-def box_of_masses(p: Any, count: int = _GRIDS[0][2]) -> Vector:
+def mass_interval(p: Any, count: int = _GRIDS[0][2]) -> Vector:
     """Masses [kg] at the interface."""
     if hasattr(p, "separation_mass"):
         return np.array([p.separation_mass])
-    return np.linspace(lightest(p), p.vehicle_mass, count)
+    return np.linspace(least_burnout_mass(p), p.vehicle_mass, count)
 
 
-def box_of_angles(p: Any, count: int = _GRIDS[0][0]) -> Vector | None:
+def angle_interval(p: Any, count: int = _GRIDS[0][0]) -> Vector | None:
     """Angles [rad] at the interface; None where a bound is not known or not below the horizon."""
     stated = getattr(p, "interface_angle", math.nan)
     lower, upper = (getattr(p, f"interface_angle_{side}", stated) for side in ("lower", "upper"))
@@ -183,7 +189,7 @@ def box_of_angles(p: Any, count: int = _GRIDS[0][0]) -> Vector | None:
     return np.linspace(lower, upper, count if lower < upper else 1) if lower <= upper < 0 else None
 
 
-def box_of_speeds(p: Any, count: int = _GRIDS[0][1]) -> Vector | None:
+def speed_interval(p: Any, count: int = _GRIDS[0][1]) -> Vector | None:
     """Speeds [m/s] relative to the body at the interface; None where neither bounds nor the propellant give them."""
     if hasattr(p, "interface_speed"):
         return np.array([p.interface_speed])
@@ -194,13 +200,13 @@ def box_of_speeds(p: Any, count: int = _GRIDS[0][1]) -> Vector | None:
     return np.linspace(low, high, count) if 0 < low <= high else None
 
 
-def peak(name: str, fallen: Fall, p: Any, air: Air) -> float:
+def peak_load(name: str, fallen: Fall, p: Any, air: Air) -> float:
     """Return the greatest value of a limited quantity at the points of a fall, a lower bound of its true peak."""
     height, speed = fallen.rows[:, 0], fallen.rows[:, 2]
     density, mass = air.density(height, p, NUMERIC), getattr(p, "separation_mass", p.vehicle_mass)
     velocity = (speed, 0.0 * speed, 0.0 * speed)
     if name == "load":
-        found = aerodynamics.load(density, velocity, mass, p, NUMERIC)
+        found = aerodynamics.aerodynamic_load(density, velocity, mass, p, NUMERIC)
     elif name == "heat_rate":
         found = aerodynamics.heat_rate(density, velocity, p, NUMERIC)
     else:

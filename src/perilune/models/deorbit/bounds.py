@@ -22,8 +22,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from perilune.models.deorbit.passes import extremes, furthest_turned
-from perilune.models.deorbit.records import exhaust_speed, velocity_change
+from perilune.models.deorbit.passes import apsis_radii, largest_plane_turn
+from perilune.models.deorbit.records import engine_exhaust_speed, total_velocity_change
 
 _LEAST_SLACK = 25e3  # m
 _OBLATE = 3.5  # times J2 and the radius
@@ -35,7 +35,7 @@ _NOTHING = 1e-9  # of full thrust
 _STEEP = 20.0  # -ln c of a path that is as good as vertical
 
 
-def slack(p: Any, m: Any) -> Any:
+def oblateness_height_shift(p: Any, m: Any) -> Any:
     """Return how far [m] oblateness and the ellipsoid move the height of a flight within a turn."""
     return m.fmax(_OBLATE * m.fabs(p.body_j2) * p.body_radius, _LEAST_SLACK)
 
@@ -47,27 +47,31 @@ def gate_radius(p: Any) -> Any:
 
 def interface_speeds(p: Any, m: Any) -> tuple[Any, Any]:
     """Return the least and the greatest speed [m/s] relative to the body at the interface."""
-    gate, change = gate_radius(p), velocity_change(p, m)
-    speed, turning = _speed(p, m, gate), p.body_rotation_rate * gate
+    gate, change = gate_radius(p), total_velocity_change(p, m)
+    speed, turning = _orbital_speed_at(p, m, gate), p.body_rotation_rate * gate
     # The body turns below the plane of the orbit, which the velocity change tilts.
     beside, size = speed - turning * m.cos(p.orbit_inclination), m.fabs(turning)
-    tilt = size * (m.fmin(furthest_turned(p, change, m), 2.0) + size / speed) + _TILTS * m.fabs(p.body_j2) * speed
+    tilt = size * (m.fmin(largest_plane_turn(p, change, m), 2.0) + size / speed) + _TILTS * m.fabs(p.body_j2) * speed
     # With the height that is not known to better than the slack goes a speed.
-    loose = tilt + p.body_gravitational_parameter * slack(p, m) / (gate * gate * speed)
+    loose = tilt + p.body_gravitational_parameter * oblateness_height_shift(p, m) / (gate * gate * speed)
     return m.fmax(beside - change - loose, 0.0), beside + change + loose
 
 
 def steepest_angle(p: Any, m: Any) -> Any:
     """Return the steepest path angle [rad] relative to the body at the interface, positive below the horizon."""
-    low, high = extremes(p)
-    mu, gate, change = p.body_gravitational_parameter, gate_radius(p) - slack(p, m), velocity_change(p, m)
-    speed = _speed(p, m, gate)
+    low, high = apsis_radii(p)
+    mu, gate, change = (
+        p.body_gravitational_parameter,
+        gate_radius(p) - oblateness_height_shift(p, m),
+        total_velocity_change(p, m),
+    )
+    speed = _orbital_speed_at(p, m, gate)
     flat = m.log(speed * gate / m.sqrt(2 * mu * low * high / (low + high)))  # -ln c
     step = change / _STEPS
     for k in range(1, _STEPS + 1):
         slow, fast = m.fmax(speed - k * step, _LEAST * speed), speed + k * step
-        far = slack(p, m) + m.fmin(
-            high + furthest_moved(p, m, k * step), mu / m.fmax(mu / gate - fast * fast / 2, _LEAST * mu / gate)
+        far = oblateness_height_shift(p, m) + m.fmin(
+            high + largest_altitude_change(p, m, k * step), mu / m.fmax(mu / gate - fast * fast / 2, _LEAST * mu / gate)
         )
         gained = 2 * mu * (1 / gate - 1 / far)
         ahead = flat
@@ -83,20 +87,20 @@ def steepest_angle(p: Any, m: Any) -> Any:
     return m.atan2(down, m.fmax(level * cosine - carried, _LEAST * level * cosine)) + tilt
 
 
-def furthest_moved(p: Any, m: Any, change: Any) -> Any:
+def largest_altitude_change(p: Any, m: Any, change: Any) -> Any:
     """Return the most [m] that a burn of a velocity change [m/s] raises or lowers the vehicle by its end.
 
     A burn lasts longest at its least thrust, without bound where that is zero.
     """
-    low, _ = extremes(p)
+    low, _ = apsis_radii(p)
     least = p.vehicle_thrust * m.fmax(getattr(p, "throttle_lower", 1.0), _NOTHING)
-    ratio = m.exp(change / exhaust_speed(p))
-    lasts = p.vehicle_mass * (1 - 1 / ratio) * exhaust_speed(p) / least
-    straight = exhaust_speed(p) * lasts * (1 - m.log(ratio) / (ratio - 1))
+    ratio = m.exp(change / engine_exhaust_speed(p))
+    lasts = p.vehicle_mass * (1 - 1 / ratio) * engine_exhaust_speed(p) / least
+    straight = engine_exhaust_speed(p) * lasts * (1 - m.log(ratio) / (ratio - 1))
     return _SURELY * straight * (1 + lasts * m.sqrt(p.body_gravitational_parameter / (low * low * low)))
 
 
-def _speed(p: Any, m: Any, gate: Any) -> Any:
+def _orbital_speed_at(p: Any, m: Any, gate: Any) -> Any:
     """Inertial speed [m/s] of the orbit's energy at a distance."""
-    low, high = extremes(p)
+    low, high = apsis_radii(p)
     return m.sqrt(2 * p.body_gravitational_parameter * (1 / gate - 1 / (low + high)))

@@ -13,15 +13,15 @@ from perilune.models.deorbit.records import (
     Landing,
     Limits,
     Manoeuvre,
-    Orbit,
     Parachute,
     Returner,
+    ReturnOrbit,
     Separation,
 )
 from perilune.words.outcome import PeriluneError
 
 
-def epoch_of(aim: Aim) -> datetime:
+def require_epoch(aim: Aim) -> datetime:
     """Return the epoch; refuse a return without one."""
     epoch = aim.instant()
     if epoch is None:
@@ -32,7 +32,7 @@ def epoch_of(aim: Aim) -> datetime:
     return epoch
 
 
-def refuse_more_than_there_is(vehicle: Returner, separation: Separation | None) -> None:
+def refuse_impossible_masses(vehicle: Returner, separation: Separation | None) -> None:
     """Refuse a vehicle that is heavier after a part of it is left behind, or the propellant is burnt."""
     if separation is not None and separation.mass >= vehicle.mass:
         raise PeriluneError(
@@ -120,7 +120,7 @@ def refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | No
 
 
 def refuse_incomplete(
-    aim: Aim, vehicle: Returner, orbit_: Orbit, manoeuvre: Manoeuvre | None, air: Air | None, site: Landing | None
+    aim: Aim, vehicle: Returner, orbit_: ReturnOrbit, manoeuvre: Manoeuvre | None, air: Air | None, site: Landing | None
 ) -> None:
     """Refuse what is left out, or stated and of no effect."""
     if manoeuvre is None and (orbit_.node_longitude is None or orbit_.argument_of_latitude is None):

@@ -53,11 +53,11 @@ def typical_speed(p: Any, radius: float) -> float:
     """Return a speed [m/s] relative to the body at the interface, within the stated range, coming from a radius."""
     gate = p.body_radius + p.interface_altitude
     inertial = math.sqrt(2 * p.body_gravitational_parameter / gate * radius / (radius + gate))
-    speed = getattr(p, "interface_speed", inertial - carried(p, gate))
+    speed = getattr(p, "interface_speed", inertial - turning_speed(p, gate))
     return min(max(speed, getattr(p, "interface_speed_lower", 0.0)), getattr(p, "interface_speed_upper", math.inf))
 
 
-def carried(p: Any, distance: float) -> float:
+def turning_speed(p: Any, distance: float) -> float:
     """Speed [m/s] of the body's turning along the orbit."""
     return p.body_rotation_rate * distance * math.cos(p.orbit_inclination)
 
@@ -74,17 +74,19 @@ class Fall:
     rows: Matrix
 
 
-def _rates(p: Any, air: Air) -> Callable[[float, Any], list[float]]:
+def _fall_rates(p: Any, air: Air) -> Callable[[float, Any], list[float]]:
     """Rates of a row."""
     heats, mass = hasattr(p, "vehicle_nose_radius"), getattr(p, "separation_mass", p.vehicle_mass)
-    floor = lowest(p) - _BEYOND  # below it the air is no denser, so that trial steps beyond the end stay numbers
+    floor = (
+        entry_end_altitude(p) - _BEYOND
+    )  # below it the air is no denser, so that trial steps beyond the end stay numbers
 
     def slope(_: float, y: Any) -> list[float]:
         height, _, v, gamma, _ = y
         r, density = p.body_radius + height, float(air.density(max(height, floor), p, NUMERIC))
         pull, velocity = p.body_gravitational_parameter / (r * r), (v, 0.0, 0.0)
         slowed = drag_acceleration(density, velocity, mass, p, NUMERIC)
-        level = v + carried(p, r)
+        level = v + turning_speed(p, r)
         return [
             v * math.sin(gamma), v * math.cos(gamma) / r, -slowed - pull * math.sin(gamma),
             (level * level / r - pull) / v * math.cos(gamma),
@@ -94,7 +96,7 @@ def _rates(p: Any, air: Air) -> Callable[[float, Any], list[float]]:
     return slope
 
 
-def lowest(p: Any) -> Any:
+def entry_end_altitude(p: Any) -> Any:
     """Return the altitude [m] at which the entry ends: of the site, or of the opening parachute."""
     return getattr(p, "parachute_altitude", p.site_altitude)
 
@@ -102,24 +104,24 @@ def lowest(p: Any) -> Any:
 def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = None, points: int = POINTS) -> Fall:
     """Return the fall from the interface to the end of the entry; from a typical path angle and speed by default."""
     if angle is None and speed is None:  # which a problem, its rough flight and its preflight ask for, one by one
-        return _typical(_Itself(air), points).of({name: float(value) for name, value in vars(p).items()})
-    return _fall(p, air, angle, speed, points)
+        return _typical_falls_of(_IdentityKey(air), points).of({name: float(value) for name, value in vars(p).items()})
+    return _integrate_fall(p, air, angle, speed, points)
 
 
 @dataclass(frozen=True, eq=False)
-class _Itself:
+class _IdentityKey:
     """Air as a key, equal only to itself."""
 
     air: Air
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Itself) and self.air is other.air
+        return isinstance(other, _IdentityKey) and self.air is other.air
 
     def __hash__(self) -> int:
         return id(self.air)
 
 
-class _Read:
+class _RecordedParameters:
     """Parameters that record which of them were read."""
 
     def __init__(self, numbers: Mapping[str, float]) -> None:
@@ -132,7 +134,7 @@ class _Read:
         return self._numbers[name]
 
 
-class _Typical:
+class _TypicalFalls:
     """Falls through one air at typical values, the last ones kept by the numbers on which they depend."""
 
     def __init__(self, air: Air, points: int) -> None:
@@ -143,8 +145,8 @@ class _Typical:
         """The fall with these parameters."""
         if (found := self._known.get(self._key(numbers))) is not None:
             return found
-        read = _Read(numbers)
-        found = _fall(read, self.air, None, None, self.points)
+        read = _RecordedParameters(numbers)
+        found = _integrate_fall(read, self.air, None, None, self.points)
         if not read.names <= self._names or len(self._known) >= _KEPT:
             self._names = self._names | read.names
             self._known = {}
@@ -156,11 +158,11 @@ class _Typical:
 
 
 @lru_cache(maxsize=8)
-def _typical(of: _Itself, points: int) -> _Typical:
-    return _Typical(of.air, points)
+def _typical_falls_of(of: _IdentityKey, points: int) -> _TypicalFalls:
+    return _TypicalFalls(of.air, points)
 
 
-def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: int) -> Fall:
+def _integrate_fall(p: Any, air: Air, angle: float | None, speed: float | None, points: int) -> Fall:
     from scipy.integrate import solve_ivp
 
     radius = float(p.body_radius + p.interface_altitude)
@@ -168,7 +170,7 @@ def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: in
     speed = typical_speed(p, radius + 3e5) if speed is None else speed
 
     def landed(_: float, y: Any) -> float:
-        return y[0] - lowest(p)
+        return y[0] - entry_end_altitude(p)
 
     landed.terminal = True  # type: ignore[attr-defined]
     start = [p.interface_altitude, 0.0, speed, angle, 0.0]
@@ -176,7 +178,7 @@ def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: in
     try:
         with np.errstate(all="ignore"):
             flown = solve_ivp(
-                _rates(p, air),
+                _fall_rates(p, air),
                 (0.0, _LONGEST),
                 start,
                 method="LSODA" if floats else "RK45",
@@ -197,8 +199,8 @@ def _fall(p: Any, air: Air, angle: float | None, speed: float | None, points: in
 
 def terminal_speed(p: Any, air: Air) -> float:
     """Speed [m/s] of a steady vertical fall where the entry ends, without bound where there is no air."""
-    radius, mass = p.body_radius + lowest(p), getattr(p, "separation_mass", p.vehicle_mass)
-    slowed = drag_acceleration(air.density(lowest(p), p, NUMERIC), (1.0, 0.0, 0.0), mass, p, NUMERIC)
+    radius, mass = p.body_radius + entry_end_altitude(p), getattr(p, "separation_mass", p.vehicle_mass)
+    slowed = drag_acceleration(air.density(entry_end_altitude(p), p, NUMERIC), (1.0, 0.0, 0.0), mass, p, NUMERIC)
     pull = p.body_gravitational_parameter / (radius * radius)
     return math.sqrt(pull / float(slowed)) if slowed > 0 else math.inf
 
@@ -229,17 +231,17 @@ def slowest_arrival(p: Any, air: Air, steepest: float, speeds: tuple[float, floa
     return min((float(one.rows[-1, 2]) for one in falls if one.lands), default=math.inf)
 
 
-def always_faster(p: Any, air: Air) -> bool:
+def all_falls_too_fast(p: Any, air: Air) -> bool:
     """Return True if no fall without lift from the interface arrives as slowly as ``site_speed_upper``."""
     speeds = [share * p.site_speed_upper for share in _SHARES]
-    return all(_was_thrown(p, air, speed, float(angle)) for speed in speeds for angle in _ANGLES)
+    return all(_turned_below_interface(p, air, speed, float(angle)) for speed in speeds for angle in _ANGLES)
 
 
-def _was_thrown(p: Any, air: Air, speed: float, angle: float) -> bool:
+def _turned_below_interface(p: Any, air: Air, speed: float, angle: float) -> bool:
     """Return True if a fall with this speed and path angle at its end has turned below the interface."""
     from scipy.integrate import solve_ivp
 
-    forward = _rates(p, air)
+    forward = _fall_rates(p, air)
 
     def turns(_: float, y: Any) -> float:
         return min(-y[3] - 1e-3, y[2] - _STILL)
@@ -248,7 +250,7 @@ def _was_thrown(p: Any, air: Air, speed: float, angle: float) -> bool:
         return min(p.interface_altitude - y[0], _FASTEST - y[2])
 
     turns.terminal = comes.terminal = True  # type: ignore[attr-defined]
-    start = [lowest(p), 0.0, speed, angle, 0.0]
+    start = [entry_end_altitude(p), 0.0, speed, angle, 0.0]
     try:
         with np.errstate(all="ignore"):
             flown = solve_ivp(

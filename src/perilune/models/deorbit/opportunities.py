@@ -17,16 +17,22 @@ from typing import Any
 import numpy as np
 
 from perilune.models import ellipsoid
-from perilune.models.deorbit.fall import carried
-from perilune.models.deorbit.orbit import plane, shape
-from perilune.models.deorbit.passes import Pass, extremes, nearest, passes
+from perilune.models.deorbit.fall import turning_speed
+from perilune.models.deorbit.orbit import plane_axes, radius_and_speeds
+from perilune.models.deorbit.passes import Pass, apsis_radii, find_passes, nearest_approach_to_plane
 from perilune.models.deorbit.preflight import OFF_PLANE
-from perilune.models.deorbit.records import Aim, Manoeuvre, exhaust_speed, greatest_thrust, velocity_change
+from perilune.models.deorbit.records import (
+    Aim,
+    Manoeuvre,
+    engine_exhaust_speed,
+    full_engine_thrust,
+    total_velocity_change,
+)
 from perilune.models.deorbit.secular import Drift, drift
-from perilune.models.deorbit.times import way_down
-from perilune.models.rotating import dot
+from perilune.models.deorbit.times import estimate_descent
+from perilune.models.rotating import scalar_product
 from perilune.problem.problem import Problem
-from perilune.words.asked import called_in_words, demand
+from perilune.words.asked import check_call, require_type
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import InfeasibleError, PeriluneError
 
@@ -63,7 +69,7 @@ class Opportunity(Pass):
     settings: Mapping[str, str]
 
 
-@called_in_words
+@check_call
 def opportunities(problem: Problem, days: float) -> tuple[Opportunity, ...]:
     """Return all passes over the site of a return whose ignition is within some days from t = 0.
 
@@ -79,21 +85,21 @@ def opportunities(problem: Problem, days: float) -> tuple[Opportunity, ...]:
     PeriluneError
         If the problem is no return, names no site or no dry mass, or the days are out of range.
     """
-    demand(problem, Problem, "a problem to list opportunities of")
+    require_type(problem, Problem, "a problem to list opportunities of")
     _refuse_unfit(problem, days)
     p = problem.parameters({})
-    if extremes(p)[0] < p.body_radius + p.interface_altitude:
+    if apsis_radii(p)[0] < p.body_radius + p.interface_altitude:
         raise InfeasibleError(
             "the orbit comes down into the air by itself, before any other pass", got="a perigee below the interface",
             expected="a perigee above it", advice="a higher orbit, or a lower interface.altitude",
         )  # fmt: skip
     state = [float(value) for value in problem.start(p, NUMERIC)]
-    orbit, entry = drift(state[:3], state[3:6], p), _entry(problem, p)
-    found = passes(p, orbit, entry, drifts="drift_time" in problem.free_names, until=days * _DAY)
-    return tuple(_judged(problem, p, one, orbit, entry) for one in found)
+    orbit, entry = drift(state[:3], state[3:6], p), _typical_entry(problem, p)
+    found = find_passes(p, orbit, entry, drifts="drift_time" in problem.free_names, until=days * _DAY)
+    return tuple(_classify_pass(problem, p, one, orbit, entry) for one in found)
 
 
-def refuse_none(found: Sequence[Opportunity], days: float) -> None:
+def refuse_no_opportunity(found: Sequence[Opportunity], days: float) -> None:
     """Raise InfeasibleError, naming the nearest pass, if no pass can be made.
 
     Parameters
@@ -140,7 +146,7 @@ def _refuse_unfit(problem: Problem, days: float) -> None:
         )  # fmt: skip
 
 
-def _entry(problem: Problem, p: Any) -> tuple[float, float]:
+def _typical_entry(problem: Problem, p: Any) -> tuple[float, float]:
     """Time [s] of a typical fall through the air, and the angle swept [rad] in axes that do not turn."""
     assert problem.ranges is not None and problem.rough_flight is not None
     times = {name: typical() for name, (_, _, typical) in problem.ranges(p, NUMERIC).items()}
@@ -152,21 +158,21 @@ def _entry(problem: Problem, p: Any) -> tuple[float, float]:
         last[0] * math.sin(turned) + last[1] * math.cos(turned),
         last[2],
     ]
-    return times["entry_time"], math.acos(max(-1.0, min(1.0, dot(first, carried))))
+    return times["entry_time"], math.acos(max(-1.0, min(1.0, scalar_product(first, carried))))
 
 
-def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[float, float]) -> Opportunity:
-    available = velocity_change(p)
+def _classify_pass(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[float, float]) -> Opportunity:
+    available = total_velocity_change(p)
     start = max(found.ignition - 0.5 * getattr(p, "orbit_longest_coast", 0.0), 0.0)
-    if _SPARE * found.velocity_change <= available and _allowed(problem, p, found, orbit, entry[0]):
+    if _SPARE * found.velocity_change <= available and _allows_descent(problem, p, found, orbit, entry[0]):
         verdict = REACHABLE
     else:
-        away, turned = nearest(p, orbit.later(start), entry, found.landing - start)
+        away, turned = nearest_approach_to_plane(p, orbit.later(start), entry, found.landing - start)
         beyond = away > turned + OFF_PLANE and not hasattr(p, "vehicle_lift_to_drag")
         verdict = OUT_OF_REACH if beyond else DOUBTFUL
     aim = next((record for record in problem.declared if isinstance(record, Aim)), Aim())
     utc = aim.instant()
-    settings = _settings(problem, p, orbit, start)
+    settings = _orbit_settings_at(problem, p, orbit, start)
     if utc is not None:
         settings["problem.epoch"] = f"{utc + timedelta(seconds=start):%Y-%m-%dT%H:%M:%SZ}"
     return Opportunity(
@@ -175,31 +181,31 @@ def _judged(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: tuple[fl
     )  # fmt: skip
 
 
-def _allowed(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) -> bool:
+def _allows_descent(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) -> bool:
     """Return True if the problem allows the typical descent: a short burn, a coast, and its speed at the interface."""
-    exhaust, gate = exhaust_speed(p), p.body_radius + p.interface_altitude
-    burn = p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-found.velocity_change / exhaust))
+    exhaust, gate = engine_exhaust_speed(p), p.body_radius + p.interface_altitude
+    burn = p.vehicle_mass * exhaust / full_engine_thrust(p) * (1 - math.exp(-found.velocity_change / exhaust))
     if "drift_time" not in problem.free_names or burn > _SHORT * (found.landing - found.ignition - entry):
         return False
     angle = float(orbit.at(found.ignition)[0]) - orbit.perigee_rate * found.ignition
-    radius, rise, level = (float(v) for v in shape(angle, p, NUMERIC))
-    left = math.hypot(rise, level) - way_down(p, angle, drifts=True).velocity_change
+    radius, rise, level = (float(v) for v in radius_and_speeds(angle, p, NUMERIC))
+    left = math.hypot(rise, level) - estimate_descent(p, angle, drifts=True).velocity_change
     fallen = 2 * p.body_gravitational_parameter * (1 / gate - 1 / radius)
-    speed = math.sqrt(max(left * left + fallen, 0.0)) - carried(p, gate)
+    speed = math.sqrt(max(left * left + fallen, 0.0)) - turning_speed(p, gate)
     stated = getattr(p, "interface_speed", None)
     lower, upper = getattr(p, "interface_speed_lower", stated), getattr(p, "interface_speed_upper", stated)
     return (lower is None or speed > lower - _ROUGHLY) and (upper is None or speed < upper + _ROUGHLY)
 
 
-def _settings(problem: Problem, p: Any, orbit: Drift, start: float) -> dict[str, str]:
+def _orbit_settings_at(problem: Problem, p: Any, orbit: Drift, start: float) -> dict[str, str]:
     """Return the orbit at a time [s], in the keys with which the problem states it."""
     angle, node = (float(value) for value in orbit.at(start))
     perigee = {}
     if hasattr(p, "orbit_argument_of_perigee"):
         perigee["orbit.argument_of_perigee"] = _degrees(orbit.perigee + orbit.perigee_rate * start)
     if any(isinstance(record, Manoeuvre) for record in problem.declared):
-        up, _ = plane(angle, node, p, NUMERIC)
-        distance = float(shape(angle - orbit.perigee_rate * start, p, NUMERIC)[0])
+        up, _ = plane_axes(angle, node, p, NUMERIC)
+        distance = float(radius_and_speeds(angle - orbit.perigee_rate * start, p, NUMERIC)[0])
         latitude = float(ellipsoid.latitude([distance * part for part in up], p, NUMERIC))
         return {
             "manoeuvre.longitude": _degrees(math.atan2(up[1], up[0])), "manoeuvre.latitude": _degrees(latitude),

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 from perilune.models import ellipsoid
-from perilune.models.rotating import Triple, combine, cross
+from perilune.models.rotating import Triple, combine, cross_product
 from perilune.words.types import Physics
 
 AXIS: Triple = (0.0, 0.0, 1.0)
@@ -22,25 +22,25 @@ AXIS: Triple = (0.0, 0.0, 1.0)
 _ROUNDS = 6
 
 
-def from_place(going: str) -> Physics:
+def angles_of_place(going: str) -> Physics:
     """``angles(p, m)`` of a manoeuvre: argument of latitude and longitude of the node [rad]."""
     return _ascending if going == "ascending" else _descending
 
 
-def from_node(p: Any, m: Any) -> tuple[Any, Any]:
+def angles_of_node(p: Any, m: Any) -> tuple[Any, Any]:
     """Angles of an orbit that says where it is at t = 0."""
     return p.orbit_argument_of_latitude, p.orbit_node_longitude
 
 
 def _ascending(p: Any, m: Any) -> tuple[Any, Any]:
-    return _at_place(p, m, 1.0)
+    return _angles_at_latitude(p, m, 1.0)
 
 
 def _descending(p: Any, m: Any) -> tuple[Any, Any]:
-    return _at_place(p, m, -1.0)
+    return _angles_at_latitude(p, m, -1.0)
 
 
-def _at_place(p: Any, m: Any, northwards: float) -> tuple[Any, Any]:
+def _angles_at_latitude(p: Any, m: Any, northwards: float) -> tuple[Any, Any]:
     def angles(latitude: Any) -> tuple[Any, Any, Any]:
         sine = m.sin(latitude) / m.sin(p.orbit_inclination)
         cosine = northwards * m.sqrt(1 - sine * sine)
@@ -49,12 +49,12 @@ def _at_place(p: Any, m: Any, northwards: float) -> tuple[Any, Any]:
     # Nowhere is it further from the geodetic one than at the ground: no orbit that comes to the place starts beyond it.
     angle, sine, cosine = angles(ellipsoid.geocentric(p.manoeuvre_latitude, p.body_radius, p, m))
     for _ in range(_ROUNDS if hasattr(p, "body_flattening") else 0):
-        distance = shape(angle, p, m)[0]
+        distance = radius_and_speeds(angle, p, m)[0]
         angle, sine, cosine = angles(ellipsoid.geocentric(p.manoeuvre_latitude, distance, p, m))
     return angle, p.manoeuvre_longitude - m.atan2(m.cos(p.orbit_inclination) * sine, cosine)
 
 
-def plane(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:
+def plane_axes(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:
     """Unit vectors up and ahead at an argument of latitude, for a node given relative to the body."""
     sin_i, cos_i = m.sin(p.orbit_inclination), m.cos(p.orbit_inclination)
     to_node, beyond = (m.cos(node), m.sin(node), 0.0), (-cos_i * m.sin(node), cos_i * m.cos(node), sin_i)
@@ -64,7 +64,7 @@ def plane(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:
     )
 
 
-def shape(angle: Any, p: Any, m: Any) -> tuple[Any, Any, Any]:
+def radius_and_speeds(angle: Any, p: Any, m: Any) -> tuple[Any, Any, Any]:
     """Distance [m], and inertial speeds upwards and ahead [m/s], at an argument of latitude."""
     if hasattr(p, "orbit_radius"):
         return p.orbit_radius, 0.0 * p.orbit_radius, m.sqrt(p.body_gravitational_parameter / p.orbit_radius)
@@ -76,9 +76,9 @@ def shape(angle: Any, p: Any, m: Any) -> tuple[Any, Any, Any]:
     return parameter / ahead, speed * eccentricity * m.sin(anomaly), speed * ahead
 
 
-def state(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:
+def orbit_state(angle: Any, node: Any, p: Any, m: Any) -> tuple[Triple, Triple]:
     """Position [m], and velocity [m/s] relative to the turning body."""
-    up, ahead = plane(angle, node, p, m)
-    distance, rise, level = shape(angle, p, m)
+    up, ahead = plane_axes(angle, node, p, m)
+    distance, rise, level = radius_and_speeds(angle, p, m)
     position = combine((distance, up))
-    return position, combine((rise, up), (level, ahead), (-p.body_rotation_rate, cross(AXIS, position)))
+    return position, combine((rise, up), (level, ahead), (-p.body_rotation_rate, cross_product(AXIS, position)))

@@ -23,67 +23,67 @@ from perilune.models.atmosphere import Air
 from perilune.models.deorbit import flight, told
 from perilune.models.deorbit.orbit import AXIS
 from perilune.models.landing import mass_state
-from perilune.models.rotating import Triple, apparent_gravity, combine, dot
+from perilune.models.rotating import Triple, apparent_gravity, combine, scalar_product
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable
 from perilune.words.maths import NUMERIC
 
 
-def velocity(x: Any, p: Any, m: Any, *, air: Air) -> Triple:
+def sinking_velocity(x: Any, p: Any, m: Any, *, air: Air) -> Triple:
     """Steady velocity [m/s] relative to the turning body."""
-    pull = apparent_gravity(flight.where(x), AXIS, p, m)
-    density = air.density(ellipsoid.altitude(flight.where(x), p, m), p, m)
-    return combine((m.sqrt(2 * x.m / (density * p.parachute_drag_area * m.sqrt(dot(pull, pull)))), pull))
+    pull = apparent_gravity(flight.position_vector(x), AXIS, p, m)
+    density = air.density(ellipsoid.altitude(flight.position_vector(x), p, m), p, m)
+    return combine((m.sqrt(2 * x.m / (density * p.parachute_drag_area * m.sqrt(scalar_product(pull, pull)))), pull))
 
 
-def moving(x: Any, p: Any, m: Any, *, air: Air) -> Any:
+def with_steady_velocity(x: Any, p: Any, m: Any, *, air: Air) -> Any:
     """The state with its velocity."""
-    vx, vy, vz = velocity(x, p, m, air=air)
+    vx, vy, vz = sinking_velocity(x, p, m, air=air)
     return SimpleNamespace(**x._asdict(), vx=vx, vy=vy, vz=vz)
 
 
-def sinking(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def sinking_rates(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
     """Rates: x, y, z, m, and the heat load and the whole mass where they are states."""
-    return *velocity(x, p, m, air=air), *(0.0 for _ in x._fields[3:])
+    return *sinking_velocity(x, p, m, air=air), *(0.0 for _ in x._fields[3:])
 
 
-def opened(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def parachute_link(x: Any, p: Any, m: Any) -> Sequence[Any]:
     """Link from the entry: all but the velocity."""
     return tuple(value for name, value in zip(x._fields, x, strict=True) if name not in ("vx", "vy", "vz"))
 
 
-def placed(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def parachute_outputs(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
     """Values of `told.PLACED` without the path angle, which is nearly straight down."""
-    return told.placed(moving(x, p, m, air=air), u, p, m)[:-1]
+    return told.position_outputs(with_steady_velocity(x, p, m, air=air), u, p, m)[:-1]
 
 
-def inertial(x: Any, u: Any, t: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def inertial_descent(x: Any, u: Any, t: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
     """`perilune.problem.phase.Phase.inertial`."""
-    return told.inertial_without_thrust(moving(x, p, m, air=air), u, t, p, m)
+    return told.inertial_without_thrust(with_steady_velocity(x, p, m, air=air), u, t, p, m)
 
 
-def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str], air: Air) -> Sequence[Any]:
-    """`told.results` of a flight that ends below a parachute."""
-    return told.results(first, moving(last, p, m, air=air), p, m, names=names)
+def parachute_results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str], air: Air) -> Sequence[Any]:
+    """`told.return_results` of a flight that ends below a parachute."""
+    return told.return_results(first, with_steady_velocity(last, p, m, air=air), p, m, names=names)
 
 
-def phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> Phase:
+def parachute_phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> Phase:
     """Return the phase from the opening to the altitude of the site, with the states kept in addition to the motion."""
     names = flight.SITE if placed_ else flight.SITE[:1]
     return Phase(
         name="parachute",
         states=(*flight.STATES[:3], mass_state(False), *kept),
-        dynamics=partial(sinking, air=air),
+        dynamics=partial(sinking_rates, air=air),
         duration="parachute_time",
-        end=flight.beside_site,
+        end=flight.offset_from_site,
         end_conditions=tuple(Variable(name=name, unit="m") for name in names),
-        outputs=partial(placed, air=air),
+        outputs=partial(parachute_outputs, air=air),
         output_variables=told.PLACED[:-1],
-        inertial=partial(inertial, air=air),
+        inertial=partial(inertial_descent, air=air),
     )
 
 
-def typical_time(p: Any, air: Air) -> float:
+def typical_parachute_time(p: Any, air: Air) -> float:
     """Return a typical time [s] from the opening to the altitude of the site."""
     from scipy.integrate import quad
 

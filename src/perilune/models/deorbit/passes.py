@@ -37,17 +37,17 @@ from typing import Any
 import numpy as np
 
 from perilune.models import ellipsoid
-from perilune.models.deorbit.orbit import plane, shape
+from perilune.models.deorbit.orbit import plane_axes, radius_and_speeds
 from perilune.models.deorbit.records import (
     LONGEST_COAST,
-    exhaust_speed,
-    greatest_thrust,
+    engine_exhaust_speed,
+    full_engine_thrust,
     is_something_left,
-    must_be_left,
+    least_mass_left,
 )
 from perilune.models.deorbit.secular import Drift
-from perilune.models.deorbit.times import way_down
-from perilune.models.rotating import cross, dot
+from perilune.models.deorbit.times import estimate_descent
+from perilune.models.rotating import cross_product, scalar_product
 from perilune.words.maths import NUMERIC
 
 _STEP = 30.0  # s, between looks at where the vehicle and the site are
@@ -85,16 +85,16 @@ class Pass:
     velocity_change: float
 
 
-def site_beside(p: Any, node: Any) -> tuple[Any, Any]:
+def site_relative_to_plane(p: Any, node: Any) -> tuple[Any, Any]:
     """Locate the site relative to a plane of this node [rad]: argument of latitude of its foot, angle left [rad]."""
-    to_node, beyond = plane(0.0, node, p, NUMERIC)
-    site = ellipsoid.at(p.site_longitude, p.site_latitude, p.site_altitude, p, NUMERIC)
-    distance = math.sqrt(dot(site, site))
-    left = dot(site, cross(to_node, beyond)) / distance
-    return np.arctan2(dot(site, beyond), dot(site, to_node)), np.arcsin(np.clip(left, -1.0, 1.0))
+    to_node, beyond = plane_axes(0.0, node, p, NUMERIC)
+    site = ellipsoid.geodetic_position(p.site_longitude, p.site_latitude, p.site_altitude, p, NUMERIC)
+    distance = math.sqrt(scalar_product(site, site))
+    left = scalar_product(site, cross_product(to_node, beyond)) / distance
+    return np.arctan2(scalar_product(site, beyond), scalar_product(site, to_node)), np.arcsin(np.clip(left, -1.0, 1.0))
 
 
-def passes(p: Any, orbit: Drift, entry: tuple[float, float], *, drifts: bool, until: float) -> list[Pass]:
+def find_passes(p: Any, orbit: Drift, entry: tuple[float, float], *, drifts: bool, until: float) -> list[Pass]:
     """Return all passes whose ignition is not later than a time.
 
     Parameters
@@ -112,16 +112,16 @@ def passes(p: Any, orbit: Drift, entry: tuple[float, float], *, drifts: bool, un
     """
     count = 1 if hasattr(p, "orbit_radius") else _AROUND
     around = np.linspace(-math.pi, math.pi, count + 1)
-    downs = [way_down(p, float(angle), drifts=drifts) for angle in around[:-1]]
+    downs = [estimate_descent(p, float(angle), drifts=drifts) for angle in around[:-1]]
     rows = np.array([[down.whole + entry[0], down.swept + entry[1], down.velocity_change] for down in downs])
     rows = np.vstack([rows, rows[:1]])
 
     def descent(time: Any) -> tuple[Any, ...]:
         angle, _ = orbit.at(time)
-        lasts, sweeps, change = (np.interp(_turned(angle), around, row) for row in rows.T)
+        lasts, sweeps, change = (np.interp(_wrap_to_pi(angle), around, row) for row in rows.T)
         _, node = orbit.at(time + lasts)
-        foot, left = site_beside(p, node)
-        return _turned(angle + sweeps - foot), lasts, sweeps, change, left, angle, foot
+        foot, left = site_relative_to_plane(p, node)
+        return _wrap_to_pi(angle + sweeps - foot), lasts, sweeps, change, left, angle, foot
 
     times = np.arange(0.0, until + _STEP, _STEP)
     past = descent(times)[0]
@@ -129,11 +129,11 @@ def passes(p: Any, orbit: Drift, entry: tuple[float, float], *, drifts: bool, un
     ignition = times[before] - _STEP * past[before] / (past[before + 1] - past[before])
     ignition = ignition[ignition <= until]
     _, lasts, sweeps, change, left, angle, foot = descent(ignition)
-    missed = np.maximum(np.abs(left) - side_reach(p), 0.0)
+    missed = np.maximum(np.abs(left) - crossrange_angle(p), 0.0)
     with np.errstate(divide="ignore"):
         sine = np.sin(missed) / np.abs(np.sin(sweeps))
     turn = np.where(sine <= 1, np.arcsin(np.minimum(sine, 1.0)), math.inf)
-    speed = np.array([math.hypot(*(float(v) for v in shape(a, p, NUMERIC)[1:])) for a in angle])
+    speed = np.array([math.hypot(*(float(v) for v in radius_and_speeds(a, p, NUMERIC)[1:])) for a in angle])
     slower, cosine = speed - change, np.cos(np.where(sine <= 1, turn, 0.0))
     needs = np.sqrt(speed * speed + slower * slower - 2 * speed * slower * cosine)
     return [
@@ -146,67 +146,69 @@ def passes(p: Any, orbit: Drift, entry: tuple[float, float], *, drifts: bool, un
     ]  # fmt: skip
 
 
-def side_reach(p: Any) -> float:
+def crossrange_angle(p: Any) -> float:
     """Angle [rad] that lift reaches to the side in the air."""
     return math.pi**2 / 48 * getattr(p, "vehicle_lift_to_drag", 0.0) ** 2
 
 
-def lightest(p: Any) -> Any:
+def least_burnout_mass(p: Any) -> Any:
     """Mass [kg] below which the burn leaves none."""
-    return must_be_left(p) if is_something_left(p) else _LEFT * p.vehicle_mass
+    return least_mass_left(p) if is_something_left(p) else _LEFT * p.vehicle_mass
 
 
-def furthest_turned(p: Any, change: Any, m: Any = NUMERIC) -> Any:
+def largest_plane_turn(p: Any, change: Any, m: Any = NUMERIC) -> Any:
     """Angle [rad] by which a velocity change [m/s] turns the plane of the orbit at most, its apogee raised before."""
-    share = change / _slowest(p, m)
+    share = change / _apogee_speed(p, m)
     return m.where(3 * share < 1, m.asin(m.fmin(3 * share, 1.0)) / 3, math.pi)
 
 
-def _slowest(p: Any, m: Any) -> Any:
+def _apogee_speed(p: Any, m: Any) -> Any:
     """Speed [m/s] at the apogee."""
-    low, high = extremes(p)
+    low, high = apsis_radii(p)
     return m.sqrt(2 * p.body_gravitational_parameter * low / (high * (low + high)))
 
 
-def nearest(p: Any, orbit: Drift, entry: tuple[float, float], landing: float | None = None) -> tuple[float, float]:
+def nearest_approach_to_plane(
+    p: Any, orbit: Drift, entry: tuple[float, float], landing: float | None = None
+) -> tuple[float, float]:
     """Return the least angle from site to plane while a flight from t = 0 can last, and the turn possible by then.
 
     Both [rad], at the time of nearest approach among those at which the site can be reached; if there are none, at the
     time at which the least turn is missing; less than half a turn from a landing [s] where that is given.
     """
-    rate = greatest_thrust(p) / exhaust_speed(p)
-    burn = (p.vehicle_mass - lightest(p)) / rate
+    rate = full_engine_thrust(p) / engine_exhaust_speed(p)
+    burn = (p.vehicle_mass - least_burnout_mass(p)) / rate
     longest = getattr(p, "orbit_longest_coast", 0.0) + getattr(p, "transition_longest_coast", 0.0)
     least = max(getattr(p, "throttle_lower", 1.0), _NOTHING) / getattr(p, "throttle_upper", 1.0)  # of its thrust
     time = np.arange(0.0, longest + min(burn / least, LONGEST_COAST) + _LONGEST_ENTRY, 0.1 * _STEP)
     if landing is not None:
         time = time[np.abs(time - landing) * orbit.turn_rate < math.pi]
     angle, node = orbit.at(time)
-    foot, left = site_beside(p, node)
+    foot, left = site_relative_to_plane(p, node)
     spent = np.minimum(time, burn) * rate  # what may be burnt by then
-    change = exhaust_speed(p) * np.log(p.vehicle_mass / (p.vehicle_mass - spent))
-    low, high = extremes(p)
-    slow = _slowest(p, NUMERIC)
+    change = engine_exhaust_speed(p) * np.log(p.vehicle_mass / (p.vehicle_mass - spent))
+    low, high = apsis_radii(p)
+    slow = _apogee_speed(p, NUMERIC)
     fast = slow * high / low
     oblate = 1.5 * abs(p.body_j2) * (p.body_radius / low) ** 2 * orbit.turn_rate * time
     moved = _SURELY * change / slow * (3 * orbit.turn_rate * time + 4) + _ROUGHLY + 2 * orbit.eccentricity
     behind = 2 * max(fast / low * entry[0] - entry[1], 0.0)
-    ahead = _turned(angle - foot - behind / 2)  # of the site, by as much as half of what the air may hold back
+    ahead = _wrap_to_pi(angle - foot - behind / 2)  # of the site, by as much as half of what the air may hold back
     away = np.abs(left)
-    turned = furthest_turned(p, change) + np.minimum(_APART * change / slow, _MOST_APART) * oblate
+    turned = largest_plane_turn(p, change) + np.minimum(_APART * change / slow, _MOST_APART) * oblate
     turned = np.minimum(turned, math.pi)
     short = away - turned + np.where(np.abs(ahead) <= moved + behind / 2, 0.0, 2 * math.pi)
     k = int(np.argmin(np.where(short <= 0, away - math.pi, short)))  # what is away is no more than half a turn
     return float(away[k]), float(turned[k])
 
 
-def extremes(p: Any) -> tuple[Any, Any]:
+def apsis_radii(p: Any) -> tuple[Any, Any]:
     """Distances [m] of perigee and apogee."""
     if hasattr(p, "orbit_radius"):
         return p.orbit_radius, p.orbit_radius
     return p.body_radius + p.orbit_perigee_altitude, p.body_radius + p.orbit_apogee_altitude
 
 
-def _turned(angle: Any) -> Any:
+def _wrap_to_pi(angle: Any) -> Any:
     """Return the same direction between -pi and pi."""
     return angle - 2 * math.pi * np.round(angle / (2 * math.pi))

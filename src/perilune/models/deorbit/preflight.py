@@ -6,7 +6,7 @@ that of an impulse at the apogee r_2, against the velocity there, to an ellipse 
     dV = sqrt(2 mu/r_2) (sqrt(r_1/(r_1 + r_2)) - sqrt(r_a/(r_a + r_2))),   r_1 the perigee of the orbit
 
 No finite burn does better, and drag begins at the interface only. Oblateness moves the height of a flight by some
-kilometres within a turn: `slack` stands for that.
+kilometres within a turn: `oblateness_height_shift` stands for that.
 
 *At the interface.* What `bounds` says of its speed and its angle.
 
@@ -21,7 +21,7 @@ kilometres within a turn: `slack` stands for that.
 *A file of air.* Its densities and those of the standard atmosphere of the body, which differ by less than a factor of
 three between solar minimum and maximum where they are compared: beyond ten a unit is wrong.
 
-*Sideways.* What `passes` says of a site that is out of the plane of the orbit; lift may reach further, and is only
+*Sideways.* What `find_passes` says of a site that is out of the plane of the orbit; lift may reach further, and is only
 warned.
 """
 
@@ -36,14 +36,31 @@ import numpy as np
 
 from perilune.models import ellipsoid
 from perilune.models.atmosphere import Air
-from perilune.models.deorbit.ballistic import borne_at_least
-from perilune.models.deorbit.bounds import furthest_moved, interface_speeds, slack, steepest_angle
-from perilune.models.deorbit.fall import Fall, always_faster, fall, lowest, slowest_arrival, terminal_speed
-from perilune.models.deorbit.orbit import state
-from perilune.models.deorbit.passes import Pass, extremes, lightest, nearest, passes
-from perilune.models.deorbit.records import exhaust_speed, greatest_thrust, is_something_left, velocity_change
+from perilune.models.deorbit.ballistic import compare_least_loads
+from perilune.models.deorbit.bounds import (
+    interface_speeds,
+    largest_altitude_change,
+    oblateness_height_shift,
+    steepest_angle,
+)
+from perilune.models.deorbit.fall import (
+    Fall,
+    all_falls_too_fast,
+    entry_end_altitude,
+    fall,
+    slowest_arrival,
+    terminal_speed,
+)
+from perilune.models.deorbit.orbit import orbit_state
+from perilune.models.deorbit.passes import Pass, apsis_radii, find_passes, least_burnout_mass, nearest_approach_to_plane
+from perilune.models.deorbit.records import (
+    engine_exhaust_speed,
+    full_engine_thrust,
+    is_something_left,
+    total_velocity_change,
+)
 from perilune.models.deorbit.secular import drift
-from perilune.models.deorbit.skip import leaves_again
+from perilune.models.deorbit.skip import compare_skip_out
 from perilune.models.standard_atmosphere import LOWEST, density as standard_density
 from perilune.problem.preflight import Finding
 from perilune.words.maths import NUMERIC
@@ -76,27 +93,27 @@ def compare_return(
     standard
         True if the U.S. Standard Atmosphere, 1976, is the body's.
     """
-    low, high = extremes(p)
-    found = _above_interface(p, m, low, angles)
+    low, high = apsis_radii(p)
+    found = _compare_lowest_altitude(p, m, low, angles)
     enters = all(np.all(f.passed) for f in found if f.binding)  # what is within the air already falls from no interface
     if air is not None and air.said and standard:
-        found += _like_standard(air)
+        found += _compare_with_standard_air(air)
     if is_something_left(p):
-        found += [_comes_down(p, m, low, high), *_at_interface(p, m)]
+        found += [_compare_deorbit_change(p, m, low, high), *_compare_interface_values(p, m)]
         if not hasattr(p, "transition_longest_coast"):
-            found.append(_burns_down(p, m, low))
-    if _of_one(p, low) and low > p.body_radius and enters:
-        found += _spirals(p, low, high)
-    if air is not None and _of_one(p, low) and low > p.body_radius and enters:
+            found.append(_compare_burn_descent(p, m, low))
+    if _is_single_problem(p, low) and low > p.body_radius and enters:
+        found += _compare_burn_with_turn(p, low, high)
+    if air is not None and _is_single_problem(p, low) and low > p.body_radius and enters:
         fallen = fall(p, air)
         if not hasattr(p, "vehicle_lift_to_drag"):
-            found += (*borne_at_least(p, air, fallen), *leaves_again(p, air, fallen))
-        found += _slow_enough(p, air, fallen)
-        found += _in_plane(p, angles, fallen, drifts=drifts) if hasattr(p, "site_longitude") else ()
+            found += (*compare_least_loads(p, air, fallen), *compare_skip_out(p, air, fallen))
+        found += _compare_arrival_speed(p, air, fallen)
+        found += _compare_plane_turn(p, angles, fallen, drifts=drifts) if hasattr(p, "site_longitude") else ()
     return tuple(found)
 
 
-def _like_standard(air: Air) -> list[Finding]:
+def _compare_with_standard_air(air: Air) -> list[Finding]:
     """Compare the air of a file with the standard, by the largest factor between their densities."""
     low, high = max(air.bottom, LOWEST), min(air.top, _COMPARED_TO)
     if low >= high:
@@ -117,13 +134,13 @@ def _like_standard(air: Air) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _above_interface(p: Any, m: Any, low: Any, angles: Physics) -> list[Finding]:
+def _compare_lowest_altitude(p: Any, m: Any, low: Any, angles: Physics) -> list[Finding]:
     """Compare perigee and ignition with the interface: a burn from high up may leave the ellipse before its perigee."""
     leaves = not hasattr(p, "orbit_radius") and not hasattr(p, "orbit_longest_coast")
     heights = {"perigee": (low - p.body_radius, not leaves)}
     if leaves:
         angle, node = angles(p, m)
-        position, _ = state(angle, node, p, m)
+        position, _ = orbit_state(angle, node, p, m)
         heights["ignition"] = ellipsoid.altitude(position, p, m), True
     return [
         Finding(
@@ -142,11 +159,11 @@ def _least_change(p: Any, m: Any, low: Any, high: Any, gate: Any) -> Any:
     return m.sqrt(2 * p.body_gravitational_parameter / high) * m.fmax(left, 0.0)
 
 
-def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
+def _compare_deorbit_change(p: Any, m: Any, low: Any, high: Any) -> Finding:
     return Finding(
         name="velocity change that comes down to the interface",
-        value=_least_change(p, m, low, high, p.body_radius + p.interface_altitude + slack(p, m)),
-        limit=velocity_change(p, m),
+        value=_least_change(p, m, low, high, p.body_radius + p.interface_altitude + oblateness_height_shift(p, m)),
+        limit=total_velocity_change(p, m),
         at_least=False,
         unit="m/s",
         binding=True,
@@ -155,11 +172,11 @@ def _comes_down(p: Any, m: Any, low: Any, high: Any) -> Finding:
     )
 
 
-def _spirals(p: Any, low: float, high: float) -> list[Finding]:
+def _compare_burn_with_turn(p: Any, low: float, high: float) -> list[Finding]:
     """Compare the burn of the least velocity change with one turn: a search seldom follows a spiral."""
-    mu, exhaust = p.body_gravitational_parameter, exhaust_speed(p)
+    mu, exhaust = p.body_gravitational_parameter, engine_exhaust_speed(p)
     change = _least_change(p, NUMERIC, low, high, p.body_radius + p.interface_altitude)
-    burn = -math.expm1(-change / exhaust) * p.vehicle_mass * exhaust / greatest_thrust(p)
+    burn = -math.expm1(-change / exhaust) * p.vehicle_mass * exhaust / full_engine_thrust(p)
     turns = burn * math.sqrt(mu / ((low + high) / 2) ** 3) / (2 * math.pi)
     if turns <= _ONE_TURN:
         return []
@@ -174,11 +191,11 @@ def _spirals(p: Any, low: float, high: float) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _burns_down(p: Any, m: Any, low: Any) -> Finding:
+def _compare_burn_descent(p: Any, m: Any, low: Any) -> Finding:
     return Finding(
         name="way down to the interface",
-        value=(low - p.body_radius - p.interface_altitude - slack(p, m)) / 1e3,
-        limit=furthest_moved(p, m, velocity_change(p, m)) / 1e3,
+        value=(low - p.body_radius - p.interface_altitude - oblateness_height_shift(p, m)) / 1e3,
+        limit=largest_altitude_change(p, m, total_velocity_change(p, m)) / 1e3,
         at_least=False,
         unit="km",
         binding=True,
@@ -187,7 +204,7 @@ def _burns_down(p: Any, m: Any, low: Any) -> Finding:
     )
 
 
-def _at_interface(p: Any, m: Any) -> list[Finding]:
+def _compare_interface_values(p: Any, m: Any) -> list[Finding]:
     """Compare stated speed and angle at the interface with the range that the velocity change allows."""
     found = list[Finding]()
     slowest, fastest = interface_speeds(p, m)
@@ -215,12 +232,12 @@ def _at_interface(p: Any, m: Any) -> list[Finding]:
     return found
 
 
-def _of_one(p: Any, low: Any) -> bool:
+def _is_single_problem(p: Any, low: Any) -> bool:
     """Return True for one problem with finite numbers; for many at once or for symbols no flights are computed."""
     return all(isinstance(number, int | float) and math.isfinite(number) for number in (*vars(p).values(), low))
 
 
-def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
+def _compare_arrival_speed(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
     """Compare the arrival speeds of a typical fall without lift (not binding) and of the slowest fall (binding)."""
     advice = "more drag area, a higher site.altitude, or a greater site.speed_upper"
     found, light = list[Finding](), ""
@@ -240,7 +257,7 @@ def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
         found.append(
             Finding(
                 name="altitude of a fall without lift after three turns", value=float(fallen.rows[-1, 0]) / 1e3,
-                limit=lowest(p) / 1e3, at_least=False, unit="km", binding=False,
+                limit=entry_end_altitude(p) / 1e3, at_least=False, unit="km", binding=False,
                 meaning="the vehicle may float, or leave the air again",
                 advice="a smaller drag area, or a steeper interface.angle",
             )
@@ -249,12 +266,14 @@ def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
         return tuple(found)
     steep = steepest_angle(p, NUMERIC) if is_something_left(p) else math.inf
     speeds = interface_speeds(p, NUMERIC) if is_something_left(p) else (0.0, math.inf)
-    light = SimpleNamespace(**{**vars(p), "vehicle_mass": lightest(p)})  # the less is left the slower it falls
+    light = SimpleNamespace(
+        **{**vars(p), "vehicle_mass": least_burnout_mass(p)}
+    )  # the less is left the slower it falls
     slowest = slowest_arrival(light, air, -float(steep), (float(speeds[0]), float(speeds[1])))
     steady = terminal_speed(light, air)
     for name, value, sure in (
         ("landing speed of the slowest fall, less a tenth", 0.9 * slowest, True),
-        ("speed of a steady fall at the site", steady, steady > p.site_speed_upper and always_faster(light, air)),
+        ("speed of a steady fall at the site", steady, steady > p.site_speed_upper and all_falls_too_fast(light, air)),
     ):
         if sure:
             found.append(
@@ -267,16 +286,16 @@ def _slow_enough(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _in_plane(p: Any, angles: Physics, fallen: Fall, *, drifts: bool) -> tuple[Finding, ...]:
+def _compare_plane_turn(p: Any, angles: Physics, fallen: Fall, *, drifts: bool) -> tuple[Finding, ...]:
     """Compare the site's least distance from the plane of the orbit during a flight with the turn by all propellant."""
     angle, node = (float(v) for v in angles(p, NUMERIC))
-    orbit = drift(*state(angle, node, p, NUMERIC), p)
+    orbit = drift(*orbit_state(angle, node, p, NUMERIC), p)
     entry = fallen.time, float(fallen.rows[-1, 1])
-    away, turned = nearest(p, orbit, entry)
+    away, turned = nearest_approach_to_plane(p, orbit, entry)
     lifts = hasattr(p, "vehicle_lift_to_drag")
     advice = "another site"
     if away > turned + OFF_PLANE:
-        advice = f"{_next_pass(p, passes(p, orbit, entry, drifts=drifts, until=_AHEAD))}; or another site"
+        advice = f"{_describe_next_pass(p, find_passes(p, orbit, entry, drifts=drifts, until=_AHEAD))}; or another site"
     return (
         Finding(
             name="site out of the plane of the orbit", value=math.degrees(away),
@@ -288,9 +307,9 @@ def _in_plane(p: Any, angles: Physics, fallen: Fall, *, drifts: bool) -> tuple[F
     )  # fmt: skip
 
 
-def _next_pass(p: Any, found: Sequence[Pass]) -> str:
+def _describe_next_pass(p: Any, found: Sequence[Pass]) -> str:
     """Describe the first pass that can be made; where there is none, the one that needs the least turn."""
-    available = velocity_change(p)
+    available = total_velocity_change(p)
     good = next((one for one in found if one.velocity_change <= available), None)
     if good is not None:
         return f"the first pass that can be made has its ignition {good.ignition / 3600:.1f} h after t = 0"

@@ -17,13 +17,13 @@ import numpy as np
 
 from perilune.models import atmosphere, ellipsoid
 from perilune.models.atmosphere import Air
-from perilune.models.bodies import EARTH, Planet, told_as
+from perilune.models.bodies import EARTH, Planet, catalogue_name
 from perilune.models.budget import SPENT
 from perilune.models.coast import SHORTEST
 from perilune.models.deorbit import checks, flight, orbit, parachute as parachutes, times, told
 from perilune.models.deorbit.along import rough_air
-from perilune.models.deorbit.fall import fall, lowest
-from perilune.models.deorbit.passes import extremes
+from perilune.models.deorbit.fall import entry_end_altitude, fall
+from perilune.models.deorbit.passes import apsis_radii
 from perilune.models.deorbit.preflight import compare_return
 from perilune.models.deorbit.records import (
     Aim,
@@ -33,13 +33,13 @@ from perilune.models.deorbit.records import (
     Landing,
     Limits,
     Manoeuvre,
-    Orbit,
     Parachute,
     Returner,
+    ReturnOrbit,
     Separation,
     Transition,
-    exhaust_speed,
-    must_be_left,
+    engine_exhaust_speed,
+    least_mass_left,
 )
 from perilune.models.landing import mass_state
 from perilune.models.vehicle import THROTTLE, Throttle
@@ -47,7 +47,7 @@ from perilune.problem.declared import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.words.asked import called_in_words, demand_records
+from perilune.words.asked import check_call, require_records
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Physics
 from perilune.words.units import STANDARD_GRAVITY, Scales
@@ -62,7 +62,7 @@ _DURATIONS = {
 _CONDITIONS = {"altitude": "m", "speed": "m/s", "angle": "rad"}
 
 
-def _flight_time(x: Any, p: Any, m: Any) -> Any:
+def _total_time(x: Any, p: Any, m: Any) -> Any:
     names = ("burn_time", "drift_time", "entry_time", "parachute_time")
     return sum(getattr(p, name) for name in names if hasattr(p, name))
 
@@ -76,7 +76,7 @@ def _minus_mass(x: Any, p: Any, m: Any) -> Any:
     if hasattr(x, "whole"):
         return -x.whole
     if hasattr(p, "separation_mass"):
-        return p.vehicle_thrust / exhaust_speed(p) * p.burn_time - p.vehicle_mass
+        return p.vehicle_thrust / engine_exhaust_speed(p) * p.burn_time - p.vehicle_mass
     return -x.m
 
 
@@ -85,23 +85,23 @@ def _heat_load(x: Any, p: Any, m: Any) -> Any:
 
 
 _OBJECTIVES = {
-    "flight_time": (_flight_time, "s"), "transition_time": (_transition_time, "s"),
+    "flight_time": (_total_time, "s"), "transition_time": (_transition_time, "s"),
     "propellant": (_minus_mass, "kg"), "heat_load": (_heat_load, "J/m^2"),
 }  # fmt: skip
 
 
-def _start(p: Any, m: Any, *, angles: Physics) -> Sequence[Any]:
+def _return_start(p: Any, m: Any, *, angles: Physics) -> Sequence[Any]:
     angle, node = angles(p, m)
-    position, velocity = orbit.state(angle, node, p, m)
+    position, velocity = orbit.orbit_state(angle, node, p, m)
     return *position, *velocity, p.vehicle_mass
 
 
-def _on(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _next_phase_link(x: Any, p: Any, m: Any) -> Sequence[Any]:
     """The next phase begins where one ends."""
     return tuple(x)
 
 
-def _into_the_air(x: Any, p: Any, m: Any, *, heat: bool, weighed: bool) -> Sequence[Any]:
+def _entry_link(x: Any, p: Any, m: Any, *, heat: bool, weighed: bool) -> Sequence[Any]:
     """Return the link into the air: the entering mass, and if counted a heat load of 0 and the whole vehicle's mass."""
     entering = *tuple(x)[:-1], getattr(p, "separation_mass", x.m)
     return *entering, *((0.0,) if heat else ()), *((x.m,) if weighed else ())
@@ -124,7 +124,7 @@ def _interface_conditions(interface: Interface, *, left: str | None) -> tuple[Va
     return tuple(found)
 
 
-def _above_the_air(name: str, *, last: bool, interface: Interface, left: str | None, throttled: bool) -> Phase:
+def _vacuum_phase(name: str, *, last: bool, interface: Interface, left: str | None, throttled: bool) -> Phase:
     """A phase between the orbit and the interface, under thrust or without; `left` names what its end must weigh."""
     burns = name == "burn"
     outputs = told.PLACED + ((told.PUSHED,) if burns else ())
@@ -132,23 +132,23 @@ def _above_the_air(name: str, *, last: bool, interface: Interface, left: str | N
         name=name,
         states=(*flight.STATES, mass_state(False)),
         controls=(flight.STEERING, *((THROTTLE,) if throttled else ())) if burns else (),
-        dynamics=flight.burning if burns else flight.coasting,
+        dynamics=flight.burn_rates if burns else flight.coast_rates,
         duration=_DURATIONS[name],
-        end=flight.at_interface if last else None,
+        end=flight.interface_end_values if last else None,
         end_conditions=_interface_conditions(interface, left=left if throttled else None) if last else (),
-        path=None if name == "coast" else flight.above_interface,
+        path=None if name == "coast" else flight.height_above_interface,
         path_conditions=() if name == "coast" else (Variable(name="height_above_interface", unit="m"),),
-        outputs=told.pushed if burns else told.placed,
+        outputs=told.burn_outputs if burns else told.position_outputs,
         output_variables=outputs,
-        integrals=told.burnt if burns else None,
+        integrals=told.burn_loss_rates if burns else None,
         integral_variables=SPENT if burns else (),
-        marks=told.at_interface if last else None,
+        marks=told.interface_outputs if last else None,
         mark_variables=told.AT_INTERFACE if last else (),
-        inertial=told.inertial if burns else told.inertial_without_thrust,
+        inertial=told.inertial_burn if burns else told.inertial_without_thrust,
     )
 
 
-def _entry(
+def _entry_phase(
     air: Air, *, bank: str | None, nose: bool, kept: tuple[Variable, ...], placed: bool, limits: Limits, opens: bool
 ) -> Phase:
     names = flight.SITE if placed else flight.SITE[:1]
@@ -158,23 +158,23 @@ def _entry(
         name="entry",
         states=(*flight.STATES, mass_state(False), *kept),
         controls=() if bank is None else (flight.BANKS[bank],),
-        dynamics=partial(flight.falling, air=air),
+        dynamics=partial(flight.entry_rates, air=air),
         duration=_DURATIONS["entry"],
-        end=flight.at_opening if opens else flight.at_site,
+        end=flight.parachute_opening_end if opens else flight.site_arrival,
         end_conditions=(
             *(Variable(name=name, unit="m") for name in ends),
             Variable(name="opening_speed" if opens else "landing_speed", unit="m/s", upper="site_speed_upper"),
         ),
-        marks=told.at_opening if opens else None,
+        marks=told.opening_outputs if opens else None,
         mark_variables=told.AT_OPENING if opens else (),
-        path=partial(flight.in_the_air, air=air) if limited else flight.below_interface,
+        path=partial(flight.entry_path_margins, air=air) if limited else flight.depth_below_interface,
         path_conditions=(
             _IN_THE_AIR,
-            *(_left(name, limits) for name in limited),
+            *(_limit_variable(name, limits) for name in limited),
         ),
-        outputs=partial(told.felt, air=air),
+        outputs=partial(told.entry_outputs, air=air),
         output_variables=(*told.PLACED, *told.FELT, *((told.HEATED,) if nose else ())),
-        integrals=partial(told.heated, air=air) if nose else None,
+        integrals=partial(told.heat_load_rate, air=air) if nose else None,
         integral_variables=(told.HEAT_LOAD,) if nose else (),
         inertial=told.inertial_without_thrust,
     )
@@ -187,19 +187,19 @@ _IN_THE_AIR = Variable(
 _PARTS = 20  # of a limit: so many g0, the unit of a load, are a hard entry, and its touch is as well told
 
 
-def _left(name: str, limits: Limits) -> Variable:
+def _limit_variable(name: str, limits: Limits) -> Variable:
     """Return the variable of a limit's margin, with a scale of its own where mass and radius give a poor one."""
     own = float(getattr(limits, name)) / _PARTS if name in ("heat_rate", "dynamic_pressure") else None
     return Variable(name=f"{name}_left", unit=flight.LIMITED[name], scale=own)
 
 
-def _ranges(
+def _return_ranges(
     p: Any, m: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
 ) -> dict[str, tuple[float, float, Callable[[], float]]]:
     """Bounds and orders of magnitude of the times; refuses a manoeuvre where the orbit never comes."""
-    checks.refuse_below_centre(p.interface_altitude if air is None else lowest(p), p.body_radius)
+    checks.refuse_below_centre(p.interface_altitude if air is None else entry_end_altitude(p), p.body_radius)
     highest = math.asin(math.sin(p.orbit_inclination))
-    low, _ = extremes(p)
+    low, _ = apsis_radii(p)
     low = m.fmax(low, p.body_radius)  # what is lower is refused as such
     if hasattr(p, "manoeuvre_latitude") and not highest > _LEVEL:
         raise PeriluneError(
@@ -219,7 +219,7 @@ def _ranges(
             expected=f"less than {math.degrees(highest):g} deg, which the inclination allows",
             advice="a lower manoeuvre.latitude, or another orbit.inclination",
         )
-    burnt = (p.vehicle_mass - must_be_left(p)) * times.exhaust_speed(p) / p.vehicle_thrust
+    burnt = (p.vehicle_mass - least_mass_left(p)) * times.engine_exhaust_speed(p) / p.vehicle_thrust
     if hasattr(p, "throttle_lower"):
         burnt = burnt / p.throttle_lower if p.throttle_lower > 0 else math.inf
     longest = {"burn_time": burnt}
@@ -230,7 +230,7 @@ def _ranges(
     if air is not None:
         longest["entry_time"] = 10 * fall(p, air).time
         if hasattr(p, "parachute_altitude"):
-            longest["parachute_time"] = 10 * parachutes.typical_time(p, air)
+            longest["parachute_time"] = 10 * parachutes.typical_parachute_time(p, air)
     least = {"coast_time": SHORTEST, "drift_time": SHORTEST}
     inside = {"coast_time": 0.98}  # of its longest: by how late it begins a flight knows its site
     typical = cache(partial(times.typical_times, p, angles, air, coasts=coasts, drifts=drifts))
@@ -241,10 +241,10 @@ def _ranges(
     return {name: (least.get(name, 0.0), most, partial(likely, name)) for name, most in longest.items()}
 
 
-@called_in_words
+@check_call
 def deorbit_entry(
     vehicle: Returner,
-    orbit_: Orbit,
+    orbit_: ReturnOrbit,
     interface: Interface,
     body: Planet = EARTH,
     *,
@@ -303,14 +303,14 @@ def deorbit_entry(
         If the given values make no sense together. What physics forbids, `Problem.preflight` says.
     """
     aim, transition = Aim(minimise=minimise, epoch=epoch), transition or Transition()
-    demand_records((vehicle, Returner), (orbit_, Orbit), (interface, Interface), (body, Planet))
-    flown = _air(air)
+    require_records((vehicle, Returner), (orbit_, ReturnOrbit), (interface, Interface), (body, Planet))
+    flown = _resolve_air(air)
     site = Landing() if site is None and flown is not None else site
     if heating is None and flown is not None and vehicle.nose_radius is not None:
         heating = Heating()
     checks.refuse_incomplete(aim, vehicle, orbit_, manoeuvre, flown, site)
     checks.refuse_out_of_order(interface, site if flown is not None else None, parachute)
-    checks.refuse_more_than_there_is(vehicle, separation)
+    checks.refuse_impossible_masses(vehicle, separation)
     checks.refuse_undetermined_lift(aim, vehicle, flown, site)
     checks.refuse_without_effect(vehicle, flown, heating, separation, limits, parachute)
     stated = (aim, body, orbit_, manoeuvre, vehicle, transition, interface, separation, heating, limits, parachute)
@@ -319,12 +319,12 @@ def deorbit_entry(
     # Of air in a table nothing but the table is left to be changed.
     numbers = (record for record in stated if not isinstance(record, Atmosphere) or record.model == "exponential")
     given = {**given_of(*numbers), "standard_gravity": Given(value=STANDARD_GRAVITY, unit="m/s^2")}
-    angles = orbit.from_node if manoeuvre is None else orbit.from_place(manoeuvre.going)
+    angles = orbit.angles_of_node if manoeuvre is None else orbit.angles_of_place(manoeuvre.going)
     names = ("coast",) * (orbit_.longest_coast is not None) + ("burn",)
     names += ("drift",) * (transition.longest_coast is not None) + ("entry",) * (flown is not None)
     names += ("parachute",) * (parachute is not None)
     if named is not None and named.model == "nrlmsis":
-        flown = rough_air(named, checks.epoch_of(aim), given, angles, names)
+        flown = rough_air(named, checks.require_epoch(aim), given, angles, names)
     checks.refuse_beyond_data(flown, interface, site)
     if flown is not None:
         given = {**flown.given, **given}
@@ -332,9 +332,9 @@ def deorbit_entry(
     heat, nose = minimise == "heat_load", vehicle.nose_radius is not None
     left = next((name for name in ("vehicle_dry_mass", "separation_mass") if name in given), None)
     weighed = throttle is not None and separation is not None
-    kept = flight.beside_motion(heat=heat, weighed=weighed)
+    kept = flight.extra_entry_states(heat=heat, weighed=weighed)
     phases = [
-        _above_the_air(name, last=name == above[-1], interface=interface, left=left, throttled=throttle is not None)
+        _vacuum_phase(name, last=name == above[-1], interface=interface, left=left, throttled=throttle is not None)
         for name in above
     ]  # fmt: skip
     if flown is not None and site is not None:
@@ -342,14 +342,14 @@ def deorbit_entry(
         bank = (vehicle.bank or "free") if lifts else None
         bound = limits or Limits()
         opens = parachute is not None
-        phases.append(_entry(flown, bank=bank, nose=nose, kept=kept, placed=placed, limits=bound, opens=opens))
+        phases.append(_entry_phase(flown, bank=bank, nose=nose, kept=kept, placed=placed, limits=bound, opens=opens))
         if parachute is not None:
-            phases.append(parachutes.phase(flown, kept=kept, placed_=placed))
-    enter = partial(_into_the_air, heat=heat, weighed=weighed)
-    links = [{"entry": enter, "parachute": parachutes.opened}.get(name, _on) for name in names[1:]]
-    told_results = partial(told.results, names=names)
+            phases.append(parachutes.parachute_phase(flown, kept=kept, placed_=placed))
+    enter = partial(_entry_link, heat=heat, weighed=weighed)
+    links = [{"entry": enter, "parachute": parachutes.parachute_link}.get(name, _next_phase_link) for name in names[1:]]
+    told_results = partial(told.return_results, names=names)
     if parachute is not None and flown is not None:
-        told_results = partial(parachutes.results, names=names, air=flown)
+        told_results = partial(parachutes.parachute_results, names=names, air=flown)
     objective, objective_unit = _OBJECTIVES[minimise]
     time = math.sqrt(body.radius**3 / body.gravitational_parameter)
     return Problem(
@@ -357,24 +357,24 @@ def deorbit_entry(
         title=f"{vehicle.mass:g} kg from orbit to the {'interface' if flown is None else 'ground'}",
         phases=tuple(phases),
         links=tuple(links),
-        start=partial(_start, angles=angles),
+        start=partial(_return_start, angles=angles),
         given=given,
         free=tuple(Free(name=_DURATIONS[name], unit="s") for name in names),
         objective=objective,
         objective_unit=objective_unit,
-        objective_scale=_size_of(objective_unit, time),
+        objective_scale=_objective_size_for_time(objective_unit, time),
         results=told_results,
-        result_variables=told.of_flight(names),
+        result_variables=told.return_result_variables(names),
         minimised=minimise,
-        views=told.views(
-            air=flown, heat=nose, coasts=_is_the_earth(body), given=given, body=told_as(body), epoch=epoch or ""
+        views=told.return_views(
+            air=flown, heat=nose, coasts=_is_the_earth(body), given=given, body=catalogue_name(body), epoch=epoch or ""
         ),
         declared=stated,
         preflight=partial(
             compare_return, angles=angles, air=flown, drifts="drift" in names, standard=_is_the_earth(body)
         ),
-        ranges=partial(_ranges, angles=angles, air=flown, names=names),
-        rough_flight=partial(times.picture, angles=angles, air=flown, names=names, heat=heat),
+        ranges=partial(_return_ranges, angles=angles, air=flown, names=names),
+        rough_flight=partial(times.rough_trajectory, angles=angles, air=flown, names=names, heat=heat),
         scales=Scales(length=float(body.radius), time=time, mass=float(vehicle.mass)),
     )
 
@@ -385,12 +385,12 @@ def _is_the_earth(body: Planet) -> bool:
     return all(abs(ratio - 1) < 0.01 for ratio in same)
 
 
-def _size_of(objective_unit: str, time: float) -> float | None:
+def _objective_size_for_time(objective_unit: str, time: float) -> float | None:
     """Size of J: a state that is off by its canonical unit costs some ten to a hundred units of time."""
     return {"s": 10 * time, "J/m^2": 10 * flight.HEAT_SIZE}.get(objective_unit)
 
 
-def _air(air: Atmosphere | Air | None) -> Air | None:
+def _resolve_air(air: Atmosphere | Air | None) -> Air | None:
     """Return the air to fly through; the standard one in place of an epoch's, which depends on the trajectory."""
     if not isinstance(air, Atmosphere):
         return air

@@ -8,11 +8,11 @@ from typing import Any
 
 from perilune.models.aerodynamics import SUTTON_GRAVES
 from perilune.models.coast import SHORTEST
-from perilune.words.declared import quantity, record, words
+from perilune.words.declared import quantity, record, text_field
 from perilune.words.instants import instant
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import PeriluneError
-from perilune.words.units import told
+from perilune.words.units import format_quantity
 
 MINIMISED = ("flight_time", "transition_time", "propellant", "heat_load")
 AIRS: dict[str, tuple[str, ...]] = {
@@ -51,11 +51,11 @@ def _one_of(section: str, stated: dict[str, Any], *, needed: bool) -> None:
 class Aim:
     """Objective of a return, and its epoch."""
 
-    minimise: str = words(
+    minimise: str = text_field(
         "flight_time", *MINIMISED, default="flight_time",
         about="flight_time (from ignition to the end), transition_time (to the interface), propellant or heat_load",
     )  # fmt: skip
-    epoch: str | None = words(
+    epoch: str | None = text_field(
         "2026-06-01T12:00:00Z", default=None, about="time at t = 0, UTC unless it says otherwise; nrlmsis needs it"
     )
 
@@ -68,7 +68,7 @@ class Aim:
 
 
 @record("orbit")
-class Orbit:
+class ReturnOrbit:
     """Orbit before the return: a circle by its radius, or an ellipse by its perigee and apogee."""
 
     radius: float | None = quantity("m", "6678.14 km", default=None, above=0.0, about="of a circular orbit")
@@ -115,7 +115,7 @@ class Manoeuvre:
 
     longitude: float = quantity("rad", "16 deg", **_TURNS, about="east")
     latitude: float = quantity("rad", "39.5 deg", **_LATITUDE, about="north; geodetic above an ellipsoid")
-    going: str = words("descending", *PASSES, called="pass", about="ascending (northwards) or descending there")
+    going: str = text_field("descending", *PASSES, called="pass", about="ascending (northwards) or descending there")
 
 
 @record("vehicle")
@@ -148,7 +148,7 @@ class Returner:
     lift_to_drag: float | None = quantity(
         "1", "0.25", default=None, above=0.0, most=10.0, about="with it there is a lift, turned by the bank"
     )
-    bank: str | None = words(
+    bank: str | None = text_field(
         "reversed", *BANKS, default=None,
         about="free, as where it is left out: all of the lift, to any side; reversed: bank reversals cancel what acts"
         " sideways, and leave a share of the lift up or down",
@@ -217,7 +217,7 @@ class Interface:
             if lower is not None and upper is not None and not lower < upper:
                 raise PeriluneError(
                     f"bounds of the {name} at the interface are no range",
-                    got=f"{told(lower, unit)} to {told(upper, unit)}",
+                    got=f"{format_quantity(lower, unit)} to {format_quantity(upper, unit)}",
                     expected=f"interface.{name}_lower < interface.{name}_upper",
                 )  # fmt: skip
 
@@ -226,7 +226,7 @@ class Interface:
 class Atmosphere:
     """The air below the interface, which turns with the body."""
 
-    model: str = words(
+    model: str = text_field(
         "exponential", *AIRS,
         about="exponential; us1976 (US Standard Atmosphere); nrlmsis (2.1, by pymsis, along the flight); or file",
     )  # fmt: skip
@@ -236,7 +236,7 @@ class Atmosphere:
     scale_height: float | None = quantity(
         "m", "7.2 km", default=None, above=0.0, about="of exponential air: over it the density falls by e"
     )
-    file: str | None = words(
+    file: str | None = text_field(
         "my_air.csv", default=None, file=True,
         about="columns of altitude and density in the units of their headings, else m and kg/m^3; at most 1 MB,"
         " in the scenario's folder",
@@ -329,23 +329,23 @@ def throttled(p: Any) -> bool:
     return hasattr(p, "throttle_upper")
 
 
-def greatest_thrust(p: Any) -> Any:
+def full_engine_thrust(p: Any) -> Any:
     """Thrust [N] at the upper bound of the throttle."""
     return p.vehicle_thrust * getattr(p, "throttle_upper", 1.0)
 
 
-def exhaust_speed(p: Any) -> Any:
+def engine_exhaust_speed(p: Any) -> Any:
     """Exhaust speed [m/s] of the engine."""
     if hasattr(p, "vehicle_exhaust_velocity"):
         return p.vehicle_exhaust_velocity
     return p.vehicle_specific_impulse * p.standard_gravity
 
 
-def velocity_change(p: Any, m: Any = NUMERIC) -> Any:
+def total_velocity_change(p: Any, m: Any = NUMERIC) -> Any:
     """Velocity change [m/s] of all that may be burnt; infinite where nothing is said to be left."""
     if not is_something_left(p):
         return math.inf
-    return exhaust_speed(p) * m.log(p.vehicle_mass / must_be_left(p, m))
+    return engine_exhaust_speed(p) * m.log(p.vehicle_mass / least_mass_left(p, m))
 
 
 def is_something_left(p: Any) -> bool:
@@ -353,6 +353,6 @@ def is_something_left(p: Any) -> bool:
     return hasattr(p, "vehicle_dry_mass") or hasattr(p, "separation_mass")
 
 
-def must_be_left(p: Any, m: Any = NUMERIC) -> Any:
+def least_mass_left(p: Any, m: Any = NUMERIC) -> Any:
     """Return the mass [kg] that the burn must leave: the larger of dry mass and entering mass; 0 without both."""
     return m.fmax(getattr(p, "vehicle_dry_mass", 0.0), getattr(p, "separation_mass", 0.0))

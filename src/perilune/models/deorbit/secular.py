@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from perilune.models.deorbit.orbit import AXIS
-from perilune.models.rotating import combine, cross, dot
+from perilune.models.rotating import combine, cross_product, scalar_product
 
 _KEPLER = 8  # of Newton's steps, for eccentricities that an orbit above the air and below some planet radii has
 
@@ -65,19 +65,19 @@ class Drift:
 
 def drift(position: Sequence[float], velocity: Sequence[float], p: Any) -> Drift:
     """Return the orbit of a state [m], [m/s] relative to the turning body."""
-    mu, r = p.body_gravitational_parameter, math.sqrt(dot(position, position))
-    v = combine((1, velocity), (p.body_rotation_rate, cross(AXIS, position)))
-    momentum = cross(position, v)
-    size = math.sqrt(dot(momentum, momentum))
+    mu, r = p.body_gravitational_parameter, math.sqrt(scalar_product(position, position))
+    v = combine((1, velocity), (p.body_rotation_rate, cross_product(AXIS, position)))
+    momentum = cross_product(position, v)
+    size = math.sqrt(scalar_product(momentum, momentum))
     inclination = math.acos(max(-1.0, min(1.0, momentum[2] / size)))
     node = math.atan2(momentum[0], -momentum[1])
     to_node = (math.cos(node), math.sin(node), 0.0)
-    beyond = cross(combine((1 / size, momentum)), to_node)
-    latitude = math.atan2(dot(position, beyond), dot(position, to_node))  # its argument
+    beyond = cross_product(combine((1 / size, momentum)), to_node)
+    latitude = math.atan2(scalar_product(position, beyond), scalar_product(position, to_node))  # its argument
     # Components of the eccentricity along the position and ahead of it.
-    along, ahead = size * size / (mu * r) - 1, -size * dot(position, v) / (r * mu)
+    along, ahead = size * size / (mu * r) - 1, -size * scalar_product(position, v) / (r * mu)
     e, true = math.hypot(along, ahead), math.atan2(-ahead, along)
-    osculating = 1 / (2 / r - dot(v, v) / mu)
+    osculating = 1 / (2 / r - scalar_product(v, v) / mu)
     squared = math.sin(inclination) ** 2
     here = (osculating / r) ** 3 * (1 - 1.5 * squared + 1.5 * squared * math.cos(2 * latitude))
     usual = (1 - 1.5 * squared) / (1 - e * e) ** 1.5

@@ -9,18 +9,18 @@ import numpy as np
 
 from perilune.models.bodies import Planet
 from perilune.models.deorbit import records
-from perilune.models.deorbit.along import NEAR, air_along, changed, way_of
+from perilune.models.deorbit.along import NEAR, air_along, largest_density_change, profile_of_states
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.vehicle import Throttle
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
-from perilune.words.asked import demand
+from perilune.words.asked import require_type
 from perilune.words.outcome import NotConvergedError, PeriluneError
 
 _ROUNDS = 6
 
 
-def settled(problem: Problem, solve: Callable[..., Solution], *, near: float = NEAR) -> Solution:
+def solve_with_epoch_air(problem: Problem, solve: Callable[..., Solution], *, near: float = NEAR) -> Solution:
     """Solve a return whose air is of a day (``nrlmsis``) in the air that its own flight meets.
 
     Parameters
@@ -42,11 +42,11 @@ def settled(problem: Problem, solve: Callable[..., Solution], *, near: float = N
     PeriluneError
         If there is no such air, or the table does not settle, or as `solve`.
     """
-    demand(problem, Problem, "a problem to solve in the air along its flight")
+    require_type(problem, Problem, "a problem to solve in the air along its flight")
     air, solution, last = _air_of(problem), solve(problem), float("inf")
     for _ in range(_ROUNDS):
-        again = along_flight(problem, solution)
-        last = changed(air, _air_of(again))
+        again = with_air_along_flight(problem, solution)
+        last = largest_density_change(air, _air_of(again))
         if last < near:
             return solution
         air, solution = _air_of(again), solve(again, guess=solution)
@@ -56,7 +56,7 @@ def settled(problem: Problem, solve: Callable[..., Solution], *, near: float = N
     )  # fmt: skip
 
 
-def along_flight(problem: Problem, solution: Solution) -> Problem:
+def with_air_along_flight(problem: Problem, solution: Solution) -> Problem:
     """Return the same problem in the air of its epoch along a flight of it."""
     stated = {type(record): record for record in problem.declared}
     air, aim = stated.get(records.Atmosphere), stated.get(records.Aim, records.Aim())
@@ -70,9 +70,9 @@ def along_flight(problem: Problem, solution: Solution) -> Problem:
     entry = solution.trajectories[k]
     since = sum(trajectory.duration for trajectory in solution.trajectories[:k])
     time = np.linspace(0.0, entry.duration, 401)
-    way = way_of(entry.state(time), since + time, solution.parameters)
+    way = profile_of_states(entry.state(time), since + time, solution.parameters)
     made = deorbit_entry(
-        stated[records.Returner], stated[records.Orbit], stated[records.Interface], stated[Planet],
+        stated[records.Returner], stated[records.ReturnOrbit], stated[records.Interface], stated[Planet],
         manoeuvre=stated.get(records.Manoeuvre), transition=stated.get(records.Transition),
         air=air_along(air, epoch, way), site=stated.get(records.Landing), heating=stated.get(records.Heating),
         separation=stated.get(records.Separation), limits=stated.get(records.Limits),

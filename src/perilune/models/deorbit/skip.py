@@ -20,22 +20,22 @@ import numpy as np
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit.ballistic import (
     LEFT_OUT,
-    box_of_angles,
-    box_of_masses,
-    box_of_speeds,
-    least_between,
-    of_mass,
+    angle_interval,
+    cell_minima,
+    mass_interval,
+    speed_interval,
+    with_mass,
 )
 from perilune.models.deorbit.fall import Fall, fall
-from perilune.models.deorbit.passes import furthest_turned
-from perilune.models.deorbit.records import is_something_left, velocity_change
+from perilune.models.deorbit.passes import largest_plane_turn
+from perilune.models.deorbit.records import is_something_left, total_velocity_change
 from perilune.problem.preflight import Finding
 from perilune.words.types import Matrix
 
 _POINTS = 2001  # of a fall, which takes up to three turns
 
 
-def leaves_again(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
+def compare_skip_out(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
     """Compare the rise of all ballistic entries above the interface (skip-out), or else that of a typical one.
 
     Parameters
@@ -45,22 +45,22 @@ def leaves_again(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
     typical
         A fall of them.
     """
-    if (tops := _tops(p, air)) is not None:
-        least = (1 - LEFT_OUT) * least_between(tops)
+    if (tops := _rebound_heights(p, air)) is not None:
+        least = (1 - LEFT_OUT) * cell_minima(tops)
         if least > 0:
-            yield _beside_interface(
+            yield _compare_with_interface(
                 "every fall", least, binding=True,
                 meaning="every ballistic entry that the interface allows leaves the air again (skip-out): over all"
                 f" masses, angles and speeds there they rise to {np.min(tops) / 1e3:.3g} km above it or more",
             )  # fmt: skip
             return
-    yield _beside_interface(
-        "a fall", risen_again(typical, p.interface_altitude), binding=False,
+    yield _compare_with_interface(
+        "a fall", rebound_height(typical, p.interface_altitude), binding=False,
         meaning="a typical ballistic entry leaves the air again (skip-out)",
     )  # fmt: skip
 
 
-def _beside_interface(which: str, top: float, *, binding: bool, meaning: str) -> Finding:
+def _compare_with_interface(which: str, top: float, *, binding: bool, meaning: str) -> Finding:
     return Finding(
         name=f"how far {which} without lift rises again above the interface", value=max(top, 0.0) / 1e3,
         limit=0.0, at_least=False, unit="km", binding=binding, meaning=meaning,
@@ -68,33 +68,33 @@ def _beside_interface(which: str, top: float, *, binding: bool, meaning: str) ->
     )  # fmt: skip
 
 
-def _tops(p: Any, air: Air) -> Matrix | None:
+def _rebound_heights(p: Any, air: Air) -> Matrix | None:
     """Return how far [m] falls rise again above the interface, on a grid over their box; None where any does not."""
-    masses, angles, speeds = box_of_masses(p), box_of_angles(p), box_of_speeds(p)
+    masses, angles, speeds = mass_interval(p), angle_interval(p), speed_interval(p)
     if angles is None or speeds is None:
         return None
-    down, found = pulled_down(p), list[float]()
+    down, found = with_downward_bound(p), list[float]()
     # The steepest and slowest leave last.
     for mass, steep, speed in product(masses, angles, speeds):
         found.append(
-            risen_again(fall(of_mass(down, mass), air, float(steep), float(speed), _POINTS), p.interface_altitude)
+            rebound_height(fall(with_mass(down, mass), air, float(steep), float(speed), _POINTS), p.interface_altitude)
         )
         if not found[-1] > 0:
             return None
     return np.array(found).reshape(len(masses), len(angles), len(speeds))
 
 
-def risen_again(fallen: Fall, interface: float) -> float:
+def rebound_height(fallen: Fall, interface: float) -> float:
     """Return how far [m] a fall rises above the interface after its lowest point; -inf where it never climbs."""
     heights = fallen.rows[:, 0]
     climbs = np.nonzero(np.diff(heights) > 0)[0]
     return float(np.max(heights[climbs[0] + 1 :])) - interface if len(climbs) else -math.inf
 
 
-def pulled_down(p: Any) -> Any:
+def with_downward_bound(p: Any) -> Any:
     """Return the same problem with every effect that planar falls neglect taken at its most downwards."""
     oblate = sum((k + 1) * abs(getattr(p, f"body_j{k}", 0.0)) for k in (2, 3, 4))
-    turned = float(furthest_turned(p, velocity_change(p))) if is_something_left(p) else math.pi
+    turned = float(largest_plane_turn(p, total_velocity_change(p))) if is_something_left(p) else math.pi
     along = math.copysign(1.0, p.body_rotation_rate)  # the way that the air goes
     away = min(math.acos(along * math.cos(p.orbit_inclination)) + turned, math.pi)
     changed = {

@@ -21,10 +21,16 @@ import numpy as np
 
 from perilune.models.atmosphere import Air
 from perilune.models.deorbit import parachute
-from perilune.models.deorbit.fall import POINTS, carried, fall, typical_angle
-from perilune.models.deorbit.orbit import AXIS, plane, shape
-from perilune.models.deorbit.records import LONGEST_COAST, exhaust_speed, greatest_thrust, throttled, velocity_change
-from perilune.models.rotating import combine, cross, dot, local_axes
+from perilune.models.deorbit.fall import POINTS, fall, turning_speed, typical_angle
+from perilune.models.deorbit.orbit import AXIS, plane_axes, radius_and_speeds
+from perilune.models.deorbit.records import (
+    LONGEST_COAST,
+    engine_exhaust_speed,
+    full_engine_thrust,
+    throttled,
+    total_velocity_change,
+)
+from perilune.models.rotating import combine, cross_product, local_axes, scalar_product
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Matrix, Physics, Vector
 
@@ -47,7 +53,7 @@ class Deorbit:
     swept: float
 
 
-def impulsive(radius: float, interface: float, angle: float, mu: float) -> Deorbit:
+def impulsive_deorbit(radius: float, interface: float, angle: float, mu: float) -> Deorbit:
     """Single impulse against the velocity on a circular orbit, to a radius under an (inertial) path angle [rad].
 
     Milstead's closed form; the rest is Kepler's ellipse from its apogee.
@@ -65,7 +71,7 @@ def impulsive(radius: float, interface: float, angle: float, mu: float) -> Deorb
     return Deorbit(velocity_change=(1 - left) * circular, time=time, swept=swept)
 
 
-def descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tuple[Matrix, Any]:
+def integrate_planar_descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tuple[Matrix, Any]:
     """Flight in the plane of the orbit to the interface, thrust against the velocity.
 
     Returns
@@ -75,9 +81,9 @@ def descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tu
     """
     from scipy.integrate import solve_ivp
 
-    mu, exhaust, gate = p.body_gravitational_parameter, exhaust_speed(p), p.body_radius + p.interface_altitude
-    full = greatest_thrust(p)
-    distance, rise, ahead = (float(v) for v in shape(angle, p, NUMERIC))
+    mu, exhaust, gate = p.body_gravitational_parameter, engine_exhaust_speed(p), p.body_radius + p.interface_altitude
+    full = full_engine_thrust(p)
+    distance, rise, ahead = (float(v) for v in radius_and_speeds(angle, p, NUMERIC))
     row, begun, pieces = np.array([distance, 0.0, rise, ahead]), 0.0, []
 
     def slope(t: float, y: Any, burns: bool) -> list[float]:
@@ -107,7 +113,7 @@ def descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tu
 
 
 @dataclass(frozen=True, kw_only=True)
-class Down:
+class DescentEstimate:
     """A way from the orbit down to the interface: velocity change [m/s], burn and all of it [s], angle swept [rad]."""
 
     velocity_change: float
@@ -118,34 +124,34 @@ class Down:
 
 def mean_rate(p: Any, angle: float) -> float:
     """Rate [rad/s] of a circular orbit through the place at an argument of latitude."""
-    return math.sqrt(p.body_gravitational_parameter / float(shape(angle, p, NUMERIC)[0]) ** 3)
+    return math.sqrt(p.body_gravitational_parameter / float(radius_and_speeds(angle, p, NUMERIC)[0]) ** 3)
 
 
-def way_down(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> Down:
+def estimate_descent(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> DescentEstimate:
     """A typical way down that begins with a coast, which is not counted, at an argument of latitude [rad]."""
-    radius, gate = float(shape(angle, p, NUMERIC)[0]), p.body_radius + p.interface_altitude
-    down = impulsive(max(radius, 1.0001 * gate), gate, typical_angle(p), p.body_gravitational_parameter)
+    radius, gate = float(radius_and_speeds(angle, p, NUMERIC)[0]), p.body_radius + p.interface_altitude
+    down = impulsive_deorbit(max(radius, 1.0001 * gate), gate, typical_angle(p), p.body_gravitational_parameter)
     mean, change = mean_rate(p, angle), down.velocity_change
-    burn = _burn_of(p, change)
+    burn = _burn_time_of(p, change)
     whole = down.time + 0.5 * burn
     if not drifts:
-        return Down(velocity_change=change, burn=whole, whole=whole, swept=mean * whole)
+        return DescentEstimate(velocity_change=change, burn=whole, whole=whole, swept=mean * whole)
     burn = min(burn, 0.8 * whole)
     if whole < LONGEST_COAST:
-        burn, last = _steep_enough(p, angle, coast, burn, whole)
+        burn, last = _find_burn_length(p, angle, coast, burn, whole)
         if last is not None:
             whole, swept = float(last[0]) - coast, float(last[2]) - mean * coast
-            return Down(velocity_change=change, burn=burn, whole=whole, swept=swept)
-    return Down(velocity_change=change, burn=burn, whole=whole, swept=mean * whole)
+            return DescentEstimate(velocity_change=change, burn=burn, whole=whole, swept=swept)
+    return DescentEstimate(velocity_change=change, burn=burn, whole=whole, swept=mean * whole)
 
 
-def _burn_of(p: Any, change: float) -> float:
+def _burn_time_of(p: Any, change: float) -> float:
     """Return the burn time [s] of a velocity change [m/s]."""
-    exhaust = exhaust_speed(p)
-    return p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-change / exhaust))
+    exhaust = engine_exhaust_speed(p)
+    return p.vehicle_mass * exhaust / full_engine_thrust(p) * (1 - math.exp(-change / exhaust))
 
 
-def _steep_enough(p: Any, angle: float, coast: float, burn: float, whole: float) -> tuple[float, Matrix | None]:
+def _find_burn_length(p: Any, angle: float, coast: float, burn: float, whole: float) -> tuple[float, Matrix | None]:
     """Find the length of a burn against the velocity that leads down at about the typical angle, and its last row.
 
     An impulse of the same velocity change leads down more steeply than a burn that goes round a part of the body.
@@ -153,12 +159,12 @@ def _steep_enough(p: Any, angle: float, coast: float, burn: float, whole: float)
     gate, wanted = p.body_radius + p.interface_altitude, typical_angle(p)
     short, long, best = 0.0, math.inf, None
     for _ in range(_BURNS if burn * mean_rate(p, angle) > _LONG_BURN else 1):
-        last = descent(p, angle, coast, burn, 2 * whole)[0]
+        last = integrate_planar_descent(p, angle, coast, burn, 2 * whole)[0]
         flat = True
         if abs(last[1] / gate - 1) < _NEAR:
             best, steep = (
                 (min(burn, float(last[0]) - coast), last),
-                math.atan2(last[3], last[4] - carried(p, gate)) / wanted,
+                math.atan2(last[3], last[4] - turning_speed(p, gate)) / wanted,
             )
             if abs(steep - 1) < _ALIKE or last[0] < coast + burn:
                 break
@@ -172,7 +178,7 @@ def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, dri
     """Rough lengths [s] of the phases, by the names of their durations."""
     angle, node = (float(v) for v in angles(p, NUMERIC))
     times = {"coast_time": 0.3 * p.orbit_longest_coast} if coasts else {}
-    down = way_down(p, angle, drifts=drifts, coast=times.get("coast_time", 0.0))
+    down = estimate_descent(p, angle, drifts=drifts, coast=times.get("coast_time", 0.0))
     times["burn_time"] = down.burn
     if drifts:
         times["drift_time"] = max(down.whole - down.burn, _LEAST_DRIFT * down.whole)
@@ -181,15 +187,15 @@ def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, dri
     entry = fall(p, air)
     times["entry_time"] = entry.time
     if hasattr(p, "parachute_altitude"):
-        times["parachute_time"] = parachute.typical_time(p, air)
+        times["parachute_time"] = parachute.typical_parachute_time(p, air)
     if hasattr(p, "site_longitude"):
         whole, swept = down.whole + entry.time, down.swept + float(entry.rows[-1, 1])
         longest = p.orbit_longest_coast if coasts else 0.0
         drifted = times.get("drift_time", 0.0)
         drift = max(_MOST_DRIFT * p.transition_longest_coast, drifted) if drifts else 0.0
-        room = drift - drifted + max(_burn_of(p, velocity_change(p)) - down.burn, 0.0)
-        spare = velocity_change(p) - down.velocity_change
-        more = _to_the_site(p, angle, node, whole, swept, (longest, longest + room), spare)
+        room = drift - drifted + max(_burn_time_of(p, total_velocity_change(p)) - down.burn, 0.0)
+        spare = total_velocity_change(p) - down.velocity_change
+        more = _delay_to_site(p, angle, node, whole, swept, (longest, longest + room), spare)
         if coasts:
             times["coast_time"] = min(more, longest)
         late = max(more - longest, 0.0)
@@ -199,7 +205,7 @@ def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, dri
     return times
 
 
-def _to_the_site(
+def _delay_to_site(
     p: Any, angle: float, node: float, whole: float, swept: float, latest: tuple[float, float], spare: float
 ) -> float:
     """Return the delay [s] after which a flight that lasts `whole` and sweeps an angle ends at the site.
@@ -209,34 +215,34 @@ def _to_the_site(
     are further aside than a `spare` velocity change [m/s] turns the orbit, at the next one if that is not, and is not
     later than the second of `latest`, up to which burn and drift may last longer.
     """
-    (up, ahead), mean = plane(angle, node, p, NUMERIC), mean_rate(p, angle)
-    aside, found = cross(up, ahead), list[tuple[float, float, float]]()
+    (up, ahead), mean = plane_axes(angle, node, p, NUMERIC), mean_rate(p, angle)
+    aside, found = cross_product(up, ahead), list[tuple[float, float, float]]()
     longest, last = latest
-    reach = math.sin(max(0.0, min(spare / (mean * float(shape(angle, p, NUMERIC)[0])), 0.5 * math.pi)))
+    reach = math.sin(max(0.0, min(spare / (mean * float(radius_and_speeds(angle, p, NUMERIC)[0])), 0.5 * math.pi)))
     turns = min(int(longest * mean / (2 * math.pi) + _SHORTER), _TURNS)
     for turn in range(turns + 2):
         more = 0.0
         for _ in range(30):  # the body carries the site along
             turned = p.body_rotation_rate * (whole + more)
             site, _, _ = local_axes(p.site_longitude + turned, p.site_latitude, NUMERIC)
-            away = math.atan2(dot(site, ahead), dot(site, up)) - swept
+            away = math.atan2(scalar_product(site, ahead), scalar_product(site, up)) - swept
             more = (away - 2 * math.pi * (math.floor(away / (2 * math.pi) + _SHORTER) - turn)) / mean
         beyond = max(more - longest, -more, 0.0) * mean
-        far = abs(dot(site, aside))
+        far = abs(scalar_product(site, aside))
         found.append((far + _EASIER * beyond, far, max(more, 0.0)))
     *within, (_, far, after) = found
     later = far <= reach < min(far for _, far, _ in within) and after <= last
     return after if later else min(within)[2]
 
 
-def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...], heat: bool) -> list[Matrix]:
+def rough_trajectory(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...], heat: bool) -> list[Matrix]:
     """States (points, states) [SI] of each phase, given the durations in `p`."""
     angle, node = (float(v) for v in angles(p, NUMERIC))
-    gate, rate = p.body_radius + p.interface_altitude, greatest_thrust(p) / exhaust_speed(p)
+    gate, rate = p.body_radius + p.interface_altitude, full_engine_thrust(p) / engine_exhaust_speed(p)
     lengths = {name: float(getattr(p, f"{name}_time")) for name in names}
     parts = [lengths.get(name, 0.0) for name in ("coast", "burn", "drift")]
     long = sum(parts) > LONGEST_COAST
-    last, at = descent(p, angle, *((0.0, 0.0, 1.0) if long else parts))
+    last, at = integrate_planar_descent(p, angle, *((0.0, 0.0, 1.0) if long else parts))
     flies = not long and last[0] >= (1 - _WAITS) * sum(parts) and abs(last[1] / gate - 1) < _NEAR
     found, time, mass = list[Matrix](), 0.0, p.vehicle_mass
     weighed = throttled(p) and hasattr(p, "separation_mass")
@@ -244,8 +250,10 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
     for name in (name for name in names if name not in ("entry", "parachute")):
         rows = []
         for since in np.linspace(0.0, lengths[name], POINTS):
-            row = at(time + since) if flies else _bent(p, angle, time + since, parts, gate)
-            rows.append([*_state(p, angle, node, time + since, row), mass - (rate * since if name == "burn" else 0.0)])
+            row = at(time + since) if flies else _deflected_row(p, angle, time + since, parts, gate)
+            rows.append(
+                [*_state_of_row(p, angle, node, time + since, row), mass - (rate * since if name == "burn" else 0.0)]
+            )
             turned = row[1]
         time, mass = time + lengths[name], rows[-1][-1]
         found.append(np.array(rows, dtype=float))
@@ -253,9 +261,9 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
         fallen, rows = fall(p, air), []
         for share, (height, swept, speed, gamma, load) in zip(np.linspace(0, 1, POINTS), fallen.rows, strict=True):
             distance = p.body_radius + height
-            level = speed * math.cos(gamma) + carried(p, distance)
+            level = speed * math.cos(gamma) + turning_speed(p, distance)
             row = distance, turned + swept, speed * math.sin(gamma), level
-            moved = _state(p, angle, node, time + share * fallen.time, row)
+            moved = _state_of_row(p, angle, node, time + share * fallen.time, row)
             kept = *((load,) if heat else ()), *((mass,) if weighed else ())
             rows.append([*moved, getattr(p, "separation_mass", mass), *kept])
         found.append(np.array(rows, dtype=float))
@@ -267,16 +275,16 @@ def picture(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...],
     return found
 
 
-def _bent(p: Any, angle: float, time: float, parts: list[float], gate: float) -> Any:
+def _deflected_row(p: Any, angle: float, time: float, parts: list[float], gate: float) -> Any:
     """A row of the orbit, bent down evenly from the end of the coast on."""
-    radius, mean = float(shape(angle, p, NUMERIC)[0]), mean_rate(p, angle)
+    radius, mean = float(radius_and_speeds(angle, p, NUMERIC)[0]), mean_rate(p, angle)
     share = max(time - parts[0], 0.0) / sum(parts[1:])
     return radius + share * (gate - radius), mean * time, 0.0, mean * radius
 
 
-def _state(p: Any, angle: float, node: float, time: float, row: Any) -> list[float]:
+def _state_of_row(p: Any, angle: float, node: float, time: float, row: Any) -> list[float]:
     """Position, and velocity relative to the body, of a row in the plane of the orbit."""
     distance, swept, rise, level = row
-    up, ahead = plane(angle + swept, node - p.body_rotation_rate * time, p, NUMERIC)
+    up, ahead = plane_axes(angle + swept, node - p.body_rotation_rate * time, p, NUMERIC)
     position = combine((distance, up))
-    return [*position, *combine((rise, up), (level, ahead), (-p.body_rotation_rate, cross(AXIS, position)))]
+    return [*position, *combine((rise, up), (level, ahead), (-p.body_rotation_rate, cross_product(AXIS, position)))]

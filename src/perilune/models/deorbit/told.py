@@ -12,11 +12,19 @@ from typing import Any
 
 from perilune.models import aerodynamics, ellipsoid
 from perilune.models.atmosphere import Air
-from perilune.models.budget import spent
-from perilune.models.deorbit.flight import how_fast, path_angle, speed, thrust, where
+from perilune.models.budget import velocity_loss_rates
+from perilune.models.deorbit.flight import engine_thrust, path_angle, position_vector, relative_speed, velocity_vector
 from perilune.models.deorbit.orbit import AXIS
-from perilune.models.deorbit.records import exhaust_speed, throttled
-from perilune.models.rotating import INERTIAL_AXES, Triple, combine, cross, dot, gravity, seen_inertially
+from perilune.models.deorbit.records import engine_exhaust_speed, throttled
+from perilune.models.rotating import (
+    INERTIAL_AXES,
+    Triple,
+    combine,
+    cross_product,
+    inertial_triples,
+    scalar_product,
+    zonal_gravity,
+)
 from perilune.problem.variables import Variable
 from perilune.problem.views import Corridor, Dispersion, Disturbance, Ground, History, Space, ValidRange, Views
 
@@ -56,7 +64,7 @@ _TIMES = {
 }
 
 
-def of_flight(names: Sequence[str]) -> tuple[Variable, ...]:
+def return_result_variables(names: Sequence[str]) -> tuple[Variable, ...]:
     """Return the results of a flight with these phases."""
     known = {"transition_time", "flight_time", *(f"{name}_time" for name in names)}
     landed = (
@@ -72,8 +80,8 @@ def of_flight(names: Sequence[str]) -> tuple[Variable, ...]:
     )
 
 
-def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str]) -> Sequence[Any]:
-    """Values of `of_flight`."""
+def return_results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str]) -> Sequence[Any]:
+    """Values of `return_result_variables`."""
     lengths = {name: getattr(p, f"{name}_time") for name in names}
     to_interface = sum(lengths.get(name, 0.0) for name in ("burn", "drift"))
     in_air = sum(lengths.get(name, 0.0) for name in ("entry", "parachute"))
@@ -81,73 +89,75 @@ def results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str]) -> S
     times |= {f"{name}_time": length for name, length in lengths.items()}
     burnt = p.vehicle_mass - getattr(last, "whole", last.m)
     if not throttled(p):
-        burnt = p.vehicle_thrust / exhaust_speed(p) * p.burn_time
-    change = exhaust_speed(p) * m.log(p.vehicle_mass / (p.vehicle_mass - burnt))
-    landed = (speed(last, m), *_below(last, p, m)) if "entry" in names else ()
+        burnt = p.vehicle_thrust / engine_exhaust_speed(p) * p.burn_time
+    change = engine_exhaust_speed(p) * m.log(p.vehicle_mass / (p.vehicle_mass - burnt))
+    landed = (relative_speed(last, m), *_subpoint(last, p, m)) if "entry" in names else ()
     return *(times[name] for name in _TIMES if name in times), burnt, change, *landed
 
 
-def _below(x: Any, p: Any, m: Any) -> tuple[Any, Any]:
-    return m.atan2(x.y, x.x), ellipsoid.latitude(where(x), p, m)
+def _subpoint(x: Any, p: Any, m: Any) -> tuple[Any, Any]:
+    return m.atan2(x.y, x.x), ellipsoid.latitude(position_vector(x), p, m)
 
 
-def placed(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def position_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """Values of `PLACED`."""
-    return ellipsoid.altitude(where(x), p, m), *_below(x, p, m), speed(x, m), path_angle(x, m)
+    return ellipsoid.altitude(position_vector(x), p, m), *_subpoint(x, p, m), relative_speed(x, m), path_angle(x, m)
 
 
-def at_opening(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def opening_outputs(x: Any, p: Any, m: Any) -> Sequence[Any]:
     """Value of `AT_OPENING`."""
-    return (speed(x, m),)
+    return (relative_speed(x, m),)
 
 
-def pushed(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def burn_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """Values of `PLACED`, and the acceleration by thrust."""
-    return *placed(x, u, p, m), thrust(u, p) / x.m
+    return *position_outputs(x, u, p, m), engine_thrust(u, p) / x.m
 
 
-def felt(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def entry_outputs(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
     """Values of `PLACED` and `FELT`, and of the heat rate of a vehicle with a nose radius."""
-    density, v = air.density(ellipsoid.altitude(where(x), p, m), p, m), how_fast(x)
-    load = aerodynamics.load(density, v, x.m, p, m) / p.standard_gravity
+    density, v = air.density(ellipsoid.altitude(position_vector(x), p, m), p, m), velocity_vector(x)
+    load = aerodynamics.aerodynamic_load(density, v, x.m, p, m) / p.standard_gravity
     heat = (aerodynamics.heat_rate(density, v, p, m),) if hasattr(p, "vehicle_nose_radius") else ()
-    return *placed(x, u, p, m), aerodynamics.dynamic_pressure(density, v), load, *heat
+    return *position_outputs(x, u, p, m), aerodynamics.dynamic_pressure(density, v), load, *heat
 
 
-def heated(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def heat_load_rate(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
     """Rate of the heat load."""
-    density = air.density(ellipsoid.altitude(where(x), p, m), p, m)
-    return (aerodynamics.heat_rate(density, how_fast(x), p, m),)
+    density = air.density(ellipsoid.altitude(position_vector(x), p, m), p, m)
+    return (aerodynamics.heat_rate(density, velocity_vector(x), p, m),)
 
 
-def at_interface(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def interface_outputs(x: Any, p: Any, m: Any) -> Sequence[Any]:
     """Values of `AT_INTERFACE`."""
-    r, v = where(x), _inertial_velocity(x, p)
-    fast = m.sqrt(dot(v, v))
-    steep = m.asin(dot(r, v) / (m.sqrt(dot(r, r)) * fast))
-    return speed(x, m), path_angle(x, m), fast, steep, *_below(x, p, m), x.m
+    r, v = position_vector(x), _inertial_velocity(x, p)
+    fast = m.sqrt(scalar_product(v, v))
+    steep = m.asin(scalar_product(r, v) / (m.sqrt(scalar_product(r, r)) * fast))
+    return relative_speed(x, m), path_angle(x, m), fast, steep, *_subpoint(x, p, m), x.m
 
 
 def _inertial_velocity(x: Any, p: Any) -> Triple:
-    return combine((1, how_fast(x)), (p.body_rotation_rate, cross(AXIS, where(x))))
+    return combine((1, velocity_vector(x)), (p.body_rotation_rate, cross_product(AXIS, position_vector(x))))
 
 
-def burnt(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def burn_loss_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     """Rates of the velocity losses of a burn, from the inertial velocity."""
-    pull = gravity(where(x), AXIS, p, m)
-    return spent(_inertial_velocity(x, p), thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m)
+    pull = zonal_gravity(position_vector(x), AXIS, p, m)
+    return velocity_loss_rates(
+        _inertial_velocity(x, p), engine_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m
+    )
 
 
-def inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+def inertial_burn(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
     """`perilune.problem.phase.Phase.inertial` of a burn."""
-    push = combine((thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)))
-    return seen_inertially(where(x), how_fast(x), push, t, p, m)
+    push = combine((engine_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)))
+    return inertial_triples(position_vector(x), velocity_vector(x), push, t, p, m)
 
 
 def inertial_without_thrust(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
     """`perilune.problem.phase.Phase.inertial` of a coast or an entry."""
     none = 0.0 * p.vehicle_thrust / x.m
-    return seen_inertially(where(x), how_fast(x), (none, none, none), t, p, m)
+    return inertial_triples(position_vector(x), velocity_vector(x), (none, none, none), t, p, m)
 
 
 # Of each way to state a drag, the percent that its parameters change by where drag and lift grow by one percent.
@@ -158,7 +168,7 @@ _DRAG = (
 )
 
 
-def dispersion(given: Iterable[str]) -> Dispersion:
+def return_dispersion(given: Iterable[str]) -> Dispersion:
     """Return the disturbances of the landing point of a problem with these given parameters."""
     shares = next(found for ways in _DRAG if (found := tuple(way for way in ways if way[0] in given)))
     return Dispersion(
@@ -171,7 +181,7 @@ def dispersion(given: Iterable[str]) -> Dispersion:
     )  # fmt: skip
 
 
-def meant_for(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
+def validity_ranges(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
     """Return the ranges in which the model of the air and of its heat hold."""
     if air is None:
         return ()
@@ -186,7 +196,9 @@ def meant_for(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
     return (*((known,) if math.isfinite(air.top) else ()), *(heats if heat else ()))
 
 
-def views(*, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], body: str = "", epoch: str = "") -> Views:
+def return_views(
+    *, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], body: str = "", epoch: str = ""
+) -> Views:
     """Return the figures of a return, for its air, heat and body (whose coasts are drawn where they are known)."""
     flown = air is not None
     peaks = (("dynamic_pressure", "load") if flown else ()) + (("heat_rate",) if flown and heat else ())
@@ -206,11 +218,11 @@ def views(*, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], bo
         ),
         height="altitude", radius="body_radius", frame=INERTIAL_AXES, peaks=peaks,
         ground=Ground(longitude="longitude", latitude="latitude", coasts=coasts),
-        meant_for=meant_for(air, heat=heat),
+        meant_for=validity_ranges(air, heat=heat),
         corridor=Corridor(
             height="altitude", speed="speed", equal=peaks[1:], position=("x", "y", "z"), velocity=("vx", "vy", "vz")
         ) if flown else None,
-        dispersion=dispersion(given) if flown else None,
+        dispersion=return_dispersion(given) if flown else None,
         space=Space(
             body=body, rotation="body_rotation_rate", epoch=epoch,
             longitude="longitude", latitude="latitude", height="altitude",

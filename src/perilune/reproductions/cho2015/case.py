@@ -55,7 +55,7 @@ ACCELERATIONS = (
 )  # m/s^2, Fig 3: the ratios are ours, the paper's are not legible
 
 
-def problem(retro: Retro | None = None, *, thrust: float = CONSTANTS.thrust) -> Problem:
+def cho_landing(retro: Retro | None = None, *, thrust: float = CONSTANTS.thrust) -> Problem:
     """State the paper's landing; without `retro`, the ordinary one."""
     c = CONSTANTS
     return hybrid_landing(

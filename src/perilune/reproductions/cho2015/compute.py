@@ -11,15 +11,15 @@ from perilune.families.sweep import sweep
 from perilune.models.landing import Retro
 from perilune.problem.extremal import Extremal
 from perilune.problem.solution import Solution
-from perilune.reproductions.cho2015.case import ACCELERATIONS, CONSTANTS, IMPULSES, PRINTED, RETRO_BURNS, problem
-from perilune.reproductions.paper import worst
+from perilune.reproductions.cho2015.case import ACCELERATIONS, CONSTANTS, IMPULSES, PRINTED, RETRO_BURNS, cho_landing
+from perilune.reproductions.paper import worst_solution
 from perilune.solve import solve
 from perilune.words.outcome import Outcome, PeriluneError
 from perilune.words.watch import Watch
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reproduction:
+class ChoReproduction:
     """Everything that was computed for the report."""
 
     hybrid: Solution
@@ -39,10 +39,10 @@ class Reproduction:
     @property
     def proved(self) -> Solution:
         """Return the landing with the worse proof of the two."""
-        return worst(self.hybrid, self.ordinary)
+        return worst_solution(self.hybrid, self.ordinary)
 
 
-def compute(watch: Watch, level: int = 3) -> Reproduction:
+def compute_cho(watch: Watch, level: int = 3) -> ChoReproduction:
     """Solve every case of the paper.
 
     Parameters
@@ -52,24 +52,24 @@ def compute(watch: Watch, level: int = 3) -> Reproduction:
     level
         Verification level to prove of the two landings of Table 1.
     """
-    whole = problem(Retro(specific_impulse=CONSTANTS.specific_impulse))
+    whole = cho_landing(Retro(specific_impulse=CONSTANTS.specific_impulse))
     watch("the hybrid landing: Table 1, (26), Figs 4-7")
     hybrid = solve(whole, level=level, watch=watch)
     watch("the ordinary landing: Table 1, Fig 2")
-    ordinary = solve(problem(), level=level, watch=watch)
+    ordinary = solve(cho_landing(), level=level, watch=watch)
     by_thrust = {}
     for acceleration in ACCELERATIONS:
         watch(f"Fig 3: thrust to mass {acceleration:.2f} m/s^2")
-        by_thrust[acceleration] = solve(problem(thrust=acceleration * CONSTANTS.mass), level=0, watch=watch)
+        by_thrust[acceleration] = solve(cho_landing(thrust=acceleration * CONSTANTS.mass), level=0, watch=watch)
     watch("Fig 8: landed mass for given retro burns")
-    by_retro_burn = _whole(sweep(whole, {"retro.delta_v": RETRO_BURNS}, level=0, watch=watch))
+    by_retro_burn = _refuse_partial_sweep(sweep(whole, {"retro.delta_v": RETRO_BURNS}, level=0, watch=watch))
     watch("Figs 9 and 10: the impulsive engine's specific impulse")
-    by_impulse = _whole(sweep(whole, {"retro.specific_impulse": IMPULSES}, level=0, watch=watch))
+    by_impulse = _refuse_partial_sweep(sweep(whole, {"retro.specific_impulse": IMPULSES}, level=0, watch=watch))
     watch("the specific impulse at which the retro burn stops paying")
     break_even, at_break_even = break_even_impulse(by_impulse, watch)
     watch("the landing with the printed retro burn (26)")
     printed = Retro(specific_impulse=CONSTANTS.specific_impulse, delta_v=PRINTED["optimal retro burn"][0])
-    return Reproduction(
+    return ChoReproduction(
         hybrid=hybrid,
         ordinary=ordinary,
         by_thrust=by_thrust,
@@ -77,11 +77,11 @@ def compute(watch: Watch, level: int = 3) -> Reproduction:
         by_impulse=by_impulse,
         break_even_impulse=break_even,
         at_break_even=at_break_even,
-        at_printed_burn=solve(problem(printed), level=0, watch=watch),
+        at_printed_burn=solve(cho_landing(printed), level=0, watch=watch),
     )
 
 
-def _whole(family: Family) -> Family:
+def _refuse_partial_sweep(family: Family) -> Family:
     """Raise after Ctrl-C, which a sweep turns into a shorter family: a report on half the figures is useless."""
     if family.interrupted:
         raise KeyboardInterrupt
@@ -105,7 +105,7 @@ def break_even_impulse(family: Family, watch: Watch) -> tuple[float, Solution]:
     last: list[Solution] = []
 
     def gain(impulse: float) -> float:
-        solution = solve(problem(Retro(specific_impulse=impulse)), level=0, watch=watch)
+        solution = solve(cho_landing(Retro(specific_impulse=impulse)), level=0, watch=watch)
         last[:] = [solution]
         return gain_of_retro_burn(solution)
 
@@ -128,7 +128,7 @@ def gain_of_retro_burn(solution: Solution) -> float:
     return without.objective - best_with_retro_burn(solution).objective
 
 
-def computed_numbers(made: Reproduction) -> dict[str, float]:
+def cho_numbers(made: ChoReproduction) -> dict[str, float]:
     """Our value of every number in `PRINTED`, from the solutions."""
     hybrid, ordinary = made.hybrid.results, made.ordinary.results
     return {

@@ -17,19 +17,19 @@ from perilune.io.files import json_text
 from perilune.problem.solution import Solution
 from perilune.report.family import family_csv, family_document
 from perilune.report.figures import solution_figures
-from perilune.report.style import lines
-from perilune.report.summary import solution_summary, table
+from perilune.report.style import line_figure
+from perilune.report.summary import markdown_table, solution_summary
 from perilune.reproductions.cho2015.case import CONSTANTS, PRINTED, PRINTED_NO_BENEFIT_BELOW
-from perilune.reproductions.cho2015.compute import Reproduction, best_with_retro_burn, computed_numbers
+from perilune.reproductions.cho2015.compute import ChoReproduction, best_with_retro_burn, cho_numbers
 from perilune.reproductions.paper import (
-    claims,
-    highest,
-    illustrated,
-    numbers,
-    slips,
-    verdict,
+    claim_verdict,
+    claims_section,
+    figure_markdown,
+    largest_value,
+    numbers_section,
+    slips_section,
     versions_line,
-    write_report,
+    write_paper_report,
 )
 
 _CAPTIONS = {
@@ -67,15 +67,15 @@ _SLIPS = (
 )
 
 
-def write(made: Reproduction, directory: Path) -> None:
+def write_cho_report(made: ChoReproduction, directory: Path) -> None:
     """Write ``report.md``, its data and its figures into a directory that exists."""
     families = {"fig8": made.by_retro_burn, "fig9_fig10": made.by_impulse}
     data = {f"{name}.csv": family_csv(family) for name, family in families.items()}
     data |= {f"{name}.json": json_text(family_document(family)) for name, family in families.items()}
-    write_report(directory, markdown(made), figures(made), data)
+    write_paper_report(directory, cho_report(made), cho_figures(made), data)
 
 
-def figures(made: Reproduction) -> dict[str, Figure]:
+def cho_figures(made: ChoReproduction) -> dict[str, Figure]:
     """Return all figures of the paper, and four that are not in it, by file name."""
     ours = solution_figures(made.hybrid, made.ordinary)
     return {
@@ -92,29 +92,29 @@ def figures(made: Reproduction) -> dict[str, Figure]:
     }
 
 
-def markdown(made: Reproduction) -> str:
+def cho_report(made: ChoReproduction) -> str:
     """Write the report."""
     parts = [
         "# Optimal lunar landing with a hybrid engine: the paper and our numbers",
         "D.-H. Cho, D. Kim, H. Leeghim, *Optimal Lunar Landing Trajectory Design for Hybrid Engine*, "
         "Mathematical Problems in Engineering 2015, 462072. Columns *printed* hold what the paper prints. "
         "Everything else was computed when this report was made, without a guess.",
-        numbers(PRINTED, computed_numbers(made)),
-        claims(_claim_rows(made)),
+        numbers_section(PRINTED, cho_numbers(made)),
+        claims_section(_cho_claims(made)),
         "## Discrepancies",
-        _discrepancies(made),
-        slips(_SLIPS),
+        _cho_discrepancies(made),
+        slips_section(_SLIPS),
         "## Figures",
-        *illustrated(_CAPTIONS),
+        *figure_markdown(_CAPTIONS),
         "## Data",
         "`fig8.csv` and `fig9_fig10.csv` (and the same as JSON) hold the points of Figs 8, 9 and 10.",
-        *_failures(made),
+        *_unsolved_members(made),
         "## The two landings",
         f"```text\n{solution_summary(made.hybrid)}\n\n{solution_summary(made.ordinary)}\n```",
         "## Constants",
         "The paper prints mass, thrust, specific impulse and altitudes. Gravitational parameter, radius, "
         "rotation rate and standard gravity are not printed; these reproduce its digits.",
-        table(
+        markdown_table(
             ["constant (SI)", "value"],
             [[f.name.replace("_", " "), f"{getattr(CONSTANTS, f.name):.8g}"] for f in fields(CONSTANTS)],
         ),
@@ -123,50 +123,52 @@ def markdown(made: Reproduction) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _claim_rows(made: Reproduction) -> list[list[str]]:
+def _cho_claims(made: ChoReproduction) -> list[list[str]]:
     """Return each claim of the paper, the number that decides it, and whether it holds."""
     hybrid, ordinary = made.hybrid, made.ordinary
     ratio = hybrid.results["flight_time"].value / ordinary.results["flight_time"].value
     saved = ordinary.results["propellant"].value - hybrid.results["propellant"].value
     share = saved / ordinary.results["propellant"].value
-    climb = highest(ordinary, "altitude") - CONSTANTS.perilune_altitude
-    climbs = [highest(s, "altitude") - CONSTANTS.perilune_altitude for _, s in sorted(made.by_thrust.items())]
-    rising, beta = highest(hybrid, "v"), highest(hybrid, "thrust_angle")
-    burns = _points(made, "by_retro_burn", "landed_mass")
+    climb = largest_value(ordinary, "altitude") - CONSTANTS.perilune_altitude
+    climbs = [largest_value(s, "altitude") - CONSTANTS.perilune_altitude for _, s in sorted(made.by_thrust.items())]
+    rising, beta = largest_value(hybrid, "v"), largest_value(hybrid, "thrust_angle")
+    burns = _solved_points(made, "by_retro_burn", "landed_mass")
     best = max(burns, key=lambda row: row[1])[0]
     paying = [
         (isp, dv, m)
         for (isp, dv), (_, m) in zip(
-            _points(made, "by_impulse", "delta_v"), _points(made, "by_impulse", "landed_mass"), strict=True
+            _solved_points(made, "by_impulse", "delta_v"),
+            _solved_points(made, "by_impulse", "landed_mass"),
+            strict=True,
         )
         if dv > 0
     ]
     falls = all(a[1] > b[1] and a[2] > b[2] for a, b in pairwise(paying))
     return [
-        ["the ordinary landing climbs first", "Fig 2", f"by {climb / 1e3:.2f} km", verdict(climb > 0)],
+        ["the ordinary landing climbs first", "Fig 2", f"by {climb / 1e3:.2f} km", claim_verdict(climb > 0)],
         [
             "more thrust to mass, less climb", "Fig 3", ", ".join(f"{c / 1e3:.2f}" for c in climbs) + " km",
-            verdict(all(b < a or a <= 1e-6 for a, b in pairwise(climbs))),
+            claim_verdict(all(b < a or a <= 1e-6 for a, b in pairwise(climbs))),
         ],
-        ["the hybrid never climbs (v ≤ 0)", "Figs 4, 6", f"v ≤ {rising:.1e} m/s", verdict(rising <= 1e-6)],
-        ["its thrust angle stays below 180°", "Fig 7", f"β ≤ {beta:.9f}°", verdict(beta <= 180 + 1e-9)],
-        ["flight time falls to a third", "text", f"{ratio:.4f} of the ordinary one", verdict(ratio < 1 / 3)],
-        ["about 6 kg of fuel saved", "text", f"{saved:.4f} kg", verdict(abs(saved - 6) < 0.5)],
-        ["that is about 4 % of the fuel", "text", f"{100 * share:.2f} %", verdict(abs(100 * share - 4) < 0.5)],
-        ["landed mass peaks near 1200 m/s", "Fig 8", f"at {best:g} m/s of 33", verdict(abs(best - 1200) < 25)],
+        ["the hybrid never climbs (v ≤ 0)", "Figs 4, 6", f"v ≤ {rising:.1e} m/s", claim_verdict(rising <= 1e-6)],
+        ["its thrust angle stays below 180°", "Fig 7", f"β ≤ {beta:.9f}°", claim_verdict(beta <= 180 + 1e-9)],
+        ["flight time falls to a third", "text", f"{ratio:.4f} of the ordinary one", claim_verdict(ratio < 1 / 3)],
+        ["about 6 kg of fuel saved", "text", f"{saved:.4f} kg", claim_verdict(abs(saved - 6) < 0.5)],
+        ["that is about 4 % of the fuel", "text", f"{100 * share:.2f} %", claim_verdict(abs(100 * share - 4) < 0.5)],
+        ["landed mass peaks near 1200 m/s", "Fig 8", f"at {best:g} m/s of 33", claim_verdict(abs(best - 1200) < 25)],
         [
             "retro burn and landed mass fall with the impulsive specific impulse", "Figs 9, 10",
-            f"{len(paying)} values down to {paying[-1][0]:g} s", verdict(falls),
+            f"{len(paying)} values down to {paying[-1][0]:g} s", claim_verdict(falls),
         ],
         [
             "no benefit below about 280 s", "Fig 10", f"below {made.break_even_impulse:.3f} s",
-            verdict(abs(made.break_even_impulse - PRINTED_NO_BENEFIT_BELOW) < 5),
+            claim_verdict(abs(made.break_even_impulse - PRINTED_NO_BENEFIT_BELOW) < 5),
         ],
     ]  # fmt: skip
 
 
-def _discrepancies(made: Reproduction) -> str:
-    computed = computed_numbers(made)["optimal retro burn"]
+def _cho_discrepancies(made: ChoReproduction) -> str:
+    computed = cho_numbers(made)["optimal retro burn"]
     printed = PRINTED["optimal retro burn"][0]
     lost = made.hybrid.results["landed_mass"].value - made.at_printed_burn.results["landed_mass"].value
     jump = best_with_retro_burn(made.at_break_even)
@@ -182,7 +184,7 @@ def _discrepancies(made: Reproduction) -> str:
             "on (20) would not notice.",
             "**A root of the conditions is not an answer.** The transversality condition (19) has more than "
             "one root, and the bound ΔV = 0 is an extremal of its own, which the paper does not mention:",
-            table(["ΔV (m/s)", "landed mass (kg)", "nature"], rows),
+            markdown_table(["ΔV (m/s)", "landed mass (kg)", "nature"], rows),
             f"**The best retro burn does not shrink to nothing in Fig 9; it jumps.** At "
             f"{made.break_even_impulse:.3f} s the best extremal with a retro burn "
             f"({jump.free['retro_delta_v']:.1f} m/s) lands as much as no burn, and below it no burn is best. "
@@ -191,7 +193,7 @@ def _discrepancies(made: Reproduction) -> str:
     )
 
 
-def _failures(made: Reproduction) -> list[str]:
+def _unsolved_members(made: ChoReproduction) -> list[str]:
     """List the members of a family that could not be solved, so that no gap is silent."""
     missing = [
         f"- {family.parameter} = {point.value:g} {family.unit}: {' '.join(point.message.split())}"
@@ -207,11 +209,11 @@ def _altitudes(by_thrust: Mapping[float, Solution]) -> Figure:
     for (acceleration, solution), dash in zip(by_thrust.items(), ("-", "--", "-.", ":", "-"), strict=False):
         time, column = flight_columns(solution, "altitude")[0]
         curves.append((time, column.values / 1e3, dash, f"{acceleration:.2f} m/s²"))
-    return lines(curves, ("time from ignition (s)", "altitude (km)"), height=2.5, from_zero=True)
+    return line_figure(curves, ("time from ignition (s)", "altitude (km)"), height=2.5, from_zero=True)
 
 
-def _mass_by_burn(made: Reproduction) -> Figure:
-    rows = np.array(_points(made, "by_retro_burn", "landed_mass"))
+def _mass_by_burn(made: ChoReproduction) -> Figure:
+    rows = np.array(_solved_points(made, "by_retro_burn", "landed_mass"))
     marks = [
         (e["delta_v"], e["landed_mass"], f"{fill(e['nature'], 15)}\n{e['delta_v']:.1f} m/s", offset)
         for e, offset in zip(
@@ -220,13 +222,15 @@ def _mass_by_burn(made: Reproduction) -> Figure:
             strict=False,
         )
     ]
-    return lines([(rows[:, 0], rows[:, 1], "o-", "")], ("retro burn ΔV (m/s)", "landed mass (kg)"), marks, height=2.6)
+    return line_figure(
+        [(rows[:, 0], rows[:, 1], "o-", "")], ("retro burn ΔV (m/s)", "landed mass (kg)"), marks, height=2.6
+    )
 
 
-def _by_impulse(made: Reproduction, quantity: str, text: str) -> Figure:
+def _by_impulse(made: ChoReproduction, quantity: str, text: str) -> Figure:
     """Draw the two branches, with the jump between them at the computed specific impulse."""
-    rows = _points(made, "by_impulse", quantity)
-    burns = dict(_points(made, "by_impulse", "delta_v"))
+    rows = _solved_points(made, "by_impulse", quantity)
+    burns = dict(_solved_points(made, "by_impulse", "delta_v"))
     at = made.break_even_impulse
     best = best_with_retro_burn(made.at_break_even)
     mass = -best.objective
@@ -238,10 +242,10 @@ def _by_impulse(made: Reproduction, quantity: str, text: str) -> Figure:
         (*zip(*not_any_more, strict=True), "s--", "without"),
     ]
     mark = (at, ends[0], f"{at:.2f} s", (22, -16) if quantity == "delta_v" else (-22, 18))
-    return lines(curves, ("impulsive specific impulse (s)", text), [mark])
+    return line_figure(curves, ("impulsive specific impulse (s)", text), [mark])
 
 
-def _points(made: Reproduction, family: str, quantity: str) -> list[tuple[float, float]]:
+def _solved_points(made: ChoReproduction, family: str, quantity: str) -> list[tuple[float, float]]:
     """(value, result) of the members that were solved."""
     return [
         (point.value, point.solution.results[quantity].value)

@@ -17,8 +17,8 @@ import numpy as np
 
 from perilune.models.bodies import Planet
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Orbit, Returner
-from perilune.models.flight_path import FlightPath, cartesian, flight_path
+from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit
+from perilune.models.flight_path import FlightPath, flight_path, to_cartesian
 from perilune.problem.problem import Problem
 from perilune.problem.solution import Solution
 from perilune.words.maths import NUMERIC
@@ -28,11 +28,11 @@ STEP = 1e-30  # of derivatives by a complex step
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class LiuCase:
     """Section 4.1; the rate of the Earth, air and drag area are not printed."""
 
     earth: Planet
-    orbit: Orbit
+    orbit: ReturnOrbit
     mass: float = 500.0  # kg
     thrust: float = 100.0  # N
     exhaust_velocity: float = 3000.0  # m/s
@@ -43,11 +43,11 @@ class Case:
     place: tuple[float, float] = (math.radians(16), math.radians(39.5))  # ours, inside the region
 
 
-CASE = Case(
+CASE = LiuCase(
     earth=Planet(
         name="earth", gravitational_parameter=3.986005e14, radius=6371e3, rotation_rate=7.2921159e-5, j2=1.08263e-3
     ),
-    orbit=Orbit(radius=6678.14e3, inclination=math.radians(50)),
+    orbit=ReturnOrbit(radius=6678.14e3, inclination=math.radians(50)),
 )
 PRINTED_SITE = math.radians(-158)  # longitude
 NEIGHBOUR_SITE = math.radians(-98)
@@ -58,7 +58,7 @@ def site_free(going: str) -> Problem:
     """Neighbour A: to the interface at the steepness of -6 degrees, in the least time, and anywhere."""
     return deorbit_entry(
         _vehicle(), CASE.orbit, Interface(altitude=CASE.interface_altitude, angle=CASE.angles[1]), CASE.earth,
-        manoeuvre=_place(going), minimise="transition_time",
+        manoeuvre=_manoeuvre_place(going), minimise="transition_time",
     )  # fmt: skip
 
 
@@ -88,7 +88,7 @@ def _vehicle(*, drag_area: float | None = None, dry_mass: float | None = None) -
     )
 
 
-def _place(going: str) -> Manoeuvre:
+def _manoeuvre_place(going: str) -> Manoeuvre:
     return Manoeuvre(longitude=CASE.place[0], latitude=CASE.place[1], going=going)
 
 
@@ -98,7 +98,7 @@ def _to_site(vehicle: Returner, longitude: float, going: str, at: Interface | No
         angle_lower=CASE.angles[0], angle_upper=CASE.angles[1],
     )  # fmt: skip
     return deorbit_entry(
-        vehicle, CASE.orbit, at or between, CASE.earth, manoeuvre=_place(going),
+        vehicle, CASE.orbit, at or between, CASE.earth, manoeuvre=_manoeuvre_place(going),
         air=Atmosphere(model="exponential", density=1.225, scale_height=7200.0),
         site=Landing(longitude=longitude, latitude=CASE.site_latitude, altitude=10e3),
     )  # fmt: skip
@@ -117,16 +117,16 @@ class Units:
     gravity: float  # m/s^2
 
 
-def units() -> Units:
+def paper_units() -> Units:
     """References of the paper's dimensionless quantities."""
     earth = CASE.earth
     speed = math.sqrt(earth.gravitational_parameter / earth.radius)
     return Units(length=earth.radius, speed=speed, time=earth.radius / speed, gravity=speed * speed / earth.radius)
 
 
-def constants() -> SimpleNamespace:
+def dimensionless_constants() -> SimpleNamespace:
     """Parameters of the dimensionless equations: those of the body, thrust T and exhaust speed V_e."""
-    unit = units()
+    unit = paper_units()
     return SimpleNamespace(
         body_gravitational_parameter=1.0, body_radius=1.0, body_j2=CASE.earth.j2,
         body_rotation_rate=CASE.earth.rotation_rate * unit.time,
@@ -136,7 +136,7 @@ def constants() -> SimpleNamespace:
 
 def paper_state(x: Vector) -> Vector:
     """V, gamma, psi, r, Theta, Phi, m of the paper, of a Cartesian state in SI."""
-    unit, path = units(), flight_path(tuple(x[:3]), tuple(x[3:6]), NUMERIC)
+    unit, path = paper_units(), flight_path(tuple(x[:3]), tuple(x[3:6]), NUMERIC)
     return np.array([
         path.speed / unit.speed, path.angle, path.course, path.distance / unit.length, path.longitude, path.latitude,
         x[6] / CASE.mass,
@@ -148,20 +148,20 @@ def paper_costates(solution: Solution, phase: int, t: float) -> Vector:
 
     They are those of the Cartesian state, carried by the transposed derivatives of that state.
     """
-    unit, trajectory = units(), solution.trajectories[phase]
+    unit, trajectory = paper_units(), solution.trajectories[phase]
     if trajectory.costate is None:
         raise ValueError("a solution of the indirect method has costates")
     state = paper_state(trajectory.state(t))
     found = trajectory.costate(t)[:7] / unit.time
-    turned = [float(found @ np.imag(_cartesian(state + 1j * STEP * np.eye(7)[i]))) / STEP for i in range(7)]
+    turned = [float(found @ np.imag(_from_paper_state(state + 1j * STEP * np.eye(7)[i]))) / STEP for i in range(7)]
     return np.array(turned)
 
 
-def _cartesian(state: Vector) -> Vector:
+def _from_paper_state(state: Vector) -> Vector:
     """Cartesian state in SI of `paper_state`."""
-    unit = units()
+    unit = paper_units()
     speed, angle, course, distance, longitude, latitude, mass = state
-    position, velocity = cartesian(
+    position, velocity = to_cartesian(
         FlightPath(speed=speed, angle=angle, course=course, distance=distance, longitude=longitude, latitude=latitude),
         NUMERIC,
     )  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from perilune.models.deorbit import orbit
-from perilune.models.rotating import cross, dot, local_axes
+from perilune.models.rotating import cross_product, local_axes, scalar_product
 from perilune.problem.opposite import opposite
 from perilune.problem.preflight import preflight
 from perilune.problem.solution import Solution
@@ -22,19 +22,19 @@ from perilune.reproductions.liu2019.case import (
     CASE,
     PRINTED_SITE,
     as_printed,
-    constants,
+    dimensionless_constants,
     fixed_sweep,
     paper_state,
+    paper_units,
     site_fixed,
     site_free,
-    units,
 )
 from perilune.reproductions.liu2019.equations import Comparison, compare, corrected_rates, costate_matrix
-from perilune.reproductions.liu2019.fast import Fast, fast
-from perilune.reproductions.liu2019.members import Member, members
+from perilune.reproductions.liu2019.fast import Fast, time_fast_methods
+from perilune.reproductions.liu2019.members import ManoeuvreMember, solve_members
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3, GridPoint
-from perilune.reproductions.liu2019.searches import Searches, searched
-from perilune.reproductions.paper import worst
+from perilune.reproductions.liu2019.searches import Searches, run_searches
+from perilune.reproductions.paper import worst_solution
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome, PeriluneError
@@ -45,7 +45,7 @@ PASSES = ("descending", "ascending")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flown:
+class PrintedFlight:
     """The printed costates of every grid point, flown for the printed time.
 
     `direction` says whether the thrust is that of (9) or the one that minimises H. Of each point at the printed t_a:
@@ -73,7 +73,7 @@ class OffPlane:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reproduction:
+class LiuReproduction:
     """Everything that was computed for the report.
 
     Parameters
@@ -95,12 +95,12 @@ class Reproduction:
     equations: Comparison
     off_plane: OffPlane
     refusals: dict[str, str]
-    flown: tuple[Flown, ...]
+    flown: tuple[PrintedFlight, ...]
     site_free: dict[str, Solution]
     site_fixed: Solution
     slowest: Solution
-    grid: tuple[Member, ...]
-    experiments: tuple[Member, ...]
+    grid: tuple[ManoeuvreMember, ...]
+    experiments: tuple[ManoeuvreMember, ...]
     searches: Searches
     fast: Fast
 
@@ -112,10 +112,10 @@ class Reproduction:
     @property
     def proved(self) -> Solution:
         """Return the flight with the worst proof."""
-        return worst(self.site_fixed, self.slowest, *self.site_free.values())
+        return worst_solution(self.site_fixed, self.slowest, *self.site_free.values())
 
 
-def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
+def compute_liu(watch: Watch, level: int = 3, seeds: int = 5) -> LiuReproduction:
     """Compute everything.
 
     Parameters
@@ -128,11 +128,11 @@ def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
         Tries of the paper's hybrid method, and of its fast one.
     """
     watch("the paper's hybrid method, and ours")
-    searches = searched(seeds, watch)
+    searches = run_searches(seeds, watch)
     watch("the printed equations")
     equations = compare()
     watch("the printed example")
-    refusals = {going: refusal(going) for going in PASSES}
+    refusals = {going: printed_refusal(going) for going in PASSES}
     flown = (fly_printed(1.0), fly_printed(-1.0))
     watch("neighbour A: the site free")
     free = {going: solve(site_free(going), level=level, watch=watch) for going in PASSES}
@@ -140,14 +140,14 @@ def compute(watch: Watch, level: int = 3, seeds: int = 5) -> Reproduction:
     fixed = solve(site_fixed(), level=level, watch=watch)
     slowest = solve(opposite(fixed_sweep()), level=level, watch=watch)
     watch("neighbour B from the points of Table 2")
-    grid = members(fixed, [(row.longitude, row.latitude) for row in TABLE_2], watch)
+    grid = solve_members(fixed, [(row.longitude, row.latitude) for row in TABLE_2], watch)
     watch("neighbour B from the points of Table 1")
-    experiments = members(fixed, [(row.longitude, row.latitude) for row in TABLES_1_AND_3], watch)
+    experiments = solve_members(fixed, [(row.longitude, row.latitude) for row in TABLES_1_AND_3], watch)
     with tempfile.TemporaryDirectory() as directory:
-        asked = fast(fixed.problem, grid, experiments, seeds, Path(directory) / "region", watch)
-    return Reproduction(
+        asked = time_fast_methods(fixed.problem, grid, experiments, seeds, Path(directory) / "region", watch)
+    return LiuReproduction(
         equations=equations,
-        off_plane=off_plane(fixed.results["entry_time"].value),
+        off_plane=compare_off_plane(fixed.results["entry_time"].value),
         refusals=refusals,
         flown=flown,
         site_free=free,
@@ -173,7 +173,7 @@ def burn_until(mass: float) -> float:
     return (CASE.mass - mass) * CASE.exhaust_velocity / CASE.thrust
 
 
-def refusal(going: str) -> str:
+def printed_refusal(going: str) -> str:
     """Return why physics excludes the printed example, with all the propellant that the longest printed t_a burns."""
     findings = preflight(as_printed(going, mass_after(max(row.time for row in TABLE_2))))
     return "; ".join(
@@ -182,7 +182,7 @@ def refusal(going: str) -> str:
     )  # fmt: skip
 
 
-def off_plane(entry_time: float) -> OffPlane:
+def compare_off_plane(entry_time: float) -> OffPlane:
     """Return the angle from the printed site to the plane of the orbit when each grid point's vehicle would land.
 
     Parameters
@@ -196,7 +196,7 @@ def off_plane(entry_time: float) -> OffPlane:
         ])
         for going in PASSES
     }  # fmt: skip
-    return OffPlane(away=away, reach=np.array([sideways(row.time, row.time + entry_time) for row in TABLE_2]))
+    return OffPlane(away=away, reach=np.array([sideways_reach(row.time, row.time + entry_time) for row in TABLE_2]))
 
 
 def away_from_plane(longitude: float, latitude: float, going: str, at: Vector) -> Vector:
@@ -205,14 +205,14 @@ def away_from_plane(longitude: float, latitude: float, going: str, at: Vector) -
         body_radius=CASE.earth.radius, orbit_inclination=CASE.orbit.inclination,
         manoeuvre_longitude=math.radians(longitude), manoeuvre_latitude=math.radians(latitude),
     )  # fmt: skip
-    angle, node = orbit.from_place(going)(p, NUMERIC)
-    up, ahead = orbit.plane(angle, node, p, NUMERIC)
+    angle, node = orbit.angles_of_place(going)(p, NUMERIC)
+    up, ahead = orbit.plane_axes(angle, node, p, NUMERIC)
     turned = PRINTED_SITE + CASE.earth.rotation_rate * at
     site, _, _ = local_axes(turned, CASE.site_latitude, NUMERIC)
-    return np.abs(np.arcsin(dot(site, cross(up, ahead))))
+    return np.abs(np.arcsin(scalar_product(site, cross_product(up, ahead))))
 
 
-def sideways(burn_time: float, at: float) -> float:
+def sideways_reach(burn_time: float, at: float) -> float:
     """Angle [rad] by which full thrust across the plane moves the vehicle out of it, at a time [s], to first order.
 
     Out of the plane z'' + n^2 z = T/m, so that thrust whose sense changes with that of sin n(at - t) gives
@@ -225,15 +225,15 @@ def sideways(burn_time: float, at: float) -> float:
     return float(np.trapezoid(push * np.abs(np.sin(speed / radius * (at - t))), t)) / speed
 
 
-def fly_printed(sign: float) -> Flown:
+def fly_printed(sign: float) -> PrintedFlight:
     """Fly the printed costates by the right equations; `sign` is 1 for the thrust of (9), -1 for the opposite one.
 
     lambda_Phi is not printed; H(t0) = -1 gives it, as the paper says.
     """
-    unit = units()
+    unit = paper_units()
     x, costates = _printed_start(sign)
-    y = fly(x, costates, np.array([row.time for row in TABLE_2]) / unit.time, sign)
-    return Flown(
+    y = propagate_extremals(x, costates, np.array([row.time for row in TABLE_2]) / unit.time, sign)
+    return PrintedFlight(
         direction="as (9)" if sign > 0 else "opposite to (9)",
         altitude=(y[3] - 1) * unit.length / 1e3,
         speed=y[0] * unit.speed / 1e3,
@@ -243,7 +243,7 @@ def fly_printed(sign: float) -> Flown:
     )
 
 
-def fly(x: Matrix, costates: Matrix, times: Vector, sign: float) -> Matrix:
+def propagate_extremals(x: Matrix, costates: Matrix, times: Vector, sign: float) -> Matrix:
     """States and costates, shape (14, n), after times, all dimensionless; from states and costates, (7, n) each."""
     size = x.shape[1]
 
@@ -301,4 +301,4 @@ def _extremal_rates(y: Matrix, sign: float) -> Matrix:
 def hamiltonian_by_thrust() -> Vector:
     """Return how much H at t0 falls at every grid point with the thrust opposite to (9), paper's units."""
     x, costates = _printed_start(1.0)
-    return 2 * constants().thrust / x[6] * np.linalg.norm(np.array(along_thrust(x, costates)), axis=0)
+    return 2 * dimensionless_constants().thrust / x[6] * np.linalg.norm(np.array(along_thrust(x, costates)), axis=0)

@@ -4,7 +4,8 @@ Everything is dimensionless, as in the paper: x = (V, gamma, psi, r, Theta, Phi,
 the text that the paper survives in has lost the layout of a fraction, the right reading is taken. Two judges decide:
 
 * (1): Newton's law in Cartesian coordinates relative to the turning Earth, carried into the paper's coordinates by the
-  derivatives of these coordinates. `perilune.models.flight_path.rates` passes; the printed right-hand sides do not.
+  derivatives of these coordinates. `perilune.models.flight_path.flight_path_rates` passes; the printed right-hand sides
+  do not.
 * (6): lambda' = -(df/dx)^T lambda, the derivatives by complex steps; of the printed f, and of the right one.
 """
 
@@ -18,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from perilune.models.deorbit.orbit import AXIS
-from perilune.models.flight_path import FlightPath, cartesian, gravity_components, path_axes, rates
+from perilune.models.flight_path import FlightPath, flight_path_rates, gravity_components, path_axes, to_cartesian
 from perilune.models.rotating import combine, free_acceleration
-from perilune.reproductions.liu2019.case import STEP, constants, units
+from perilune.reproductions.liu2019.case import STEP, dimensionless_constants, paper_units
 from perilune.words.maths import NUMERIC
 from perilune.words.types import Batch, Matrix, Vector
 
@@ -82,16 +83,16 @@ class Comparison:
 
 def compare(samples: int = SAMPLES, seed: int = 0) -> Comparison:
     """Compare at states of a transition, with any course and any thrust direction."""
-    x, alpha, beta = _sampled(samples, seed)
+    x, alpha, beta = _sample_states(samples, seed)
     newton = _by_newton(x, alpha, beta)
     printed, right = np.array(printed_rates(x, alpha, beta)), np.array(corrected_rates(x, alpha, beta))
     off = {
         NAMES[i]: (float(np.abs(printed[i] - newton[i]).max()), float(np.abs(right[i] - newton[i]).max()))
         for i in range(3)
     }
-    terms = _slips(x)
+    terms = _printed_slips(x)
     explained = sum(difference for *_, difference in terms)
-    unit = units()
+    unit = paper_units()
     size = {"V": (unit.gravity, "m/s²"), "γ": (math.degrees(1 / unit.time), "°/s")}
     slips = tuple(
         Slip(
@@ -101,12 +102,12 @@ def compare(samples: int = SAMPLES, seed: int = 0) -> Comparison:
         for name, text, correct, difference in terms
     )  # fmt: skip
     return Comparison(
-        off=off, slips=slips, unexplained=float(np.abs(printed - right - explained).max()), gravity=_gravity(x),
-        coefficients=_coefficients(x, alpha, beta),
+        off=off, slips=slips, unexplained=float(np.abs(printed - right - explained).max()), gravity=_gravity_ratios(x),
+        coefficients=_wrong_coefficients(x, alpha, beta),
     )  # fmt: skip
 
 
-def _sampled(samples: int, seed: int) -> tuple[Matrix, Vector, Vector]:
+def _sample_states(samples: int, seed: int) -> tuple[Matrix, Vector, Vector]:
     """States (7, n) and angles of the thrust."""
     rng = np.random.default_rng(seed)
     ranges = ((0.9, 1.1), (-0.2, 0.2), (-3.0, 3.0), (1.02, 1.1), (-3.0, 3.0), (-0.87, 0.87), (0.7, 1.0))
@@ -114,7 +115,7 @@ def _sampled(samples: int, seed: int) -> tuple[Matrix, Vector, Vector]:
     return x, rng.uniform(-1.0, 1.0, samples), rng.uniform(-3.0, 3.0, samples)
 
 
-def _path(x: Any) -> FlightPath:
+def _flight_path_of(x: Any) -> FlightPath:
     return FlightPath(speed=x[0], angle=x[1], course=x[2], distance=x[3], longitude=x[4], latitude=x[5])
 
 
@@ -123,17 +124,17 @@ def _path(x: Any) -> FlightPath:
 
 def corrected_rates(x: Any, alpha: Any, beta: Any) -> tuple[Any, ...]:
     """(1) as it should be, with m'."""
-    c = constants()
+    c = dimensionless_constants()
     push = c.thrust / x[6]
     pushed = (
         push * np.cos(alpha) * np.cos(beta), push * np.sin(alpha), push * np.cos(alpha) * np.sin(beta)
     )  # fmt: skip
-    return *rates(_path(x), pushed, c, NUMERIC), np.full_like(x[6], -c.thrust / c.exhaust)
+    return *flight_path_rates(_flight_path_of(x), pushed, c, NUMERIC), np.full_like(x[6], -c.thrust / c.exhaust)
 
 
 def printed_rates(x: Any, alpha: Any, beta: Any) -> tuple[Any, ...]:
     """(1) as printed, with g_Phi where it prints g_theta, which it does not define."""
-    c = constants()
+    c = dimensionless_constants()
     V, _, _, r, _, _, m = x
     sg, cg, sc, cc, sF, cF = _trigonometry(x)
     gr, gF = gravity_components(r, x[5], c, NUMERIC)
@@ -157,9 +158,9 @@ def _trigonometry(x: Any) -> tuple[Any, ...]:
     return tuple(f(x[i]) for i in (1, 2, 5) for f in (np.sin, np.cos))
 
 
-def _slips(x: Matrix) -> list[tuple[str, str, str, Batch]]:
+def _printed_slips(x: Matrix) -> list[tuple[str, str, str, Batch]]:
     """Row, printed term, right term, and their difference in all seven rows, shape (7, n)."""
-    c, (V, _, _, r, *_) = constants(), x
+    c, (V, _, _, r, *_) = dimensionless_constants(), x
     sg, cg, sc, cc, sF, cF = _trigonometry(x)
     w = c.body_rotation_rate
     tg = sg / cg
@@ -182,8 +183,8 @@ def _slips(x: Matrix) -> list[tuple[str, str, str, Batch]]:
 
 def _by_newton(x: Matrix, alpha: Vector, beta: Vector) -> Matrix:
     """Rates of the six coordinates, shape (6, n), by way of Cartesian ones."""
-    c, path = constants(), _path(x)
-    position, velocity = cartesian(path, NUMERIC)
+    c, path = dimensionless_constants(), _flight_path_of(x)
+    position, velocity = to_cartesian(path, NUMERIC)
     forward, upward, leftward = path_axes(path, NUMERIC)
     push = c.thrust / x[6]
     acceleration = combine(
@@ -193,15 +194,15 @@ def _by_newton(x: Matrix, alpha: Vector, beta: Vector) -> Matrix:
     )  # fmt: skip
 
     def placed(shifted: Any) -> Any:
-        r, v = cartesian(_path(shifted), NUMERIC)
+        r, v = to_cartesian(_flight_path_of(shifted), NUMERIC)
         return np.array([np.broadcast_to(value, x[0].shape) for value in (*r, *v)])
 
-    slopes = np.array([np.imag(placed(_stepped(x, i))) / STEP for i in range(6)])  # (coordinate, Cartesian, n)
+    slopes = np.array([np.imag(placed(_complex_step(x, i))) / STEP for i in range(6)])  # (coordinate, Cartesian, n)
     known = np.array([np.broadcast_to(value, x[0].shape) for value in (*velocity, *acceleration)])
     return np.linalg.solve(slopes.transpose(2, 1, 0), known.T[:, :, None])[:, :, 0].T
 
 
-def _stepped(x: Any, i: int) -> Any:
+def _complex_step(x: Any, i: int) -> Any:
     """The states with a complex step along one coordinate."""
     shifted = np.array(x, dtype=complex)
     shifted[i] += 1j * STEP
@@ -213,12 +214,12 @@ def _stepped(x: Any, i: int) -> Any:
 
 def costate_matrix(of: Rates, x: Any, alpha: Any, beta: Any) -> Any:
     """Coefficients -df_j/dx_i of lambda_j in lambda_i', shape (7, 7, n)."""
-    return np.array([-np.imag(of(_stepped(x, i), alpha, beta)) / STEP for i in range(7)])
+    return np.array([-np.imag(of(_complex_step(x, i), alpha, beta)) / STEP for i in range(7)])
 
 
 def _printed_gravity(r: Any, latitude: Any) -> tuple[Any, Any, Any, Any]:
     """g_rr, g_Fr, g_rF, g_FF of (7): derivatives with respect to r and Phi."""
-    c = constants()
+    c = dimensionless_constants()
     gr, _ = gravity_components(r, latitude, c, NUMERIC)
     J2, sF = c.body_j2, np.sin(latitude)
     twice, cosine = np.sin(2 * latitude), np.cos(2 * latitude)
@@ -230,12 +231,12 @@ def _printed_gravity(r: Any, latitude: Any) -> tuple[Any, Any, Any, Any]:
     )
 
 
-def _gravity(x: Matrix) -> dict[str, float]:
+def _gravity_ratios(x: Matrix) -> dict[str, float]:
     """Printed over right derivative, where it is largest."""
-    c = constants()
+    c = dimensionless_constants()
     slopes = []
     for i in (3, 5):
-        shifted = _stepped(x, i)
+        shifted = _complex_step(x, i)
         slopes.append([g.imag / STEP for g in gravity_components(shifted[3], shifted[5], c, NUMERIC)])
     right = (slopes[0][0], slopes[0][1], slopes[1][0], slopes[1][1])
     names = ("∂g_r/∂r", "∂g_Φ/∂r", "∂g_r/∂Φ", "∂g_Φ/∂Φ")
@@ -248,7 +249,7 @@ def _gravity(x: Matrix) -> dict[str, float]:
 
 def printed_costate_matrix(x: Any, alpha: Any, beta: Any) -> Any:
     """Coefficients of (6) as printed, shape (7, 7, n); g_Phi's derivatives as in (7)."""
-    c, (V, _, _, r, _, _, m) = constants(), x
+    c, (V, _, _, r, _, _, m) = dimensionless_constants(), x
     sg, cg, sc, cc, sF, cF = _trigonometry(x)
     gr, gF = gravity_components(r, x[5], c, NUMERIC)
     grr, gFr, grF, gFF = _printed_gravity(r, x[5])
@@ -302,20 +303,20 @@ def printed_costate_matrix(x: Any, alpha: Any, beta: Any) -> Any:
     return whole
 
 
-def _coefficients(x: Matrix, alpha: Vector, beta: Vector) -> tuple[Coefficient, ...]:
+def _wrong_coefficients(x: Matrix, alpha: Vector, beta: Vector) -> tuple[Coefficient, ...]:
     """Return the coefficients of (6) that no differentiation of the right (1) gives."""
     printed = printed_costate_matrix(x, alpha, beta)
     own, right = (costate_matrix(of, x, alpha, beta) for of in (printed_rates, corrected_rates))
     found = []
     for i, row in enumerate(NAMES):
         for j, name in enumerate(NAMES):
-            away = [_away(printed[i, j], of[i, j]) for of in (own, right)]
+            away = [_largest_relative_difference(printed[i, j], of[i, j]) for of in (own, right)]
             if max(away) > _SAME:
                 found.append(Coefficient(row=f"λ_{row}'", costate=f"λ_{name}", own=away[0], right=away[1]))
     return tuple(found)
 
 
-def _away(printed: Vector, right: Vector) -> float:
+def _largest_relative_difference(printed: Vector, right: Vector) -> float:
     """Largest difference over the largest right value."""
     difference, size = float(np.abs(printed - right).max()), float(np.abs(right).max())
     if difference <= _NEGLIGIBLE:

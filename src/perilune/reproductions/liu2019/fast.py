@@ -21,7 +21,7 @@ from perilune.atlas.query import Atlas, open_atlas
 from perilune.methods.genetic import Genetic
 from perilune.methods.nearby import Nearby
 from perilune.problem.problem import Problem
-from perilune.reproductions.liu2019.members import Member, by_cubic
+from perilune.reproductions.liu2019.members import ManoeuvreMember, predict_by_cubic
 from perilune.solve import solve
 from perilune.words.outcome import PeriluneError
 from perilune.words.types import Matrix, Vector
@@ -66,10 +66,10 @@ class Fast:
     apart: float
 
 
-def fast(
+def time_fast_methods(
     problem: Problem,
-    grid: Sequence[Member],
-    experiments: Sequence[Member],
+    grid: Sequence[ManoeuvreMember],
+    experiments: Sequence[ManoeuvreMember],
     seeds: int,
     directory: Path,
     watch: Watch,
@@ -98,7 +98,7 @@ def fast(
     atlas = open_atlas(build(problem, box, directory, sample=0, watch=watch))
     built = time.process_time() - began
     points = np.radians([(m.longitude, m.latitude) for m in experiments])
-    queried, refused, found = _queried(atlas, points)
+    queried, refused, found = _query_points(atlas, points)
     kinds = tuple(charted.chart.course.text or "one arc in each phase" for charted in atlas.charted)
     alone, apart = list[float](), 0.0
     for at, known in zip(points.tolist(), found, strict=True):
@@ -113,15 +113,15 @@ def fast(
     searched = list[float]()
     for number in some:
         watch(f"the paper's fast method at {len(searched) + 1} of {len(some)} points")
-        searched.append(_took(predictions[number], _by_search))
+        searched.append(_newton_time(predictions[number], _by_search))
     return Fast(
         built=built, nodes=atlas.rows, kinds=kinds, searched=np.array(searched), queried=queried,
-        predicted=np.array([_took(one, lambda _, guess: guess) for one in predictions]),
+        predicted=np.array([_newton_time(one, lambda _, guess: guess) for one in predictions]),
         refused=refused, alone=np.array(alone), apart=apart,
     )  # fmt: skip
 
 
-def _queried(atlas: Atlas, points: np.ndarray) -> tuple[Vector, tuple[str, ...], Vector]:
+def _query_points(atlas: Atlas, points: np.ndarray) -> tuple[Vector, tuple[str, ...], Vector]:
     """Times of queries, what was refused, and J."""
     took, found, refused = np.full(len(points), math.nan), np.full(len(points), math.nan), list[str]()
     for once in (False, True):  # the first round makes what is made once
@@ -148,7 +148,7 @@ class _Prediction:
         return self.near.shooting.at(Y, self.near.numbers(self.values), self.near.root.choice[None]).residuals
 
 
-def _predictions(grid: Sequence[Member], experiments: Sequence[Member]) -> list[_Prediction]:
+def _predictions(grid: Sequence[ManoeuvreMember], experiments: Sequence[ManoeuvreMember]) -> list[_Prediction]:
     """Predictions at all points; none where fewer than ten of the grid are known."""
     known = [m for m in grid if m.solution is not None]
     arcs = [Nearby(m.solution) for m in known if m.solution is not None]
@@ -157,7 +157,7 @@ def _predictions(grid: Sequence[Member], experiments: Sequence[Member]) -> list[
         return []
     unknowns, found = np.array([arcs[i].root.y for i in alike]).T, list[_Prediction]()
     for member in experiments:
-        guess = by_cubic([known[k] for k in alike], member, unknowns)
+        guess = predict_by_cubic([known[k] for k in alike], member, unknowns)
         values = dict(zip(AXES, (math.radians(member.longitude), math.radians(member.latitude)), strict=True))
         found.append(_Prediction(arcs[alike[0]], values, guess))
     return found
@@ -169,7 +169,7 @@ def _by_search(one: _Prediction, guess: Vector) -> Vector:
     return Genetic(best=1).search(one.missed, guess - away, guess + away).points[0]
 
 
-def _took(one: _Prediction, begin: Callable[[_Prediction, Vector], Vector]) -> float:
+def _newton_time(one: _Prediction, begin: Callable[[_Prediction, Vector], Vector]) -> float:
     """Return the processor time [s] of Newton's method and of its initial guess; NaN where it fails."""
     took = math.nan
     for _ in range(2):  # the first makes what is made once

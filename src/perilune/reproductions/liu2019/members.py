@@ -18,7 +18,7 @@ from perilune.words.watch import Watch
 
 
 @dataclass(frozen=True, kw_only=True)
-class Member:
+class ManoeuvreMember:
     """Neighbour B at a manoeuvre point [deg]: its solution, or why there is none, and the processor time [s]."""
 
     longitude: float
@@ -36,10 +36,10 @@ class Member:
         return np.full(7, math.nan) if self.solution is None else paper_costates(self.solution, 0, 0.0)
 
 
-def members(first: Solution, points: Sequence[tuple[float, float]], watch: Watch) -> tuple[Member, ...]:
+def solve_members(first: Solution, points: Sequence[tuple[float, float]], watch: Watch) -> tuple[ManoeuvreMember, ...]:
     """Solve at every manoeuvre point [deg], each from the nearest that is known; in the order of the points."""
     known = {(math.degrees(CASE.place[0]), math.degrees(CASE.place[1])): first}
-    made: dict[int, Member] = {}
+    made: dict[int, ManoeuvreMember] = {}
     begin = next(iter(known))
     for i in sorted(range(len(points)), key=lambda k: math.dist(points[k], begin)):
         longitude, latitude = points[i]
@@ -54,7 +54,7 @@ def members(first: Solution, points: Sequence[tuple[float, float]], watch: Watch
             message = " ".join(str(error).split())
         else:
             known[points[i]] = solution
-        made[i] = Member(
+        made[i] = ManoeuvreMember(
             longitude=longitude, latitude=latitude, solution=solution, message=message,
             processor_time=time.process_time() - began,
         )  # fmt: skip
@@ -62,7 +62,9 @@ def members(first: Solution, points: Sequence[tuple[float, float]], watch: Watch
     return tuple(made[i] for i in range(len(points)))
 
 
-def missed_by_cubic(grid: Sequence[Member], at: Sequence[Member], known: Vector, right: Vector) -> Vector:
+def prediction_error(
+    grid: Sequence[ManoeuvreMember], at: Sequence[ManoeuvreMember], known: Vector, right: Vector
+) -> Vector:
     """Error of the paper's prediction (16) at manoeuvre points, over the largest size of the quantity.
 
     Parameters
@@ -74,11 +76,11 @@ def missed_by_cubic(grid: Sequence[Member], at: Sequence[Member], known: Vector,
     """
     there = np.isfinite(known)
     members = [m for m, here in zip(grid, there, strict=True) if here]
-    errors = [by_cubic(members, m, known[None, there])[0] - value for m, value in zip(at, right, strict=True)]
+    errors = [predict_by_cubic(members, m, known[None, there])[0] - value for m, value in zip(at, right, strict=True)]
     return np.abs(np.array(errors)) / np.abs(known[there]).max()
 
 
-def by_cubic(grid: Sequence[Member], at: Member, known: Matrix) -> Vector:
+def predict_by_cubic(grid: Sequence[ManoeuvreMember], at: ManoeuvreMember, known: Matrix) -> Vector:
     """The paper's prediction (16) at one manoeuvre point of several quantities, known on the grid (quantities, points).
 
     Ten coefficients, found from the ten nearest points of the grid; the smallest where these leave them open.
@@ -90,7 +92,7 @@ def by_cubic(grid: Sequence[Member], at: Member, known: Matrix) -> Vector:
     return np.linalg.lstsq(columns, known[:, near].T, rcond=1e-9)[0][0]
 
 
-def varies(values: Vector) -> bool:
+def is_variable(values: Vector) -> bool:
     """Return True if a quantity is more than one number and the noise of its last digits."""
     known = values[np.isfinite(values)]
     return bool(len(known) and np.ptp(known) > 1e-6 * np.abs(known).max())

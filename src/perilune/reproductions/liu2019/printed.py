@@ -182,9 +182,9 @@ _TABLES_1_AND_3 = """
 """
 
 
-def _rows(text: str) -> list[list[float]]:
+def _parse_rows(text: str) -> list[list[float]]:
     return [[float(cell) for cell in line.split()] for line in text.strip().splitlines()]
 
 
-TABLE_2 = tuple(GridPoint(*row) for row in _rows(_TABLE_2))
-TABLES_1_AND_3 = tuple(Experiment(int(number), *row) for number, *row in _rows(_TABLES_1_AND_3))
+TABLE_2 = tuple(GridPoint(*row) for row in _parse_rows(_TABLE_2))
+TABLES_1_AND_3 = tuple(Experiment(int(number), *row) for number, *row in _parse_rows(_TABLES_1_AND_3))

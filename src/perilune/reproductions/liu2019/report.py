@@ -15,25 +15,31 @@ from matplotlib.figure import Figure
 
 from perilune.problem.solution import Solution
 from perilune.report.figures import solution_figures
-from perilune.report.style import lines
-from perilune.report.summary import solution_summary, table
+from perilune.report.style import line_figure
+from perilune.report.summary import markdown_table, solution_summary
 from perilune.reproductions.liu2019.case import CASE, paper_costates
 from perilune.reproductions.liu2019.compute import (
-    Reproduction,
+    LiuReproduction,
     away_from_plane,
     burn_until,
     hamiltonian_by_thrust,
     mass_after,
-    sideways,
+    sideways_reach,
 )
 from perilune.reproductions.liu2019.equations import NAMES, SAMPLES
 from perilune.reproductions.liu2019.fast import WITHIN
-from perilune.reproductions.liu2019.members import Member
+from perilune.reproductions.liu2019.members import ManoeuvreMember
 from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
-from perilune.reproductions.liu2019.surfaces import fits, fitted, surfaces
-from perilune.reproductions.liu2019.times import times
-from perilune.reproductions.liu2019.trajectories import HEAD, beside, rows, trajectories
-from perilune.reproductions.paper import claims, illustrated, verdict, versions_line, write_report
+from perilune.reproductions.liu2019.surfaces import fit_errors, fit_table, surfaces
+from perilune.reproductions.liu2019.times import time_section
+from perilune.reproductions.liu2019.trajectories import HEAD, trajectory_figures, trajectory_rows, trajectory_section
+from perilune.reproductions.paper import (
+    claim_verdict,
+    claims_section,
+    figure_markdown,
+    versions_line,
+    write_paper_report,
+)
 from perilune.words.types import Vector
 
 _CAPTIONS = {
@@ -50,66 +56,66 @@ _CAPTIONS = {
 }  # fmt: skip
 
 
-def write(made: Reproduction, directory: Path) -> None:
+def write_liu_report(made: LiuReproduction, directory: Path) -> None:
     """Write ``report.md``, its data and its figures into a directory that exists."""
-    data = {"table2.csv": table_2(made), "table3.csv": table_3(made), "fig16_18.csv": _csv(HEAD, rows(made))}
-    write_report(directory, markdown(made), figures(made), data)
+    data = {"table2.csv": table_2(made), "table3.csv": table_3(made), "fig16_18.csv": _csv(HEAD, trajectory_rows(made))}
+    write_paper_report(directory, liu_report(made), liu_figures(made), data)
 
 
-def figures(made: Reproduction) -> dict[str, Figure]:
+def liu_figures(made: LiuReproduction) -> dict[str, Figure]:
     """Return all figures, by file name."""
     ours = solution_figures(made.site_fixed)
     return {
-        "mass": _mass(),
-        "off_plane": _off_plane(),
+        "mass": _mass_figure(),
+        "off_plane": _off_plane_figure(),
         "fig7_15": surfaces(made.grid),
-        "fig16_18": trajectories(made),
+        "fig16_18": trajectory_figures(made),
         **{name: ours[name] for name in ("altitude", "ground_track", "air", "steering")},
     }
 
 
-def markdown(made: Reproduction) -> str:
+def liu_report(made: LiuReproduction) -> str:
     """Write the report."""
     parts = [
         "# Return from orbit in the least time: the paper and our numbers",
         "Liu, Liu, Wu, Mathematical Problems in Engineering 2019, 5319530. Everything but what is called *printed* was "
         "computed when this report was made, without a guess. **The printed example cannot be flown**; two neighbours "
         "of it can, and stand in its place.",
-        claims(_claim_rows(made)),
+        claims_section(_liu_claims(made)),
         "## The printed example",
         "Before anything is solved it is refused, whatever the pass, with all the propellant that the longest printed "
         "t_a burns:",
         "\n".join(f"- {going}: {text}" for going, text in made.refusals.items()),
-        _masses(),
+        _mass_section(),
         "### The printed costates, flown",
-        _flown(made),
+        _printed_flight_section(made),
         "## The printed equations",
-        *_equations(made),
+        *_equation_section(made),
         "## Neighbour A: the site free",
         "(12) at its word: nothing is asked of the place, so that its costates end at 0. The flight ends at 120 km "
         "under -6°, from (16°, 39.5°), in the least time. By symmetry its costates cannot depend on the longitude, "
         "as those of Table 2 do.",
-        _neighbours(made.site_free),
+        _neighbour_table(made.site_free),
         "## Neighbour B: a site in the plane of the orbit",
         "The site is moved to (-98°, 38°), and the costates at the interface are what the way through the air makes of "
         "the place, not the zeros of (12). Speed and angle sit on their bounds. Fixed there, the same conditions but "
         "for the sign of J's multiplier are met by a second extremal, **a time maximum**: none nearby takes longer.",
-        _neighbours({"least time": made.site_fixed, "most time": made.slowest}),
+        _neighbour_table({"least time": made.site_fixed, "most time": made.slowest}),
         "### In the form of Table 2",
         "λ at ignition, in the paper's coordinates and units, from the manoeuvre points that Table 2 prints.",
-        table(_TABLE_2_HEAD, [_cells(row) for row in _table_2_rows(made)]),
-        *_failures(made),
+        markdown_table(_TABLE_2_HEAD, [_table_2_cells(row) for row in _table_2_rows(made)]),
+        *_unsolved_points(made),
         "### In the form of Table 3",
-        _landings(made),
+        _landing_section(made),
         "### Figs 16 to 18",
-        *beside(made),
+        *trajectory_section(made),
         "### Figs 19 to 27",
         "What (16), fitted to the grid, misses at the points of Table 1; what is at a bound is one number everywhere.",
-        fits(made.grid, made.experiments),
+        fit_table(made.grid, made.experiments),
         "## Time",
-        *times(made),
+        *time_section(made),
         "## Figures",
-        *illustrated(_CAPTIONS),
+        *figure_markdown(_CAPTIONS),
         "## Data",
         "`table2.csv` and `table3.csv` hold every row of the tables, the printed one beside ours; `fig16_18.csv` the "
         "points of Figs 16 to 18.",
@@ -125,63 +131,77 @@ def markdown(made: Reproduction) -> str:
 # -- why the printed example cannot be flown --------------------------------------------------------------------------
 
 
-def _claim_rows(made: Reproduction) -> list[list[str]]:
+def _liu_claims(made: LiuReproduction) -> list[list[str]]:
     """Return each claim that the paper makes or implies, the numbers that decide it, and whether it holds."""
-    times, masses = _column(TABLE_2, "time"), _column(TABLES_1_AND_3, "mass")
+    times, masses = _printed_column(TABLE_2, "time"), _printed_column(TABLES_1_AND_3, "mass")
     left = np.array([mass_after(float(t)) for t in times])
-    off, longitude = made.off_plane, _column(TABLE_2, "lambda_longitude")
-    nearest = ", ".join(f"{_range(np.degrees(angles), 1)}° {going}" for going, angles in off.away.items())
+    off, longitude = made.off_plane, _printed_column(TABLE_2, "lambda_longitude")
+    nearest = ", ".join(f"{_format_range(np.degrees(angles), 1)}° {going}" for going, angles in off.away.items())
     turned = hamiltonian_by_thrust()
     missed = min(float(np.abs(f.altitude - CASE.interface_altitude / 1e3).min()) for f in made.flown)
     twice = _same_place()
-    missed_most = np.max(list(fitted(made.grid, made.experiments).values()), axis=0)
+    missed_most = np.max(list(fit_errors(made.grid, made.experiments).values()), axis=0)
     reached = missed_most[np.isfinite(missed_most)]
-    speeds, angles = _values(made.grid, "interface_speed"), np.degrees(_values(made.grid, "interface_angle"))
+    speeds, angles = (
+        _computed_values(made.grid, "interface_speed"),
+        np.degrees(_computed_values(made.grid, "interface_angle")),
+    )
     inside = (speeds > CASE.speeds[0] + 1) & (angles < math.degrees(CASE.angles[1]) - 1e-3)
     return [
         [
-            "full thrust over t_a leaves m_b", "Tables 2, 3", f"{_range(left, 1)} kg; printed {_range(masses, 1)} kg",
-            verdict(left.max() >= masses.min()),
+            "full thrust over t_a leaves m_b",
+            "Tables 2, 3",
+            f"{_format_range(left, 1)} kg; printed {_format_range(masses, 1)} kg",
+            claim_verdict(left.max() >= masses.min()),
         ],
         [
-            "the site is within reach", "4.1",
-            f"{nearest} off the plane of the orbit; sideways thrust moves {_range(np.degrees(off.reach), 1)}°",
-            verdict(bool(any((angle < off.reach).any() for angle in off.away.values()))),
+            "the site is within reach",
+            "4.1",
+            f"{nearest} off the plane of the orbit; sideways thrust moves {_format_range(np.degrees(off.reach), 1)}°",
+            claim_verdict(bool(any((angle < off.reach).any() for angle in off.away.values()))),
         ],
         [
-            "λ_Θ, constant by (6), ends at 0 by (12)", "Table 2",
-            f"printed {_range(longitude, 3)}; along a line in latitude, r² = {_straightness():.3f}",
-            verdict(bool((longitude == 0).all())),
+            "λ_Θ, constant by (6), ends at 0 by (12)",
+            "Table 2",
+            f"printed {_format_range(longitude, 3)}; along a line in latitude, r² = {_straightness():.3f}",
+            claim_verdict(bool((longitude == 0).all())),
         ],
         [
-            "the thrust of (9) makes H least", "(9), Table 2",
-            f"turned around, it makes H smaller by {_range(turned, 2)}, where H = -1",
-            verdict(bool((turned <= 0).all())),
+            "the thrust of (9) makes H least",
+            "(9), Table 2",
+            f"turned around, it makes H smaller by {_format_range(turned, 2)}, where H = -1",
+            claim_verdict(bool((turned <= 0).all())),
         ],
         [
-            "the printed costates lead to 120 km", "Table 2", f"{missed:.0f} km off at best, see below",
-            verdict(missed < 1.0),
+            "the printed costates lead to 120 km",
+            "Table 2",
+            f"{missed:.0f} km off at best, see below",
+            claim_verdict(missed < 1.0),
         ],
-        ["one place, one answer", "Tables 1, 3", twice or "no place is there twice", verdict(not twice)],
+        ["one place, one answer", "Tables 1, 3", twice or "no place is there twice", claim_verdict(not twice)],
         [
-            "speed and angle at the interface lie within their bounds", "Table 2",
-            f"neighbour B: inside at {int(inside.sum())} of {len(inside)} points", verdict(bool(inside.all())),
+            "speed and angle at the interface lie within their bounds",
+            "Table 2",
+            f"neighbour B: inside at {int(inside.sum())} of {len(inside)} points",
+            claim_verdict(bool(inside.all())),
         ],
         [
-            "(16) predicts the values at a point to 2 %", "Figs 7-15",
+            "(16) predicts the values at a point to 2 %",
+            "Figs 7-15",
             f"neighbour B: all nine at {int((reached < WITHIN).sum())} of {len(reached)} points; at worst "
             f"{100 * max(reached, default=0.0):.2g} % of a quantity's size",
-            verdict(bool((reached < WITHIN).all())),
+            claim_verdict(bool((reached < WITHIN).all())),
         ],
-    ]  # fmt: skip
+    ]
 
 
-def _masses() -> str:
-    masses = _column(TABLES_1_AND_3, "mass")
+def _mass_section() -> str:
+    masses = _printed_column(TABLES_1_AND_3, "mass")
     shorter = [burn_until(float(mass)) for mass in (masses.max(), masses.min())]
     return (
         f"The printed masses belong to burns of {shorter[0]:.0f} to {shorter[1]:.0f} s, near neighbour A's, while "
-        f"t_a is printed as {_range(_column(TABLE_2, 'time'), 1)} s; the paper knows no coast on the way."
+        f"t_a is printed as {_format_range(_printed_column(TABLE_2, 'time'), 1)} s; the paper knows no coast on the "
+        f"way."
     )
 
 
@@ -197,52 +217,67 @@ def _same_place() -> str:
 
 def _straightness() -> float:
     """Share of the variance of the printed lambda_Theta that a line in latitude explains."""
-    return float(np.corrcoef(_column(TABLE_2, "latitude"), _column(TABLE_2, "lambda_longitude"))[0, 1] ** 2)
+    return float(
+        np.corrcoef(_printed_column(TABLE_2, "latitude"), _printed_column(TABLE_2, "lambda_longitude"))[0, 1] ** 2
+    )
 
 
-def _flown(made: Reproduction) -> str:
+def _printed_flight_section(made: LiuReproduction) -> str:
     head = ["thrust", "altitude (km)", "speed (km/s)", "angle (°)", "λ_ψ", "λ_m"]
     rows = [
-        [f.direction, _range(f.altitude, 0), _range(f.speed, 3), _range(f.angle, 2), _range(f.lambda_course, 2),
-         _range(f.lambda_mass, 2)]
+        [
+            f.direction,
+            _format_range(f.altitude, 0),
+            _format_range(f.speed, 3),
+            _format_range(f.angle, 2),
+            _format_range(f.lambda_course, 2),
+            _format_range(f.lambda_mass, 2),
+        ]
         for f in made.flown
-    ]  # fmt: skip
+    ]
     printed = [
-        "printed", "120", _range(_column(TABLE_2, "speed"), 3), _range(_column(TABLE_2, "angle"), 2), "0", "0",
-    ]  # fmt: skip
+        "printed",
+        "120",
+        _format_range(_printed_column(TABLE_2, "speed"), 3),
+        _format_range(_printed_column(TABLE_2, "angle"), 2),
+        "0",
+        "0",
+    ]
     return (
         "Each row of Table 2, flown by the right equations for its printed t_a, with λ_Φ from H(t_0) = -1 as the paper "
         "has it; λ_ψ and λ_m should end at 0 by (12). A negative altitude is below the ground, which nothing here "
-        "stops.\n\n" + table(head, [*rows, printed])
+        "stops.\n\n" + markdown_table(head, [*rows, printed])
     )
 
 
 # -- equations --------------------------------------------------------------------------------------------------------
 
 
-def _equations(made: Reproduction) -> Iterable[str]:
+def _equation_section(made: LiuReproduction) -> Iterable[str]:
     found = made.equations
     yield (
         f"At {SAMPLES} sampled states of a transition, dimensionless. The right equations are those of "
         "`perilune.models.flight_path`; Newton's law in Cartesian coordinates judges both."
     )
-    yield table(
+    yield markdown_table(
         ["row of (1)", "printed, largest error", "corrected, largest error"],
         [[f"{name}'", f"{printed:.1e}", f"{right:.1e}"] for name, (printed, right) in found.off.items()],
     )
     yield f"These slips are all of it; they leave {found.unexplained:.0e} unexplained:"
-    yield table(
+    yield markdown_table(
         ["row", "printed", "right", "difference, up to"],
         [[s.row, s.printed, s.right, f"{s.size:.2g} {s.unit}"] for s in found.slips],
     )
     yield "In ψ' (1) prints g_θ as well, which is defined nowhere: g_Φ. In (2) and (7), printed over right derivative:"
-    yield table(["derivative", "printed over right"], [[name, f"{v:.6g}"] for name, v in found.gravity.items()])
+    yield markdown_table(
+        ["derivative", "printed over right"], [[name, f"{v:.6g}"] for name, v in found.gravity.items()]
+    )
     rows = [[c.row, c.costate, _share(c.own), _share(c.right)] for c in found.coefficients]
     yield (
         f"Of the 49 coefficients of (6), {len(rows)} are not -∂f_j/∂x_i of the right (1). Where the first says 0, "
         "the row was differentiated rightly from the wrong (1); the others are slips of their own:"
     )
-    yield table(["row of (6)", "coefficient of", "off from the printed (1)", "off from the right (1)"], rows)
+    yield markdown_table(["row of (6)", "coefficient of", "off from the printed (1)", "off from the right (1)"], rows)
     yield (
         "(8) needs a minus in its second line. H is least for thrust along -(λ_V, λ_γ/V, λ_ψ/(V cos γ)); (9) has the "
         "opposite for λ_V > 0. (13) prints λ_Θ(t_b) = Θ_b and λ_Φ(t_b) = Φ_b, where places are meant."
@@ -256,7 +291,7 @@ def _share(value: float) -> str:
 # -- neighbours -------------------------------------------------------------------------------------------------------
 
 
-def _neighbours(flights: dict[str, Solution]) -> str:
+def _neighbour_table(flights: dict[str, Solution]) -> str:
     """Numbers of each flight, one column for each, and its costates in the paper's units."""
     rows = []
     for name, unit, factor in (
@@ -272,12 +307,14 @@ def _neighbours(flights: dict[str, Solution]) -> str:
     for when in ("ignition", "interface"):
         ends = [paper_costates(s, 0, 0.0 if when == "ignition" else s.trajectories[0].duration)
                 for s in flights.values()]  # fmt: skip
-        rows += [[f"λ_{name} at {when}", *(f"{_nil(end[i]):.4f}" for end in ends)] for i, name in enumerate(NAMES)]
+        rows += [
+            [f"λ_{name} at {when}", *(f"{_format_nil(end[i]):.4f}" for end in ends)] for i, name in enumerate(NAMES)
+        ]
     rows.append(["proof", *(f"{s.outcome.name}, level {s.verification.level}" for s in flights.values())])
-    return table(["", *flights], rows)
+    return markdown_table(["", *flights], rows)
 
 
-def _nil(value: float) -> float:
+def _format_nil(value: float) -> float:
     """Return the value without a minus before a zero."""
     return 0.0 if abs(value) < 5e-5 else float(value)
 
@@ -285,7 +322,7 @@ def _nil(value: float) -> float:
 _TABLE_2_HEAD = ["Θ", "Φ", *(f"λ_{name}" for name in NAMES), "V_a (km/s)", "γ_a (°)", "t_a (s)"]
 
 
-def _table_2_rows(made: Reproduction) -> list[list[float]]:
+def _table_2_rows(made: LiuReproduction) -> list[list[float]]:
     return [
         [m.longitude, m.latitude, *m.costates(), m.value("interface_speed") / 1e3,
          math.degrees(m.value("interface_angle")), m.value("transition_time")]
@@ -293,24 +330,24 @@ def _table_2_rows(made: Reproduction) -> list[list[float]]:
     ]  # fmt: skip
 
 
-def _cells(row: Sequence[float]) -> list[str]:
+def _table_2_cells(row: Sequence[float]) -> list[str]:
     """A row of Table 2 as the paper writes it."""
     return [f"{row[0]:g}", f"{row[1]:.3f}", *(f"{v:.3f}" for v in row[2:-1]), f"{row[-1]:.1f}"]
 
 
-def _landings(made: Reproduction) -> str:
-    speeds = _values(made.experiments, "landing_speed") / 1e3
-    masses = _values(made.experiments, "mass_at_interface")
+def _landing_section(made: LiuReproduction) -> str:
+    speeds = _computed_values(made.experiments, "landing_speed") / 1e3
+    masses = _computed_values(made.experiments, "mass_at_interface")
     solved = int(np.isfinite(masses).sum())
     return (
-        f"{solved} of {len(masses)} manoeuvre points of Table 1 solved. Final mass {_range(masses, 2)} kg, printed "
-        f"{_range(_column(TABLES_1_AND_3, 'mass'), 1)} kg. Speed at the end, 10 km over the site, {_range(speeds, 4)} "
-        f"km/s; printed, at the ground, {_range(_column(TABLES_1_AND_3, 'landing_speed'), 3)} km/s, of a vehicle that "
+        f"{solved} of {len(masses)} manoeuvre points of Table 1 solved. Final mass {_format_range(masses, 2)} kg, printed "
+        f"{_format_range(_printed_column(TABLES_1_AND_3, 'mass'), 1)} kg. Speed at the end, 10 km over the site, {_format_range(speeds, 4)} "
+        f"km/s; printed, at the ground, {_format_range(_printed_column(TABLES_1_AND_3, 'landing_speed'), 3)} km/s, of a vehicle that "
         "air hardly brakes. Every row is in `table3.csv`."
     )
 
 
-def _failures(made: Reproduction) -> list[str]:
+def _unsolved_points(made: LiuReproduction) -> list[str]:
     """List what could not be solved, so that no gap is silent."""
     missing = [
         f"- ({m.longitude:g}°, {m.latitude:g}°): {m.message}"
@@ -320,7 +357,7 @@ def _failures(made: Reproduction) -> list[str]:
     return ["Not solved, and missing in tables and figures:", "\n".join(missing)] if missing else []
 
 
-def table_2(made: Reproduction) -> str:
+def table_2(made: LiuReproduction) -> str:
     """Table 2 as comma-separated values, ours and the printed."""
     costates = "V gamma psi r Theta Phi m".split()
     ours = ["longitude [deg]", "latitude [deg]", *(f"lambda_{name} [1]" for name in costates),
@@ -330,7 +367,7 @@ def table_2(made: Reproduction) -> str:
     return _csv([*ours, *printed], rows)
 
 
-def table_3(made: Reproduction) -> str:
+def table_3(made: LiuReproduction) -> str:
     """Tables 1 and 3 as comma-separated values, ours and the printed."""
     head = ["number", "longitude [deg]", "latitude [deg]", "flight time [s]", "landing speed [km/s]", "mass [kg]",
             "processor time [s]", "printed landing speed [km/s]", "printed mass [kg]"]  # fmt: skip
@@ -353,15 +390,15 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 # -- small things -----------------------------------------------------------------------------------------------------
 
 
-def _column(rows: Sequence[Any], name: str) -> Vector:
+def _printed_column(rows: Sequence[Any], name: str) -> Vector:
     return np.array([getattr(row, name) for row in rows])
 
 
-def _values(members: Sequence[Member], name: str) -> Vector:
+def _computed_values(members: Sequence[ManoeuvreMember], name: str) -> Vector:
     return np.array([m.value(name) for m in members])
 
 
-def _range(values: Vector, decimals: int) -> str:
+def _format_range(values: Vector, decimals: int) -> str:
     """Least to greatest of what is there, or the one value that all round to."""
     known = values[np.isfinite(values)]
     if not len(known):
@@ -370,8 +407,8 @@ def _range(values: Vector, decimals: int) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _mass() -> Figure:
-    times, masses = _column(TABLE_2, "time"), _column(TABLES_1_AND_3, "mass")
+def _mass_figure() -> Figure:
+    times, masses = _printed_column(TABLE_2, "time"), _printed_column(TABLES_1_AND_3, "mass")
     t = np.linspace(0.0, 5000.0, 201)
     low, high = mass_after(float(t[-1])), CASE.mass
     gap = math.nan  # between two strokes of one look
@@ -381,14 +418,16 @@ def _mass() -> Figure:
         ([when[0]] * 2 + [gap] + [when[1]] * 2, [low, high, gap, low, high], "--", "printed t_a"),
         ([t[0], t[-1], gap, t[0], t[-1]], [left[0]] * 2 + [gap] + [left[1]] * 2, ":", "printed m_b"),
     ]
-    return lines(curves, ("time from ignition (s)", "mass (kg)"), height=2.5)
+    return line_figure(curves, ("time from ignition (s)", "mass (kg)"), height=2.5)
 
 
-def _off_plane() -> Figure:
+def _off_plane_figure() -> Figure:
     t = np.linspace(0.0, 7200.0, 361)
     longitude, latitude = (math.degrees(angle) for angle in CASE.place)
     longest = max(row.time for row in TABLE_2)
     curves = [(t, np.degrees(away_from_plane(longitude, latitude, going, t)), dash, going)
               for going, dash in (("descending", "-"), ("ascending", "--"))]  # fmt: skip
-    reach = np.degrees([sideways(longest, float(at)) for at in t])
-    return lines([*curves, (t, reach, ":", "sideways thrust")], ("time from ignition (s)", "angle (°)"), height=2.5)
+    reach = np.degrees([sideways_reach(longest, float(at)) for at in t])
+    return line_figure(
+        [*curves, (t, reach, ":", "sideways thrust")], ("time from ignition (s)", "angle (°)"), height=2.5
+    )

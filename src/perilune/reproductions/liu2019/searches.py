@@ -11,7 +11,7 @@ from perilune.methods.hybrid import Hybrid
 from perilune.methods.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.reproductions.liu2019.case import site_fixed, site_free
-from perilune.reproductions.starts import Starts, starts
+from perilune.reproductions.starts import Starts, run_starts
 from perilune.solve import solve
 from perilune.words.watch import Watch
 
@@ -36,7 +36,7 @@ class Searches:
     on_fixed: Starts
 
 
-def searched(seeds: int, watch: Watch) -> Searches:
+def run_searches(seeds: int, watch: Watch) -> Searches:
     """Neighbours from so many seeds, and ours as often."""
     free = site_free("descending")
     began = time.process_time()
@@ -44,9 +44,9 @@ def searched(seeds: int, watch: Watch) -> Searches:
     cold = time.process_time() - began
     return Searches(
         cold=cold,
-        ours=starts(lambda _: solve(free, level=0).results["flight_time"].value, seeds, watch),
-        hybrid=starts(partial(by_hybrid, free), seeds, watch),
-        on_fixed=starts(partial(by_hybrid, site_fixed()), seeds // RARELY, watch),
+        ours=run_starts(lambda _: solve(free, level=0).results["flight_time"].value, seeds, watch),
+        hybrid=run_starts(partial(by_hybrid, free), seeds, watch),
+        on_fixed=run_starts(partial(by_hybrid, site_fixed()), seeds // RARELY, watch),
     )
 
 

@@ -7,14 +7,14 @@ from statistics import median
 
 import numpy as np
 
-from perilune.report.summary import table
+from perilune.report.summary import markdown_table
 from perilune.reproductions.liu2019.case import PRINTED_TIMES
-from perilune.reproductions.liu2019.compute import Reproduction
+from perilune.reproductions.liu2019.compute import LiuReproduction
 from perilune.reproductions.starts import Starts
 from perilune.words.types import Vector
 
 
-def times(made: Reproduction) -> Iterator[str]:
+def time_section(made: LiuReproduction) -> Iterator[str]:
     """Paragraphs of the section."""
     found, printed = made.searches, ", ".join(f"{seconds:g} s ({name})" for name, seconds in PRINTED_TIMES.items())
     yield (
@@ -24,21 +24,23 @@ def times(made: Reproduction) -> Iterator[str]:
     )
     free, fixed = (s.results["flight_time"].value for s in (made.site_free["descending"], made.site_fixed))
     rows = [
-        _row("A, hybrid", found.hybrid, free),
-        _row(f"A, ours without a guess (the first: {found.cold:.2f} s, with what is derived once)", found.ours, free),
-        *([_row("B, hybrid", found.on_fixed, fixed)] if found.on_fixed.flight_times else []),
+        _starts_row("A, hybrid", found.hybrid, free),
+        _starts_row(
+            f"A, ours without a guess (the first: {found.cold:.2f} s, with what is derived once)", found.ours, free
+        ),
+        *([_starts_row("B, hybrid", found.on_fixed, fixed)] if found.on_fixed.flight_times else []),
     ]
     head = ["neighbour, method", "found the extremal", "elsewhere", "spread of t (s)", "median (s)", "longest (s)"]
-    yield table(head, rows)
+    yield markdown_table(head, rows)
     yield (
         f"Neighbour B touches the interface on its way; without any start ours took "
-        f"{made.site_fixed.statistics.wall_time:.1f} s by the clock. {_neighbouring(made)} "
+        f"{made.site_fixed.statistics.wall_time:.1f} s by the clock. {_neighbouring_time(made)} "
         "`--seeds 20` tries 20 seeds on A and 4 on B, and the paper's fast method at 20 points."
     )
-    yield from _fast(made)
+    yield from _fast_section(made)
 
 
-def _fast(made: Reproduction) -> Iterator[str]:
+def _fast_section(made: LiuReproduction) -> Iterator[str]:
     """The fast methods at the points of Table 1."""
     fast, slow = made.fast, made.searches.on_fixed
     answered = np.isfinite(fast.queried)
@@ -51,13 +53,13 @@ def _fast(made: Reproduction) -> Iterator[str]:
         f"{fast.apart:.0e}, relative."
     )
     rows = [
-        ["hybrid, from nothing", f"{PRINTED_TIMES['hybrid method']:g} s", _time(slow.processor_times)],
-        ["fast: (16), then a search within 2 %", f"{PRINTED_TIMES['fast method']:g} s", _time(fast.searched)],
-        ["fast: (16), then Newton's method", "", _time(fast.predicted)],
-        ["ours, from nothing", "", _time(fast.alone)],
-        ["ours, from the atlas, flown again", "", _time(fast.queried)],
+        ["hybrid, from nothing", f"{PRINTED_TIMES['hybrid method']:g} s", _format_times(slow.processor_times)],
+        ["fast: (16), then a search within 2 %", f"{PRINTED_TIMES['fast method']:g} s", _format_times(fast.searched)],
+        ["fast: (16), then Newton's method", "", _format_times(fast.predicted)],
+        ["ours, from nothing", "", _format_times(fast.alone)],
+        ["ours, from the atlas, flown again", "", _format_times(fast.queried)],
     ]
-    yield table(["neighbour B", "printed", "here: median, longest"], rows)
+    yield markdown_table(["neighbour B", "printed", "here: median, longest"], rows)
     if answered.any() and slow.processor_times:
         query = 100 * np.nanmedian(fast.queried)
         yield (
@@ -68,7 +70,7 @@ def _fast(made: Reproduction) -> Iterator[str]:
     yield from (f"- refused: {text}" for text in fast.refused)
 
 
-def _time(seconds: Sequence[float] | Vector) -> str:
+def _format_times(seconds: Sequence[float] | Vector) -> str:
     """Median and longest of processor times, and how many there are none of."""
     known = np.array(seconds)[np.isfinite(seconds)]
     if not len(known):
@@ -77,7 +79,7 @@ def _time(seconds: Sequence[float] | Vector) -> str:
     return ", ".join(f"{t:.3g} s" for t in (np.median(known), known.max())) + failed
 
 
-def _row(name: str, tried: Starts, flight_time: float) -> list[str]:
+def _starts_row(name: str, tried: Starts, flight_time: float) -> list[str]:
     return [
         name, f"{tried.found(flight_time)} of {len(tried.flight_times)}", str(tried.elsewhere(flight_time)),
         f"{tried.spread(flight_time):.0e}" if tried.found(flight_time) else "",
@@ -85,7 +87,7 @@ def _row(name: str, tried: Starts, flight_time: float) -> list[str]:
     ]  # fmt: skip
 
 
-def _neighbouring(made: Reproduction) -> str:
+def _neighbouring_time(made: LiuReproduction) -> str:
     took = [m.processor_time for m in made.experiments if m.solution is not None]
     if not took:
         return "None of the other manoeuvre points was solved."

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.report.ground import on_map
+from perilune.report.ground import track_on_map
 from perilune.report.style import LOOKS, legend_above, new_figure, styled
-from perilune.report.summary import table
-from perilune.reproductions.liu2019.compute import Member, Reproduction, burn_until
+from perilune.report.summary import markdown_table
+from perilune.reproductions.liu2019.compute import LiuReproduction, ManoeuvreMember, burn_until
 from perilune.reproductions.liu2019.printed import TABLES_1_AND_3, Experiment
 from perilune.words.types import Matrix
 
@@ -24,13 +24,13 @@ HEAD = ("experiment", "time [s]", "longitude [deg]", "latitude [deg]", "altitude
 _POINTS = 201  # of a phase
 
 
-def shown(made: Reproduction) -> list[tuple[Experiment, Member]]:
+def experiments_shown(made: LiuReproduction) -> list[tuple[Experiment, ManoeuvreMember]]:
     """The three experiments, as far as they were solved."""
     rows = zip(TABLES_1_AND_3, made.experiments, strict=True)
     return [(row, member) for row, member in rows if row.number in NUMBERS and member.solution is not None]
 
 
-def points(member: Member) -> Matrix:
+def trajectory_columns(member: ManoeuvreMember) -> Matrix:
     """Columns of `HEAD` without the first, from ignition to the end."""
     solution, since, found = member.solution, 0.0, []
     assert solution is not None, "asked for of what was solved"
@@ -44,21 +44,23 @@ def points(member: Member) -> Matrix:
     return np.concatenate(found, axis=1).T
 
 
-def rows(made: Reproduction) -> list[list[float]]:
+def trajectory_rows(made: LiuReproduction) -> list[list[float]]:
     """Rows of `HEAD`."""
-    return [[row.number, *point] for row, member in shown(made) for point in points(member).tolist()]
+    return [
+        [row.number, *point] for row, member in experiments_shown(made) for point in trajectory_columns(member).tolist()
+    ]
 
 
 @styled
-def trajectories(made: Reproduction) -> Figure:
+def trajectory_figures(made: LiuReproduction) -> Figure:
     """Altitude and speed against time, and latitude against longitude."""
     figure, axes = new_figure(height=2.6, cols=3, width=7.0)
-    for (row, member), (colour, dash) in zip(shown(made), LOOKS, strict=False):
-        t, longitude, latitude, altitude, speed, *_ = points(member).T
+    for (row, member), (colour, dash) in zip(experiments_shown(made), LOOKS, strict=False):
+        t, longitude, latitude, altitude, speed, *_ = trajectory_columns(member).T
         text = f"No. {row.number}"
         axes[0].plot(t, altitude, dash, color=colour, label=text)
         axes[1].plot(t, speed, dash, color=colour)
-        axes[2].plot(*on_map(longitude, latitude), dash, color=colour)
+        axes[2].plot(*track_on_map(longitude, latitude), dash, color=colour)
     axes[0].set(ylabel="altitude (km)", xlabel="time from ignition (s)")
     axes[1].set(ylabel="speed (km/s)", xlabel="time from ignition (s)")
     axes[2].set(xlabel="longitude (°)", ylabel="latitude (°)")
@@ -67,21 +69,21 @@ def trajectories(made: Reproduction) -> Figure:
     return figure
 
 
-def beside(made: Reproduction) -> Iterator[str]:
+def trajectory_section(made: LiuReproduction) -> Iterator[str]:
     """Paragraphs of the section."""
-    found = shown(made)
+    found = experiments_shown(made)
     yield (
         "The paper draws its flights 5, 45 and 85 without numbers; of them Table 3 has the speed at the end and the "
         "mass, which belongs to a burn that ends long before the interface. Ours are those of neighbour B from the "
         "same manoeuvre points; `fig16_18.csv` has them point by point."
     )
-    yield table(
+    yield markdown_table(
         ["No.", "Θ, Φ (°)", "printed m_b (kg): its burn (s)", "ours: burn (s)", "m_b (kg)", "t_b (s)", "highest (km)"],
         [
             [
                 str(row.number), f"{row.longitude:g}, {row.latitude:g}", f"{row.mass:.1f}: {burn_until(row.mass):.0f}",
                 f"{member.value('burn_time'):.1f}", f"{member.value('mass_at_interface'):.2f}",
-                f"{member.value('flight_time'):.2f}", f"{points(member)[:, 3].max():.1f}",
+                f"{member.value('flight_time'):.2f}", f"{trajectory_columns(member)[:, 3].max():.1f}",
             ]
             for row, member in found
         ],

@@ -18,7 +18,7 @@ from perilune.reproductions.paper import Printed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class PengCase:
     """(25)-(27) as decoded; neither mu nor the g0 of the results is printed."""
 
     body: Body
@@ -28,7 +28,7 @@ class Case:
     steering: Steering
 
 
-CASE = Case(
+CASE = PengCase(
     body=Body(name="moon", gravitational_parameter=4902.8e9, radius=1738e3, rotation_rate=2.6617e-6),
     vehicle=Vehicle(mass=15e3, thrust=45e3, specific_impulse=365.0, standard_gravity=9.80),
     start=Ignition(
@@ -48,17 +48,17 @@ PRINTED_POINTS = 50  # Legendre-Gauss points
 PRINTED_AXES = {"thrust_elevation": (-10.0, 30.0), "thrust_azimuth": (160.0, 190.0)}
 
 
-def problem(case: Case = CASE, **settings: Any) -> Problem:
+def peng_descent(case: PengCase = CASE, **settings: Any) -> Problem:
     """State the paper's descent in Cartesian coordinates; settings as of `powered_descent`."""
     return powered_descent(case.vehicle, case.start, case.site, case.body, **settings)
 
 
 def problem_of_the_paper(**settings: Any) -> Problem:
     """State it in the paper's coordinates, with bounded angles."""
-    return problem(coordinates="spherical", steering=CASE.steering, **settings)
+    return peng_descent(coordinates="spherical", steering=CASE.steering, **settings)
 
 
-def other_readings() -> dict[str, Case]:
+def other_readings() -> dict[str, PengCase]:
     """Cases that differ in one thing that the paper leaves open or prints otherwise."""
     start, site = CASE.start, CASE.site
     return {

@@ -16,17 +16,17 @@ from perilune.methods.fitness import ControlFitness
 from perilune.methods.genetic import Genetic
 from perilune.methods.hybrid import Hybrid
 from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.rotating import combine, heading_axes, place
+from perilune.models.rotating import combine, heading_axes, spherical_coordinates
 from perilune.problem.solution import Solution
 from perilune.reproductions.peng2012.case import (
     CASE,
     PRINTED,
     PRINTED_POINTS,
     other_readings,
-    problem,
+    peng_descent,
     problem_of_the_paper,
 )
-from perilune.reproductions.starts import Starts, starts
+from perilune.reproductions.starts import Starts, run_starts
 from perilune.solve import solve
 from perilune.words.maths import NUMERIC
 from perilune.words.outcome import Outcome, PeriluneError
@@ -63,7 +63,7 @@ class Convergence:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reproduction:
+class PengReproduction:
     """Everything that was computed for the report.
 
     Parameters
@@ -109,7 +109,7 @@ class Reproduction:
         return self.indirect
 
 
-def compute(watch: Watch, level: int = 3, seeds: int = 3) -> Reproduction:
+def compute_peng(watch: Watch, level: int = 3, seeds: int = 3) -> PengReproduction:
     """Solve every case of the paper.
 
     Parameters
@@ -122,22 +122,22 @@ def compute(watch: Watch, level: int = 3, seeds: int = 3) -> Reproduction:
         Random starts of the genetic search; without it at most `RANDOM_STARTS` of them are tried.
     """
     watch("the indirect method: flight time, fuel, Figs 2-4")
-    indirect = solve(problem(), level=level, watch=watch)
-    fastest = solve(problem(minimise="flight_time"), level=0, watch=watch)
+    indirect = solve(peng_descent(), level=level, watch=watch)
+    fastest = solve(peng_descent(minimise="flight_time"), level=0, watch=watch)
     watch("Gauss points: Figs 2-4, Hamiltonian, convergence")
     direct = AT_FIFTY.run(problem_of_the_paper(), watch=watch)
-    converged = tuple(converge(n, indirect, watch) for n in POINTS)
+    converged = tuple(convergence_at(n, indirect, watch) for n in POINTS)
     watch("from random values")
-    genetic = starts(from_a_population, seeds, watch)
-    random = starts(from_random_values, min(seeds, RANDOM_STARTS), watch)
+    genetic = run_starts(from_a_population, seeds, watch)
+    random = run_starts(from_random_values, min(seeds, RANDOM_STARTS), watch)
     watch("other readings of what the paper leaves open")
-    readings = {name: solve(problem(case), level=0) for name, case in other_readings().items()}
-    return Reproduction(
+    readings = {name: solve(peng_descent(case), level=0) for name, case in other_readings().items()}
+    return PengReproduction(
         indirect=indirect,
         fastest=fastest,
         direct=direct,
         direct_fastest=AT_FIFTY.run(problem_of_the_paper(minimise="flight_time"), watch=watch),
-        direct_cartesian=AT_FIFTY.run(problem(), watch=watch),
+        direct_cartesian=AT_FIFTY.run(peng_descent(), watch=watch),
         convergence=converged,
         missed=missed_by_reintegration(direct),
         genetic=genetic,
@@ -147,7 +147,7 @@ def compute(watch: Watch, level: int = 3, seeds: int = 3) -> Reproduction:
     )
 
 
-def converge(points: int, reference: Solution, watch: Watch) -> Convergence:
+def convergence_at(points: int, reference: Solution, watch: Watch) -> Convergence:
     """Solve at N Gauss points from no guess and compare with the indirect method at these points."""
     began = time.process_time()
     # The tolerance that is usual would be the floor before the points are.
@@ -159,7 +159,7 @@ def converge(points: int, reference: Solution, watch: Watch) -> Convergence:
     # Beyond its own end the reference has nothing to say; the difference in time is counted apart.
     at = np.minimum(t, reference.trajectories[0].duration)
     state = reference.trajectories[0].state(at)
-    ours = np.array([cartesian(x) for x in solution.trajectories[0].state(t)])
+    ours = np.array([peng_cartesian(x) for x in solution.trajectories[0].state(t)])
     mine, other = solution.outputs(0, t), reference.outputs(0, at)
     angles = [np.abs(mine[name] - other[name]).max() for name in ("thrust_elevation", "thrust_azimuth")]
     return Convergence(
@@ -172,7 +172,7 @@ def converge(points: int, reference: Solution, watch: Watch) -> Convergence:
     )
 
 
-def cartesian(x: Vector) -> Vector:
+def peng_cartesian(x: Vector) -> Vector:
     """Cartesian state of a state in the paper's coordinates, at the paper's heading."""
     r, theta, phi, u, v, w, mass = x
     up, oy, oz = heading_axes(theta, phi, CASE.start.heading, NUMERIC)
@@ -189,13 +189,13 @@ def missed_by_reintegration(direct: Solution) -> tuple[float, float]:
     tuple
         Distance from the site [m] and speed relative to it [m/s] at the end.
     """
-    stated, duration = problem(), direct.free["flight_time"]
+    stated, duration = peng_descent(), direct.free["flight_time"]
     phase, p = stated.phases[0], stated.parameters(direct.free)
     law = direct.trajectories[0].control
 
     def rates(t: float, x: Matrix) -> Any:
         alpha, beta = law(t)
-        _, longitude, latitude = place(tuple(x[:3]), NUMERIC)
+        _, longitude, latitude = spherical_coordinates(tuple(x[:3]), NUMERIC)
         up, oy, oz = heading_axes(longitude, latitude, p.start_heading, NUMERIC)
         level = math.cos(alpha)
         thrust = combine((math.sin(alpha), up), (level * math.cos(beta), oy), (level * math.sin(beta), oz))
@@ -235,7 +235,7 @@ def fitting_gravity(indirect: Solution) -> float:
     return float(brentq(excess, 0.99 * near, 1.01 * near, xtol=1e-7 * near))  # type: ignore[arg-type]
 
 
-def computed_numbers(made: Reproduction) -> dict[str, float]:
+def peng_numbers(made: PengReproduction) -> dict[str, float]:
     """Our value of every number in `PRINTED`, from the indirect solution."""
     found = made.indirect.results
     return {"flight time": found["flight_time"].value, "fuel": found["propellant"].value}

@@ -17,11 +17,19 @@ from perilune.direct.collocation import rule
 from perilune.io.columns import hamiltonian, required_hamiltonian
 from perilune.problem.solution import Solution
 from perilune.report.figures import solution_figures
-from perilune.report.histories import history
-from perilune.report.style import lines
-from perilune.report.summary import solution_summary, table
-from perilune.report.track import track
-from perilune.reproductions.paper import claims, illustrated, numbers, slips, verdict, versions_line, write_report
+from perilune.report.histories import history_figure
+from perilune.report.style import line_figure
+from perilune.report.summary import markdown_table, solution_summary
+from perilune.report.track import track_figure
+from perilune.reproductions.paper import (
+    claim_verdict,
+    claims_section,
+    figure_markdown,
+    numbers_section,
+    slips_section,
+    versions_line,
+    write_paper_report,
+)
 from perilune.reproductions.peng2012.case import (
     CASE,
     PRINTED,
@@ -32,7 +40,7 @@ from perilune.reproductions.peng2012.case import (
     implied_gravity,
     parking_altitude,
 )
-from perilune.reproductions.peng2012.compute import Convergence, Reproduction, computed_numbers
+from perilune.reproductions.peng2012.compute import Convergence, PengReproduction, peng_numbers
 from perilune.reproductions.starts import Starts
 
 _CAPTIONS = {
@@ -81,28 +89,28 @@ different flight (table above).
 the paper never noticed; shooting and re-integration need coordinates without that point, and are Cartesian here."""
 
 
-def write(made: Reproduction, directory: Path) -> None:
+def write_peng_report(made: PengReproduction, directory: Path) -> None:
     """Write ``report.md``, its data and its figures into a directory that exists."""
-    write_report(directory, markdown(made), figures(made), {"convergence.csv": convergence_csv(made)})
+    write_paper_report(directory, peng_report(made), peng_figures(made), {"convergence.csv": convergence_csv(made)})
 
 
-def figures(made: Reproduction) -> dict[str, Figure]:
+def peng_figures(made: PengReproduction) -> dict[str, Figure]:
     """Return all figures of the paper, and three that are not in it, by file name."""
     flights = {"indirect": made.indirect, f"{PRINTED_POINTS} Gauss points": made.direct}
     shown = {h.name: h for h in made.indirect.problem.views.histories}
     ours = solution_figures(made.indirect)
     return {
-        "fig2": track(flights),
-        "fig3": history(flights, shown["velocities"]),
-        "fig4": history(flights, shown["steering"]),
-        "hamiltonian": _hamiltonians(made),
-        "convergence": _convergence(made.convergence),
+        "fig2": track_figure(flights),
+        "fig3": history_figure(flights, shown["velocities"]),
+        "fig4": history_figure(flights, shown["steering"]),
+        "hamiltonian": _hamiltonian_figure(made),
+        "convergence": _convergence_figure(made.convergence),
         "altitude": ours["altitude"],
         "costates": ours["costates"],
     }
 
 
-def convergence_csv(made: Reproduction) -> str:
+def convergence_csv(made: PengReproduction) -> str:
     """Table of the convergence as comma-separated values; units in the header."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -119,41 +127,54 @@ def convergence_csv(made: Reproduction) -> str:
     return text.getvalue()
 
 
-def markdown(made: Reproduction) -> str:
+def peng_report(made: PengReproduction) -> str:
     """Write the report."""
     parts = [
         "# Powered descent by Gauss points and a genetic search: the paper and our numbers",
         "Q. Peng, H. Li, H. Shen, G. Tang, *Genetic Algorithm for finite-thrust trajectory optimization*, in *Genetic "
         "Algorithms in Applications*, InTech 2012. Columns *printed* hold what the paper prints. Everything else was "
         "computed when this report was made, without a guess.",
-        numbers(PRINTED, computed_numbers(made)),
-        claims(_claim_rows(made)),
+        numbers_section(PRINTED, peng_numbers(made)),
+        claims_section(_peng_claims(made)),
         "## One landing by every method",
-        table(["method", "coordinates", "flight time (s)", "less the first (s)", "propellant (kg)"], _methods(made)),
+        markdown_table(
+            ["method", "coordinates", "flight time (s)", "less the first (s)", "propellant (kg)"], _methods_table(made)
+        ),
         "## Discrepancies",
-        _discrepancies(made),
+        _peng_discrepancies(made),
         "### What was lost, and how it was found again",
         _DECODED,
-        slips(_SLIPS),
+        slips_section(_SLIPS),
         "## Gauss points against the indirect method",
         "Largest difference at the collocation points, each N solved from no guess on one segment in the paper's "
         "coordinates; processor time.",
-        table(["N", "flight time (s)", "position (m)", "velocity (m/s)", "angle (deg)", "solved in (s)"],
-              [[c.points, f"{c.flight_time:+.1e}", f"{c.position:.1e}", f"{c.velocity:.1e}", f"{c.angle:.1e}",
-                f"{c.processor_time:.2f}"] for c in made.convergence]),
-        _rate(made.convergence),
+        markdown_table(
+            ["N", "flight time (s)", "position (m)", "velocity (m/s)", "angle (deg)", "solved in (s)"],
+            [
+                [
+                    c.points,
+                    f"{c.flight_time:+.1e}",
+                    f"{c.position:.1e}",
+                    f"{c.velocity:.1e}",
+                    f"{c.angle:.1e}",
+                    f"{c.processor_time:.2f}",
+                ]
+                for c in made.convergence
+            ],
+        ),
+        _convergence_rate(made.convergence),
         "## From random values",
-        _random(made),
+        _random_start_section(made),
         "## Figures",
-        *illustrated(_CAPTIONS),
+        *figure_markdown(_CAPTIONS),
         "## Data",
         "`convergence.csv` holds the convergence.",
         "## The landing",
         f"```text\n{solution_summary(made.indirect)}\n```",
         "## Constants",
-        table(["constant (SI, rad)", "value"], _constants()),
+        markdown_table(["constant (SI, rad)", "value"], _case_constants()),
         versions_line(),
-    ]  # fmt: skip
+    ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -169,7 +190,7 @@ def point_times(solution: Solution) -> np.ndarray:
     return 0.5 * (rule("gauss", PRINTED_POINTS).points + 1.0) * solution.free["flight_time"]
 
 
-def _claim_rows(made: Reproduction) -> list[list[str]]:
+def _peng_claims(made: PengReproduction) -> list[list[str]]:
     """Return each claim of the paper, the number that decides it, and whether it holds."""
     at = next(c for c in made.convergence if c.points == PRINTED_POINTS)
     error = float(np.abs(scaled_hamiltonian(made.direct, point_times(made.direct))).max())
@@ -182,23 +203,23 @@ def _claim_rows(made: Reproduction) -> list[list[str]]:
     slowest = max(made.genetic.processor_times)
     return [
         ["both methods yield practically the same", "Fig 2", f"paths within {at.position:.1e} m",
-         verdict(at.position < 1.0)],
+         claim_verdict(at.position < 1.0)],
         ["thrust angles keep to the bounds of (26), which do not bind, and to the axes shown", "Fig 4",
          f"α from {elevation[0]:.2f}° to {elevation[1]:.2f}°, β from {azimuth[0]:.2f}° to {azimuth[1]:.2f}°",
-         verdict(within)],
+         claim_verdict(within)],
         ["re-integrated, the controls meet the end conditions", "4.3.1",
          f"DOP853: {made.missed[0]:.1e} m and {made.missed[1]:.1e} m/s from rest on the site",
-         verdict(made.missed[0] < 1.0 and made.missed[1] < 1e-2)],
-        ["the Hamiltonian is almost 0", "4.3.2", f"at most {error:.1e} at the points, scaled", verdict(error < 1e-5)],
+         claim_verdict(made.missed[0] < 1.0 and made.missed[1] < 1e-2)],
+        ["the Hamiltonian is almost 0", "4.3.2", f"at most {error:.1e} at the points, scaled", claim_verdict(error < 1e-5)],
         ["it converges from random values within the bounds", "text", f"{found} of {seeds} seeds",
-         verdict(found >= 0.96 * seeds)],
+         claim_verdict(found >= 0.96 * seeds)],
         ["in less than 2 minutes", "text",
          f"median {made.genetic.median_time:.1f} s, at most {slowest:.1f} s, on another machine than a 3 GHz Pentium 4",
-         verdict(slowest < PRINTED_TIME_LIMIT)],
+         claim_verdict(slowest < PRINTED_TIME_LIMIT)],
     ]  # fmt: skip
 
 
-def _methods(made: Reproduction) -> list[list[str]]:
+def _methods_table(made: PengReproduction) -> list[list[str]]:
     first = made.indirect.free["flight_time"]
     direct = f"{PRINTED_POINTS} Gauss points"
     return [
@@ -214,9 +235,9 @@ def _methods(made: Reproduction) -> list[list[str]]:
     ]  # fmt: skip
 
 
-def _discrepancies(made: Reproduction) -> str:
+def _peng_discrepancies(made: PengReproduction) -> str:
     time, fuel = PRINTED["flight time"][0], PRINTED["fuel"][0]
-    computed = computed_numbers(made)
+    computed = peng_numbers(made)
     cases = {"as solved here": made.indirect, **made.readings}
     rows = []
     for name, solution in cases.items():
@@ -232,7 +253,7 @@ def _discrepancies(made: Reproduction) -> str:
             f"**What remains is {computed['flight time'] - time:+.3f} s, "
             f"{computed['fuel'] - fuel:+.2f} kg**, {abs(computed['flight time'] / time - 1):.0e} of the whole. It is "
             "far above the error of either method here (next tables), and of the size of what the paper leaves open:",
-            table(["reading", "flight time (s)", "less printed", "fuel (kg)", "less printed"], rows),
+            markdown_table(["reading", "flight time (s)", "less printed", "fuel (kg)", "less printed"], rows),
             f"The printed time comes out with μ = {fitting / 1e9:.2f} km³/s², {(fitting / mu - 1) * 100:+.2f} % from "
             f"the Moon's: too far for a rounded or an older value. Nearest to the printed time is "
             f"{nearest}. Which it was, the text does not tell.",
@@ -243,7 +264,7 @@ def _discrepancies(made: Reproduction) -> str:
     )
 
 
-def _rate(convergence: Sequence[Convergence]) -> str:
+def _convergence_rate(convergence: Sequence[Convergence]) -> str:
     """The observed rate, from the first N to the floor: the first error within ten times the least."""
     least = min(c.position for c in convergence)
     first, floor = convergence[0], next(c for c in convergence if c.position <= 10 * least)
@@ -262,7 +283,7 @@ def _rate(convergence: Sequence[Convergence]) -> str:
     )
 
 
-def _random(made: Reproduction) -> str:
+def _random_start_section(made: PengReproduction) -> str:
     truth = made.indirect.free["flight_time"]
 
     def row(name: str, tried: Starts) -> list[str]:
@@ -280,22 +301,22 @@ def _random(made: Reproduction) -> str:
         [
             f"{PRINTED_POINTS} points in the paper's coordinates; success is the optimum's flight time. Times are of "
             "the processor.",
-            table(["start", "found the optimum", "ended elsewhere", "median time (s)", "longest (s)"], rows),
+            markdown_table(["start", "found the optimum", "ended elsewhere", "median time (s)", "longest (s)"], rows),
             "The use of the search shows with many seeds (`--seeds 50`): random starts become reliable, "
             "in a predictable time. It does not beat the straight line from the start to the site, which needs none.",
         ]
     )
 
 
-def _hamiltonians(made: Reproduction) -> Figure:
+def _hamiltonian_figure(made: PengReproduction) -> Figure:
     curves = []
     for solution, text in ((made.direct, "J = -m(t_f)"), (made.direct_fastest, "J = t_f")):
         t = point_times(solution)
         curves.append((t, np.maximum(np.abs(scaled_hamiltonian(solution, t)), 1e-17), ".", text))
-    return lines(curves, ("time from ignition (s)", "error of H at the points, scaled"), from_zero=True, log=True)
+    return line_figure(curves, ("time from ignition (s)", "error of H at the points, scaled"), from_zero=True, log=True)
 
 
-def _convergence(convergence: Sequence[Convergence]) -> Figure:
+def _convergence_figure(convergence: Sequence[Convergence]) -> Figure:
     N = [c.points for c in convergence]
     curves = [
         (N, [abs(getattr(c, name)) for c in convergence], style, text)
@@ -306,10 +327,10 @@ def _convergence(convergence: Sequence[Convergence]) -> Figure:
             ("angle", "v:", "angle (deg)"),
         )
     ]
-    return lines(curves, ("Gauss points N", "largest difference"), height=2.8, log=True)
+    return line_figure(curves, ("Gauss points N", "largest difference"), height=2.8, log=True)
 
 
-def _constants() -> list[list[str]]:
+def _case_constants() -> list[list[str]]:
     sections = {"body": CASE.body, "vehicle": CASE.vehicle, "start": CASE.start, "site": CASE.site}
     rows = [
         [f"{section}.{name}", f"{value:.8g}"]

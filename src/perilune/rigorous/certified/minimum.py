@@ -9,27 +9,27 @@ from typing import Any
 
 from flint import arb, arb_mat, ctx
 
-from perilune.rigorous.certified.equations import Equations, eliminated
-from perilune.rigorous.certified.expressions import Program, gradient
+from perilune.rigorous.certified.equations import CertifiedEquations, eliminate
+from perilune.rigorous.certified.expressions import CertifiedProgram, backward_gradient
 
 BITS, BOXES, NARROWEST = 80, 4000, 2.0**-24  # of a piece of the flight; the least of a box beside its range
 
 
-def positive(form: Any) -> bool:
+def is_positive_definite(form: Any) -> bool:
     """Return True if every symmetric matrix in these balls is proved positive definite, by its elimination's pivots."""
-    return all(row[k] > 0 for k, row in enumerate(eliminated(form.tolist())))
+    return all(row[k] > 0 for k, row in enumerate(eliminate(form.tolist())))
 
 
-class Others:
+class OtherControls:
     """H of an arc by its scalars, and what these are and may be."""
 
-    def __init__(self, equations: Equations, i: int) -> None:
+    def __init__(self, equations: CertifiedEquations, i: int) -> None:
         z, (H, named, ranges) = equations.z[i], equations.flown[i]["joint"]
         u, own = [*named.values()], [equations.flown[i]["u"][name] for name in named]
-        slopes = gradient(H, u)
-        self.H = Program([z, u], [H])
-        self.slopes = Program([z, u], [*slopes, *(d for own in slopes for d in gradient(own, u))])
-        self.controls, self.ranges = Program([z], own), Program([z], ranges)
+        slopes = backward_gradient(H, u)
+        self.H = CertifiedProgram([z, u], [H])
+        self.slopes = CertifiedProgram([z, u], [*slopes, *(d for own in slopes for d in backward_gradient(own, u))])
+        self.controls, self.ranges = CertifiedProgram([z], own), CertifiedProgram([z], ranges)
         self.sides = [{"lower": 1, "upper": -1}.get(equations.arcs[i]["regimes"][name], 0) for name in named]
 
     def are_worse(self, z: list[Any]) -> bool:
@@ -46,7 +46,7 @@ class Others:
                 rest = [j for j, side in enumerate(self.sides) if not found[j] * side > 0]
                 rises = sum((found[j] * (B[j] - own[j]) for j in rest), arb(0)) > 0
                 form = arb_mat([[found[len(B) * (j + 1) + k] for k in rest] for j in rest]) if rest else arb_mat(0, 0)
-                if self.H(z, B)[0] > best or rises or positive(form):
+                if self.H(z, B)[0] > best or rises or is_positive_definite(form):
                     continue
                 widths = [float(b.rad()) / max(size, 1e-300) for b, size in zip(B, sizes, strict=True)]
                 i = max(range(len(B)), key=widths.__getitem__)
