@@ -22,12 +22,12 @@ from pathlib import Path
 
 import numpy as np
 
-from perilune.atlas.brick import WHOLE
-from perilune.atlas.building import TOLERANCE, build
-from perilune.atlas.query import Atlas, open_atlas
+from perilune.atlas.building.build import TOLERANCE, build
+from perilune.atlas.grid.block import WHOLE
+from perilune.atlas.query.query import Atlas, open_atlas
+from perilune.core.arrays import Matrix, Vector
 from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.types import Matrix, Vector
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "hybrid_lander.toml"
 AXES = {

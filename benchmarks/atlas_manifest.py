@@ -15,9 +15,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from perilune.atlas.building import build
-from perilune.atlas.query import open_atlas
-from perilune.atlas.store import MANIFEST, AtlasStore
+from perilune.atlas.building.build import build
+from perilune.atlas.query.query import open_atlas
+from perilune.atlas.store.store import MANIFEST, AtlasStore
 from perilune.scenario import load_file
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "hybrid_lander.toml"

@@ -22,8 +22,8 @@ sys.path[:0] = [str(TESTS), str(TESTS / "kernels")]
 from landing_bvp import by_hand, parameters  # pyright: ignore[reportMissingImports]
 
 from many_problems import KINDS  # pyright: ignore[reportMissingImports]
-from perilune.shooting.function import Shooting
-from perilune.words.types import Matrix
+from perilune.core.arrays import Matrix
+from perilune.shooting.shooting_function import Shooting
 
 
 def measure(name: str, shooting: Shooting, guesses: Matrix, p: Matrix) -> None:

@@ -34,10 +34,10 @@ from pathlib import Path
 from typing import Any
 
 from perilune.cli import run_command_line
-from perilune.models.kinds import KINDS, Kind, Section
+from perilune.core.fields import Key, Quantity
+from perilune.models.catalogue import KINDS, Kind, Section
 from perilune.scenario import template
 from perilune.scenario.reader import names_of
-from perilune.words.declared import Key, Quantity
 
 CODES = {"check": (0, 2, 3), "solve": (0, 2, 3, 4, 5)}
 SILENCE = 20.0  # s

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from doubles import Doubles, ball, between, joined
+from perilune.core.arrays import Batch
 from perilune.problem.controls import Direction
 from perilune.problem.problem import Problem
 from perilune.rigorous.equations import ProblemReader
-from perilune.rigorous.reading import Unsupported
+from perilune.rigorous.exact_tape import Unsupported
 from perilune.rigorous.taylor import TaylorProgram
-from perilune.words.types import Batch
 
 Vector = list[Doubles]
 _WIDER = 0.1  # of what a step adds: by so much an enclosure is wider than its first guess

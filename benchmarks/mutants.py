@@ -38,10 +38,15 @@ ROOMS = {
     "proof": ("proof/*.py",),
     "conditions": ("conditions/*.py",),
     "shooting": ("shooting/[!e]*.py",),
-    "extremals": ("shooting/extremals.py", "problem/extremal.py", "methods/search.py", "methods/answer.py"),
+    "extremals": (
+        "shooting/parameter_scan.py",
+        "problem/results/extremal.py",
+        "methods/indirect/search.py",
+        "methods/indirect/result.py",
+    ),
     "structures": ("structures/*.py",),
-    "units": ("words/units.py", "words/bounded.py", "problem/dimensions.py"),
-    "preflight": ("problem/preflight.py", "models/**/preflight.py", "models/**/checks.py"),
+    "units": ("core/units.py", "core/untrusted_text.py", "problem/tracing/dimensions.py"),
+    "preflight": ("problem/presolve.py", "models/**/preflight.py", "models/**/checks.py"),
     "atlas": ("atlas/*.py",),
 }
 BUDGET, STUCK = 240.0, 900.0  # seconds

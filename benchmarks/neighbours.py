@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 import perilune as pl
-from perilune.methods.indirect import Indirect
-from perilune.methods.nearby import Nearby
-from perilune.problem.preflight import preflight
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.neighboring import Nearby
+from perilune.problem.presolve import preflight
 from perilune.scenario import load_file
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from perilune.models import ellipsoid
-from perilune.models.deorbit.flight import path_angle, position_vector, velocity_vector
-from perilune.models.rotating import Triple
+from perilune.core.maths import NUMERIC
+from perilune.models.deorbit.dynamics import path_angle, position_vector, velocity_vector
+from perilune.models.physics import ellipsoid
+from perilune.models.physics.rotating_frame import Triple
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.words.maths import NUMERIC
 
 BURNS = 16  # lengths that are tried
 SPENT = 0.98  # of the propellant, at most

@@ -27,18 +27,18 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from perilune.methods.coarse import nearly_active_conditions
-from perilune.models.bodies import CERES, EUROPA, MARS, MERCURY, MOON, Body, UniformGravity
-from perilune.models.descent import Ignition, Site, Steering, powered_descent
-from perilune.models.final_descent import FinalDescent
-from perilune.models.landing import Orbit, hybrid_landing
-from perilune.models.precision import Approach, Corridor, precision_landing
-from perilune.models.vehicle import Retro, Vehicle
-from perilune.problem.preflight import is_possible, preflight
+from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.methods.indirect.coarse_direct import nearly_active_conditions
+from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
+from perilune.models.landing.problem import Orbit, hybrid_landing
+from perilune.models.physics.bodies import CERES, EUROPA, MARS, MERCURY, MOON, Body, UniformGravity
+from perilune.models.physics.vehicle import Retro, Vehicle
+from perilune.models.precision.final_descent import FinalDescent
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.problem.presolve import is_possible, preflight
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.solve import solve
-from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from refusals import flown_after_all
 
 STANDARD_GRAVITY = 9.80665

@@ -25,15 +25,15 @@ from typing import Any
 
 import numpy as np
 
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.bodies import CERES, EUROPA, MERCURY, MOON, Body
-from perilune.models.descent import Ignition, Site, powered_descent
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.precision import Approach, Corridor, precision_landing
+from perilune.core.errors import InfeasibleError, NotConvergedError, PeriluneError
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.models.descent.problem import Ignition, Site, powered_descent
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import CERES, EUROPA, MERCURY, MOON, Body
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
 from perilune.problem.problem import Problem
 from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
 
 BODIES = (MOON, MERCURY, EUROPA, CERES)
 CAPSULE = Path(__file__).parent.parent / "examples" / "maps" / "capsule.toml"

@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import perilune as pl
-from perilune.reproductions.liu2019.case import site_free
-from perilune.rigorous.certified.expressions import Failed
-from perilune.rigorous.check_certificate import confirm
 from perilune.rigorous.theorem import ProvedExtremal, attempt_proof
 from perilune.rigorous.verified import add_attempt
+from perilune_checker.check import confirm
+from perilune_checker.expressions import Failed
+from perilune_papers.liu2019.case import site_free
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 DIGITS = 30

@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 from flint import arb, ctx
 
+from perilune.core.callbacks import ignore_events
+from perilune.core.errors import Outcome, PeriluneError
 from perilune.problem.problem import Problem
-from perilune.rigorous.flow import NotEnclosed
-from perilune.rigorous.root import NotProved, prove_root
+from perilune.rigorous.enclosure_step import NotEnclosed
+from perilune.rigorous.krawczyk import NotProved, prove_root
 from perilune.rigorous.theorem import ProvedExtremal, attempt_proof
 from perilune.rigorous.verified import add_attempt
 from perilune.solve import solve
-from perilune.words.outcome import Outcome, PeriluneError
-from perilune.words.watch import ignore_events
 from random_landers import draw
 from random_problems import DRAWS, OutOfTime, at_most, measured
 

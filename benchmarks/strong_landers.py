@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from perilune.models.bodies import CERES, EUROPA, MERCURY, MOON, Body
-from perilune.models.descent import Ignition, Site, powered_descent
-from perilune.models.vehicle import Vehicle
-from perilune.problem.preflight import is_possible, preflight
+from perilune.models.descent.problem import Ignition, Site, powered_descent
+from perilune.models.physics.bodies import CERES, EUROPA, MERCURY, MOON, Body
+from perilune.models.physics.vehicle import Vehicle
+from perilune.problem.presolve import is_possible, preflight
 from perilune.problem.problem import Problem
 from random_problems import DRAWS, PROVED, logarithmic, measured, surface_gravity, timed_ending
 

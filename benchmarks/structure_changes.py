@@ -29,14 +29,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from perilune.models.bodies import MARS, UniformGravity
-from perilune.models.descent import Site
-from perilune.models.precision import Approach, Corridor, precision_landing
+from perilune.core.errors import PeriluneError
+from perilune.models.descent.problem import Site
+from perilune.models.physics.bodies import MARS, UniformGravity
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.outcome import PeriluneError
 from random_problems import AIRLESS, PROVED, OutOfTime, at_most, ending, logarithmic, measured, surface_gravity, vehicle
 
 CAPSULE = Path(__file__).parent.parent / "examples" / "maps" / "capsule.toml"

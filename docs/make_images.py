@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from perilune.problem.solution import Solution
+    from perilune.problem.results.solution import Solution
 
 IMAGES = Path(__file__).parent / "images"
 
@@ -27,9 +27,9 @@ def draw(hybrid: Solution, ordinary: Solution, directory: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    from perilune.models.landing import Retro
-    from perilune.reproductions.cho2015.case import CONSTANTS, cho_landing
+    from perilune.models.landing.problem import Retro
     from perilune.solve import solve
+    from perilune_papers.cho2015.case import CONSTANTS, cho_landing
 
     IMAGES.mkdir(exist_ok=True)
     with_burn = cho_landing(Retro(specific_impulse=CONSTANTS.specific_impulse))

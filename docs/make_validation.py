@@ -50,7 +50,7 @@ THEOREMS = """## Theorems
 
 [Level 5](theory-rigorous.md) of the same problems and of a return: proved by enclosures, $J$ and what is free in thirty
 digits, in SI, with the numbers of each problem taken as the doubles that they are. Times are of one processor, the last
-that in which `check_certificate` confirmed the certificate. `python benchmarks/rigorous.py` computed them.
+that in which `perilune_checker` confirmed the certificate. `python benchmarks/rigorous.py` computed them.
 
 """
 COLUMNS = ("problem", "method", "known", "uncertainty", "ours", "error", "level", "CPU s")

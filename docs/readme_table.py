@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from perilune.problem.solution import Solution
+    from perilune.problem.results.solution import Solution
 
 DIGITS = {"m/s": 5, "kg": 5, "s": 3, "deg": 5}
 # Specific impulses [s] around that at which the retro burn stops paying; between them its gain is linear.
@@ -26,8 +26,8 @@ def against_the_paper(hybrid: Solution, ordinary: Solution, near_break_even: tup
     near_break_even
         The hybrid landing at each specific impulse of `BRACKET`.
     """
-    from perilune.reproductions.cho2015.case import PRINTED
-    from perilune.reproductions.cho2015.compute import gain_of_retro_burn
+    from perilune_papers.cho2015.case import PRINTED
+    from perilune_papers.cho2015.compute import gain_of_retro_burn
 
     with_burn, without = hybrid.results, ordinary.results
     ours = {
@@ -73,9 +73,9 @@ def not_printed(hybrid: Solution, ordinary: Solution) -> list[str]:
 
 
 if __name__ == "__main__":
-    from perilune.models.landing import Retro
-    from perilune.reproductions.cho2015.case import CONSTANTS, cho_landing
+    from perilune.models.landing.problem import Retro
     from perilune.solve import solve
+    from perilune_papers.cho2015.case import CONSTANTS, cho_landing
 
     whole = cho_landing(Retro(specific_impulse=CONSTANTS.specific_impulse))
     best, plain = solve(whole, level=0), solve(cho_landing(), level=0)

@@ -15,18 +15,18 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.app.frames import flight_message as frame, opening_message
-from perilune.app.subject import subject_of
+from perilune.app.messages import flight_message as frame, opening_message
+from perilune.app.source import subject_of
 from perilune.cli import run_command_line
 from perilune.direct.first_guess import first_guesses
 from perilune.families.family import Family, FamilyPoint
-from perilune.io.export import save, solution_document
+from perilune.io.atomic_files import json_text
 from perilune.io.exports.writing import FORMATS, export, to_dataframe, to_xarray
-from perilune.io.files import json_text
-from perilune.problem.solution import Curve
+from perilune.io.save import save, solution_document
+from perilune.problem.results.solution import Curve
 from perilune.report.family import family_csv, family_document, family_figure
 from perilune.report.figures import solution_drawings
-from perilune.report.pages import solution_page
+from perilune.report.notebook import solution_page
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
 from perilune.scenario.text import parse

@@ -9,7 +9,7 @@ import pytest
 
 from cho import cho_landing
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.solve import solve
 
 

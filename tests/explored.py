@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from perilune.atlas import building
+from perilune.atlas.building import build as building
 from perilune.scenario import load_file
 
 ROOT = Path(__file__).parent.parent

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from perilune.models.bodies import Body
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.nodes import hermite_nodes
+from perilune.core.errors import Outcome
+from perilune.core.maths import NUMERIC
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import Body
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import Outcome
+from perilune.problem.results.hermite_nodes import hermite_nodes
+from perilune.problem.results.solution import Curve, Solution, Trajectory
 
 STEP = 1e-40
 MOON = Body(name="moon", gravitational_parameter=4902.7779e9, radius=1738.14e3, rotation_rate=2.6617e-6)

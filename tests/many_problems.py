@@ -12,16 +12,16 @@ from functools import partial
 
 import numpy as np
 
-from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.methods.indirect import Indirect
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.units import Scales
+from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.shooting.function import Shooting
-from perilune.words.types import Matrix, Vector
-from perilune.words.units import Scales
+from perilune.shooting.shooting_function import Shooting
 from problems.ascents import TWO_STAGES, staged_launch
 
 RADIUS, MU = 1737.4e3, 4.9028e12  # of the Moon

@@ -19,9 +19,10 @@ import pytest
 from flint import arb, arb_mat, arb_series, ctx, fmpq
 
 import perilune as pl
+import perilune_checker.equations
+from perilune.core.units import parse_quantity
 from perilune.problem.variables import Given
 from perilune.problem.verification import Verification
-from perilune.words.units import parse_quantity
 from problems.ascents import tangent_steering
 from problems.integrators import least_time
 from problems.landings import meditch
@@ -41,21 +42,23 @@ def solved(make: Callable[..., pl.Problem], *options: Any) -> pl.Solution:
 
 
 def settings(order: int = 30, tolerance: float = 1e-44) -> Any:
-    return room("root").ProofEffort(
+    return room("krawczyk").ProofEffort(
         bits=BITS, order=order, tolerance=tolerance, enough=1e6 * tolerance, box=1e8 * tolerance
     )
 
 
 def stated(solution: pl.Solution, off: float = 0.0) -> tuple[Any, list[Any]]:
     """The boundary value problem, and a guess that is off by a part of itself."""
-    pieces, lengths = room("guess").suggested_pieces(solution)
-    boundary = room("boundary").boundary_problem(solution.problem, pieces, room("guess").sides_of(solution))
-    return boundary, [value * (1 + off) for value in room("guess").unknowns_of(solution, boundary, lengths)]
+    pieces, lengths = room("candidate").suggested_pieces(solution)
+    boundary = room("boundary_value_problem").boundary_problem(
+        solution.problem, pieces, room("candidate").sides_of(solution)
+    )
+    return boundary, [value * (1 + off) for value in room("candidate").unknowns_of(solution, boundary, lengths)]
 
 
 def proved(solution: pl.Solution, effort: Any = None, off: float = 1e-4) -> tuple[Any, Any, Any]:
     """Boundary value problem, refined and proved root; found once by each prover."""
-    root, effort = room("root"), effort or settings()
+    root, effort = room("krawczyk"), effort or settings()
     known = root.__dict__.setdefault("_checked", {})
     key = (id(solution), effort.order)
     if key not in known:
@@ -91,7 +94,8 @@ def stages_burn_out() -> bool:
     times = near(y["t_1"], arb(60)) and near(y["t_2"], arb(150))
     multipliers = near(y["first.mu_m"], arb(-50)) and near(y["second.mu_m"], arb(-200))
     kept = all(
-        statement.proved and not statement.slack for statement in room("limits").FlightLimits(boundary, root).all()
+        statement.proved and not statement.slack
+        for statement in room("inequalities").FlightLimits(boundary, root).all()
     )
     return times and multipliers and kept and near(J, -3000 * (arb(100) / 60 * 40 / 15).log())
 
@@ -138,13 +142,13 @@ def newton_is_quadratic() -> bool:
 def refused(call: Callable[[], Any]) -> bool:
     try:
         call()
-    except (room("root").NotProved, room("flow").NotEnclosed):
+    except (room("krawczyk").NotProved, room("enclosure_step").NotEnclosed):
         return True
     return False
 
 
 def a_wrong_centre_is_refused() -> bool:
-    root = room("root")
+    root = room("krawczyk")
     boundary, refined, _ = proved(solved(tangent_steering))
     radii = [1e-11 * abs(float(value)) for value in refined.y]
     moved = [refined.y[0] * (1 + arb(1e-9)), *refined.y[1:]]
@@ -154,7 +158,7 @@ def a_wrong_centre_is_refused() -> bool:
 
 def a_wide_box_is_refused() -> bool:
     """One whose flights are enclosed, but on which nothing contracts."""
-    root = room("root")
+    root = room("krawczyk")
     boundary, refined, _ = proved(solved(meditch))
     radii = [0.02 * abs(float(value)) for value in refined.y]
     return refused(lambda: root.prove_root(boundary, refined, settings(), lambda _: None, radii))
@@ -173,7 +177,7 @@ def pole(rate: Callable[[Any, Any], Any]) -> Any:
 
 def a_step_over_a_pole_is_refused() -> bool:
     """x' = 1 + x^2 from 0 is tan t; a step beyond its pole has no enclosure, one before it has."""
-    flow, arc = room("flow"), pole(lambda graph, x: 1 + x * x)
+    flow, arc = room("enclosure_step"), pole(lambda graph, x: 1 + x * x)
     start = [arb(0), arb(1)]
     end = flow.enclose_step(arc, start, None, arb(0), arb(0.25), 20)[0][0]
     late = refused(lambda: flow.enclose_step(arc, start, None, arb(0), arb(1.75), 20))
@@ -182,7 +186,7 @@ def a_step_over_a_pole_is_refused() -> bool:
 
 def a_step_over_a_jump_is_refused() -> bool:
     """The angle of (cos t, sin t) jumps at pi, though its slope does not."""
-    flow, meaning = room("flow"), room("reading")._MEANING
+    flow, meaning = room("enclosure_step"), room("exact_tape")._MEANING
     arc = pole(lambda graph, x: 1 + meaning["atan2"](graph, graph.do("sin", x), graph.do("cos", x)) * 2.0**-60)
     before = not refused(lambda: flow.enclose_step(arc, [arb(3), arb(1)], None, arb(0), arb(0.125), 12))
     return before and refused(lambda: flow.enclose_step(arc, [arb(3), arb(1)], None, arb(0), arb(0.25), 12))
@@ -190,7 +194,7 @@ def a_step_over_a_jump_is_refused() -> bool:
 
 def tangents_are_enclosed() -> bool:
     """Of tan t the tangent is 1/cos^2 t, at every t of the step."""
-    flow, arc = room("flow"), pole(lambda graph, x: 1 + x * x)
+    flow, arc = room("enclosure_step"), pole(lambda graph, x: 1 + x * x)
     _, V, step = flow.enclose_step(arc, [arb(0), arb(1)], arb_mat([[1], [0]]), arb(0), arb(0.25), 12)
     along = all(step.at(arb(t))[0].overlaps(arb(t).tan()) for t in np.linspace(0.01, 0.25, 7).tolist())
     return along and V[0, 0].overlaps(1 / arb(0.25).cos() ** 2) and 0 < float(V[0, 0].rad()) < 1e-3
@@ -198,7 +202,7 @@ def tangents_are_enclosed() -> bool:
 
 def a_step_that_tangents_outgrow_is_refused() -> bool:
     """x' = 50 x stays at 0, which is enclosed; its tangent e^(50 h) not, at (50 h)^12/12! = 0.995."""
-    flow, arc = room("flow"), pole(lambda graph, x: 50 * x)
+    flow, arc = room("enclosure_step"), pole(lambda graph, x: 50 * x)
 
     def enclosed(share: float, V: Any) -> bool:
         length = arb((share * math.factorial(12)) ** (1 / 12) / 50)
@@ -210,7 +214,7 @@ def a_step_that_tangents_outgrow_is_refused() -> bool:
 
 def flights_stay_in_their_enclosures() -> bool:
     """Flights in many digits from the ends of a box lie in its enclosure at every node; their differences in dz/dy."""
-    flight, effort = room("flight"), settings()
+    flight, effort = room("enclosure"), settings()
     boundary, refined, root = proved(solved(meditch))
     for k in (0, boundary.names.index("t_f"), len(boundary.names) - 1):
         away = arb(1e-9 * max(1.0, abs(float(refined.y[k]))))
@@ -233,11 +237,11 @@ def flights_stay_in_their_enclosures() -> bool:
 
 def frames_keep_remainders() -> bool:
     """In a few orders a flight and its tangents are known to some digits; those of many orders lie in what is left."""
-    flight = room("flight")
+    flight = room("enclosure")
     boundary, refined, root = proved(solved(tangent_steering))
     try:
         rough = flight.enclose_flight(boundary, refined.y, refined.grid, 6)
-    except room("flow").NotEnclosed:
+    except room("enclosure_step").NotEnclosed:
         return False
     for near, D, end, exact in zip(rough.centre, rough.tangents, root.flight.ends, root.flight.tangents, strict=True):
         pairs = [*zip(near, end, strict=True), *zip(D.entries(), exact.entries(), strict=True)]
@@ -248,7 +252,10 @@ def frames_keep_remainders() -> bool:
 
 def a_frame_turns_with_the_flow() -> bool:
     """Quarter turns, each known to 0.1 along x: along y as much is left of the one before, and nothing more."""
-    frame, turn = room("flight")._ParallelepipedFrame([arb(1), arb(0)], arb_mat([[1], [0]])), arb_mat([[0, -1], [1, 0]])
+    frame, turn = (
+        room("enclosure")._ParallelepipedFrame([arb(1), arb(0)], arb_mat([[1], [0]])),
+        arb_mat([[0, -1], [1, 0]]),
+    )
     for number in (1, 2):
         x, y = frame.middle
         frame.go([[-y], [x]], [arb(0, 0.1), arb(0)], arb(1), turn)
@@ -261,7 +268,7 @@ def a_frame_turns_with_the_flow() -> bool:
 def steps_follow_each_other() -> bool:
     """Each begins where the one before ends, and none loses more than was asked for."""
     boundary, refined, root = proved(solved(meditch))
-    most = room("root")._REMAINDER * settings().box
+    most = room("krawczyk")._REMAINDER * settings().box
     for steps, duration in zip(root.flight.steps, boundary.durations, strict=True):
         ends = [step.begin + step.length for step in steps]
         together = all(step.begin == end for step, end in zip(steps[1:], ends[:-1], strict=True))
@@ -277,7 +284,7 @@ def steps_follow_each_other() -> bool:
 
 def growth_is_enclosed() -> bool:
     """x' = x: the remainder is no larger than it has to be, so that a part of it would not do."""
-    flow, arc = room("flow"), pole(lambda graph, x: 1 * x)
+    flow, arc = room("enclosure_step"), pole(lambda graph, x: 1 * x)
     end, V, _ = flow.enclose_step(arc, [arb(1), arb(1)], arb_mat([[1], [0]]), arb(0), arb(0.25), 12)
     truth = arb(0.25).exp()
     return all(value.overlaps(truth) and 0 < float(value.rad()) < 1e-12 for value in (end[0], V[0, 0]))
@@ -285,7 +292,7 @@ def growth_is_enclosed() -> bool:
 
 def signs_are_seen() -> bool:
     """Along x = tan t, t in [0, 1/4]: what dips below zero, touches it or begins with it."""
-    flow, signs = room("flow"), room("signs")
+    flow, signs = room("enclosure_step"), room("inequalities")
     arc = pole(lambda graph, x: 1 + x * x)
     _, _, step = flow.enclose_step(arc, [arb(0), arb(1)], None, arb(0), arb(0.25), 20)
     x = arc.graph.input(("z", 0))
@@ -328,14 +335,14 @@ def swinging(duration: float, free: bool) -> pl.Problem:
 
 def a_minimum(duration: float, free: bool = False) -> bool:
     """Whether the extremal sin(t)/sin(T), or 0 with a free end, is proved to be one."""
-    boundary = room("boundary").boundary_problem(
-        swinging(duration, free), [room("boundary").ArcPiece(phase=0, regimes={"u": "interior"})]
+    boundary = room("boundary_value_problem").boundary_problem(
+        swinging(duration, free), [room("boundary_value_problem").ArcPiece(phase=0, regimes={"u": "interior"})]
     )
     rough = settings(24, 1e-36)
     slope = -1 / np.sin(duration)
     guess = [arb(0), arb(1)] if free else [arb(slope), arb(1), arb(float(slope * np.cos(duration)))]
-    refined = room("root").refine_root(boundary, guess, rough, lambda _: None)
-    root = room("root").prove_root(boundary, refined, rough, lambda _: None)
+    refined = room("krawczyk").refine_root(boundary, guess, rough, lambda _: None)
+    root = room("krawczyk").prove_root(boundary, refined, rough, lambda _: None)
     return room("second_order").prove_local_optimum(boundary, root, rough.order, lambda _: None).proved
 
 
@@ -346,7 +353,7 @@ def conjugate_points_are_seen() -> bool:
 
 def operations() -> list[tuple[str, Callable[[Any, Any], Any], Callable[[Any], Any]]]:
     """(name, expression of x, the same of a series)."""
-    meaning = room("reading")._MEANING
+    meaning = room("exact_tape")._MEANING
 
     def named(name: str) -> Callable[[Any, Any], Any]:
         return lambda graph, x: meaning[name](graph, x)
@@ -407,7 +414,7 @@ def J_is_that_of_the_root() -> bool:
 def what_is_missing_is_no_theorem() -> bool:
     theorem, verified, before = room("theorem"), room("verified"), Verification(checks=())
     found = theorem.attempt_proof(solved(least_time), lambda _: None)
-    held = room("limits").Statement(words="it holds", proved=False)
+    held = room("inequalities").Statement(words="it holds", proved=False)
     broken = replace(found, proved=replace(found.proved, statements=(*found.proved.statements, held)))
     whole, less = (verified.add_attempt(before, one) for one in (found, broken))
     unseen = room("second_order").Statement(words="it is", proved=False, where="as nobody looked")
@@ -418,7 +425,7 @@ def what_is_missing_is_no_theorem() -> bool:
 
 def numbers_are_exact() -> bool:
     """What a value is taken for: its decimal, if that is what was flown, or else the double."""
-    exactly, graph, program = room("given").exact_value, room("graph"), room("taylor").TaylorProgram
+    exactly, graph, program = room("exact_tape").exact_value, room("graph"), room("taylor").TaylorProgram
     for stated, unit, number, power in (
         ("4902.7779 km^3/s^2", "m^3/s^2", "4902777900000", 0), ("0.1", "1", "1/10", 0),
         ("12 deg", "rad", "1/15", 1), ("90 s/deg", "s/rad", "16200", -1), ("3 cm^0.5", "m^0.5", "3/10", 0),
@@ -428,7 +435,7 @@ def numbers_are_exact() -> bool:
         truth = arb(fmpq(*Fraction(number).as_integer_ratio())) * arb.pi() ** power
         (read,) = program(own, [], [found.expression(own)]).values([])
         told = found.document()
-        written = room("certified.equations").parse_given(told)
+        written = perilune_checker.equations.parse_given(told)
         if not all(ball.overlaps(truth) and ball.rad() < 1e-30 * truth for ball in (found.ball(), read, written)):
             return False
         if (Fraction(number), power) != (found.rational, found.power) or told["taken"] != "text":

@@ -13,17 +13,17 @@ import pytest
 import perilune as pl
 from command_line import ROOT, read_json
 from perilune.cli import run_command_line
-from perilune.models import atmosphere, standard_atmosphere
-from perilune.models.air_table import LARGEST_FILE, read_air_table
-from perilune.models.bodies import EARTH
+from perilune.core.column_headings import unit_as_written
+from perilune.core.errors import PeriluneError
+from perilune.core.maths import NUMERIC
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Interface, Returner, ReturnOrbit
-from perilune.problem.preflight import preflight
+from perilune.models.physics import atmosphere, standard_atmosphere
+from perilune.models.physics.air_table import LARGEST_FILE, read_air_table
+from perilune.models.physics.bodies import EARTH
+from perilune.problem.presolve import preflight
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
-from perilune.words.table_headings import unit_as_written
 
 ALTITUDE = np.arange(0.0, 142e3, 2e3)
 DENSITY = standard_atmosphere.density(ALTITUDE)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.io.made import model_document
-from perilune.models.atmosphere import TrajectoryProfile, thermosphere
-from perilune.models.deorbit.along import NEAR, largest_density_change
+from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.io.model_records import model_document
+from perilune.models.deorbit.atmosphere_iteration import solve_with_epoch_air, with_air_along_flight
 from perilune.models.deorbit.opportunities import opportunities
 from perilune.models.deorbit.records import Aim
-from perilune.models.deorbit.settled import solve_with_epoch_air, with_air_along_flight
+from perilune.models.deorbit.trajectory_atmosphere import NEAR, largest_density_change
+from perilune.models.physics.atmosphere import TrajectoryProfile, thermosphere
 from perilune.scenario import load_text
-from perilune.words.outcome import NotConvergedError, PeriluneError
 from test_opportunities import SCENARIO
 
 pytest.importorskip("pymsis")

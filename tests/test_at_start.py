@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.methods.indirect import Indirect
+from perilune.core.errors import InfeasibleError
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.method import Method
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem.preflight import preflight
+from perilune.problem.display.quantity_names import end_text, kept_text
+from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.problem.wording import end_text, kept_text
 from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.outcome import InfeasibleError
 from problems.integrators import least_energy, least_time
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

@@ -31,31 +31,32 @@ from hypothesis import given, settings, strategies as st
 import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
-from perilune.atlas import building, polish
-from perilune.atlas.cells import WHOLE, Status
-from perilune.atlas.chart import Chart, Holds
-from perilune.atlas.columns import cell_type, node_type
-from perilune.atlas.flooding import Key, seeds_for_neighbours
+from perilune.atlas.branches.branch import Sheet
+from perilune.atlas.branches.chart import Chart, Holds
+from perilune.atlas.branches.schema import cell_type, node_type
+from perilune.atlas.building import build as building
+from perilune.atlas.building.verify import verify_atlas
+from perilune.atlas.evaluate import polish
+from perilune.atlas.evaluate.midpoint_march import extrapolated_step
+from perilune.atlas.evaluate.reintegrate import ChartReintegration
 from perilune.atlas.hermite import binary_digits, interpolated
-from perilune.atlas.lines import written_line
-from perilune.atlas.many import Answered
-from perilune.atlas.march import extrapolated_step
-from perilune.atlas.query import Atlas, open_atlas
-from perilune.atlas.read import LoadedBrick
-from perilune.atlas.reflight import ChartReintegration
+from perilune.atlas.query.batch import Answered
+from perilune.atlas.query.query import Atlas, open_atlas
+from perilune.atlas.query.reader import LoadedBrick
 from perilune.atlas.region import region_of
-from perilune.atlas.sheets import Sheet
-from perilune.atlas.store import HEADER, MANIFEST, AtlasStore, with_checksum
-from perilune.atlas.verify import verify_atlas
+from perilune.atlas.store.cells import WHOLE, Status
+from perilune.atlas.store.manifest import written_line
+from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore, with_checksum
+from perilune.atlas.survey.neighbour_seeds import Key, seeds_for_neighbours
 from perilune.cli import run_command_line
-from perilune.io.comparisons import comparisons_document, read_comparisons, same_comparisons
+from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.io.presolve_json import comparisons_document, read_comparisons, same_comparisons
 from perilune.kernels import compile_map
-from perilune.problem.extremal import Nature
-from perilune.problem.preflight import Finding
+from perilune.problem.presolve import Finding
 from perilune.problem.problem import Problem
+from perilune.problem.results.extremal import Nature
 from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from problems.constrained import bryson_denham, bryson_denham_truth
 
 build = partial(building.build, sample=0)  # proofs have tests of their own

@@ -16,13 +16,17 @@ from scipy.optimize import minimize
 
 import perilune as pl
 from perilune import PeriluneError
-from perilune.atlas import building, extend, read, survey, trying
-from perilune.atlas.cells import WHOLE
-from perilune.atlas.descending import KnownExtremals, MinimumSearch
-from perilune.atlas.many import Answered, Answers
-from perilune.atlas.query import Atlas, open_atlas
+from perilune.atlas import extend
+from perilune.atlas.building import build as building
+from perilune.atlas.grid import nodes as trying
+from perilune.atlas.query import reader as read
+from perilune.atlas.query.batch import Answered, Answers
+from perilune.atlas.query.minimum_search import KnownExtremals, MinimumSearch
+from perilune.atlas.query.query import Atlas, open_atlas
+from perilune.atlas.store.cells import WHOLE
+from perilune.atlas.survey import survey
+from perilune.core.arrays import Matrix, Vector
 from perilune.problem.variables import Given, Variable
-from perilune.words.types import Matrix, Vector
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 

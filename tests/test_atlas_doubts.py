@@ -14,15 +14,15 @@ import pytest
 
 import perilune as pl
 from perilune import Indirect, Problem
-from perilune.atlas import building, many
-from perilune.atlas.cells import Status
-from perilune.atlas.offers import dominates_known, without_admissible_answer
-from perilune.atlas.query import open_atlas
+from perilune.atlas.building import build as building
+from perilune.atlas.query import batch as many
+from perilune.atlas.query.candidates import dominates_known, without_admissible_answer
+from perilune.atlas.query.query import open_atlas
 from perilune.atlas.region import region_of
-from perilune.atlas.scanning import Scan
-from perilune.atlas.solving import RegionSolver
-from perilune.words.outcome import PeriluneError
-from perilune.words.watch import ignore_events
+from perilune.atlas.store.cells import Status
+from perilune.atlas.survey.initial_solves import RegionSolver, Scan
+from perilune.core.callbacks import ignore_events
+from perilune.core.errors import PeriluneError
 from problems.constrained import bryson_denham, bryson_denham_truth
 
 build = partial(building.build, sample=0)  # proofs have tests of their own

@@ -21,20 +21,21 @@ import pytest
 
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, read_json, snapshot
-from perilune.atlas import building, extending, merging, read
-from perilune.atlas.cells import Status
-from perilune.atlas.columns import cell_type
-from perilune.atlas.covering import covered_share
-from perilune.atlas.extending import extend
-from perilune.atlas.lines import is_cut_off, read_line, written_line
-from perilune.atlas.many import Answered
-from perilune.atlas.merging import merge
-from perilune.atlas.query import open_atlas
-from perilune.atlas.store import HEADER, MANIFEST, AtlasStore
-from perilune.atlas.verify import verify_atlas
+from perilune.atlas.branches.schema import cell_type
+from perilune.atlas.building import build as building, extend as extending, merge as merging
+from perilune.atlas.building.audit import covered_share
+from perilune.atlas.building.extend import extend
+from perilune.atlas.building.merge import merge
+from perilune.atlas.building.verify import verify_atlas
+from perilune.atlas.query import reader as read
+from perilune.atlas.query.batch import Answered
+from perilune.atlas.query.query import open_atlas
+from perilune.atlas.store.cells import Status
+from perilune.atlas.store.manifest import is_cut_off, read_line, written_line
+from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.cli import run_command_line
-from perilune.models.kinds import key_of
-from perilune.words.outcome import NotConvergedError, PeriluneError
+from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.models.catalogue import key_of
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}

@@ -20,17 +20,17 @@ import pytest
 
 from cho import cho_landing
 from command_line import ENVIRONMENT, read_json, snapshot
-from perilune.atlas import building, extending
-from perilune.atlas.lines import written_line
-from perilune.atlas.merging import merge
-from perilune.atlas.query import Atlas, open_atlas
+from perilune.atlas.building import build as building, extend as extending
+from perilune.atlas.building.merge import merge
+from perilune.atlas.building.verify import verify_atlas
+from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.region import region_of, wider
-from perilune.atlas.store import CHECKSUM, HEADER, MANIFEST, AtlasStore, with_checksum
-from perilune.atlas.survey import SurveyedChart
-from perilune.atlas.verify import verify_atlas
+from perilune.atlas.store.manifest import written_line
+from perilune.atlas.store.store import CHECKSUM, HEADER, MANIFEST, AtlasStore, with_checksum
+from perilune.atlas.survey.survey import SurveyedChart
 from perilune.cli import run_command_line
+from perilune.core.errors import PeriluneError
 from perilune.solve import solve
-from perilune.words.outcome import PeriluneError
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 extend = partial(extending.extend, sample=0)

@@ -12,19 +12,19 @@ import pytest
 
 import perilune as pl
 from perilune import PeriluneError
-from perilune.atlas import building
-from perilune.atlas.chart import Chart, Holds
-from perilune.atlas.course import ArcSequence
-from perilune.atlas.extending import extend
-from perilune.atlas.query import open_atlas
-from perilune.atlas.sheets import Borders, Sheet
-from perilune.models.bodies import MOON
-from perilune.models.landing import Orbit, hybrid_landing
-from perilune.models.vehicle import Retro, Vehicle
-from perilune.problem.extremal import Nature
+from perilune.atlas.branches.arc_sequence import ArcSequence
+from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.chart import Chart, Holds
+from perilune.atlas.building import build as building
+from perilune.atlas.building.extend import extend
+from perilune.atlas.query.query import open_atlas
+from perilune.core.arrays import Matrix, Vector
+from perilune.models.landing.problem import Orbit, hybrid_landing
+from perilune.models.physics.bodies import MOON
+from perilune.models.physics.vehicle import Retro, Vehicle
+from perilune.problem.results.extremal import Nature
 from perilune.problem.variables import Given, Variable
 from perilune.structures.structure import Arc, Structure
-from perilune.words.types import Matrix, Vector
 from problems.constrained import timed_bryson_denham
 
 build = partial(building.build, sample=0)  # proofs have tests of their own

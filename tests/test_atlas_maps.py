@@ -13,15 +13,15 @@ from matplotlib.image import imread
 
 from cho import cho_landing
 from command_line import read_json
-from perilune.atlas import building
-from perilune.atlas.many import Answered
-from perilune.atlas.query import Atlas, open_atlas
-from perilune.atlas.slices import sliced
+from perilune.atlas.building import build as building
+from perilune.atlas.query.batch import Answered
+from perilune.atlas.query.query import Atlas, open_atlas
+from perilune.atlas.query.slices import sliced
 from perilune.cli import run_command_line
+from perilune.core.errors import InfeasibleError, PeriluneError
 from perilune.report import atlas_maps as drawing
 from perilune.report.atlas_maps import atlas_maps
 from perilune.solve import solve
-from perilune.words.outcome import InfeasibleError, PeriluneError
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (270.0, 310.0)}

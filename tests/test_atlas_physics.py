@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.atlas.chart import Chart
-from perilune.atlas.physics import point_feasibility
-from perilune.atlas.sheets import Borders
-from perilune.problem.preflight import Finding, is_possible, preflight
+from perilune.atlas.branches.branch import Borders
+from perilune.atlas.branches.chart import Chart
+from perilune.atlas.query.presolve import point_feasibility
+from perilune.problem.presolve import Finding, is_possible, preflight
 from perilune.scenario import load_file
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

@@ -15,22 +15,22 @@ import pytest
 
 import perilune as pl
 from perilune import Indirect, Problem, Scales
-from perilune.atlas import building
-from perilune.atlas.chart import Chart, Holds
-from perilune.atlas.course import PLAIN, arc_sequence_of
-from perilune.atlas.march import _admissible_controls
-from perilune.atlas.query import open_atlas
-from perilune.atlas.reflight import SLACK, ChartReintegration
-from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.solving import RegionSolver
-from perilune.atlas.survey import _has_negative_arc
-from perilune.atlas.tasks import Task, compute_brick
-from perilune.methods.search import Search
-from perilune.methods.structured import StructureRefinement
-from perilune.problem.extremal import Nature
-from perilune.words.outcome import PeriluneError
-from perilune.words.types import Matrix
-from perilune.words.watch import ignore_events
+from perilune.atlas.branches.arc_sequence import PLAIN, arc_sequence_of
+from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.chart import Chart, Holds
+from perilune.atlas.building import build as building
+from perilune.atlas.building.tasks import Task, compute_brick
+from perilune.atlas.evaluate.midpoint_march import _admissible_controls
+from perilune.atlas.evaluate.reintegrate import SLACK, ChartReintegration
+from perilune.atlas.query.query import open_atlas
+from perilune.atlas.survey.initial_solves import RegionSolver
+from perilune.atlas.survey.survey import _has_negative_arc
+from perilune.core.arrays import Matrix
+from perilune.core.callbacks import ignore_events
+from perilune.core.errors import PeriluneError
+from perilune.methods.indirect.search import Search
+from perilune.methods.indirect.structure_search import StructureRefinement
+from perilune.problem.results.extremal import Nature
 from problems.constrained import (
     brachistochrone,
     brachistochrone_truth,

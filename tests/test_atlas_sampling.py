@@ -14,19 +14,19 @@ import pytest
 
 from cho import cho_landing
 from command_line import HYBRID, read_json
-from perilune.atlas import sampling
-from perilune.atlas.building import build
-from perilune.atlas.extending import extend
-from perilune.atlas.lines import written_line
-from perilune.atlas.merging import merge
-from perilune.atlas.query import Atlas, open_atlas
-from perilune.atlas.read import are_possible_answers
-from perilune.atlas.sampling import Certificate, Sample, assured_share, drawn_at_random, drawn_thin, sample_of
-from perilune.atlas.store import MANIFEST, AtlasStore
-from perilune.atlas.verify import AtlasVerification
+from perilune.atlas.building import audit as sampling
+from perilune.atlas.building.audit import Certificate, Sample, assured_share, drawn_at_random, drawn_thin, sample_of
+from perilune.atlas.building.build import build
+from perilune.atlas.building.extend import extend
+from perilune.atlas.building.merge import merge
+from perilune.atlas.building.verify import AtlasVerification
+from perilune.atlas.query.query import Atlas, open_atlas
+from perilune.atlas.query.reader import are_possible_answers
+from perilune.atlas.store.manifest import written_line
+from perilune.atlas.store.store import MANIFEST, AtlasStore
 from perilune.cli import run_command_line
+from perilune.core.errors import PeriluneError
 from perilune.solve import prove
-from perilune.words.outcome import PeriluneError
 
 THRUST = {"vehicle.thrust": (430.0, 450.0)}
 AXES = {**THRUST, "retro.specific_impulse": (270.0, 310.0)}

@@ -12,23 +12,22 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
-from perilune.atlas import building
-from perilune.atlas.branches import cells_reproduce
-from perilune.atlas.cells import WHOLE, Cells, Nodes, Status
-from perilune.atlas.chart import Chart
-from perilune.atlas.course import ArcSequence
-from perilune.atlas.folding import around_folds
-from perilune.atlas.many import Answered
-from perilune.atlas.query import open_atlas
+from perilune.atlas.branches.arc_sequence import ArcSequence
+from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.chart import Chart
+from perilune.atlas.building import build as building
+from perilune.atlas.building.tasks import Task, compute_brick
+from perilune.atlas.query.batch import Answered
+from perilune.atlas.query.query import open_atlas
 from perilune.atlas.region import region_of
-from perilune.atlas.sheets import Borders, Sheet
-from perilune.atlas.solving import RegionSolver
-from perilune.atlas.survey import Survey, SurveyedChart
-from perilune.atlas.tasks import Task, compute_brick
-from perilune.methods.indirect import Indirect
-from perilune.problem.extremal import Nature
+from perilune.atlas.store.cells import WHOLE, Cells, Nodes, Status, cells_reproduce
+from perilune.atlas.survey.folds import around_folds
+from perilune.atlas.survey.initial_solves import RegionSolver
+from perilune.atlas.survey.survey import Survey, SurveyedChart
+from perilune.core.callbacks import ignore_events
+from perilune.methods.indirect.indirect import Indirect
+from perilune.problem.results.extremal import Nature
 from perilune.solve import solve
-from perilune.words.watch import ignore_events
 from problems.folded import cusp, cusp_cost, cusp_ends, two_cusps, two_cusps_cost
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
@@ -206,7 +205,7 @@ def test_a_sheet_that_reaches_no_corner_begins_beside_where_it_was_met(
 ) -> None:
     """In the lattice of its brick, wherever that lies: within half a step."""
     survey, known = beside
-    monkeypatch.setattr("perilune.atlas.survey.continue_sheet_to", lambda *of: np.array([[7.0]]))
+    monkeypatch.setattr("perilune.atlas.survey.survey.continue_sheet_to", lambda *of: np.array([[7.0]]))
     (one,) = survey._with_small(known, SMALL, INSIDE / known.chart.scale, np.array([7.0])).small
     low, high = survey.region.box(one.brick)
     assert (np.abs(one.values * known.chart.scale - INSIDE) <= 0.5001 * (high - low) / WHOLE).all()
@@ -217,7 +216,7 @@ def test_what_switches_by_rounding_is_said_with_its_place(
     beside: tuple[Survey, SurveyedChart], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     survey, known = beside
-    monkeypatch.setattr("perilune.atlas.survey._sided_by_rounding", lambda chart, start: True)
+    monkeypatch.setattr("perilune.atlas.survey.survey._sided_by_rounding", lambda chart, start: True)
     corners: Any = np.zeros((4, 2))
     assert survey._with_these(known, corners, [(INSIDE / known.chart.scale, np.array([7.0]), SMALL)]) is known
     (note,) = survey.notes

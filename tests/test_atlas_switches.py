@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 import perilune as pl
-from perilune.atlas import building
-from perilune.atlas.query import open_atlas
-from perilune.atlas.verify import verify_atlas
+from perilune.atlas.building import build as building
+from perilune.atlas.building.verify import verify_atlas
+from perilune.atlas.query.query import open_atlas
 from test_verify_kinks import SLOPES, push
 
 build = partial(building.build, sample=0)  # proofs have tests of their own

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from perilune.models import atmosphere, standard_atmosphere
-from perilune.models.atmosphere import Air
-from perilune.problem.symbolic import SYMBOLIC
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
+from perilune.core.errors import PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.models.physics import atmosphere, standard_atmosphere
+from perilune.models.physics.atmosphere import Air
+from perilune.problem.casadi_trace import SYMBOLIC
 
 # Table I of the standard: altitude [km], density [kg/m^3]; Table VIII: number densities [1/m^3] by way of them.
 PRINTED = {

@@ -17,17 +17,17 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 import perilune as pl
 from command_line import HYBRID, ORDINARY, read_json
 from perilune.cli import run_command_line
-from perilune.io.export import save
-from perilune.io.reading import LONGEST_TEXT
-from perilune.problem.extremal import Nature
-from perilune.problem.solution import Solution
-from perilune.proof.crossed import check_agreement
-from perilune.proof.listed import confirm_listed_extremals
+from perilune.core.errors import Outcome, PeriluneError
+from perilune.io.json_checks import LONGEST_TEXT
+from perilune.io.save import save
+from perilune.problem.results.extremal import Nature
+from perilune.problem.results.solution import Solution
+from perilune.proof.cross_check import check_agreement
+from perilune.proof.recheck import confirm_listed_extremals
 from perilune.report import REPORT_FILE
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
 from perilune.solve import prove, solve
-from perilune.words.outcome import Outcome, PeriluneError
 
 Change = Callable[[dict[str, Any]], Any]
 
@@ -277,7 +277,7 @@ def test_how_it_was_found_is_not_repeated(hybrid_dir: Path, capsys: pytest.Captu
 
 def test_a_claimed_mesh_error_opens_no_limit(hybrid: Solution) -> None:
     """Level 4 compares within the mesh error, which a file may not choose; nor which method is "another"."""
-    from perilune.methods.pseudospectral import Pseudospectral
+    from perilune.methods.direct.pseudospectral import Pseudospectral
 
     told_error = replace(hybrid.statistics, residual=1e6, claimed=True)
     claimed = replace(hybrid, method="pseudospectral", statistics=told_error, extremals=())
@@ -494,7 +494,7 @@ def test_physics_that_cannot_be_computed_is_not_proved(
 
 
 def test_a_flight_without_end_is_not_proved(hybrid: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("perilune.proof.flight.MOST_EVALUATIONS", 50)
+    monkeypatch.setattr("perilune.proof.feasible.repropagate.MOST_EVALUATIONS", 50)
     checks = {c.name: c for c in pl.verify(hybrid, level=1).checks}
     assert not checks["computable"].passed
     assert "more than 50 evaluations" in checks["computable"].meaning

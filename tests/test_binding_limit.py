@@ -10,16 +10,16 @@ import pytest
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.direct.elastic import elastic_limits, relaxed_problem
-from perilune.io.export import extremals_document
-from perilune.methods.chattering import detect_chattering
-from perilune.methods.coarse import Coarse
-from perilune.methods.indirect import Indirect
-from perilune.methods.infeasibility import with_binding_limit
-from perilune.methods.refusals import NO_EXTREMAL
-from perilune.problem.wording import limit_name, parameter_key, quantity_name
+from perilune.core.errors import NotConvergedError
+from perilune.direct.elastic_constraint import elastic_limits, relaxed_problem
+from perilune.io.save import extremals_document
+from perilune.methods.binding_limit import with_binding_limit
+from perilune.methods.indirect.chattering import detect_chattering
+from perilune.methods.indirect.coarse_direct import Coarse
+from perilune.methods.indirect.diagnosis import NO_EXTREMAL
+from perilune.methods.indirect.indirect import Indirect
+from perilune.problem.display.quantity_names import limit_name, parameter_key, quantity_name
 from perilune.scenario import load_file
-from perilune.words.outcome import NotConvergedError
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 

@@ -11,27 +11,27 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.atlas.physics import point_feasibility
-from perilune.conditions.canonical import extremal_parameters
+from perilune.atlas.query.presolve import point_feasibility
+from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
+from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
 from perilune.families.sweep import sweep
-from perilune.methods.genetic import Genetic
-from perilune.methods.hybrid import Hybrid
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.evolutionary.genetic import Genetic
+from perilune.methods.evolutionary.hybrid import Hybrid
+from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import Bounded
-from perilune.problem.extremal import Nature
 from perilune.problem.phase import Phase
-from perilune.problem.preflight import preflight
+from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
+from perilune.problem.results.extremal import Nature
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check
-from perilune.proof.arc import PhaseData
-from perilune.proof.extremal import _check_range_signs
+from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.necessary.first_order import _check_range_signs
 from perilune.scenario import load_text
-from perilune.shooting.function import Shooting
+from perilune.shooting.shooting_function import Shooting
 from perilune.solve import solve, verify
-from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
 
 Method = Indirect | Pseudospectral
 METHODS: list[Method] = [Indirect(), Pseudospectral()]

@@ -13,7 +13,7 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 
 import perilune as pl
-from perilune.structures.budgets import with_budgets
+from perilune.structures.monotone_limits import with_budgets
 from test_control_law import given, variables
 
 METHODS = (pl.Indirect(), pl.Pseudospectral())

@@ -13,15 +13,15 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import perilune as pl
-from perilune.methods.coarse import Coarse
-from perilune.models import aerodynamics, ellipsoid
-from perilune.models.deorbit import ballistic
+from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.methods.indirect.coarse_direct import Coarse
+from perilune.models.deorbit import ballistic_limits as ballistic
+from perilune.models.physics import aerodynamics, ellipsoid
 from perilune.problem.problem import Problem
 from perilune.scenario import load_file, load_text
-from perilune.structures.read import detect_structures
+from perilune.structures.detect_arcs import detect_structures
 from perilune.structures.structure import conditions_of
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, PeriluneError
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 EXAMPLE = (EXAMPLES / "capsule_return.toml").read_text(encoding="utf-8")

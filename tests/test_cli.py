@@ -16,14 +16,14 @@ import pytest
 from command_line import HYBRID, ORDINARY, ROOT, read_json, snapshot
 from perilune.cli import options, run_command_line
 from perilune.cli.arguments import parse_command_line
-from perilune.families.continued import Continuation
+from perilune.core.callbacks import Iteration
+from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome
+from perilune.families.continuation import Continuation
 from perilune.families.family import Family, FamilyPoint
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.problem.verification import LEVELS
 from perilune.solve import prove
-from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome
-from perilune.words.watch import Iteration
 
 
 def answer_with(monkeypatch: pytest.MonkeyPatch, act: Callable[..., Solution]) -> None:

@@ -17,11 +17,11 @@ import perilune as pl
 from command_line import COMMAND, ENVIRONMENT, HYBRID, ORDINARY, ROOT, read_json, snapshot
 from perilune.cli import run_command_line
 from perilune.cli.progress import SpinnerText
-from perilune.io.files import fresh_directory
+from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.io.atomic_files import fresh_directory
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.scenario import template
-from perilune.words.outcome import InfeasibleError, PeriluneError
 
 PRECISION = str(ROOT / "examples" / "precision_landing.toml")
 THRUST = "vehicle.thrust=440:441:1 N"
@@ -271,7 +271,7 @@ def test_a_failure_does_not_block_its_directory(
 def test_what_a_killed_writer_left_is_removed_by_the_next(tmp_path: Path) -> None:
     program = (
         "import sys, time\n"
-        "from perilune.io.files import fresh_directory\n"
+        "from perilune.io.atomic_files import fresh_directory\n"
         "with fresh_directory(sys.argv[1]) as work:\n"
         "    (work / 'half.txt').write_text('half'); print('there', flush=True); time.sleep(60)"
     )

@@ -20,11 +20,11 @@ import pytest
 
 import perilune
 from command_line import COMMAND, ENVIRONMENT, HYBRID, read_json, snapshot
-from perilune.cli.answer import CommandAnswer, emit_answer
+from perilune.cli.interrupts import defer_interrupt
+from perilune.cli.output import CommandAnswer, emit_answer
 from perilune.cli.progress import progress
-from perilune.cli.stopping import defer_interrupt
+from perilune.core.errors import NotConvergedError
 from perilune.direct import nlp
-from perilune.words.outcome import NotConvergedError
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -133,7 +133,7 @@ def test_ctrl_c_before_there_is_anybody_to_answer_ends_it_without_a_word() -> No
         "slow = [name for name in ('enum', 'typing', 're', 'threading') if name in sys.modules]\n"
         "class Stopped:\n"
         "    def find_spec(self, name, *_):\n"
-        "        name == 'perilune.cli.stopping' and cli.os.kill(cli.os.getpid(), 2)\n"
+        "        name == 'perilune.cli.interrupts' and cli.os.kill(cli.os.getpid(), 2)\n"
         "sys.meta_path.insert(0, Stopped())\n"
         "print(slow, flush=True)\n"
         "cli.main()\n"
@@ -145,7 +145,7 @@ def test_ctrl_c_before_there_is_anybody_to_answer_ends_it_without_a_word() -> No
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="a POSIX signal")
 def test_workers_of_a_killed_program_end() -> None:
     """They hold both ends of the queue from which they are told what to do, and would wait for ever."""
-    killed = "import os; from perilune.cli.sweeping import workers\n"
+    killed = "import os; from perilune.cli.sweep import workers\n"
     killed += "with workers(2) as pool: pool.submit(abs, -1).result(); os.kill(os.getpid(), 9)"
     one = subprocess.Popen([sys.executable, "-c", killed], env=ENVIRONMENT, stdout=subprocess.PIPE)
     assert one.communicate(timeout=30) == (b"", None)  # whoever lives holds the other end of this
@@ -258,7 +258,7 @@ def test_an_answer_that_cannot_be_written_is_told() -> None:
 
 def test_a_stop_that_foreign_code_has_swallowed_is_met_at_the_next_line(monkeypatch: pytest.MonkeyPatch) -> None:
     stopped, log = Event(), deque[str]()
-    monkeypatch.setattr("perilune.cli.stopping.STOPPED", stopped)
+    monkeypatch.setattr("perilune.cli.interrupts.STOPPED", stopped)
     with progress(False, log) as watch:
         watch("one")
         stopped.set()
@@ -268,7 +268,7 @@ def test_a_stop_that_foreign_code_has_swallowed_is_met_at_the_next_line(monkeypa
 
 
 def test_a_stop_waits_until_what_was_computed_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("perilune.cli.stopping.STOPPED", Event())
+    monkeypatch.setattr("perilune.cli.interrupts.STOPPED", Event())
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     done = list[str]()
     with pytest.raises(KeyboardInterrupt), defer_interrupt():
@@ -284,7 +284,7 @@ def test_what_foreign_code_makes_of_a_stop_is_a_stop(
 ) -> None:
     """CasADi takes the exception for one of its own, and the file would be told that there is no flight."""
     stopped = Event()
-    monkeypatch.setattr("perilune.cli.answer.STOPPED", stopped)
+    monkeypatch.setattr("perilune.cli.output.STOPPED", stopped)
 
     def work() -> CommandAnswer:
         stopped.set()

@@ -13,14 +13,14 @@ import pytest
 
 from cho import cho_landing
 from command_line import HYBRID
-from perilune.atlas.building import build
-from perilune.atlas.query import open_atlas
-from perilune.atlas.sampling import sample_of
+from perilune.atlas.building.audit import sample_of
+from perilune.atlas.building.build import build
+from perilune.atlas.query.query import open_atlas
 from perilune.cli import run_command_line
-from perilune.families import cluster as on_cluster
-from perilune.families.cluster import cluster
-from perilune.families.elsewhere import run_on_executor
-from perilune.words.outcome import PeriluneError
+from perilune.core.errors import PeriluneError
+from perilune.families import dask_cluster as on_cluster
+from perilune.families.dask_cluster import cluster
+from perilune.families.executors import run_on_executor
 
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}
 VARY = ["--vary", "vehicle.thrust=430:450 N"]

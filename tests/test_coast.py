@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from perilune.models.bodies import MOON
-from perilune.models.coast import SHORTEST
-from perilune.models.descent import Ignition, Site, powered_descent
-from perilune.models.precision import Approach, Corridor, precision_landing
-from perilune.models.vehicle import Vehicle
-from perilune.problem.preflight import preflight, refuse_impossible
+from perilune.models.descent.problem import Ignition, Site, powered_descent
+from perilune.models.physics.bodies import MOON
+from perilune.models.physics.coast import SHORTEST
+from perilune.models.physics.vehicle import Vehicle
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.report.figures import solution_figures
 from perilune.scenario import load_file
 from perilune.solve import solve

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from perilune.core.errors import PeriluneError
 from perilune.direct.collocation import Polynomial, differentiation_matrix, interpolation_matrix, rule
-from perilune.words.outcome import PeriluneError
 
 SCHEMES = [("gauss", 1), ("radau", 2)]
 

@@ -16,10 +16,10 @@ from scipy.optimize import brentq, minimize
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.conditions.singular import singular_control
-from perilune.problem.unpriced import cost_states, unpriced_states
-from perilune.structures.chattering import find_chattering_arc
-from perilune.words.outcome import PeriluneError
+from perilune.conditions.singular_control import singular_control
+from perilune.core.errors import PeriluneError
+from perilune.problem.tracing.costate_signs import cost_states, unpriced_states
+from perilune.structures.chattering_boundary import find_chattering_arc
 from problems.goddard import goddard
 from test_control_law import given, slide, variables
 
@@ -410,8 +410,8 @@ def test_costates_of_another_cart_are_no_proof() -> None:
 def test_a_theorem_of_what_only_counts() -> None:
     pytest.importorskip("flint")
     from perilune.problem.verification import Verification
-    from perilune.rigorous.check_certificate import confirm
     from perilune.rigorous.verified import add_theorem_checks
+    from perilune_checker.check import confirm
 
     solution = pl.solve(counted(), level=5)
     assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 5)
@@ -425,9 +425,9 @@ def test_a_theorem_of_what_only_counts() -> None:
 def test_a_certificate_that_asks_for_what_is_counted_is_refused() -> None:
     pytest.importorskip("flint")
     from perilune.problem.verification import Verification
-    from perilune.rigorous.certified.expressions import Failed
-    from perilune.rigorous.check_certificate import confirm
     from perilune.rigorous.verified import add_theorem_checks
+    from perilune_checker.check import confirm
+    from perilune_checker.expressions import Failed
 
     told = add_theorem_checks(Verification(checks=()), pl.solve(counted())).certificate
     forged = json.loads(json.dumps(told))

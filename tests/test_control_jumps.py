@@ -11,8 +11,8 @@ from scipy.optimize import minimize
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.proof.arc import PhaseData
-from perilune.proof.singular import Singular
+from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.sufficient.singular_arcs import Singular
 from test_control_law import given, slide, variables
 
 METHODS = (pl.Indirect(), pl.Pseudospectral())

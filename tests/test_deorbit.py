@@ -14,19 +14,19 @@ import pytest
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.io.made import model_document
-from perilune.io.physics import physics_document
-from perilune.models import standard_atmosphere
-from perilune.models.atmosphere import tabulated
-from perilune.models.bodies import Planet
+from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.io.model_records import model_document
+from perilune.io.problem_json import physics_document
+from perilune.models.deorbit.initial_guess import impulsive_deorbit
 from perilune.models.deorbit.opportunities import opportunities
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
-from perilune.models.deorbit.times import impulsive_deorbit
-from perilune.problem.preflight import preflight
+from perilune.models.physics import standard_atmosphere
+from perilune.models.physics.atmosphere import tabulated
+from perilune.models.physics.bodies import Planet
+from perilune.problem.presolve import preflight
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file, load_text, template
-from perilune.words.outcome import InfeasibleError, PeriluneError
 
 # Liu, Liu, Wu 2019, and what it leaves open: a blunt capsule, exponential air, and a site in the orbit's plane.
 BODY = Planet(

@@ -13,20 +13,26 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from perilune.methods.breaches import solution_violations
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.bodies import Body
-from perilune.models.descent import Ignition, Site, Steering, powered_descent
-from perilune.models.landing import Vehicle
-from perilune.models.precision import Approach, Corridor, precision_landing
-from perilune.models.rotating import heading_axes, local_axes, potential, spherical_coordinates, zonal_gravity
-from perilune.problem.preflight import preflight, refuse_impossible
+from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.violations import solution_violations
+from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
+from perilune.models.landing.problem import Vehicle
+from perilune.models.physics.bodies import Body
+from perilune.models.physics.rotating_frame import (
+    heading_axes,
+    local_axes,
+    potential,
+    spherical_coordinates,
+    zonal_gravity,
+)
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.solve import verify
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, PeriluneError
 
 # Peng et al. 2012 (25)-(27) as decoded; mu is not printed, and the printed fuel needs g0 = 9.80.
 PENG_MOON = Body(name="moon", gravitational_parameter=4902.8e9, radius=1738e3, rotation_rate=2.6617e-6)

@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.io.export import save
-from perilune.io.reload import load
-from perilune.models.atmosphere import tabulated
-from perilune.models.bodies import EARTH
+from perilune.core.errors import PeriluneError
+from perilune.io.load import load
+from perilune.io.save import save
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import (
     Atmosphere,
@@ -30,9 +29,10 @@ from perilune.models.deorbit.records import (
     Separation,
     Transition,
 )
-from perilune.problem.solution import Curve, Solution
-from perilune.problem.views import Disturbance
-from perilune.words.outcome import PeriluneError
+from perilune.models.physics.atmosphere import tabulated
+from perilune.models.physics.bodies import EARTH
+from perilune.problem.display.views import Disturbance
+from perilune.problem.results.solution import Curve, Solution
 from return_by_scipy import backwards, fly
 
 ORBIT = ReturnOrbit(

@@ -23,9 +23,9 @@ import pytest
 
 from cho import cho_landing
 from perilune.cli import run_command_line
-from perilune.problem.solution import Solution
+from perilune.core.errors import Outcome
+from perilune.problem.results.solution import Solution
 from perilune.solve import prove, solve
-from perilune.words.outcome import Outcome
 from test_layers import ROOMS
 
 ROOT = Path(__file__).parent.parent

@@ -12,15 +12,22 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from perilune.models import aerodynamics, ellipsoid
-from perilune.models.aerodynamics import sphere_cone_drag_area
-from perilune.models.atmosphere import exponential
+from perilune.core.maths import NUMERIC
 from perilune.models.deorbit import orbit
-from perilune.models.deorbit.flight import entry_rates
-from perilune.models.flight_path import FlightPath, flight_path, flight_path_rates, path_axes, to_cartesian
-from perilune.models.rotating import combine, free_acceleration, local_axes, potential, scalar_product, zonal_gravity
-from perilune.problem.symbolic import SYMBOLIC
-from perilune.words.maths import NUMERIC
+from perilune.models.deorbit.dynamics import entry_rates
+from perilune.models.physics import aerodynamics, ellipsoid
+from perilune.models.physics.aerodynamics import sphere_cone_drag_area
+from perilune.models.physics.atmosphere import exponential
+from perilune.models.physics.flight_path import FlightPath, flight_path, flight_path_rates, path_axes, to_cartesian
+from perilune.models.physics.rotating_frame import (
+    combine,
+    free_acceleration,
+    local_axes,
+    potential,
+    scalar_product,
+    zonal_gravity,
+)
+from perilune.problem.casadi_trace import SYMBOLIC
 
 AXIS = (0.0, 0.0, 1.0)
 MU, RADIUS, TURN, J2 = 3.986004418e14, 6378137.0, 7.292115e-5, 1.08262668e-3

@@ -31,25 +31,25 @@ pytest.importorskip("starlette", reason="the explorer needs starlette: pip insta
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-import perilune.app.answering
+import perilune.app.answers
 from explored import ROOT, atlas_of_the_jump, served
 from perilune import PeriluneError, Problem, Solution
-from perilune.app.answering import Answering, meets_path_constraints
-from perilune.app.beside import SupersededWork, WorkerKilled, WorkerProcess, in_thread
+from perilune.app.answers import Answering, meets_path_constraints
+from perilune.app.background import compare_with_cold_start, prove_timed
 from perilune.app.client import MESSAGE, Client, parse_request
 from perilune.app.files import page_files
-from perilune.app.frames import ALL_DIGITS, flight_message, opening_message, round_to_digits
-from perilune.app.frozen import static_page
-from perilune.app.resting import compare_with_cold_start, prove_timed
+from perilune.app.messages import ALL_DIGITS, flight_message, opening_message, round_to_digits
 from perilune.app.slices import Slices
-from perilune.app.subject import Subject, subject_of
+from perilune.app.source import Subject, subject_of
+from perilune.app.static_page import static_page
+from perilune.app.worker import SupersededWork, WorkerKilled, WorkerProcess, in_thread
 from perilune.cli.commands import run_command
-from perilune.io.export import save
-from perilune.problem.preflight import preflight, refuse_impossible
+from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.errors import InfeasibleError, NotConvergedError
+from perilune.io.save import save
+from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
-from perilune.words.outcome import InfeasibleError, NotConvergedError
-from perilune.words.watch import Watch, ignore_events
 
 ISP = "retro_specific_impulse"
 
@@ -288,7 +288,7 @@ def test_nothing_outlives_it(subject: Subject) -> None:
             _told(page, "proof")
             process.kill()
         process.communicate(timeout=10)  # which ends when nobody is left who could write
-    work = "import asyncio, time; from perilune.app.beside import in_thread"
+    work = "import asyncio, time; from perilune.app.worker import in_thread"
     run = "asyncio.run(asyncio.wait_for(in_thread(time.sleep, 60), 0.1))"
     with pytest.raises(subprocess.CalledProcessError):  # by the timeout inside, not the one outside
         subprocess.run([sys.executable, "-c", f"{work}; {run}"], check=True, timeout=20, capture_output=True)
@@ -346,7 +346,7 @@ def test_what_is_computed_for_a_page_that_has_gone_is_dropped(monkeypatch: pytes
 
 def test_newer_values_do_not_end_the_first_flight_from_which_they_are_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     """At theirs nothing may be found for minutes, and each of them would begin to look for it anew."""
-    solve, nudged = perilune.app.answering.solve, Event()
+    solve, nudged = perilune.app.answers.solve, Event()
 
     def slow(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         if guess is None:  # and nothing is at other values
@@ -366,7 +366,7 @@ def test_newer_values_do_not_end_the_first_flight_from_which_they_are_followed(m
         assert [(said["number"], said.get("source")) for said in flights] == [(0, "nothing"), (1, "neighbour")]
 
     subject = subject_of(None)
-    monkeypatch.setattr("perilune.app.answering.solve", slow)
+    monkeypatch.setattr("perilune.app.answers.solve", slow)
     for name in ("_TELL", "_SLOW"):
         monkeypatch.setattr(f"perilune.app.client.{name}", 0.01)
     _told_to(subject, story)
@@ -430,7 +430,7 @@ def test_a_saved_flight_is_shown_as_it_was_saved_and_made_anew_once_to_be_follow
 ) -> None:
     """Solving it again may take longer than a page waits, and newer values do not end what they are followed from."""
     save(solve(load_file(ROOT / "examples" / "hybrid_lander.toml").problem, level=0), tmp_path / "run")
-    subject, solve_it, asked = subject_of(tmp_path / "run"), perilune.app.answering.solve, list[float]()
+    subject, solve_it, asked = subject_of(tmp_path / "run"), perilune.app.answers.solve, list[float]()
 
     def noted(problem: Problem, **more: Any) -> Solution:
         asked.append(problem.given["vehicle_thrust"].value)
@@ -442,7 +442,7 @@ def test_a_saved_flight_is_shown_as_it_was_saved_and_made_anew_once_to_be_follow
             return
         raise SupersededWork
 
-    monkeypatch.setattr("perilune.app.answering.solve", noted)
+    monkeypatch.setattr("perilune.app.answers.solve", noted)
     answering, first = Answering(subject.problem, None, subject.known), {k.name: k.value for k in subject.knobs}
     found = answering.at(first, newer)
     assert found.solution is subject.known and found.words == "as it was saved" and not asked
@@ -562,8 +562,8 @@ def test_a_page_without_an_atlas_jumps_too() -> None:
 def test_what_moves_on_a_page_is_chosen_and_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("perilune.app.frozen._BOTH", 3)
-    monkeypatch.setattr("perilune.app.frozen._ALONG", 2)
+    monkeypatch.setattr("perilune.app.static_page._BOTH", 3)
+    monkeypatch.setattr("perilune.app.static_page._ALONG", 2)
     file, ask = tmp_path / "page.html", ["explore", str(ROOT / "examples" / "hybrid_lander.toml"), "--html"]
     vary = ["--vary", "vehicle.thrust=429:450 N", "--vary", "retro.specific_impulse=270:290 s"]
     assert run_command([*ask, str(file), *vary]) == 0
@@ -593,7 +593,7 @@ def test_what_moves_on_a_page_is_chosen_and_said(
 def test_a_page_that_needs_no_server_is_written_without_one() -> None:
     """Who only sends pages has no need of its packages."""
     missing = "import sys; sys.modules.update(dict.fromkeys(['starlette', 'uvicorn', 'websockets']))"
-    subprocess.run([sys.executable, "-c", f"{missing}; import perilune.app.frozen"], check=True)
+    subprocess.run([sys.executable, "-c", f"{missing}; import perilune.app.static_page"], check=True)
 
 
 def _light(colour: str) -> float:
@@ -620,15 +620,15 @@ def test_a_neighbour_that_never_comes_is_given_up(monkeypatch: pytest.MonkeyPatc
     """Newton's method may go on for minutes from a flight that leads nowhere; from nothing there is one at once."""
     answering = Answering(load_text((ROOT / "examples" / "hybrid_lander.toml").read_text()))
     answering.at({})
-    solve = perilune.app.answering.solve
+    solve = perilune.app.answers.solve
 
     def lost(problem: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         while guess is not None:
             watch("structure: of many arcs")
         return solve(problem, level=level, watch=watch)
 
-    monkeypatch.setattr("perilune.app.answering.solve", lost)
-    monkeypatch.setattr("perilune.app.answering._FOLLOW", 0.1)
+    monkeypatch.setattr("perilune.app.answers.solve", lost)
+    monkeypatch.setattr("perilune.app.answers._FOLLOW", 0.1)
     began = time.monotonic()
     found = answering.at({"vehicle_thrust": 445.0})
     assert found.source == "nothing" and time.monotonic() - began < 5.0
@@ -648,7 +648,7 @@ def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_th
 ) -> None:
     """Where Newton's method reaches 3 N at most; 440 to 450 N is the whole, two halves, and then four quarters."""
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
-    solve, tried = perilune.app.answering.solve, list[float]()
+    solve, tried = perilune.app.answers.solve, list[float]()
 
     def near(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         if guess is None:
@@ -665,7 +665,7 @@ def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_th
             raise SupersededWork
 
     first = answering.at({}).solution
-    monkeypatch.setattr("perilune.app.answering.solve", near)
+    monkeypatch.setattr("perilune.app.answers.solve", near)
     with pytest.raises(SupersededWork):
         answering.at({"vehicle_thrust": 450.0}, dropping)
     assert tried == [450.0, 445.0, 442.5, 445.0]
@@ -679,7 +679,7 @@ def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_th
 def test_a_step_that_leads_nowhere_leaves_time_to_smaller_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """It took all there was: Newton's method fails at once, and what is tried behind it takes long."""
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
-    solve = perilune.app.answering.solve
+    solve = perilune.app.answers.solve
 
     def lost(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         if guess is None:
@@ -689,8 +689,8 @@ def test_a_step_that_leads_nowhere_leaves_time_to_smaller_ones(monkeypatch: pyte
         return solve(asked, guess=guess, level=level, watch=watch)
 
     answering.at({})
-    monkeypatch.setattr("perilune.app.answering.solve", lost)
-    monkeypatch.setattr("perilune.app.answering._FOLLOW", 1.5)
+    monkeypatch.setattr("perilune.app.answers.solve", lost)
+    monkeypatch.setattr("perilune.app.answers._FOLLOW", 1.5)
     answering.patience = 60.0  # as long as the first flight took
     assert "followed in 2 steps" in answering.at({"vehicle_thrust": 445.0}).words
 
@@ -698,7 +698,7 @@ def test_a_step_that_leads_nowhere_leaves_time_to_smaller_ones(monkeypatch: pyte
 def test_the_last_attempt_is_one_step_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the way in one step; behind it no smaller one leads on, but the whole rest."""
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
-    solve, led = perilune.app.answering.solve, {(440.0, 442.5), (442.5, 450.0)}
+    solve, led = perilune.app.answers.solve, {(440.0, 442.5), (442.5, 450.0)}
 
     def near(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         if guess is None:
@@ -709,7 +709,7 @@ def test_the_last_attempt_is_one_step_more(monkeypatch: pytest.MonkeyPatch) -> N
         return solve(asked, guess=guess, level=level, watch=watch)
 
     answering.at({})
-    monkeypatch.setattr("perilune.app.answering.solve", near)
+    monkeypatch.setattr("perilune.app.answers.solve", near)
     assert "followed in 2 steps" in answering.at({"vehicle_thrust": 450.0}).words
 
 
@@ -718,14 +718,14 @@ def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_valu
 ) -> None:
     """It may hold values that a slider reached from neighbour to neighbour."""
     problem = load_file(ROOT / "examples" / "hybrid_lander.toml").problem
-    solve = perilune.app.answering.solve
+    solve = perilune.app.answers.solve
 
     def hard(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         if guess is None and asked.given != problem.given:
             raise NotConvergedError("no extremal was found")
         return solve(asked, guess=guess, level=level, watch=watch)
 
-    monkeypatch.setattr("perilune.app.answering.solve", hard)
+    monkeypatch.setattr("perilune.app.answers.solve", hard)
     found = Answering(problem).at({"vehicle_thrust": 445.0})
     assert found.source == "neighbour" and found.solution.problem.given["vehicle_thrust"].value == 445.0
     assert found.words.endswith("none was found from nothing")
@@ -733,22 +733,22 @@ def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_valu
 
 def test_a_link_to_what_is_not_found_soon_is_reached_from_the_first_values(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = load_file(ROOT / "examples" / "hybrid_lander.toml").problem
-    solve = perilune.app.answering.solve
+    solve = perilune.app.answers.solve
 
     def long(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
         while guess is None and asked.given != problem.given:
             watch("looking for it")
         return solve(asked, guess=guess, level=level, watch=watch)
 
-    monkeypatch.setattr("perilune.app.answering.solve", long)
-    monkeypatch.setattr("perilune.app.answering._FOLLOW", 0.5)
+    monkeypatch.setattr("perilune.app.answers.solve", long)
+    monkeypatch.setattr("perilune.app.answers._FOLLOW", 0.5)
     found = Answering(problem).at({"vehicle_thrust": 440.1})
     assert found.source == "neighbour" and found.words.endswith("none was found from nothing in 0.5 s of CPU")
 
 
 def test_a_neighbour_that_breaks_a_condition_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a guess `solve` follows the extremal alone, here out of the bounds of steering, and further on underground."""
-    monkeypatch.setattr("perilune.app.answering._LOOK", 60.0)  # s: what is found from nothing tells why
+    monkeypatch.setattr("perilune.app.answers._LOOK", 60.0)  # s: what is found from nothing tells why
     answering = Answering(load_file(ROOT / "examples" / "polar_descent.toml").problem)
     assert meets_path_constraints(answering.at({"site_longitude": math.radians(7.0)}).solution)
     with pytest.raises(PeriluneError, match=r"the best misses steering.azimuth_upper by about 11 deg"):

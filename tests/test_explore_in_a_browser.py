@@ -15,8 +15,8 @@ playwright = pytest.importorskip("playwright.sync_api", reason="these tests need
 pytest.importorskip("starlette", reason="the explorer needs starlette: pip install 'perilune[explore]'")
 
 from explored import CHROMIUM, QUIET, ROOT, atlas_of_the_jump, drag, served, until  # noqa: E402
-from perilune.app.frozen import static_page  # noqa: E402
-from perilune.app.subject import subject_of  # noqa: E402
+from perilune.app.source import subject_of  # noqa: E402
+from perilune.app.static_page import static_page  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="these tests need a browser: apt-get install chromium")
 ISP = "#knob-retro_specific_impulse"

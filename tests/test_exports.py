@@ -19,17 +19,17 @@ from scipy.spatial.transform import Rotation
 import perilune as pl
 from command_line import HYBRID, ROOT, read_json
 from perilune.cli import run_command_line
+from perilune.core.errors import PeriluneError
 from perilune.io.exports.czml import attitudes, join_legs
 from perilune.io.exports.epochs import stamp
 from perilune.io.exports.path import LOST, InertialLeg, legs
 from perilune.io.exports.table import flight_table
 from perilune.io.exports.tabular import write_netcdf
-from perilune.models.bodies import MARS, MOON, Body
-from perilune.models.landing import Orbit, Vehicle, hybrid_landing
-from perilune.models.time_scales import leap_seconds_within
-from perilune.problem.solution import Solution
+from perilune.models.landing.problem import Orbit, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import MARS, MOON, Body
+from perilune.models.physics.time_scales import leap_seconds_within
+from perilune.problem.results.solution import Solution
 from perilune.scenario import load_file
-from perilune.words.outcome import PeriluneError
 
 EPOCH = "2030-01-01T00:00:00"
 LATE = "2199-12-31T23:59:59"

@@ -21,13 +21,13 @@ import pytest
 from cho import cho_landing
 from command_line import read_json
 from perilune.cli import run_command_line
+from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
 from perilune.report.family import family_csv
 from perilune.solve import prove, solve
-from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from problems.landings import meditch
 
 GRID = {"vehicle.thrust": [440.0, 500.0], "vehicle.mass": [290.0, 300.0, 310.0]}

@@ -14,16 +14,16 @@ from matplotlib.colors import to_hex
 from cho import cho_landing
 from command_line import ROOT
 from perilune.cli import run_command_line
+from perilune.core.errors import Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
-from perilune.problem.solution import Solution
-from perilune.report import contours
-from perilune.report.contours import OVER_WEIGHT, family_map, map_names, require_map
+from perilune.problem.results.solution import Solution
+from perilune.report import contour_map as contours
+from perilune.report.contour_map import OVER_WEIGHT, family_map, map_names, require_map
 from perilune.report.family import write_family
 from perilune.report.figures import solution_drawings
 from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.outcome import Outcome, PeriluneError
 
 THRUSTS, MASSES = [420.0, 460.0, 500.0], [290.0, 300.0, 310.0, 320.0]
 

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from perilune.core.errors import Outcome
 from perilune.families.family import Family, FamilyPoint
 from perilune.io.columns import Column
-from perilune.io.export import trajectory_csv
-from perilune.problem.solution import Solution
+from perilune.io.save import trajectory_csv
+from perilune.problem.results.solution import Solution
 from perilune.report.family import family_csv, family_document
 from perilune.report.figures import label, save_figure, solution_figures
-from perilune.report.histories import _costate_symbol
+from perilune.report.time_histories import _costate_symbol
 from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.outcome import Outcome
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 

@@ -7,12 +7,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
+from perilune.core.maths import NUMERIC
+from perilune.direct.collocated_solution import Sampler
 from perilune.direct.first_guess import first_guesses
-from perilune.direct.flown_guess import NODES, fitting_segments, simulate_guess, winds_repeatedly
-from perilune.direct.segments import Sampler
+from perilune.direct.propagated_guess import NODES, fitting_segments, simulate_guess, winds_repeatedly
 from perilune.problem.controls import admissible
 from perilune.problem.problem import Problem
-from perilune.words.maths import NUMERIC
 from problems import LIBRARY
 from problems.ascents import TWO_STAGES, staged_launch
 from problems.constrained import deorbit, mars_glide_slope

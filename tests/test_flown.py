@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.methods.answer import Curves
-from perilune.methods.flown import correct_last_digits, propagate_for_export, propagate_in_one_piece
-from perilune.methods.search import Search
+from perilune.core.callbacks import ignore_events
+from perilune.core.errors import NotConvergedError
+from perilune.methods.indirect.export_arcs import correct_last_digits, propagate_for_export, propagate_in_one_piece
+from perilune.methods.indirect.result import Curves
+from perilune.methods.indirect.search import Search
 from perilune.problem.variables import Given, Variable
-from perilune.shooting.function import Root, Shooting
-from perilune.words.outcome import NotConvergedError
-from perilune.words.watch import ignore_events
+from perilune.shooting.shooting_function import Root, Shooting
 from test_control_law import given, variables
 
 
@@ -82,7 +82,7 @@ def test_a_flight_that_cannot_be_cut_ends_where_it_should(monkeypatch: pytest.Mo
     """Newton's flights are rougher than those exported: of as many phases as along a limit by 1e-12 times 1e5."""
     problem = saddle(8.0)
     near = pl.solve(problem, level=0)
-    monkeypatch.setattr("perilune.methods.flown._JOINED", -1)
+    monkeypatch.setattr("perilune.methods.indirect.export_arcs._JOINED", -1)
     monkeypatch.setattr("perilune.shooting.newton.FINEST", 1e-9)  # and of one phase by 1e-9 times a few
     found = pl.Indirect().run(problem.with_given(side=1.1), near)
     assert found.trajectories[0].state(1.0)[0] == pytest.approx(1.1, rel=1e-11)
@@ -128,8 +128,10 @@ def test_of_what_rounding_leaves_the_least_is_kept(
         tried.append(y)
         return []
 
-    monkeypatch.setattr("perilune.methods.flown.propagate_in_one_piece", flown)
-    monkeypatch.setattr("perilune.methods.flown._end_residual", lambda *_, **__: np.full(len(plan.rows), next(still)))
+    monkeypatch.setattr("perilune.methods.indirect.export_arcs.propagate_in_one_piece", flown)
+    monkeypatch.setattr(
+        "perilune.methods.indirect.export_arcs._end_residual", lambda *_, **__: np.full(len(plan.rows), next(still))
+    )
     best, least = correct_last_digits(problem, conditions, start, plan.rows, plan.active)
     assert len(tried) == flights and best.y is tried[kept]
     assert least == (left[kept] if math.isfinite(left[kept]) else math.inf)

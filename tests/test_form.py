@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
-from perilune.io.tapes import tape_of
+from perilune.core.complex_step import COMPLEX
+from perilune.core.errors import PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.io.tape_json import tape_of
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Given, Variable
-from perilune.words.derivatives import COMPLEX
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
 from test_problem import slider
 
 

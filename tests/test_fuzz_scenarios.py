@@ -11,8 +11,8 @@ from types import ModuleType
 import pytest
 
 from perilune.cli import run_command_line
+from perilune.core.errors import PeriluneError
 from perilune.scenario import load_file
-from perilune.words.outcome import PeriluneError
 
 ROOT = Path(__file__).parent.parent
 CAPSULE = str(ROOT / "examples" / "maps" / "capsule.toml")

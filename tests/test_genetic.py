@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.methods.fitness import ControlFitness, CostateFitness
-from perilune.methods.genetic import Generation, Genetic
-from perilune.methods.hybrid import Hybrid
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.evolutionary.fitness import ControlFitness, CostateFitness
+from perilune.methods.evolutionary.genetic import Generation, Genetic
+from perilune.methods.evolutionary.hybrid import Hybrid
+from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import Bounded
 from perilune.problem.variables import Variable
-from perilune.words.outcome import NotConvergedError, PeriluneError
 from test_descent import PENG_STEERING, peng
 from test_indirect import impossible_steering, tangent_steering
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.methods.indirect import Indirect
-from perilune.models.descent_frames import variables_of_unit
+from perilune.methods.indirect.indirect import Indirect
+from perilune.models.descent.coordinates import variables_of_unit
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem

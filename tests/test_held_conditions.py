@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.conditions.held import best_direction
-from perilune.problem.solution import Curve, Solution
-from perilune.words.outcome import PeriluneError
+from perilune.conditions.active_constraints import best_direction
+from perilune.core.errors import PeriluneError
+from perilune.problem.results.solution import Curve, Solution
 from test_control_law import given, variables
 
 

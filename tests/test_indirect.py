@@ -11,24 +11,24 @@ import pytest
 
 from cho import cho_landing
 from newton_toys import toy
-from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.methods.assemble import _reconcile_switch_values
-from perilune.methods.indirect import Indirect
-from perilune.problem.nodes import hermite_nodes
-from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution
-from perilune.problem.variables import Free, Given, Variable
-from perilune.shooting.continuation import Member, follow_family
-from perilune.shooting.function import Root, Shooting
-from perilune.shooting.newton import Columns, newton
-from perilune.solve import solve
-from perilune.words.outcome import (
+from perilune.core.callbacks import Iteration
+from perilune.core.errors import (
     NotConvergedError,
     Outcome,
     PeriluneError,
 )
-from perilune.words.watch import Iteration
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.unknowns import _reconcile_switch_values
+from perilune.problem.problem import Problem
+from perilune.problem.results.hermite_nodes import hermite_nodes
+from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.variables import Free, Given, Variable
+from perilune.shooting.continuation import Member, follow_family
+from perilune.shooting.newton import Columns, newton
+from perilune.shooting.shooting_function import Root, Shooting
+from perilune.solve import solve
 from problems.ascents import tangent_steering
 
 

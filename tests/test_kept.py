@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import attainable_conditions, derive
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.methods.rungs import ColdStarts
-from perilune.models.descent_frames import variables_of_unit
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.initializers import ColdStarts
+from perilune.models.descent.coordinates import variables_of_unit
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem

@@ -15,12 +15,12 @@ from hypothesis import given as given_by, strategies as st
 from scipy.optimize import brentq
 
 import perilune as pl
-from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import attainable_conditions, derive
-from perilune.conditions.scalars import Scalar, _condition_zeros_on_line, minimise_interior_scalars, pivots
-from perilune.methods.judge import AdmissibilityTest
+from perilune.conditions.scalar_regimes import Scalar, _condition_zeros_on_line, minimise_interior_scalars, pivots
+from perilune.methods.indirect.admissibility import AdmissibilityTest
 from perilune.problem.controls import Settled
-from perilune.shooting.function import Shooting
+from perilune.shooting.shooting_function import Shooting
 from problems.entry import limited_entry
 from test_control_law import given, slide, variables
 

@@ -10,13 +10,13 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.methods import structured
-from perilune.problem.neighbours import move_start, with_start_offsets
-from perilune.problem.solution import Solution
-from perilune.structures import read as reading
-from perilune.structures.carry import JoinedTrajectories
-from perilune.structures.read import detect_own_structures, detect_structures
-from perilune.words.deferred import Deferred
+from perilune.core.lazy import Deferred
+from perilune.methods.indirect import structure_search as structured
+from perilune.problem.perturbed import move_start, with_start_offsets
+from perilune.problem.results.solution import Solution
+from perilune.structures import detect_arcs as reading
+from perilune.structures.detect_arcs import detect_own_structures, detect_structures
+from perilune.structures.split_join import JoinedTrajectories
 from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham
 
 

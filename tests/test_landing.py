@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from cho import CHO_MOON, cho_landing
-from perilune.methods.indirect import Indirect
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
-from perilune.problem.extremal import Nature
+from perilune.core.errors import InfeasibleError, Outcome, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.methods.indirect.indirect import Indirect
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing, perilune_speed
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.extremal import Nature
+from perilune.problem.results.solution import Solution
 from perilune.problem.variables import Given
 from perilune.report.summary import solution_summary
 from perilune.solve import solve
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 
 
 def test_perilune_speed(landing: Problem) -> None:

@@ -11,9 +11,9 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import perilune as pl
-from perilune.io.tapes import tape_of
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
+from perilune.core.errors import PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.io.tape_json import tape_of
 from test_control_law import given, variables
 
 
@@ -280,7 +280,7 @@ def test_air_in_layers_and_in_a_table(kind: str) -> None:
 def test_a_table_is_its_data_everywhere(kind: Any) -> None:
     import casadi as ca
 
-    from perilune.problem.symbolic import SYMBOLIC
+    from perilune.problem.casadi_trace import SYMBOLIC
 
     table = pl.Table((0.0, 1.0, 2.0, 4.0), (1.0, 3.0, 3.5, 3.6), kind)
     x = np.array([-0.5, 0.0, 0.3, 1.0, 1.7, 2.0, 3.9, 4.0, 5.0])

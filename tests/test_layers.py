@@ -10,20 +10,45 @@ from pathlib import Path
 
 import pytest
 
-SOURCE = Path(__file__).parent.parent / "src" / "perilune"
+SOURCE = Path(__file__).parent.parent / "src"
 # From the ground up: a room imports only from rooms before it. `docs/architecture.md` says what lives in each.
 ROOMS = (
-    "words", "problem", "kernels", "conditions", "shooting", "structures", "direct", "methods", "proof", "rigorous",
-    "solve", "models", "scenario", "io", "families", "atlas", "report", "reproductions", "app", "cli", "__main__",
-)  # fmt: skip
+    "perilune_checker",
+    "core",
+    "problem",
+    "kernels",
+    "conditions",
+    "shooting",
+    "structures",
+    "direct",
+    "methods",
+    "proof",
+    "rigorous",
+    "solve",
+    "models",
+    "scenario",
+    "io",
+    "families",
+    "atlas",
+    "report",
+    "perilune_papers",
+    "app",
+    "cli",
+    "__main__",
+)
 FACE = "__init__"  # of the package: it names what is handed on, lazily
 FILES = sorted(SOURCE.rglob("*.py"))
 MATHEMATICS = ROOMS[: ROOMS.index("models")]
 
 
 def module_of(path: Path) -> str:
-    """Dotted name below perilune; a package's own file has the package's name."""
-    return ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
+    """Return the dotted name of a module, without `perilune.`; a package's own file has the package's name."""
+    dotted = ".".join(path.relative_to(SOURCE).with_suffix("").parts)
+    return dotted.removeprefix("perilune.").removesuffix(".__init__")
+
+
+def is_ours(dotted: str) -> bool:
+    return dotted.partition(".")[0] in ("perilune", "perilune_checker", "perilune_papers")
 
 
 def room_of(module: str) -> str:
@@ -46,9 +71,9 @@ def imported_and_named(path: Path) -> tuple[frozenset[str], frozenset[str]]:
         if isinstance(node, ast.Name):
             names.add(node.id)
         elif isinstance(node, ast.Import):
-            found |= {a.name.removeprefix("perilune.") for a in node.names if a.name.startswith("perilune.")}
-        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "perilune":
-            base = node.module.removeprefix("perilune").removeprefix(".")
+            found |= {a.name.removeprefix("perilune.") for a in node.names if is_ours(a.name)}
+        elif isinstance(node, ast.ImportFrom) and node.module and is_ours(node.module):
+            base = f"{node.module}.".removeprefix("perilune.").removesuffix(".")
             for alias in node.names:
                 inner = f"{base}.{alias.name}".removeprefix(".")
                 found.add(inner if inner in modules() else base or FACE)
@@ -86,10 +111,18 @@ def test_no_files_import_each_other_in_a_circle() -> None:
 
 def test_the_checks_see_what_is_wrong(tmp_path: Path) -> None:
     file = tmp_path / "problem.py"
-    file.write_text("def f():\n    from perilune.cli.commands import obey\n    import perilune.words.units\n")
-    assert imported(file) == {"cli.commands", "words.units"}
+    file.write_text("def f():\n    from perilune.cli.commands import obey\n    import perilune.core.units\n")
+    assert imported(file) == {"cli.commands", "core.units"}
     assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}})
     assert not circle({"a": {"b"}, "b": {"c"}, "c": set()})
+
+
+def test_the_checker_of_certificates_stands_alone() -> None:
+    """Its confirmation is worth something only if nothing of the prover takes part in it."""
+    checker = [path for path in FILES if room_of(module_of(path)) == "perilune_checker"]
+    assert checker
+    for path in checker:
+        assert {room_of(module) for module in imported(path)} <= {"perilune_checker"}, path
 
 
 def test_mathematics_knows_no_rockets() -> None:

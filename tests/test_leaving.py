@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.methods.search import Search
-from perilune.methods.structured import StructureRefinement
-from perilune.problem.solution import Curve, Solution
-from perilune.structures.carry import split_solution
-from perilune.structures.leaving import paying_intervals
-from perilune.structures.restate import restate
+from perilune.core.callbacks import ignore_events
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.search import Search
+from perilune.methods.indirect.structure_search import StructureRefinement
+from perilune.problem.results.solution import Curve, Solution
+from perilune.structures.multiphase import restate
+from perilune.structures.multiplier_signs import paying_intervals
+from perilune.structures.split_join import split_solution
 from perilune.structures.structure import Arc, Condition, Structure, conditions_of
-from perilune.words.watch import ignore_events
 from problems.constrained import FROM, HOP, UNTIL, drawn_off, hopping
 
 TOO_FAR = Structure(((Arc(until=FROM), Arc(along=("height",), until=2.9)),))
@@ -44,9 +44,11 @@ def test_an_arc_pays_until_its_multiplier_changes_sign(rough: Solution) -> None:
 def test_where_the_multiplier_has_a_kink_it_tells_nothing(rough: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """No polynomial follows it, and curves that it has not would be read off one; a parabola is what it is."""
     condition, index = conditions_of(drawn_off(), 0, ("height",))["height"], 0
-    monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: np.abs(t - 0.3))
+    monkeypatch.setattr(
+        "perilune.structures.multiplier_signs._multiplier", lambda solved, index, rate, t: np.abs(t - 0.3)
+    )
     assert paying_intervals(rough, index, condition) is None
-    monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: t * t)
+    monkeypatch.setattr("perilune.structures.multiplier_signs._multiplier", lambda solved, index, rate, t: t * t)
     assert paying_intervals(rough, index, condition) == [(0.0, rough.trajectories[0].duration)]
 
 
@@ -56,7 +58,7 @@ def test_what_pays_is_a_derivative_of_the_multiplier_of_the_order_of_the_conditi
 ) -> None:
     """It falls, the faster the later: mu is -eta', which pays, or eta'', which does not; of more nothing is told."""
     condition = cast(Condition, SimpleNamespace(order=order, rated=lambda *_: SimpleNamespace(name="height")))
-    monkeypatch.setattr("perilune.structures.leaving._multiplier", lambda solved, index, rate, t: -t - t * t)
+    monkeypatch.setattr("perilune.structures.multiplier_signs._multiplier", lambda solved, index, rate, t: -t - t * t)
     everywhere = [(0.0, rough.trajectories[0].duration)]
     assert paying_intervals(rough, 0, condition) == {True: everywhere, False: [], None: None}[pays]
 

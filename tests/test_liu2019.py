@@ -14,15 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.atlas import descending
-from perilune.atlas.descending import MinimumSearch
-from perilune.atlas.query import open_atlas
+from perilune.atlas.query import minimum_search as descending
+from perilune.atlas.query.minimum_search import MinimumSearch
+from perilune.atlas.query.query import open_atlas
 from perilune.cli import run_command_line
-from perilune.methods.genetic import Genetic
-from perilune.problem.solution import Solution
-from perilune.reproductions.liu2019 import equations, fast as fast_method
-from perilune.reproductions.liu2019.case import CASE, paper_costates, paper_state, paper_units, site_fixed, site_free
-from perilune.reproductions.liu2019.compute import (
+from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.methods.evolutionary.genetic import Genetic
+from perilune.problem.results.solution import Solution
+from perilune.solve import solve
+from perilune_papers.liu2019 import equations, fast as fast_method
+from perilune_papers.liu2019.case import CASE, paper_costates, paper_state, paper_units, site_fixed, site_free
+from perilune_papers.liu2019.compute import (
     PASSES,
     LiuReproduction,
     compare_off_plane,
@@ -32,20 +35,17 @@ from perilune.reproductions.liu2019.compute import (
     sideways_reach,
     thrust_angles,
 )
-from perilune.reproductions.liu2019.equations import compare, corrected_rates
-from perilune.reproductions.liu2019.fast import AXES, time_fast_methods
-from perilune.reproductions.liu2019.members import ManoeuvreMember, prediction_error, solve_members
-from perilune.reproductions.liu2019.printed import TABLE_2, TABLES_1_AND_3
-from perilune.reproductions.liu2019.report import liu_figures, liu_report, table_2, table_3
-from perilune.reproductions.liu2019.searches import Searches, by_hybrid
-from perilune.reproductions.liu2019.surfaces import _triangles_between, fit_table, surfaces
-from perilune.reproductions.liu2019.times import time_section
-from perilune.reproductions.liu2019.trajectories import trajectory_figures, trajectory_rows, trajectory_section
-from perilune.reproductions.papers import reproduce_paper
-from perilune.reproductions.starts import Starts, run_starts
-from perilune.solve import solve
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
+from perilune_papers.liu2019.equations import compare, corrected_rates
+from perilune_papers.liu2019.fast import AXES, time_fast_methods
+from perilune_papers.liu2019.members import ManoeuvreMember, prediction_error, solve_members
+from perilune_papers.liu2019.printed import TABLE_2, TABLES_1_AND_3
+from perilune_papers.liu2019.report import liu_figures, liu_report, table_2, table_3
+from perilune_papers.liu2019.searches import Searches, by_hybrid
+from perilune_papers.liu2019.surfaces import _triangles_between, fit_table, surfaces
+from perilune_papers.liu2019.times import time_section
+from perilune_papers.liu2019.trajectories import trajectory_figures, trajectory_rows, trajectory_section
+from perilune_papers.papers import reproduce_paper
+from perilune_papers.starts import Starts, run_starts
 
 FIRST, REACHED = 22, 3  # manoeuvre points of Table 2 that are solved here; the others stand as not solved
 #: Manoeuvre points of the atlas [deg]: at the last the flight stays above the interface by itself.
@@ -382,7 +382,7 @@ def test_the_command_writes_it_all(
     doubtful: Solution = replace(made.site_free["ascending"], outcome=Outcome.NOT_PROVED)
     flights = {**made.site_free, "ascending": doubtful}
     spoilt = replace(made, site_free=flights)
-    monkeypatch.setattr("perilune.reproductions.liu2019.compute.compute_liu", lambda watch: spoilt)
+    monkeypatch.setattr("perilune_papers.liu2019.compute.compute_liu", lambda watch: spoilt)
     out = tmp_path / "report"
     assert run_command_line(["reproduce", "liu-2019", "--out", str(out)]) == Outcome.NOT_PROVED.exit_code
     assert "report.md" in capsys.readouterr().out

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from burn_coast_burn import POINTS, STANDARD_GRAVITY, rates_of_polynomials
-from perilune.models.bodies import CERES
-from perilune.models.descent import Ignition, Site, powered_descent
-from perilune.models.vehicle import Vehicle
+from perilune.core.errors import Outcome
+from perilune.models.descent.problem import Ignition, Site, powered_descent
+from perilune.models.physics.bodies import CERES
+from perilune.models.physics.vehicle import Vehicle
 from perilune.problem.problem import Problem
 from perilune.solve import solve
-from perilune.words.outcome import Outcome
 
 MASS, ISP, ALTITUDE, AHEAD, FALL = 80.0, 353.0, 3326.0, 126.0, 87.0
 STILL = replace(CERES, rotation_rate=0.0)

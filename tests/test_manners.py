@@ -17,11 +17,11 @@ from PIL import Image
 
 import perilune as pl
 from command_line import ENVIRONMENT, ROOT
+from perilune.core.errors import Outcome, PeriluneError
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
-from perilune.report.shown import plot
+from perilune.problem.results.solution import Solution
+from perilune.report.plot import plot
 from perilune.scenario import load_file
-from perilune.words.outcome import Outcome, PeriluneError
 
 
 def test_a_line_says_what_it_is(landing: Problem, hybrid: Solution) -> None:

@@ -20,10 +20,10 @@ pytest.importorskip("xarray", reason="exports need xarray: pip install 'perilune
 
 from carried import Carried, rough_flight
 from matrix import QUICK_RETURNS, REFUSED, WAYS, cover, declared, reached, text_of, unreached
-from perilune.models.kinds import KINDS, Kind, Section
+from perilune.core.errors import PeriluneError
+from perilune.core.fields import quantity, record, text_field
+from perilune.models.catalogue import KINDS, Kind, Section
 from perilune.scenario import load_text
-from perilune.words.declared import quantity, record, text_field
-from perilune.words.outcome import PeriluneError
 
 SINGLES = [
     (kind, number, picked) for kind, ways in WAYS.items() for number, picked in enumerate(cover(ways, pairs=False))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.nearby import Nearby
-from perilune.problem.solution import Solution
-from perilune.words.outcome import PeriluneError
+from perilune.core.errors import PeriluneError
+from perilune.methods.indirect.neighboring import Nearby
+from perilune.problem.results.solution import Solution
 from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham
 from problems.ridden import string
 from test_atlas_limits import haul

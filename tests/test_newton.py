@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from newton_toys import toy
+from perilune.core.callbacks import Iteration
 from perilune.shooting.newton import FINEST, Columns, Ends, Evaluate, Lanes, evaluation_rows, newton
-from perilune.words.watch import Iteration
 
 ONE = Columns(n=1)
 ATAN = toy(np.arctan, lambda y: 1 / (1 + y**2))

@@ -16,19 +16,19 @@ from scipy.integrate import solve_ivp
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.models.bodies import Planet
+from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.models.deorbit.initial_guess import impulsive_deorbit
 from perilune.models.deorbit.opportunities import opportunities
 from perilune.models.deorbit.orbit import orbit_state, plane_axes
-from perilune.models.deorbit.passes import find_passes, largest_plane_turn
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Returner, ReturnOrbit, Transition
-from perilune.models.deorbit.secular import drift
-from perilune.models.deorbit.times import impulsive_deorbit
-from perilune.models.rotating import free_acceleration
-from perilune.models.vehicle import Throttle
-from perilune.problem.preflight import preflight
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, PeriluneError
+from perilune.models.deorbit.secular_drift import drift
+from perilune.models.deorbit.site_passes import find_passes, largest_plane_turn
+from perilune.models.physics.bodies import Planet
+from perilune.models.physics.rotating_frame import free_acceleration
+from perilune.models.physics.vehicle import Throttle
+from perilune.problem.presolve import preflight
 
 MU, RADIUS, TURN = 3.986004418e14, 6378137.0, 7.292115e-5
 EARTH = Planet(name="earth", gravitational_parameter=MU, radius=RADIUS, rotation_rate=TURN, j2=1.0826e-3)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from perilune.models.bodies import BODIES, EARTH
-from perilune.models.orientation import ELEMENTS, axes_in_space, describe_orientation
-from perilune.models.time_scales import tdb_minus_utc
-from perilune.words.outcome import PeriluneError
+from perilune.core.errors import PeriluneError
+from perilune.models.physics.bodies import BODIES, EARTH
+from perilune.models.physics.orientation import ELEMENTS, axes_in_space, describe_orientation
+from perilune.models.physics.time_scales import tdb_minus_utc
 
 
 @pytest.mark.parametrize("year", [1976, 2015, 2026, 2040])

@@ -14,10 +14,10 @@ import pytest
 import perilune as pl
 from carried import Carried
 from perilune.cli import run_command_line
-from perilune.io.made import model_document, read_model
-from perilune.models.kinds import KINDS
+from perilune.core.errors import PeriluneError
+from perilune.io.model_records import model_document, read_model
+from perilune.models.catalogue import KINDS
 from perilune.scenario import load_file
-from perilune.words.outcome import PeriluneError
 
 ROOT = Path(__file__).parent.parent
 PLACE = ROOT / "examples" / "own_kind"

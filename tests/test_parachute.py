@@ -15,16 +15,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.models.atmosphere import exponential
-from perilune.models.deorbit import flight, parachute
+from perilune.core.arrays import Vector
+from perilune.core.errors import PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.models.deorbit import dynamics as flight, parachute
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Interface, Landing, Parachute, Returner, ReturnOrbit, Transition
+from perilune.models.physics.atmosphere import exponential
 from perilune.report.figures import solution_figures
 from perilune.report.style import save_figure as draw
 from perilune.scenario import load_text
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
-from perilune.words.types import Vector
 from test_opportunities import EARTH, SCENARIO
 from test_return_refusals import AIR, BALL, PLACE, VEHICLE
 

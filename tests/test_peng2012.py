@@ -13,16 +13,18 @@ import numpy as np
 import pytest
 
 from perilune.cli import run_command_line
+from perilune.core.errors import Outcome, PeriluneError
 from perilune.io.columns import required_hamiltonian
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.descent import Site
-from perilune.models.landing import Vehicle
-from perilune.models.precision import Approach, Corridor, precision_landing
-from perilune.problem.solution import Solution
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.models.descent.problem import Site
+from perilune.models.landing.problem import Vehicle
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.problem.results.solution import Solution
 from perilune.report.figures import solution_figures
-from perilune.report.track import track_path
-from perilune.reproductions.papers import PAPERS, reproduce_paper
-from perilune.reproductions.peng2012.case import (
+from perilune.report.side_and_top_view import track_path
+from perilune.solve import solve
+from perilune_papers.papers import PAPERS, reproduce_paper
+from perilune_papers.peng2012.case import (
     CASE,
     PRINTED,
     implied_gravity,
@@ -31,7 +33,7 @@ from perilune.reproductions.peng2012.case import (
     peng_descent,
     problem_of_the_paper,
 )
-from perilune.reproductions.peng2012.compute import (
+from perilune_papers.peng2012.compute import (
     AT_FIFTY,
     PengReproduction,
     convergence_at,
@@ -39,16 +41,14 @@ from perilune.reproductions.peng2012.compute import (
     missed_by_reintegration,
     peng_numbers,
 )
-from perilune.reproductions.peng2012.report import (
+from perilune_papers.peng2012.report import (
     convergence_csv,
     peng_figures,
     peng_report,
     point_times,
     scaled_hamiltonian,
 )
-from perilune.reproductions.starts import Starts
-from perilune.solve import solve
-from perilune.words.outcome import Outcome, PeriluneError
+from perilune_papers.starts import Starts
 
 
 def silent(_: Any) -> None:
@@ -150,7 +150,7 @@ def test_the_command_writes_it_all(
 ) -> None:
     """Report, data and figures; the exit code is that of the solution that was to be proved."""
     doubtful = replace(made, indirect=replace(made.indirect, outcome=Outcome.NOT_PROVED))
-    monkeypatch.setattr("perilune.reproductions.peng2012.compute.compute_peng", lambda watch: doubtful)
+    monkeypatch.setattr("perilune_papers.peng2012.compute.compute_peng", lambda watch: doubtful)
     out = tmp_path / "report"
     assert run_command_line(["reproduce", "peng-2012", "--out", str(out)]) == Outcome.NOT_PROVED.exit_code
     assert "report.md" in capsys.readouterr().out

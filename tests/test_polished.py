@@ -11,11 +11,11 @@ import pytest
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.methods.polished import solve_and_polish
-from perilune.models.bodies import MERCURY
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.extremal import Nature
+from perilune.methods.polish import solve_and_polish
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import MERCURY
 from perilune.problem.problem import Problem
+from perilune.problem.results.extremal import Nature
 from perilune.scenario import load_file
 from problems import LIBRARY
 from problems.constrained import bryson_denham, bryson_denham_truth, mars_glide_slope

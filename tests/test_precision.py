@@ -14,18 +14,18 @@ from scipy.integrate import solve_ivp
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.models.bodies import CERES, MOON, Body, UniformGravity
-from perilune.models.descent import Site
-from perilune.models.final_descent import FinalDescent
-from perilune.models.precision import Approach, Corridor, precision_landing
-from perilune.models.vehicle import Vehicle
-from perilune.problem.preflight import preflight
+from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.models.descent.problem import Site
+from perilune.models.physics.bodies import CERES, MOON, Body, UniformGravity
+from perilune.models.physics.vehicle import Vehicle
+from perilune.models.precision.final_descent import FinalDescent
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.scenario import load_file, load_text
 from perilune.solve import solve
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from problems.constrained import mars_glide_slope
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

@@ -15,19 +15,19 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
+from perilune.core.errors import InfeasibleError, Outcome, PeriluneError
+from perilune.core.maths import NUMERIC
 from perilune.families.sweep import sweep
-from perilune.models.bodies import MARS, MOON, Body
-from perilune.models.descent import Ignition, Site, powered_descent
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.precision import Approach, Corridor, precision_landing
+from perilune.models.descent.problem import Ignition, Site, powered_descent
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import MARS, MOON, Body
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
 from perilune.problem.controls import Direction
 from perilune.problem.phase import Phase
-from perilune.problem.preflight import Finding, is_possible, preflight, refuse_impossible, select_findings
+from perilune.problem.presolve import Finding, is_possible, preflight, refuse_impossible, select_findings
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Given, Variable
 from perilune.solve import solve
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, Outcome, PeriluneError
 
 
 def lander(

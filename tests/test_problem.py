@@ -8,12 +8,12 @@ from typing import Any, cast
 
 import pytest
 
+from perilune.core.errors import PeriluneError
 from perilune.problem.controls import Bounded, Direction
+from perilune.problem.display.views import Space, Views
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.problem.views import Space, Views
-from perilune.words.outcome import PeriluneError
 
 
 def slider(**changes: Any) -> Problem:

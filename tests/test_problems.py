@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.core.errors import PeriluneError
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
+from perilune.problem.casadi_trace import canonical_free, state_scales
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution
-from perilune.problem.symbolic import canonical_free, state_scales
-from perilune.shooting.function import Shooting
-from perilune.words.outcome import PeriluneError
+from perilune.problem.results.solution import Curve, Solution
+from perilune.shooting.shooting_function import Shooting
 from problems import LIBRARY, Answered
 from problems.answered import Method
 from problems.delta import delta

@@ -10,16 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.bodies import MOON
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import MOON
 from perilune.problem.controls import Bounded
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
 from perilune.solve import solve
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from problems.ascents import tangent_steering
 from problems.integrators import least_energy, least_time
 from problems.landings import meditch

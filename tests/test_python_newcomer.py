@@ -19,13 +19,13 @@ import pytest
 import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT
-from perilune.models.bodies import MARS, MOON, Body
-from perilune.models.descent import powered_descent
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.precision import precision_landing
-from perilune.problem.solution import Solution
+from perilune.core.errors import PeriluneError
+from perilune.models.descent.problem import powered_descent
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import MARS, MOON, Body
+from perilune.models.precision.problem import precision_landing
+from perilune.problem.results.solution import Solution
 from perilune.scenario import load_file
-from perilune.words.outcome import PeriluneError
 
 LANDING = cho_landing()
 FREE, (DESCENT,) = LANDING.free[0], LANDING.phases

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.problem.form import trace
-from perilune.problem.rates import (
+from perilune.core.complex_step import COMPLEX, STEP
+from perilune.core.maths import NUMERIC, NUMPY_NAMES
+from perilune.problem.tracing.lie_derivatives import (
     component,
     depends_on_control,
     derivatives_to_control,
     gather_expressions,
     total_derivative,
 )
-from perilune.problem.tape import Expression, Recorder
+from perilune.problem.tracing.tape import Expression, Recorder
+from perilune.problem.tracing.traced_problem import trace
 from perilune.scenario import load_file
-from perilune.words.derivatives import COMPLEX, STEP
-from perilune.words.maths import NUMERIC, NUMPY_NAMES
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 NAMES = ("a", "b")

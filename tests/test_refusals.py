@@ -16,28 +16,28 @@ import perilune as pl
 from cho import CHO_MOON
 from command_line import HYBRID, read_json, snapshot
 from perilune.cli import run_command_line
-from perilune.methods.breaches import ConstraintViolation, bound_violations
-from perilune.methods.coarse import Coarse
-from perilune.methods.indirect import Indirect
-from perilune.methods.refusals import active_path_condition, explain_refusal
-from perilune.methods.structured import StructureRefinement
-from perilune.models.bodies import MOON
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.controls import Bounded
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Statistics, Trajectory
-from perilune.problem.variables import Given, Variable
-from perilune.problem.wording import stating_keys
-from perilune.scenario import load_file
-from perilune.solve import solve
-from perilune.words.outcome import (
+from perilune.core.errors import (
     InfeasibleError,
     NotConvergedError,
     Outcome,
     PeriluneError,
 )
-from perilune.words.units import format_bound
+from perilune.core.units import format_bound
+from perilune.methods.indirect.coarse_direct import Coarse
+from perilune.methods.indirect.diagnosis import active_path_condition, explain_refusal
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.structure_search import StructureRefinement
+from perilune.methods.indirect.violations import ConstraintViolation, bound_violations
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import MOON
+from perilune.problem.controls import Bounded
+from perilune.problem.display.quantity_names import stating_keys
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.results.solution import Curve, Solution, Statistics, Trajectory
+from perilune.problem.variables import Given, Variable
+from perilune.scenario import load_file
+from perilune.solve import solve
 from problems.ascents import tangent_steering
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, shoot, solution_of
+from perilune.core.errors import Outcome, PeriluneError
+from perilune.io.atomic_files import fresh_directory, json_text
 from perilune.io.columns import hamiltonian, per_unit, phase_columns
-from perilune.io.export import results_document, save, solution_document, trajectory_csv
-from perilune.io.files import fresh_directory, json_text
-from perilune.io.reload import hash_of, load
-from perilune.models.landing import Retro
-from perilune.problem.extremal import Extremal, Nature
+from perilune.io.load import hash_of, load
+from perilune.io.save import results_document, save, solution_document, trajectory_csv
+from perilune.models.landing.problem import Retro
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution, Statistics
+from perilune.problem.results.extremal import Extremal, Nature
+from perilune.problem.results.solution import Solution, Statistics
 from perilune.problem.verification import Check, Verification
 from perilune.report import write_all
 from perilune.report.summary import markdown_table, solution_markdown, solution_summary
-from perilune.words.outcome import Outcome, PeriluneError
 
 SCENARIO = "[retro]\nspecific_impulse = '310 s'  # Cho's, µ\n"
 CHECKS = (

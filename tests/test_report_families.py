@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint, failed_point
-from perilune.problem.extremal import Extremal, Nature
-from perilune.problem.solution import Solution
+from perilune.problem.results.extremal import Extremal, Nature
+from perilune.problem.results.solution import Solution
 from perilune.report.family import family_csv, family_document, family_figure, write_family
-from perilune.reproductions.cho2015.case import PRINTED
-from perilune.reproductions.cho2015.compute import best_with_retro_burn, cho_numbers, compute_cho, gain_of_retro_burn
-from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
+from perilune_papers.cho2015.case import PRINTED
+from perilune_papers.cho2015.compute import best_with_retro_burn, cho_numbers, compute_cho, gain_of_retro_burn
 
 # --- families ---
 
@@ -109,7 +109,7 @@ def test_gain_of_the_retro_burn_compares_the_best_of_each_kind() -> None:
 def test_a_stopped_family_stops_the_reproduction(monkeypatch: pytest.MonkeyPatch, hybrid: Solution) -> None:
     """A sweep answers Ctrl-C with what it has, which must not be taken for the whole figure."""
     stopped = Family(problem=hybrid.problem, parameters=("retro_delta_v",), points=(), interrupted=True)
-    monkeypatch.setattr("perilune.reproductions.cho2015.compute.solve", lambda *_, **__: hybrid)
-    monkeypatch.setattr("perilune.reproductions.cho2015.compute.sweep", lambda *_, **__: stopped)
+    monkeypatch.setattr("perilune_papers.cho2015.compute.solve", lambda *_, **__: hybrid)
+    monkeypatch.setattr("perilune_papers.cho2015.compute.sweep", lambda *_, **__: stopped)
     with pytest.raises(KeyboardInterrupt):
         compute_cho(lambda _: None, level=0)

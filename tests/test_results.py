@@ -14,19 +14,19 @@ import pytest
 from scipy.integrate import quad
 
 import perilune as pl
-from perilune.io.export import extremals_document, solution_document
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.problem.extremal import Nature
-from perilune.problem.solution import Result, Solution
+from perilune.core.errors import Outcome, PeriluneError
+from perilune.io.save import extremals_document, solution_document
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
+from perilune.problem.display.views import Beside, Views
+from perilune.problem.results.extremal import Nature
+from perilune.problem.results.solution import Result, Solution
 from perilune.problem.variables import Variable
-from perilune.problem.views import Beside, Views
 from perilune.report.figures import label, solution_figures
 from perilune.report.summary import solution_markdown, solution_summary
-from perilune.reproductions.peng2012.case import peng_descent, problem_of_the_paper
 from perilune.scenario import load_file
 from perilune.solve import prove, solve
-from perilune.words.outcome import Outcome, PeriluneError
+from perilune_papers.peng2012.case import peng_descent, problem_of_the_paper
 from problems.ascents import tangent_steering
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.models.deorbit.told import return_views
-from perilune.problem.solution import Solution
+from perilune.core.errors import PeriluneError
+from perilune.models.deorbit.outputs import return_views
+from perilune.problem.results.solution import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.ground import coastline, track_on_map
-from perilune.report.optimality import optimality_figure
+from perilune.report.hamiltonian_figure import optimality_figure
 from perilune.scenario import load_file, load_text
 from perilune.scenario.reference import template
 from perilune.solve import solve
-from perilune.words.outcome import PeriluneError
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 

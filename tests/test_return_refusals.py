@@ -14,16 +14,16 @@ import pytest
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.models.bodies import EARTH, Planet
-from perilune.models.deorbit.bounds import interface_speeds, largest_altitude_change, steepest_angle
-from perilune.models.deorbit.fall import fall, slowest_arrival
+from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.models.deorbit.ballistic_fall import fall, slowest_arrival
+from perilune.models.deorbit.initial_guess import impulsive_deorbit
+from perilune.models.deorbit.interface_bounds import interface_speeds, largest_altitude_change, steepest_angle
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
-from perilune.models.deorbit.times import impulsive_deorbit
-from perilune.problem.preflight import preflight
+from perilune.models.physics.bodies import EARTH, Planet
+from perilune.problem.presolve import preflight
 from perilune.scenario import load_file
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, PeriluneError
 from test_opportunities import SCENARIO
 
 BALL = Planet(
@@ -194,7 +194,7 @@ def test_no_fall_is_slower_than_the_slowest() -> None:
 
 
 def _air() -> Any:
-    from perilune.models.atmosphere import exponential
+    from perilune.models.physics.atmosphere import exponential
 
     return exponential(1.225, 7200.0)
 

@@ -6,12 +6,12 @@ import pytest
 
 import perilune as pl
 from matrix import QUICK_RETURNS, WAYS, text_of
-from perilune.methods.assemble import unknowns_from_solution
-from perilune.methods.coarse import Coarse
-from perilune.methods.starts import active_set_of_guess
-from perilune.methods.trials import Trials
+from perilune.core.callbacks import ignore_events
+from perilune.methods.indirect.coarse_direct import Coarse
+from perilune.methods.indirect.newton_trials import Trials
+from perilune.methods.indirect.random_costates import active_set_of_guess
+from perilune.methods.indirect.unknowns import unknowns_from_solution
 from perilune.scenario import load_text
-from perilune.words.watch import ignore_events
 
 LATE, BANKED = (load_text(text_of(WAYS["deorbit_entry"].document(picked))) for picked in QUICK_RETURNS[2:4])
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import perilune as pl
+from perilune.core.errors import PeriluneError
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Interface, Landing, Parachute, Returner, ReturnOrbit, Separation, Transition
-from perilune.models.vehicle import Throttle
-from perilune.problem.preflight import preflight
+from perilune.models.physics.vehicle import Throttle
+from perilune.problem.presolve import preflight
 from perilune.scenario import load_text
-from perilune.words.outcome import PeriluneError
 from test_opportunities import SCENARIO
 from test_return_refusals import AIR, BALL, PLACE, VEHICLE
 

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.indirect import Indirect
-from perilune.methods.refusals import active_path_condition
-from perilune.methods.starts import active_set_of_guess
-from perilune.methods.trials import Trials
-from perilune.models.bodies import EARTH
+from perilune.core.callbacks import ignore_events
+from perilune.methods.indirect.diagnosis import active_path_condition
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.newton_trials import Trials
+from perilune.methods.indirect.random_costates import active_set_of_guess
+from perilune.models.deorbit.initial_guess import impulsive_deorbit
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import (
     Atmosphere,
@@ -27,12 +28,11 @@ from perilune.models.deorbit.records import (
     Separation,
     Transition,
 )
-from perilune.models.deorbit.times import impulsive_deorbit
-from perilune.problem.extremal import Nature
+from perilune.models.physics.bodies import EARTH
+from perilune.problem.results.extremal import Nature
 from perilune.scenario import load_file
-from perilune.shooting.settling import costate_error_growth
+from perilune.shooting.contracting_phases import costate_error_growth
 from perilune.solve import verify
-from perilune.words.watch import ignore_events
 
 NEIGHBOUR_B = Path(__file__).parents[1] / "examples" / "minimum_duration_return.toml"
 FREE_IGNITION = (

@@ -6,14 +6,19 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from perilune.conditions.canonical import canonical_equations, extremal_parameters, hamiltonian_at, limit_symbols
-from perilune.conditions.riding import boundary_arc_optimum
-from perilune.models.bodies import UniformGravity
-from perilune.models.corridor import NONE
-from perilune.models.precision import Approach, precision_landing
-from perilune.models.vehicle import Vehicle
-from perilune.problem.symbolic import trace_parameters
-from perilune.structures.restate import restate
+from perilune.conditions.boundary_arc_control import boundary_arc_optimum
+from perilune.conditions.canonical_equations import (
+    canonical_equations,
+    extremal_parameters,
+    hamiltonian_at,
+    limit_symbols,
+)
+from perilune.models.physics.bodies import UniformGravity
+from perilune.models.physics.vehicle import Vehicle
+from perilune.models.precision.path_constraints import NONE
+from perilune.models.precision.problem import Approach, precision_landing
+from perilune.problem.casadi_trace import trace_parameters
+from perilune.structures.multiphase import restate
 from perilune.structures.structure import Arc, Structure
 
 

@@ -21,16 +21,16 @@ from flint import arb, arb_series, ctx
 import prover_checks
 from perilune.problem.variables import Given, Variable
 from perilune.problem.verification import Verification
-from perilune.rigorous.certified.equations import CertifiedEquations
-from perilune.rigorous.certified.expressions import (
+from perilune.rigorous.verified import add_theorem_checks
+from perilune_checker.check import checked_sentence, confirm
+from perilune_checker.equations import CertifiedEquations
+from perilune_checker.expressions import (
     CertifiedExpression,
     CertifiedProgram,
     Failed,
     backward_gradient,
     symbol,
 )
-from perilune.rigorous.check_certificate import checked_sentence, confirm
-from perilune.rigorous.verified import add_theorem_checks
 
 Told = dict[str, Any]
 

@@ -36,15 +36,15 @@ def proved(
     stated: pl.Problem, pieces: dict[str, str] | Sequence[Any], guess: Sequence[float], sides: Any = None
 ) -> tuple[Any, list[str]]:
     """The root, and what is not proved of it; of one arc in these regimes, or of these pieces."""
-    rough, root = settings(24, 1e-36), room("root")
-    one = room("boundary").ArcPiece
+    rough, root = settings(24, 1e-36), room("krawczyk")
+    one = room("boundary_value_problem").ArcPiece
     with ctx.workprec(rough.bits):
-        boundary = room("boundary").boundary_problem(
+        boundary = room("boundary_value_problem").boundary_problem(
             stated, [one(phase=0, regimes=pieces)] if isinstance(pieces, dict) else pieces, sides
         )
         refined = root.refine_root(boundary, [arb(value) for value in guess], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
-        statements = room("limits").FlightLimits(boundary, found).all()
+        statements = room("inequalities").FlightLimits(boundary, found).all()
         return found, [statement.words for statement in statements if not statement.proved]
 
 
@@ -115,15 +115,19 @@ def test_an_arc_begins_with_no_control_of_the_one_before_but_by_a_formula() -> N
         controls=tuple(pl.Bounded(name=name, lower=-1.0, upper=1.0) for name in "ab"), duration="T",
         dynamics=lambda x, u, p, m: (1 / p.T, ((u.a - x.s) ** 2 + u.a**4 * u.b**4 + u.b**2) / p.T),
     )  # fmt: skip
-    stated, one = problem(phase, lambda x, p, m: x.c, {"T": (2.0, "s")}, unit="1"), room("boundary").ArcPiece
+    stated, one = (
+        problem(phase, lambda x, p, m: x.c, {"T": (2.0, "s")}, unit="1"),
+        room("boundary_value_problem").ArcPiece,
+    )
     pieces = [one(phase=0, regimes={"a": "interior", "b": "interior"}, switched="a"),
               one(phase=0, regimes={"a": "upper", "b": "interior"})]  # fmt: skip
-    boundary = room("boundary").boundary_problem(stated, pieces)
+    boundary = room("boundary_value_problem").boundary_problem(stated, pieces)
     flight = SimpleNamespace(steps=[], ends=[])
-    limits = room("limits").FlightLimits(boundary, SimpleNamespace(flight=flight, y=[]))
+    limits = room("inequalities").FlightLimits(boundary, SimpleNamespace(flight=flight, y=[]))
     a, b = boundary.arcs[0].scalars[0], boundary.arcs[1].scalars[1]
     room_of = [
-        room("signs").SignedQuantity(arc, 1 - one.value, []) for arc, one in zip(boundary.arcs, (a, b), strict=True)
+        room("inequalities").SignedQuantity(arc, 1 - one.value, [])
+        for arc, one in zip(boundary.arcs, (a, b), strict=True)
     ]
     assert limits._zeros(0, room_of[0], 0) == 1 and limits._zeros(1, room_of[1], -1) == 0
 
@@ -183,7 +187,7 @@ def test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond(
             objective=lambda x, p, m: p.w * (x.c + (p.q - p.T / p.w) ** 2 / p.T),
             free=(pl.Free(name="q", unit="m", typical=1.0, **{"lower": -5.0, "upper": 5.0, **at}),),
         )  # fmt: skip
-        sides = room("boundary").Sides(
+        sides = room("boundary_value_problem").Sides(
             free={"q": side} if at else {}, ranges={("go", "place"): side if holds else "inside"}
         )
         return proved(stated, {"u": "interior"}, [0.1, 1.0, 1.0, 0.1], sides)[1]
@@ -208,7 +212,7 @@ def approaching(side: str, gain: float, named: bool) -> pl.Problem:
 @pytest.mark.parametrize("named", [False, True])
 def test_a_bound_holds_an_end_only_where_it_would_cost_less_beyond(side: str, named: bool) -> None:
     """Where a second costs, or nothing, the flight that ends on the bound is no extremal, though all else is met."""
-    sides = room("boundary").Sides(states={("go", "x"): side})
+    sides = room("boundary_value_problem").Sides(states={("go", "x"): side})
     for gain in (2.0, 0.0, -2.0):
         root, missing = proved(approaching(side, gain, named), {}, [-1.0, 0.9, 1.0], sides)
         mu = gain if side == "upper" else -gain
@@ -218,7 +222,12 @@ def test_a_bound_holds_an_end_only_where_it_would_cost_less_beyond(side: str, na
         )
     with pytest.raises(pl.PeriluneError, match="has no"):
         other = {"lower": "upper", "upper": "lower"}[side]
-        proved(approaching(side, 2.0, named), {}, [-1.0, 0.9, 1.0], room("boundary").Sides(states={("go", "x"): other}))
+        proved(
+            approaching(side, 2.0, named),
+            {},
+            [-1.0, 0.9, 1.0],
+            room("boundary_value_problem").Sides(states={("go", "x"): other}),
+        )
 
 
 @pytest.mark.parametrize(("gain", "J", "sides"), [(1.0, -0.375, {("go", "x"): "upper"}), (0.25, -0.03125, {})])
@@ -246,7 +255,7 @@ def test_a_bound_that_is_touched_and_not_crossed_is_not_seen_to_be_kept() -> Non
         given={"T": pl.Given(value=1.0, unit="s"), "a": pl.Given(value=1.0, unit="m/s^2")}, objective_unit="m",
         free=(pl.Free(name="q", unit="m", lower=-9.0, upper=9.0, typical=1.0),),
     )  # fmt: skip
-    sides = room("boundary").Sides(states={("go", "x"): "lower"})
+    sides = room("boundary_value_problem").Sides(states={("go", "x"): "lower"})
     root, missing = proved(stated, {}, [-1.0, 0.0, 0.9, -1.0], sides)
     assert root.y[2].overlaps(arb(1)) and missing == ["x > 0.0 (go)"]
 
@@ -263,10 +272,10 @@ def test_a_bound_that_is_met_anyway_or_holds_nothing_back_has_no_multiplier() ->
     ):
         states = tuple(replace(s, **{"lower": -np.inf, **own}) for s, own in zip(phase.states, bounds, strict=True))
         bounded = replace(solution.problem, phases=(replace(phase, states=states),))
-        assert not room("guess").sides_of(replace(solution, problem=bounded)).states
-    assert not room("guess").sides_of(solution).states
+        assert not room("candidate").sides_of(replace(solution, problem=bounded)).states
+    assert not room("candidate").sides_of(solution).states
     burnt = solved(staged_burns)
-    assert room("guess").sides_of(burnt).states == {("first", "m"): "lower", ("second", "m"): "lower"}
+    assert room("candidate").sides_of(burnt).states == {("first", "m"): "lower", ("second", "m"): "lower"}
 
 
 def test_a_limit_that_is_touched_at_the_end_is_not_broken_before() -> None:
@@ -331,7 +340,7 @@ def test_an_arc_of_negative_length_is_seen() -> None:
     )  # fmt: skip
     stated = problem(phase, lambda x, p, m: p.w * p.t_f, {"w": (1.0, "m/s"), "d": (0.0625, "m")},
                      free=(pl.Free(name="t_f", unit="s", lower=0.0, upper=10.0, typical=1.0),))  # fmt: skip
-    one = room("boundary").ArcPiece
+    one = room("boundary_value_problem").ArcPiece
     pieces = [one(phase=0, regimes={"u": "upper"}, switched="u"), one(phase=0, regimes={"u": "lower"})]
     _, missing = proved(stated, pieces, [-4 / 3, 1 / 3, 0.5, -4 / 3, 1.0, -0.25])
     assert "arc 1 lasts longer than 0 s" in missing and "arc 2 lasts longer than 0 s" not in missing
@@ -379,9 +388,11 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
     side = 1 - 2 * half_turns
     speed = (0.5 - side) * (1 if at_start else -1)
     told = [0.0, 0.0, *([np.pi * half_turns, -speed, 0.0] if at_start else [-speed / (2 * side)])]
-    rough, root = settings(24, 1e-36), room("root")
+    rough, root = settings(24, 1e-36), room("krawczyk")
     with ctx.workprec(rough.bits):
-        boundary = room("boundary").boundary_problem(stated, [room("boundary").ArcPiece(phase=0, regimes=FREE)])
+        boundary = room("boundary_value_problem").boundary_problem(
+            stated, [room("boundary_value_problem").ArcPiece(phase=0, regimes=FREE)]
+        )
         refined = root.refine_root(boundary, [arb(v) for v in (-speed, 0.0, 1.0, *told)], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
         statement = room("second_order").prove_local_optimum(boundary, found, rough.order, lambda _: None)
@@ -400,7 +411,7 @@ def test_conditions_that_are_called_alike_do_not_hide_one_another() -> None:
         name="alike", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0), objective=lambda x, p, m: x.c - 3 * x.y,
         given={"T": pl.Given(value=1.0, unit="s")},
     )  # fmt: skip
-    sides = room("boundary").Sides(ranges={("go", "same"): "upper"})
+    sides = room("boundary_value_problem").Sides(ranges={("go", "same"): "upper"})
     with pytest.raises(pl.PeriluneError, match="two conditions are called alike: go: same would cost less"):
         proved(stated, {"u": "interior", "v": "interior"}, [-1.0, -1.0, 1.0, -1.0, 2.0], sides)
 

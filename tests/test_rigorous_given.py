@@ -12,18 +12,18 @@ from typing import Any
 import pytest
 
 import perilune as pl
-from perilune.words.watch import ignore_events
+from perilune.core.callbacks import ignore_events
 from problems.landings import constant_mass, meditch
 
 pytest.importorskip("flint")
 from flint import arb, ctx
 
-from perilune.rigorous import flight, root
-from perilune.rigorous.certified.expressions import Failed
-from perilune.rigorous.check_certificate import confirm
-from perilune.rigorous.root import NotProved, prove_root, refine_root
+from perilune.rigorous import enclosure as flight, krawczyk as root
+from perilune.rigorous.krawczyk import NotProved, prove_root, refine_root
 from perilune.rigorous.theorem import ProvedExtremal, attempt_proof
 from perilune.rigorous.verified import add_theorem_checks
+from perilune_checker.check import confirm
+from perilune_checker.expressions import Failed
 
 
 def test_a_theorem_says_which_numbers_it_is_about() -> None:

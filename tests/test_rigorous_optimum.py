@@ -17,8 +17,8 @@ pytest.importorskip("flint")
 from flint import arb, ctx
 
 from perilune.problem.variables import Given, Variable
-from perilune.rigorous.certified.expressions import Failed
-from perilune.rigorous.check_certificate import checked_sentence, confirm
+from perilune_checker.check import checked_sentence, confirm
+from perilune_checker.expressions import Failed
 from prover_checks import room, settings
 
 AGAIN = False  # whether the checker is asked, too
@@ -28,10 +28,12 @@ UP, DOWN, FREE = {"v": "upper", "u": "interior"}, {"v": "lower", "u": "interior"
 def optimum(stated: pl.Problem, pieces: Sequence[tuple[int, dict[str, str], str]], guess: Sequence[float],
             sides: Any = None) -> Any:  # fmt: skip
     """What is said of the extremal of these pieces (phase, regimes, switched)."""
-    rough, root = settings(24, 1e-36), room("root")
-    own = [room("boundary").ArcPiece(phase=k, regimes=regimes, switched=name) for k, regimes, name in pieces]
+    rough, root = settings(24, 1e-36), room("krawczyk")
+    own = [
+        room("boundary_value_problem").ArcPiece(phase=k, regimes=regimes, switched=name) for k, regimes, name in pieces
+    ]
     with ctx.workprec(rough.bits):
-        boundary = room("boundary").boundary_problem(stated, own, sides)
+        boundary = room("boundary_value_problem").boundary_problem(stated, own, sides)
         refined = root.refine_root(boundary, [arb(value) for value in guess], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
         said = room("second_order").prove_local_optimum(boundary, found, rough.order, lambda _: None)
@@ -46,11 +48,11 @@ def seen_again(boundary: Any, refined: Any, found: Any, rough: Any, said: Any) -
     weights = said.weights or second_order._SecondVariationForm(boundary, found).weights_of_moving(1e4)
     proved = room("theorem").ProvedExtremal(
         boundary=boundary, refined=refined, settings=rough, root=found,
-        alone=room("root").enlarge_uniqueness_box(boundary, refined, found, rough, lambda _: None),
+        alone=room("krawczyk").enlarge_uniqueness_box(boundary, refined, found, rough, lambda _: None),
         objective=boundary.objective.values(found.y, found.flight.ends[-1])[0],
         statements=(), optimum=second_order.OptimumStatement(proved=False), distance=0.0, reached=True,
     )  # fmt: skip
-    told = room("told").certificate_document(proved, "")
+    told = room("statement").certificate_document(proved, "")
     told["weights"] = weights
     steered = {regime for arc in told["arcs"] for name, regime in arc["regimes"].items() if name == "u"} == {"interior"}
     steered &= not any(arc.joint for arc in boundary.arcs)
@@ -132,7 +134,7 @@ def swung(angle: float, stretch: float = 0.0, end: str = "held", joint: bool = F
     regimes = {"u": "interior", "v": "interior"} if joint else FREE
     return optimum(
         stated, [(k, regimes, "") for k in range(len(parts))], [*costates, *nu, *(w if joint else [])],
-        room("boundary").Sides(ranges=sides if end in ("range", "bound") else {}),
+        room("boundary_value_problem").Sides(ranges=sides if end in ("range", "bound") else {}),
     )  # fmt: skip
 
 
@@ -394,10 +396,10 @@ def test_what_is_not_covered_is_named() -> None:
     )  # fmt: skip
     stated = phases("idle", phase, start=lambda p, m: (0.0, 0.0))
     for begin, end, word in (("lower", "upper", "nothing may multiply"), ("upper", "lower", "v does not switch alone")):
-        one = room("boundary").ArcPiece
+        one = room("boundary_value_problem").ArcPiece
         pieces = [one(phase=0, regimes={"u": begin, "v": "upper"}, switched="v"),
                   one(phase=0, regimes={"u": end, "v": "lower"})]  # fmt: skip
-        boundary = room("boundary").boundary_problem(stated, pieces)
+        boundary = room("boundary_value_problem").boundary_problem(stated, pieces)
         assert word in next(room("second_order")._unsupported_cases(boundary, None))
 
 
@@ -413,7 +415,9 @@ def test_a_parameter_on_its_bound_is_not_moved() -> None:
     )  # fmt: skip
     stated = phases("bounded", phase, start=lambda p, m: (0.0, 0.0), objective=lambda x, p, m: x.c - p.q**2, e=1.0,
                     free=[pl.Free(name="q", lower=-2.0, upper=1.0)])  # fmt: skip
-    assert optimum(stated, [(0, FREE, "")], [-1.0, 1.0, 1.0, 1.0], room("boundary").Sides(free={"q": "upper"})).proved
+    assert optimum(
+        stated, [(0, FREE, "")], [-1.0, 1.0, 1.0, 1.0], room("boundary_value_problem").Sides(free={"q": "upper"})
+    ).proved
     assert not optimum(stated, [(0, FREE, "")], [-1.0, 1.0, 0.0, 1.0]).proved
 
 
@@ -424,7 +428,7 @@ def test_a_state_that_its_bound_holds_at_the_end_is_not_moved() -> None:
         controls=(pl.Bounded(name="u"),), dynamics=lambda x, u, p, m: (u.u / p.T, 0.5 * u.u**2 / p.T),
     )  # fmt: skip
     stated = phases("bounded", phase, start=lambda p, m: (0.0, 0.0), objective=lambda x, p, m: x.c - 2 * x.x**2)
-    held = room("boundary").Sides(states={("go", "x"): "upper"})
+    held = room("boundary_value_problem").Sides(states={("go", "x"): "upper"})
     assert optimum(stated, [(0, FREE, "")], [-1.0, 1.0, 3.0], held).proved
     assert not optimum(stated, [(0, FREE, "")], [0.0, 1.0]).proved
 

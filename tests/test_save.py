@@ -16,15 +16,15 @@ import pytest
 import perilune as pl
 from command_line import read_json
 from perilune.cli import run_command_line
-from perilune.io.made import model_document, read_model
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.core.errors import Outcome, PeriluneError
+from perilune.io.model_records import model_document, read_model
+from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Verification
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file, load_text
 from perilune.solve import prove, solve
-from perilune.words.outcome import Outcome, PeriluneError
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 

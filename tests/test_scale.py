@@ -15,14 +15,14 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.methods.assemble import residual_scales
-from perilune.methods.fitness import ControlFitness
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.evolutionary.fitness import ControlFitness
+from perilune.methods.indirect.unknowns import residual_scales
+from perilune.problem.casadi_trace import state_scales
 from perilune.problem.problem import Problem
-from perilune.problem.symbolic import state_scales
 from perilune.solve import prove
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import NotConvergedError, PeriluneError
 from problems import LIBRARY
 from problems.entry import cool_entry
 

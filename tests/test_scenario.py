@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from perilune.models.bodies import MOON
-from perilune.problem.preflight import is_possible, preflight, refuse_impossible
+from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.models.physics.bodies import MOON
+from perilune.problem.presolve import is_possible, preflight, refuse_impossible
 from perilune.problem.variables import Given
 from perilune.scenario import KINDS, load_file, load_text, quantities_of, template, values_of
 from perilune.scenario.reader import names_of
 from perilune.scenario.reference import reference
 from perilune.scenario.text import LARGEST_FILE
-from perilune.words.outcome import InfeasibleError, PeriluneError
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 HYBRID = EXAMPLES / "hybrid_lander.toml"

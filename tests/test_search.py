@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.coarse import Coarse
-from perilune.methods.indirect import Indirect
-from perilune.methods.search import Search
-from perilune.methods.smoothing import Smoothing
-from perilune.methods.trials import Trials
-from perilune.problem.extremal import Nature
-from perilune.shooting.continuum import open_directions
-from perilune.shooting.function import Roots, Shooting
-from perilune.words.types import Matrix
-from perilune.words.watch import ignore_events
+from perilune.core.arrays import Matrix
+from perilune.core.callbacks import ignore_events
+from perilune.methods.indirect.coarse_direct import Coarse
+from perilune.methods.indirect.homotopy import Smoothing
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.newton_trials import Trials
+from perilune.methods.indirect.search import Search
+from perilune.problem.results.extremal import Nature
+from perilune.shooting.nonisolated import open_directions
+from perilune.shooting.shooting_function import Roots, Shooting
 from problems.circles import meeting, to_circle
 from problems.constrained import brachistochrone, bryson_denham, bryson_denham_truth, speed_limit, speed_limit_truth
 
@@ -40,11 +40,11 @@ def test_finer_meshes_are_asked_where_none_has_followed_a_smooth_flight(monkeypa
     """Not where a condition on states holds the flight, beside which the control wavers on any mesh."""
     bound = brachistochrone()
     far_below = bound.with_given(offset=5.0)
-    monkeypatch.setattr("perilune.methods.coarse._CLOSE", 1e-3)
+    monkeypatch.setattr("perilune.methods.indirect.coarse_direct._CLOSE", 1e-3)
     said: list[object] = []
     assert len(list(Coarse(Indirect(), far_below, [], said.append).resolved())) == 1
     assert str(said[0]).startswith("direct method: ")
-    monkeypatch.setattr("perilune.methods.coarse._CLOSE", 1e-15)
+    monkeypatch.setattr("perilune.methods.indirect.coarse_direct._CLOSE", 1e-15)
     meshes = [len(found.trajectories[0].time) for found in Coarse(Indirect(), far_below, []).resolved()]
     assert len(meshes) == 4 and meshes == sorted(set(meshes))
     assert len(list(Coarse(Indirect(), bound, []).resolved())) == 1
@@ -59,7 +59,9 @@ def test_a_mesh_that_has_followed_a_flight_is_made_finer_where_newton_fails_from
     assert known is not None
     for error, wavers, blurred in ((5e-4, False, True), (5e-4, True, False), (2e-3, True, True), (2e-5, False, False)):
         coarse.solution = replace(known, statistics=replace(known.statistics, residual=error))
-        monkeypatch.setattr("perilune.methods.coarse.stays_between_bounds", lambda _, wavers=wavers: wavers)
+        monkeypatch.setattr(
+            "perilune.methods.indirect.coarse_direct.stays_between_bounds", lambda _, wavers=wavers: wavers
+        )
         assert coarse.blurred is blurred
 
 
@@ -117,9 +119,11 @@ def test_where_none_is_reached_it_is_said_that_they_are_not_isolated(monkeypatch
     def isolated(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
         return roots.failed(np.array([open_directions(root) > 0 for root in roots]))
 
-    monkeypatch.setattr("perilune.methods.trials.complete_open_roots", isolated)
-    monkeypatch.setattr("perilune.methods.durations.FinalTimeContinuation.extremals", lambda self: [])
-    monkeypatch.setattr("perilune.methods.smoothing.Smoothing.root", lambda self, choice: None)
+    monkeypatch.setattr("perilune.methods.indirect.newton_trials.complete_open_roots", isolated)
+    monkeypatch.setattr(
+        "perilune.methods.indirect.duration_continuation.FinalTimeContinuation.extremals", lambda self: []
+    )
+    monkeypatch.setattr("perilune.methods.indirect.homotopy.Smoothing.root", lambda self, choice: None)
     with pytest.raises(pl.NotConvergedError, match=r"(?s)nearest approach.*not isolated.*a condition more at the end"):
         pl.solve(to_circle(12.0, radius=2.0, exhaust_speed=1.0, eccentricity=0.0), pl.Indirect(starts=48), level=0)
 

@@ -12,18 +12,24 @@ import numpy as np
 import pytest
 
 from many_problems import KINDS, Kind
-from perilune.conditions.canonical import extremal_parameters
+from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
-from perilune.methods.indirect import Indirect
+from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.shooting import plan as planning
 from perilune.shooting.continuation import Member
-from perilune.shooting.extremals import HeldFamily, _connected_members, _extremal_pairs, distinct_roots, same_vector
-from perilune.shooting.flyer import Code, FewLanes, PlanIntegrator, fleet
-from perilune.shooting.function import Root, Shooting
+from perilune.shooting.integrate_plan import Code, FewLanes, PlanIntegrator, fleet
 from perilune.shooting.newton import FINEST
+from perilune.shooting.parameter_scan import (
+    HeldFamily,
+    _connected_members,
+    _extremal_pairs,
+    distinct_roots,
+    same_vector,
+)
 from perilune.shooting.plan import plan
+from perilune.shooting.shooting_function import Root, Shooting
 from test_bounds import push, shove
 from test_language import transfer
 

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.models.atmosphere import exponential
-from perilune.models.bodies import EARTH
-from perilune.models.deorbit.fall import fall
+from perilune.core.errors import InfeasibleError
+from perilune.models.deorbit.ballistic_fall import fall
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit, Transition
-from perilune.models.deorbit.skip import rebound_height
-from perilune.problem.preflight import preflight
+from perilune.models.deorbit.skip_out import rebound_height
+from perilune.models.physics.atmosphere import exponential
+from perilune.models.physics.bodies import EARTH
+from perilune.problem.presolve import preflight
 from perilune.solve import verify
-from perilune.words.outcome import InfeasibleError
 
 CONDITION = "depth_below_interface"
 

@@ -9,13 +9,13 @@ import pytest
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.methods.smoothing import Smoothing
-from perilune.methods.trials import Trials
+from perilune.core.callbacks import ignore_events
+from perilune.core.errors import PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.methods.indirect.homotopy import Smoothing
+from perilune.methods.indirect.newton_trials import Trials
 from perilune.problem.problem import Problem
-from perilune.structures.smoothed import RATE, smooth_problem
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
-from perilune.words.watch import ignore_events
+from perilune.structures.regularized import RATE, smooth_problem
 from problems.circles import meeting
 from problems.constrained import brachistochrone
 from problems.landings import meditch

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from perilune.models import ellipsoid
-from perilune.models.bodies import EARTH
+from perilune.core.maths import NUMERIC
+from perilune.core.units import STANDARD_GRAVITY
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import (
     Atmosphere,
@@ -27,8 +27,8 @@ from perilune.models.deorbit.records import (
     Separation,
     Transition,
 )
-from perilune.words.maths import NUMERIC
-from perilune.words.units import STANDARD_GRAVITY
+from perilune.models.physics import ellipsoid
+from perilune.models.physics.bodies import EARTH
 from return_by_scipy import backwards, fly
 
 BURN, CHANGE, ALTITUDE = 281.0, 128.0, 432.7e3

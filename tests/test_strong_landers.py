@@ -11,27 +11,27 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from burn_coast_burn import landed_mass
-from perilune.methods.flown import ends_well
-from perilune.methods.indirect import Indirect
-from perilune.methods.search import Search
-from perilune.models.bodies import EUROPA, MERCURY, Body
-from perilune.models.burn_search import add_brief_burn, advance_second_burn, two_burns
-from perilune.models.descent import Ignition, Site, powered_descent
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.models.landing_preflight import one_burn_velocity_change, two_impulse_velocity_change
-from perilune.models.one_burn import SPENDS
-from perilune.models.rough_landing import rough_landing
-from perilune.models.two_burns import Burning, TwoBurns
-from perilune.models.two_impulses import LandingStart, landing_start_of, propagate_kepler, two_impulses
-from perilune.problem.preflight import preflight
+from perilune.core.callbacks import ignore_events
+from perilune.core.errors import Outcome
+from perilune.core.maths import NUMERIC
+from perilune.methods.indirect.export_arcs import ends_well
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.search import Search
+from perilune.models.descent.burn_search import add_brief_burn, advance_second_burn, two_burns
+from perilune.models.descent.problem import Ignition, Site, powered_descent
+from perilune.models.descent.rough_landing import rough_landing
+from perilune.models.descent.two_burns import Burning, TwoBurns
+from perilune.models.descent.two_impulses import LandingStart, landing_start_of, propagate_kepler, two_impulses
+from perilune.models.landing.presolve import one_burn_velocity_change, two_impulse_velocity_change
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import EUROPA, MERCURY, Body
+from perilune.models.physics.one_burn import SPENDS
+from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
-from perilune.proof.ended import with_end_bounds
-from perilune.proof.resolved import check_neighbours
-from perilune.proof.touched import restate_with_contacts
+from perilune.proof.necessary.contact_points import restate_with_contacts
+from perilune.proof.necessary.terminal_bounds import with_end_bounds
+from perilune.proof.sufficient.sensitivities import check_neighbours
 from perilune.solve import solve
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import Outcome
-from perilune.words.watch import ignore_events
 
 MU, RADIUS, ALTITUDE, SPEED = 4902.8e9, 1737.4e3, 94e3, 1635.9
 STILL = Body(name="moon", gravitational_parameter=MU, radius=RADIUS, rotation_rate=0.0)
@@ -479,7 +479,7 @@ def test_a_flight_that_is_better_than_what_is_proved_is_told_of(
     problem = strong()
     (rough, structure), *others = rough_landing(problem)
     told = replace(rough, objective=rough.objective - better)
-    monkeypatch.setattr("perilune.models.descent.rough_landing", lambda _: [(told, structure), *others])
+    monkeypatch.setattr("perilune.models.descent.problem.rough_landing", lambda _: [(told, structure), *others])
     found = Indirect().run(strong())
     assert [line for line in found.warnings if line.startswith("a flight is known that is better by 0.5")] == [
         line for line in found.warnings if "is known" in line

@@ -16,21 +16,21 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.breaches import ConstraintViolation, solution_violations
-from perilune.methods.coarse import Coarse
-from perilune.methods.indirect import Indirect
-from perilune.methods.refusals import bound_unreachable_objective, explain_refusal
-from perilune.methods.search import Search
-from perilune.models.bodies import EUROPA, MARS, MOON
-from perilune.models.descent import Site
-from perilune.models.precision import Approach, Corridor, precision_landing
-from perilune.models.vehicle import Vehicle
+from perilune.methods.indirect.coarse_direct import Coarse
+from perilune.methods.indirect.diagnosis import bound_unreachable_objective, explain_refusal
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.search import Search
+from perilune.methods.indirect.violations import ConstraintViolation, solution_violations
+from perilune.models.descent.problem import Site
+from perilune.models.physics.bodies import EUROPA, MARS, MOON
+from perilune.models.physics.vehicle import Vehicle
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
 from perilune.problem.verification import Check
 from perilune.proof import levels
-from perilune.proof.variations import KeptConditions
+from perilune.proof.sufficient.second_variation import KeptConditions
 from perilune.scenario import load_file
-from perilune.structures.read import CLOSEST, refine_minima
-from perilune.structures.restate import restate
+from perilune.structures.detect_arcs import CLOSEST, refine_minima
+from perilune.structures.multiphase import restate
 from perilune.structures.structure import Arc, Structure
 from problems.constrained import bryson_denham, bryson_denham_truth
 

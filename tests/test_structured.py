@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.bodies import CERES, MERCURY
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.problem.solution import Curve, Solution
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import CERES, MERCURY
+from perilune.problem.results.solution import Curve, Solution
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file
-from perilune.structures.read import broken_intervals
+from perilune.structures.detect_arcs import broken_intervals
 from problems.constrained import (
     brachistochrone,
     brachistochrone_truth,
@@ -189,8 +189,8 @@ def jumped(solution: Solution, amount: float) -> Solution:
 @pytest.mark.parametrize("rounding", [0.0, 5e-13, -5e-13])
 def test_rounding_in_a_sum_of_durations_is_not_its_size(touching: Solution, rounding: float) -> None:
     """Taken for one it drowned all other end conditions: what a flight of several phases may vary was not known."""
-    from perilune.proof.arc import PhaseData
-    from perilune.proof.touched import restate_with_contacts
+    from perilune.proof.feasible.phase_data import PhaseData
+    from perilune.proof.necessary.contact_points import restate_with_contacts
 
     parts, _ = restate_with_contacts(touching)
     parts = replace(parts, free={**parts.free, "T-1": parts.free["T-1"] + rounding})
@@ -212,8 +212,8 @@ def test_another_jump_of_the_costates_is_none(touching: Solution, amount: float)
 
 def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
     """Forced to touch a ceiling that the best flight stays below, J would fall by leaving it: the sign says so."""
-    from perilune.structures.carry import join_solution
-    from perilune.structures.restate import restate
+    from perilune.structures.multiphase import restate
+    from perilune.structures.split_join import join_solution
     from perilune.structures.structure import Arc, Structure
 
     problem: Any = bryson_denham(0.3)  # the free flight rises to 1/4
@@ -228,7 +228,7 @@ def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
 
 def at_the_maximum() -> Solution:
     """Along h = 0 by u = 0, where H = -u^2 has its maximum: a sawtooth lands J = -0.475."""
-    from perilune.models.descent_frames import variables_of_unit
+    from perilune.models.descent.coordinates import variables_of_unit
 
     phase = pl.Phase(
         name="go",

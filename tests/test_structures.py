@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.io.export import solution_document
-from perilune.problem.named_arcs import format_arcs
-from perilune.problem.solution import Solution
-from perilune.structures.carry import join_solution, split_solution
-from perilune.structures.read import detect_structure
-from perilune.structures.regimes import Stay, _close_gaps
-from perilune.structures.restate import restate
+from perilune.core.errors import PeriluneError
+from perilune.io.save import solution_document
+from perilune.problem.results.arc_sequence import format_arcs
+from perilune.problem.results.solution import Solution
+from perilune.structures.detect_arcs import detect_structure
+from perilune.structures.detect_regimes import Stay, _close_gaps
+from perilune.structures.multiphase import restate
+from perilune.structures.split_join import join_solution, split_solution
 from perilune.structures.structure import Arc, Structure
-from perilune.words.outcome import PeriluneError
 from problems.constrained import (
     brachistochrone,
     brachistochrone_truth,

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune.core.errors import Outcome, PeriluneError
 from perilune.families.sweep import sweep
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.shooting.continuation import Member, follow_family
-from perilune.shooting.function import Root
+from perilune.shooting.shooting_function import Root
 from perilune.solve import solve
-from perilune.words.outcome import Outcome, PeriluneError
 
 
 def test_landed_mass_against_delta_v(landing: Problem) -> None:

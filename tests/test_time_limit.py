@@ -16,10 +16,10 @@ import perilune as pl
 from cho import cho_landing
 from perilune.cli import progress as shown, run_command_line
 from perilune.cli.progress import progress
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.core.callbacks import TimeLimitReached, enter_computation, remember_best, sign_of_life
+from perilune.core.errors import NotConvergedError, PeriluneError
+from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.solve import TIME_LIMIT
-from perilune.words.outcome import NotConvergedError, PeriluneError
-from perilune.words.watch import TimeLimitReached, enter_computation, remember_best, sign_of_life
 from problems.ascents import tangent_steering
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -30,7 +30,7 @@ PRECISION = str(EXAMPLES / "precision_landing.toml")
 def steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clock that goes on by a second whenever it is looked at, so that ends depend on no machine."""
     clock = count()
-    monkeypatch.setattr("perilune.words.watch.time", SimpleNamespace(monotonic=lambda: float(next(clock))))
+    monkeypatch.setattr("perilune.core.callbacks.time", SimpleNamespace(monotonic=lambda: float(next(clock))))
 
 
 # -- the parts
@@ -38,7 +38,7 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_signs_of_life_are_told_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     now, lines = [0.0], list[object]()
-    monkeypatch.setattr("perilune.words.watch.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("perilune.core.callbacks.time", SimpleNamespace(monotonic=lambda: now[0]))
     with enter_computation(lines.append):
         for now[0] in (0.5, 0.9, 1.5, 2.0, 2.6, 9.0):
             sign_of_life(f"at {now[0]}")
@@ -155,7 +155,7 @@ def test_each_member_of_a_sweep_has_a_time_limit(
 ) -> None:
     """An hour goes by at each line of the second member: it is not found, and the others are."""
     now, member = [0.0], [""]
-    monkeypatch.setattr("perilune.words.watch.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("perilune.core.callbacks.time", SimpleNamespace(monotonic=lambda: now[0]))
 
     def watch(event: object) -> None:
         if isinstance(event, str) and event.endswith(" of 3)"):
@@ -177,7 +177,7 @@ def test_the_command_line_ends_with_exit_4_and_keeps_the_flight(
 ) -> None:
     """An hour goes by at the first line that begins so."""
     now = [0.0]
-    monkeypatch.setattr("perilune.words.watch.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("perilune.core.callbacks.time", SimpleNamespace(monotonic=lambda: now[0]))
 
     def hear(_: object, line: str, **__: object) -> None:
         now[0] += 3600.0 * line.startswith(begins)

@@ -21,16 +21,16 @@ import perilune as pl
 from command_line import HYBRID, ROOT, read_json
 from many_problems import transfer
 from perilune.cli import run_command_line
-from perilune.io.export import save, solution_document, whole_document
+from perilune.core.errors import Outcome, PeriluneError
 from perilune.io.format import SOLUTION_FILE
-from perilune.problem.solution import Solution
+from perilune.io.save import save, solution_document, whole_document
+from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import format_tolerance, quantity_in
 from perilune.report.family import family_csv, family_document
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import KINDS, load_file, load_text, template
 from perilune.scenario.reader import tolerance_of
 from perilune.scenario.text import parse
-from perilune.words.outcome import Outcome, PeriluneError
 from test_verify import shifted_values, with_curve
 
 PRECISION = str(ROOT / "examples" / "precision_landing.toml")

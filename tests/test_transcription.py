@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scipy.linalg import get_lapack_funcs
 
-from perilune.direct import blocks, errors, interior, nlp
+from perilune.direct import blocks, interior_point as interior, mesh_error as errors, nlp
+from perilune.direct.collocated_solution import Segment
 from perilune.direct.collocation import Mesh, Polynomial, rule
 from perilune.direct.mesh import refine_mesh
 from perilune.direct.nlp import TranscribedProgram
-from perilune.direct.reduced import AddedWeights, ReducedEquations, count_negative_eigenvalues
-from perilune.direct.segments import Segment
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.direct.reduced_space import AddedWeights, ReducedEquations, count_negative_eigenvalues
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.problem.casadi_trace import Unnumbered, canonical_given
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.symbolic import Unnumbered, canonical_given
 from perilune.problem.variables import Given, Variable
 from problems.ascents import tangent_steering
 from problems.goddard import goddard

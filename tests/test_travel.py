@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from perilune.core.errors import Outcome, PeriluneError
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution
+from perilune.problem.results.solution import Curve, Solution
 from perilune.solve import prove, solve
-from perilune.words.outcome import Outcome, PeriluneError
 
 
 def test_a_copy_is_equal_and_proves_again(ordinary: Solution) -> None:

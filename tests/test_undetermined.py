@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import perilune as pl
 from perilune.conditions.pontryagin import derive
-from perilune.methods.coarse import Coarse
-from perilune.methods.ladder import SearchSettings
-from perilune.methods.refusals import no_start_converged_error
-from perilune.methods.undetermined import undetermined_controls
+from perilune.methods.indirect.coarse_direct import Coarse
+from perilune.methods.indirect.diagnosis import no_start_converged_error, undetermined_controls
+from perilune.methods.indirect.settings import SearchSettings
 from perilune.problem.problem import Problem
 from perilune.scenario import load_text, template
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies as st
 
-from perilune.words.outcome import PeriluneError
-from perilune.words.units import (
+from perilune.core.errors import PeriluneError
+from perilune.core.units import (
     _UNITS,
     Scales,
     dimension_text,

@@ -16,10 +16,10 @@ import perilune as pl
 from command_line import ORDINARY, read_json, snapshot
 from perilune.cli import run_command_line
 from perilune.families.family import Family, FamilyPoint
-from perilune.io import export
-from perilune.io.files import NotWrittenError, fresh_directory
+from perilune.io import save as export
+from perilune.io.atomic_files import NotWrittenError, fresh_directory
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.report import write_all
 from perilune.report.family import write_family
 
@@ -70,7 +70,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, ordinary: Solution) -> None:
         ("perilune.report.figures.path_over_limb", pl.PeriluneError("no way"), {"figures/path"}, "no way"),
         ("perilune.report.figures.save_figure", FULL, {*FIGURES}, "No space left"),
         ("perilune.report.summary.solution_markdown", KeyError("x"), {"report.md"}, "report it with solution.json"),
-        ("perilune.io.export.trajectory_csv", ZeroDivisionError("x"), {"trajectory.csv"}, "ZeroDivisionError: x"),
+        ("perilune.io.save.trajectory_csv", ZeroDivisionError("x"), {"trajectory.csv"}, "ZeroDivisionError: x"),
     ],
 )
 @pytest.mark.usefixtures("solved")

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 from landing_by_scipy import cho_problem, resolve, shoot, solution_of
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.landing import Retro, mass_consistency_checks
+from perilune.core.errors import Outcome, PeriluneError
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.models.landing.problem import Retro, mass_consistency_checks
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Verification
-from perilune.proof.resolved import check_neighbours
+from perilune.proof.sufficient.sensitivities import check_neighbours
 from perilune.solve import verify
-from perilune.words.outcome import Outcome, PeriluneError
 from problems.constrained import mars_glide_slope
 
 HYBRID = Retro(specific_impulse=310.0)

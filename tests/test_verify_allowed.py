@@ -15,14 +15,14 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import fsolve
 
+from perilune.core.errors import Outcome
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check, Verification
 from perilune.solve import verify
-from perilune.words.outcome import Outcome
 
 
 def failed(verification: Verification) -> set[str]:

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.methods.structured import StructureRefinement
-from perilune.problem.extremal import Nature
+from perilune.core.errors import Outcome, PeriluneError
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.structure_search import StructureRefinement
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution
+from perilune.problem.results.extremal import Nature
+from perilune.problem.results.solution import Curve, Solution
 from perilune.problem.verification import Check, Verification
-from perilune.proof.crossed import check_agreement
+from perilune.proof.cross_check import check_agreement
 from perilune.solve import prove, solve, verify
-from perilune.words.outcome import Outcome, PeriluneError
 from problems.integrators import CEILING, least_energy
 from problems.landings import meditch
 

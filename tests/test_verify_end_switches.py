@@ -10,14 +10,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from perilune.core.errors import Outcome
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Given, Variable
-from perilune.proof import variations
+from perilune.proof.sufficient import second_variation as variations
 from perilune.solve import solve, verify
-from perilune.words.outcome import Outcome
 
 LENGTH = 2.0
 ENDS = {"begin": 0.0, "end": LENGTH}

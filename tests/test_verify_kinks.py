@@ -12,12 +12,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from perilune.problem.solution import Curve, Solution, Trajectory
-from perilune.proof.arc import PhaseData
-from perilune.proof.crossings import Guarded
-from perilune.proof.extremal import parameter_gradient, phase_end_multipliers
-from perilune.proof.guards import watched_rates
-from perilune.words.maths import NUMERIC
+from perilune.core.maths import NUMERIC
+from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.proof.feasible.branch_guards import watched_rates
+from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.switching_surfaces import Guarded
+from perilune.proof.necessary.first_order import parameter_gradient, phase_end_multipliers
 from test_control_law import given, variables
 from test_language import layered, refraction
 

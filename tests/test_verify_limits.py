@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.methods.indirect import Indirect
-from perilune.problem.neighbours import fix_free_parameters
-from perilune.problem.solution import Curve
-from perilune.proof.arc import PhaseData
+from perilune.methods.indirect.indirect import Indirect
+from perilune.problem.perturbed import fix_free_parameters
+from perilune.problem.results.solution import Curve
+from perilune.proof.feasible.phase_data import PhaseData
 from problems.ascents import lunar_ascent
 from problems.landings import meditch, ordinary
 from problems.orbit_raising import orbit_raising
@@ -116,7 +116,7 @@ def test_costates_that_end_beside_are_seen(make: Callable[[], pl.Problem]) -> No
 @pytest.mark.parametrize("make", PROBLEMS)
 def test_a_claimed_multiplier_beyond_its_limit_is_seen(make: Callable[[], pl.Problem]) -> None:
     """Each alone, by ten times what errors of the costates at the end may make of it."""
-    from perilune.proof.extremal import _multiplier_sizes
+    from perilune.proof.necessary.first_order import _multiplier_sizes
 
     solution = solved(make)
     arc = PhaseData(solution=solution, index=0)

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.problem.solution import Curve, Solution
-from perilune.proof.crossed import check_agreement
-from perilune.proof.rides import BoundaryArcs
-from perilune.proof.touched import restate_with_contacts
-from perilune.structures.carry import split_solution
+from perilune.problem.results.solution import Curve, Solution
+from perilune.proof.cross_check import check_agreement
+from perilune.proof.necessary.contact_points import restate_with_contacts
+from perilune.proof.sufficient.boundary_arcs import BoundaryArcs
+from perilune.structures.split_join import split_solution
 from problems.by_hand import by_hand, parted
 from problems.constrained import (
     OFFSET,

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 import perilune as pl
-from perilune.problem.solution import Curve, Solution
+from perilune.problem.results.solution import Curve, Solution
 from perilune.problem.variables import Given, Variable
 from perilune.problem.verification import Check, Verification
 from problems.goddard import goddard

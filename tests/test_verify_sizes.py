@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.models.bodies import Body
-from perilune.models.landing import Orbit, Retro, Vehicle, hybrid_landing
-from perilune.proof.flight import MOST_GROWTH, _error_growth, reintegrate
+from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
+from perilune.models.physics.bodies import Body
+from perilune.proof.feasible.repropagate import MOST_GROWTH, _error_growth, reintegrate
 
 PHOBOS = Body(name="phobos", gravitational_parameter=7.087e5, radius=11.1e3, rotation_rate=2.28e-4)
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.problem.solution import Curve, Solution
+from perilune.core.arrays import Physics
+from perilune.problem.results.solution import Curve, Solution
 from perilune.problem.variables import Given, Variable
-from perilune.words.types import Physics
 
 DRIFTS = [1e-6, 1e-9, 1e-12, 1e-13, 1e-15, 1e-17, -1e-13]
 GIVEN = {

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.methods.pseudospectral import Pseudospectral
-from perilune.models.precision import Corridor
+from perilune.core.errors import Outcome
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.models.precision.problem import Corridor
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check, Verification
 from perilune.solve import solve, verify
-from perilune.words.outcome import Outcome
 from problems.integrators import CEILING, least_energy, least_time
 from problems.landings import meditch
 from problems.staging import staged_burns

@@ -12,17 +12,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from perilune.models.precision import Corridor
+from perilune.core.errors import Outcome
+from perilune.models.precision.problem import Corridor
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Curve, Solution, Trajectory
 from perilune.problem.variables import Given, Variable
-from perilune.proof.arc import PhaseData
-from perilune.proof.extremal import COSTATE_LIMIT
-from perilune.proof.feasible import STATE_LIMIT
-from perilune.proof.flight import reintegrate, state_deviation
-from perilune.proof.pieces import (
+from perilune.proof.feasible.feasibility import STATE_LIMIT
+from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.repropagate import reintegrate, state_deviation
+from perilune.proof.feasible.sample_points import (
     POINTS,
     UP_TO,
     WEIGHTS,
@@ -32,8 +32,8 @@ from perilune.proof.pieces import (
     interpolating_cubics,
     polynomial,
 )
+from perilune.proof.necessary.first_order import COSTATE_LIMIT
 from perilune.solve import solve, verify
-from perilune.words.outcome import Outcome
 from problems.landings import meditch
 from test_descent import approach
 

@@ -14,14 +14,14 @@ import pytest
 import perilune as pl
 from command_line import ROOT
 from perilune.cli import run_command_line
-from perilune.models.atmosphere import exponential, standard
-from perilune.models.bodies import UniformGravity
-from perilune.models.deorbit.told import validity_ranges
-from perilune.models.precision import Approach, precision_landing
-from perilune.models.standard_atmosphere import HIGHEST
-from perilune.models.vehicle import Vehicle
-from perilune.problem.cautions import _warn_of_contact
-from perilune.problem.wording import free_name
+from perilune.models.deorbit.outputs import validity_ranges
+from perilune.models.physics.atmosphere import exponential, standard
+from perilune.models.physics.bodies import UniformGravity
+from perilune.models.physics.standard_atmosphere import HIGHEST
+from perilune.models.physics.vehicle import Vehicle
+from perilune.models.precision.problem import Approach, precision_landing
+from perilune.problem.display.quantity_names import free_name
+from perilune.problem.results.warnings import _warn_of_contact
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
 

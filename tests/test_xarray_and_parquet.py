@@ -16,19 +16,18 @@ import pytest
 
 from cho import cho_landing
 from command_line import ROOT, read_json
-from perilune.atlas import exporting
-from perilune.atlas.building import build
-from perilune.atlas.exporting import export
-from perilune.atlas.merging import merge
-from perilune.atlas.query import Atlas, open_atlas
-from perilune.atlas.store import MANIFEST
-from perilune.atlas.table import NodeTable
+from perilune.atlas.building import export as exporting
+from perilune.atlas.building.build import build
+from perilune.atlas.building.export import NodeTable, export
+from perilune.atlas.building.merge import merge
+from perilune.atlas.query.query import Atlas, open_atlas
+from perilune.atlas.store.store import MANIFEST
 from perilune.cli import run_command_line
+from perilune.core.errors import Outcome, PeriluneError
 from perilune.families.family import Family, FamilyPoint
 from perilune.families.sweep import sweep
 from perilune.scenario import load_file
 from perilune.solve import solve
-from perilune.words.outcome import Outcome, PeriluneError
 
 AXES = {"vehicle.thrust": (430.0, 440.0), "retro.specific_impulse": (290.0, 310.0)}
 NEEDS = "needs the extra 'test'"

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import perilune as pl
-from perilune.atlas import building
+from perilune.atlas.building import build as building
 from perilune.scenario import load_file
 
 ROOT = Path(__file__).parent.parent.parent

@@ -14,7 +14,7 @@ from abused import EXAMPLES, OURS, Fault, Material, demand, falsified, replaced
 
 import perilune as pl
 from perilune.cli import run_command_line
-from perilune.problem.preflight import preflight
+from perilune.problem.presolve import preflight
 from perilune.scenario import load_text
 
 _SAME = 1e-6  # relative: answers that agree so far are the same
@@ -64,8 +64,8 @@ def certificate(rng: np.random.Generator, material: Material, at: Path) -> str:
         return "no python-flint"
     from flint import arb, ctx
 
-    from perilune.rigorous.certified.expressions import Failed
-    from perilune.rigorous.check_certificate import confirm
+    from perilune_checker.check import confirm
+    from perilune_checker.expressions import Failed
 
     content = falsified(rng, material.certificate.encode())
     try:

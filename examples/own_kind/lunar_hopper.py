@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import perilune as pl
+from perilune.core.fields import quantity, record
 from perilune.models import Kind, Section
-from perilune.problem.declared import given_of
-from perilune.words.declared import quantity, record
+from perilune.problem.parameters import given_of
 
 
 @record("problem")

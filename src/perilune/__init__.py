@@ -18,38 +18,38 @@ _EXPORTS = {
     "Bounded": "perilune.problem.controls",
     "Given": "perilune.problem.variables",
     "Free": "perilune.problem.variables",
-    "Scales": "perilune.words.units",
-    "Table": "perilune.words.maths",
-    "Finding": "perilune.problem.preflight",
-    "Solution": "perilune.problem.solution",
-    "Trajectory": "perilune.problem.solution",
-    "Curve": "perilune.problem.solution",
-    "Result": "perilune.problem.solution",
-    "Statistics": "perilune.problem.solution",
-    "NamedArc": "perilune.problem.named_arcs",
-    "Extremal": "perilune.problem.extremal",
-    "Nature": "perilune.problem.extremal",
+    "Scales": "perilune.core.units",
+    "Table": "perilune.core.maths",
+    "Finding": "perilune.problem.presolve",
+    "Solution": "perilune.problem.results.solution",
+    "Trajectory": "perilune.problem.results.solution",
+    "Curve": "perilune.problem.results.solution",
+    "Result": "perilune.problem.results.solution",
+    "Statistics": "perilune.problem.results.solution",
+    "NamedArc": "perilune.problem.results.arc_sequence",
+    "Extremal": "perilune.problem.results.extremal",
+    "Nature": "perilune.problem.results.extremal",
     "Family": "perilune.families.family",
     "FamilyPoint": "perilune.families.family",
-    "Views": "perilune.problem.views",
+    "Views": "perilune.problem.display.views",
     "Tolerance": "perilune.problem.tolerance",
     "Verification": "perilune.problem.verification",
     "Check": "perilune.problem.verification",
-    "Outcome": "perilune.words.outcome",
-    "PeriluneError": "perilune.words.outcome",
-    "InfeasibleError": "perilune.words.outcome",
-    "NotConvergedError": "perilune.words.outcome",
-    "Indirect": "perilune.methods.indirect",
-    "Pseudospectral": "perilune.methods.pseudospectral",
-    "Hybrid": "perilune.methods.hybrid",
-    "Genetic": "perilune.methods.genetic",
-    "MOON": "perilune.models.bodies",
-    "load": "perilune.io.reload",
-    "guess": "perilune.problem.guess",
-    "save": "perilune.io.export",
+    "Outcome": "perilune.core.errors",
+    "PeriluneError": "perilune.core.errors",
+    "InfeasibleError": "perilune.core.errors",
+    "NotConvergedError": "perilune.core.errors",
+    "Indirect": "perilune.methods.indirect.indirect",
+    "Pseudospectral": "perilune.methods.direct.pseudospectral",
+    "Hybrid": "perilune.methods.evolutionary.hybrid",
+    "Genetic": "perilune.methods.evolutionary.genetic",
+    "MOON": "perilune.models.physics.bodies",
+    "load": "perilune.io.load",
+    "guess": "perilune.problem.initial_guess",
+    "save": "perilune.io.save",
     "export": "perilune.io.exports.writing",
-    "opposite": "perilune.problem.opposite",
-    "preflight": "perilune.problem.preflight",
+    "opposite": "perilune.problem.negated",
+    "preflight": "perilune.problem.presolve",
     "solve": "perilune.solve",
     "sweep": "perilune.families.sweep",
     "prove": "perilune.solve",
@@ -57,7 +57,7 @@ _EXPORTS = {
     "atlas": "perilune.atlas",
     "models": "perilune.models",
     "scenario": "perilune.scenario",
-    "views": "perilune.problem.views",
+    "views": "perilune.problem.display.views",
 }
 
 __all__ = [
@@ -112,15 +112,15 @@ __all__ = [
 
 # What methods of a solution do by rooms above theirs, which know it and which it does not know.
 _METHODS = {
-    "plot": "perilune.report.shown",
-    "animate": "perilune.report.animated",
-    "solution_page": "perilune.report.pages",
-    "problem_page": "perilune.report.pages",
-    "verification_page": "perilune.report.pages",
+    "plot": "perilune.report.plot",
+    "animate": "perilune.report.animation",
+    "solution_page": "perilune.report.notebook",
+    "problem_page": "perilune.report.notebook",
+    "verification_page": "perilune.report.notebook",
     "to_xarray": "perilune.io.exports.writing",
     "to_dataframe": "perilune.io.exports.writing",
-    "family_frame": "perilune.families.datasets",
-    "family_dataset": "perilune.families.datasets",
+    "family_frame": "perilune.families.export_frames",
+    "family_dataset": "perilune.families.export_frames",
 }
 
 if TYPE_CHECKING:
@@ -128,34 +128,34 @@ if TYPE_CHECKING:
     from typing import Any
 
     from perilune import atlas, models, scenario
+    from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+    from perilune.core.maths import Table
+    from perilune.core.units import Scales
     from perilune.families.family import Family, FamilyPoint
     from perilune.families.sweep import sweep
-    from perilune.io.export import save
     from perilune.io.exports.writing import export
-    from perilune.io.reload import load
-    from perilune.methods.genetic import Genetic
-    from perilune.methods.hybrid import Hybrid
-    from perilune.methods.indirect import Indirect
-    from perilune.methods.pseudospectral import Pseudospectral
-    from perilune.models.bodies import MOON
-    from perilune.problem import views
+    from perilune.io.load import load
+    from perilune.io.save import save
+    from perilune.methods.direct.pseudospectral import Pseudospectral
+    from perilune.methods.evolutionary.genetic import Genetic
+    from perilune.methods.evolutionary.hybrid import Hybrid
+    from perilune.methods.indirect.indirect import Indirect
+    from perilune.models.physics.bodies import MOON
     from perilune.problem.controls import Bounded, Direction
-    from perilune.problem.extremal import Extremal, Nature
-    from perilune.problem.guess import guess
-    from perilune.problem.named_arcs import NamedArc
-    from perilune.problem.opposite import opposite
+    from perilune.problem.display import views
+    from perilune.problem.display.views import Views
+    from perilune.problem.initial_guess import guess
+    from perilune.problem.negated import opposite
     from perilune.problem.phase import Phase
-    from perilune.problem.preflight import Finding, preflight
+    from perilune.problem.presolve import Finding, preflight
     from perilune.problem.problem import Problem
-    from perilune.problem.solution import Curve, Result, Solution, Statistics, Trajectory
+    from perilune.problem.results.arc_sequence import NamedArc
+    from perilune.problem.results.extremal import Extremal, Nature
+    from perilune.problem.results.solution import Curve, Result, Solution, Statistics, Trajectory
     from perilune.problem.tolerance import Tolerance
     from perilune.problem.variables import Free, Given, Variable
     from perilune.problem.verification import Check, Verification
-    from perilune.problem.views import Views
     from perilune.solve import prove, solve, verify
-    from perilune.words.maths import Table
-    from perilune.words.outcome import InfeasibleError, NotConvergedError, Outcome, PeriluneError
-    from perilune.words.units import Scales
 
 
 class _Package(ModuleType):
@@ -179,7 +179,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    from perilune.words.face import public_names
+    from perilune.core.facade import public_names
 
     return public_names((*__all__, "__version__"))
 

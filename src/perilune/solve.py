@@ -8,27 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
-from perilune.methods.indirect import Indirect
-from perilune.methods.method import Method
-from perilune.problem.extremal import Nature
-from perilune.problem.preflight import preflight, refuse_impossible
-from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
-from perilune.problem.tolerance import Tolerance
-from perilune.problem.verification import LEVELS, THEOREM, Verification
-from perilune.problem.wording import objective_text
-from perilune.structures.budgets import with_budgets
-from perilune.words.asked import (
-    check_call,
-    require_callable,
-    require_level,
-    require_si_number,
-    require_type,
-    wrong_type_error,
-)
-from perilune.words.outcome import NotConvergedError, Outcome, PeriluneError
-from perilune.words.units import format_quantity
-from perilune.words.watch import (
+from perilune.core.callbacks import (
     Iteration,
     Progress,
     TimeLimitReached,
@@ -37,13 +17,33 @@ from perilune.words.watch import (
     remember_best,
     sign_of_life,
 )
+from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
+from perilune.core.units import format_quantity
+from perilune.core.validation import (
+    check_call,
+    require_callable,
+    require_level,
+    require_si_number,
+    require_type,
+    wrong_type_error,
+)
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.method import Method
+from perilune.problem.display.quantity_names import objective_text
+from perilune.problem.presolve import preflight, refuse_impossible
+from perilune.problem.problem import Problem
+from perilune.problem.results.extremal import Nature
+from perilune.problem.results.solution import Solution
+from perilune.problem.tolerance import Tolerance
+from perilune.problem.verification import LEVELS, THEOREM, Verification
+from perilune.structures.monotone_limits import with_budgets
 
 TIME_LIMIT = 600.0  # s, where none is stated: the hardest answers take a minute or two
 SECOND_VARIATION = ("conjugate_point", "second_variation", "nothing_gained")  # checks of level 3
 
 if TYPE_CHECKING:
-    from perilune.methods.pseudospectral import Pseudospectral
-    from perilune.proof.resolved import Resolve
+    from perilune.methods.direct.pseudospectral import Pseudospectral
+    from perilune.proof.sufficient.sensitivities import Resolve
 
 
 @check_call
@@ -65,7 +65,7 @@ def solve(
         What to solve.
     method
         ``Indirect()`` unless another is given. The answer of ``Pseudospectral()`` is made exact
-        (`perilune.methods.polished`); ``Pseudospectral(polish=False)`` leaves it as its mesh has it.
+        (`perilune.methods.polish`); ``Pseudospectral(polish=False)`` leaves it as its mesh has it.
     guess
         A solution of any method for this or a similar problem. None is needed.
     level
@@ -86,7 +86,7 @@ def solve(
     Raises
     ------
     InfeasibleError
-        If a binding comparison of `perilune.problem.preflight` is missed, or as the method says.
+        If a binding comparison of `perilune.problem.presolve` is missed, or as the method says.
     NotConvergedError
         As the method says, or where the time limit is over.
     """
@@ -104,7 +104,7 @@ def solve(
             stated = with_budgets(problem, linear=False)
             return _solved_and_proved(method_or_default(method), stated, guess, level, tolerance, work)
         except NotConvergedError as error:
-            from perilune.methods.infeasibility import with_binding_limit
+            from perilune.methods.binding_limit import with_binding_limit
 
             # Of the problem as it came: a limit that is said at the end too gives nowhere alone.
             raise with_binding_limit(problem, error, work) from None
@@ -176,7 +176,7 @@ def _run_method(method: Method, problem: Problem, guess: Solution | None, watch:
     try:
         if not getattr(method, "polish", False):
             return method.run(problem, guess, watch)
-        from perilune.methods.polished import solve_and_polish  # and with it the direct method, and much of SciPy
+        from perilune.methods.polish import solve_and_polish  # and with it the direct method, and much of SciPy
 
         return solve_and_polish(cast("Pseudospectral", method), problem, guess, watch)
     except NotConvergedError:
@@ -227,7 +227,7 @@ def prove(
     -------
     Solution
         The same with its verification, and the outcome that follows. Of a solution that was loaded, the extremals that
-        its file lists are found again by Newton's method, or left out (`perilune.proof.listed`). Where a check fails,
+        its file lists are found again by Newton's method, or left out (`perilune.proof.recheck`). Where a check fails,
         its own extremal is called an optimum no longer.
     """
     require_type(solution, Solution, "a solution to prove")
@@ -281,7 +281,7 @@ def _keep_confirmed_extremals(solution: Solution) -> tuple[Solution, tuple[str, 
     """Return the solution with the confirmed ones of its listed extremals, and notes on the others."""
     if not solution.listed:
         return solution, ()
-    from perilune.proof.listed import confirm_listed_extremals
+    from perilune.proof.recheck import confirm_listed_extremals
 
     extremals, notes = confirm_listed_extremals(solution, _solve_again)
     return replace(solution, extremals=extremals, listed=()), notes

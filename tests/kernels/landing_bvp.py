@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from lander import PARAMETERS, RADIUS, SPEED, landing_rhs
 
-from perilune.conditions.canonical import PhaseExtremal
+from perilune.conditions.canonical_equations import PhaseExtremal
 from perilune.conditions.pontryagin import Conditions
 from perilune.kernels.algebra.prune import prune
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start
 
+from perilune.core.errors import PeriluneError
 from perilune.kernels import ArcStatus, compile_arcs
-from perilune.words.outcome import PeriluneError
 
 
 def engine(rhs: ca.Function, backend: str, columns: Any = 0) -> Any:

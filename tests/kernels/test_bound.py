@@ -12,9 +12,9 @@ import pytest
 from lander import DURATION, PARAMETERS, landing_rhs, landing_seeds, start
 from meditch import FINAL_TIME, PARAMETERS as MEDITCH, START, SWITCH, modes_and_switch
 
+from perilune.core.errors import PeriluneError
 from perilune.kernels import ArcStatus, BoundArcs, Engine, Request, compile_arcs, compile_map
 from perilune.kernels.code import native
-from perilune.words.outcome import PeriluneError
 
 
 def bound(engine: Engine, lanes: int = 1, *, columns: bool = False, tolerance: float = 1e-12, **more: Any) -> BoundArcs:

@@ -13,7 +13,7 @@ import pytest
 from perilune.cli import run_command_line
 from perilune.kernels import compile_arcs
 from perilune.kernels.flight import engine
-from perilune.shooting import flyer, propagate
+from perilune.shooting import integrate_plan as flyer, propagate
 
 
 def decay() -> ca.Function:

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from perilune.core.errors import PeriluneError
 from perilune.kernels.algebra.program import hoist, trace_function
-from perilune.kernels.code.mapped import compile_map
-from perilune.words.outcome import PeriluneError
+from perilune.kernels.code.batch_map import compile_map
 
 EDGES = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -0.5, np.inf, -np.inf, np.nan, 5e-324, 2.3e-308, 1.7e308, -1.7e308])
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from perilune.kernels import compile_arcs, compile_map
-from perilune.kernels.algebra import pieces as dividing
-from perilune.kernels.algebra.pieces import split_program
+from perilune.kernels.algebra import split_program as dividing
 from perilune.kernels.algebra.program import trace_function
+from perilune.kernels.algebra.split_program import split_program
 
 X = ca.SX.sym("x", 5)
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from lander import DURATION, PARAMETERS, landing_rhs, start
 
+from perilune.core.errors import PeriluneError
 from perilune.kernels import compile_arcs
 from perilune.kernels.algebra.prune import prune
-from perilune.words.outcome import PeriluneError
 
 
 def test_the_planar_landing_loses_angle_and_costates_that_decouple() -> None:

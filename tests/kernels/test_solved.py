@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from perilune.core.errors import PeriluneError
 from perilune.kernels import ArcStatus, Event, compile_arcs
-from perilune.words.outcome import PeriluneError
 
 
 def implicit(steps: int = 6) -> tuple[ca.Function, ca.Function]:

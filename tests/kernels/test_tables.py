@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from perilune.core.arrays import Vector
+from perilune.core.maths import Table
 from perilune.kernels import compile_arcs, compile_map
 from perilune.kernels.algebra.program import hoist, trace_function
-from perilune.words.maths import Table
-from perilune.words.types import Vector
 
 
 def table(knots: int, kind: Any = "smooth") -> Table:

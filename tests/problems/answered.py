@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.problem import Problem
 
 Method = Indirect | Pseudospectral

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from perilune.core.units import Scales
 from perilune.problem.controls import Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.words.units import Scales
 from problems.answered import Answered
 
 END = tuple(Variable(name=n, unit=u) for n, u in (("height", "m"), ("along", "m/s"), ("up", "m/s")))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 import perilune as pl
-from perilune.problem.solution import Curve, Solution
+from perilune.problem.results.solution import Curve, Solution
 
 NODES = 400  # of an arc
 Formula = Callable[[Any], Any]

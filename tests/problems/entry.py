@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from perilune.core.units import Scales
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.words.units import Scales
 
 
 def _rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:

@@ -6,11 +6,11 @@ singular arc H does not depend on the thrust, so that a direct method in one pha
 
 from __future__ import annotations
 
+from perilune.core.units import Scales
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.words.units import Scales
 from problems.answered import Answered
 
 FOOT = 0.3048

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from functools import partial
 
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from perilune.methods.indirect import Indirect
-from perilune.methods.pseudospectral import Pseudospectral
+from perilune.core.units import Scales
+from perilune.methods.direct.pseudospectral import Pseudospectral
+from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.words.units import Scales
 from problems.answered import Answered
 
 

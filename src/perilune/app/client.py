@@ -17,15 +17,15 @@ from typing import Any, NamedTuple, TypeVar
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from perilune.app.answering import Answering, FlightAnswer, NoNearbyFlight, cost_along_free_parameter
-from perilune.app.beside import SupersededWork, WorkerKilled, WorkerProcess, in_thread
-from perilune.app.frames import extremals_message, flight_message, opening_message, refusal_message
-from perilune.app.resting import compare_with_cold_start, prove_timed, solve_without_guess
+from perilune.app.answers import Answering, FlightAnswer, NoNearbyFlight, cost_along_free_parameter
+from perilune.app.background import compare_with_cold_start, prove_timed, solve_without_guess
+from perilune.app.messages import extremals_message, flight_message, opening_message, refusal_message
 from perilune.app.slices import Slices
-from perilune.app.subject import Subject
-from perilune.problem.solution import Solution
-from perilune.words.outcome import PeriluneError
-from perilune.words.watch import Iteration, Watch
+from perilune.app.source import Subject
+from perilune.app.worker import SupersededWork, WorkerKilled, WorkerProcess, in_thread
+from perilune.core.callbacks import Iteration, Watch
+from perilune.core.errors import PeriluneError
+from perilune.problem.results.solution import Solution
 
 MESSAGE = 16_384  # bytes that a message may have
 COMPARING = 60.0  # s that are given to looking from nothing for a better flight

@@ -9,31 +9,31 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from perilune.words.face import public_names
+from perilune.core.facade import public_names
 
 if TYPE_CHECKING:
-    from perilune.atlas.building import build
-    from perilune.atlas.exporting import export
-    from perilune.atlas.extending import extend
-    from perilune.atlas.many import Answered, Answers
-    from perilune.atlas.mapped import Mapped, Query
-    from perilune.atlas.merging import merge
-    from perilune.atlas.query import Atlas, open_atlas as open
-    from perilune.atlas.slices import Slice, sliced
+    from perilune.atlas.building.build import build
+    from perilune.atlas.building.export import export
+    from perilune.atlas.building.extend import extend
+    from perilune.atlas.building.merge import merge
+    from perilune.atlas.query.answer import Mapped, Query
+    from perilune.atlas.query.batch import Answered, Answers
+    from perilune.atlas.query.query import Atlas, open_atlas as open
+    from perilune.atlas.query.slices import Slice, sliced
 
 _HOME = {
-    "build": ("building", "build"),
-    "export": ("exporting", "export"),
-    "extend": ("extending", "extend"),
-    "merge": ("merging", "merge"),
-    "open": ("query", "open_atlas"),
-    "Atlas": ("query", "Atlas"),
-    "Mapped": ("mapped", "Mapped"),
-    "Query": ("mapped", "Query"),
-    "Answers": ("many", "Answers"),
-    "Answered": ("many", "Answered"),
-    "Slice": ("slices", "Slice"),
-    "sliced": ("slices", "sliced"),
+    "build": ("building.build", "build"),
+    "export": ("building.export", "export"),
+    "extend": ("building.extend", "extend"),
+    "merge": ("building.merge", "merge"),
+    "open": ("query.query", "open_atlas"),
+    "Atlas": ("query.query", "Atlas"),
+    "Mapped": ("query.answer", "Mapped"),
+    "Query": ("query.answer", "Query"),
+    "Answers": ("query.batch", "Answers"),
+    "Answered": ("query.batch", "Answered"),
+    "Slice": ("query.slices", "Slice"),
+    "sliced": ("query.slices", "sliced"),
 }
 __all__ = [
     "Answered",

@@ -17,8 +17,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import Map, compile_map
-from perilune.words.types import Matrix, Vector
 
 
 @lru_cache(maxsize=8)

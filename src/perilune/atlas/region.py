@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.models.kinds import key_of
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core.fields import parameter_name
+from perilune.core.units import format_quantity, format_value_range
+from perilune.core.validation import wrong_type_error
+from perilune.models.catalogue import key_of
 from perilune.problem.problem import Problem
-from perilune.words.asked import wrong_type_error
-from perilune.words.declared import parameter_name
-from perilune.words.outcome import PeriluneError, unknown_name
-from perilune.words.types import Matrix, Vector
-from perilune.words.units import format_quantity, format_value_range
 
 MOST_AXES = 4
 _MOST_BRICKS = 10**6

@@ -27,7 +27,7 @@ def main() -> NoReturn:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # it ends without a word until there is somebody to say one
     import signal
 
-    from perilune.cli.stopping import handle_interrupt
+    from perilune.cli.interrupts import handle_interrupt
 
     if heeded:
         signal.signal(signal.SIGINT, handle_interrupt)
@@ -80,6 +80,6 @@ def run_command_line(arguments: Sequence[str]) -> int:
         return run_command(arguments)
     except KeyboardInterrupt:
         # The commands answer for themselves; here is only who was quicker than the imports.
-        from perilune.cli.answer import INTERRUPTED, interrupted_error, print_answer, refusal_answer
+        from perilune.cli.output import INTERRUPTED, interrupted_error, print_answer, refusal_answer
 
         return print_answer(refusal_answer(interrupted_error(), INTERRUPTED), as_json="--json" in arguments)

@@ -27,8 +27,8 @@ from perilune.cli.options import (
     real,
     switch,
 )
-from perilune.reproductions.papers import PAPERS
-from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.core.errors import PeriluneError, unknown_name
+from perilune_papers.papers import PAPERS
 
 _EXIT_CODES = "Exit codes: 0 proved, 2 bad scenario, 3 infeasible, 4 not converged, 5 not proved, 130 stopped."
 

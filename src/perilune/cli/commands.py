@@ -10,7 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from perilune.cli.answer import (
+from perilune.cli.arguments import HelpShown, help_text, method_settings, parse_command_line
+from perilune.cli.doctor import diagnosis
+from perilune.cli.interrupts import advise_on_interrupt, defer_interrupt, raise_pending_interrupt
+from perilune.cli.options import time_limit
+from perilune.cli.output import (
     CommandAnswer,
     WrittenFiles,
     answer_of_error,
@@ -20,16 +24,12 @@ from perilune.cli.answer import (
     print_to_stderr,
     refusal_answer,
 )
-from perilune.cli.arguments import HelpShown, help_text, method_settings, parse_command_line
-from perilune.cli.doctor import diagnosis
-from perilune.cli.options import time_limit
 from perilune.cli.progress import LONGEST_LOG, WRITING, failure_kept, print_warnings, progress, refuse_unusable_target
-from perilune.cli.stopping import advise_on_interrupt, defer_interrupt, raise_pending_interrupt
-from perilune.words.outcome import InfeasibleError, PeriluneError
-from perilune.words.units import format_quantity
+from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core.units import format_quantity
 
 if TYPE_CHECKING:
-    from perilune.problem.solution import Solution
+    from perilune.problem.results.solution import Solution
 
 _MOST_NAMES = 8  # of files in a note
 
@@ -52,7 +52,7 @@ def run_command(arguments: Sequence[str]) -> int:
 
 def _run_solve_command(typed: Namespace) -> CommandAnswer:
     from perilune.cli.methods import method_of
-    from perilune.problem.preflight import preflight
+    from perilune.problem.presolve import preflight
     from perilune.scenario import load_file
 
     chosen, out, limit = method_of(typed.method, method_settings(typed)), typed.out, time_limit(typed)
@@ -73,7 +73,7 @@ def _run_solve_command(typed: Namespace) -> CommandAnswer:
             )  # fmt: skip
             if out is not None:
                 with defer_interrupt(), files.written():
-                    from perilune.io.export import save
+                    from perilune.io.save import save
 
                     save(solution, out, scenario.text, force=typed.force)
                     kept = f"the solution is in {out}; its figures and the report may be missing"
@@ -106,7 +106,7 @@ def _plainer_flight(solution: Solution) -> Solution | None:
 
 
 def _solution_answer(solution: Solution, verbose: bool) -> CommandAnswer:
-    from perilune.io.export import solution_document
+    from perilune.io.save import solution_document
     from perilune.report.summary import solution_summary
 
     raise_pending_interrupt()
@@ -130,13 +130,13 @@ def _plain_answer(solution: Solution, fault: CommandAnswer) -> CommandAnswer:
 
 
 def _run_sweep_command(typed: Namespace) -> CommandAnswer:
-    from perilune.cli.sweeping import sweep_answer
+    from perilune.cli.sweep import sweep_answer
 
     return sweep_answer(typed)
 
 
 def _run_check_command(typed: Namespace) -> CommandAnswer:
-    from perilune.problem.preflight import preflight, refuse_impossible
+    from perilune.problem.presolve import preflight, refuse_impossible
     from perilune.scenario import load_file
 
     with progress(False, deque(maxlen=1)) as watch:
@@ -191,18 +191,18 @@ def _run_opportunities_command(typed: Namespace) -> CommandAnswer:
 
 
 def _run_atlas_command(typed: Namespace) -> CommandAnswer:
-    from perilune.cli.mapping import ACTIONS
+    from perilune.cli.atlas import ACTIONS
 
     return ACTIONS[typed.action](typed)
 
 
 def _run_verify_command(typed: Namespace) -> CommandAnswer:
-    from perilune.io.reload import load
+    from perilune.io.load import load
     from perilune.solve import prove
 
     certificate = typed.certificate
     if certificate is not None:
-        from perilune.io.files import new_file
+        from perilune.io.atomic_files import new_file
 
         certificate = new_file(certificate, "the certificate", typed.force)  # refused before the work, not after it
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
@@ -232,7 +232,7 @@ def _with_unread_files(solution: Solution, directory: Path) -> Solution:
 
 def _write_certificate(solution: Solution, file: Path) -> str:
     """Write the certificate of a theorem; returns a sentence on it."""
-    from perilune.io.files import fresh_file, json_text
+    from perilune.io.atomic_files import fresh_file, json_text
 
     if solution.verification.certificate is None:
         return "no certificate was written, as there is no theorem"
@@ -246,7 +246,7 @@ def _run_export_command(typed: Namespace) -> CommandAnswer:
     from perilune.io.exports.epochs import flight_epoch
     from perilune.io.exports.provenance import provenance
     from perilune.io.exports.writing import export_target, require_object, write_export
-    from perilune.io.reload import load_with_tree
+    from perilune.io.load import load_with_tree
     from perilune.solve import prove
 
     _, form = export_target(typed.out, typed.format, typed.force)
@@ -265,7 +265,7 @@ def _run_export_command(typed: Namespace) -> CommandAnswer:
 
 
 def _run_reproduce_command(typed: Namespace) -> CommandAnswer:
-    from perilune.reproductions.papers import reproduce_paper as reproduce_paper
+    from perilune_papers.papers import reproduce_paper as reproduce_paper
 
     refuse_unusable_target(typed.out, typed.force)
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
@@ -282,13 +282,13 @@ def _run_reproduce_command(typed: Namespace) -> CommandAnswer:
 
 
 def _run_new_command(typed: Namespace) -> CommandAnswer:
-    from perilune.cli.beginning import new_answer
+    from perilune.cli.new import new_answer
 
     return new_answer(typed)
 
 
 def _run_explore_command(typed: Namespace) -> CommandAnswer:
-    from perilune.cli.exploring import serve_or_write_page
+    from perilune.cli.explore import serve_or_write_page
 
     return serve_or_write_page(typed)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from perilune.cli.answer import CommandAnswer
+from perilune.cli.output import CommandAnswer
 
 # What `pip install 'perilune[PART]'` brings: the modules without which that part says it is missing.
 PARTS = {
@@ -21,7 +21,7 @@ def diagnosis(clear_cache: bool) -> CommandAnswer:
     import platform
     from importlib.util import find_spec
 
-    from perilune.io.export import program_versions
+    from perilune.io.save import program_versions
     from perilune.kernels.code import cache
 
     removed = cache.clear_cache() if clear_cache else None

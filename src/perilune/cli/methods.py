@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from perilune.words.outcome import PeriluneError, unknown_name
+from perilune.core.errors import PeriluneError, unknown_name
 
 if TYPE_CHECKING:
     from perilune.methods.method import Method
@@ -41,15 +41,15 @@ def method_of(name: str, settings: Mapping[str, Any] | None = None) -> Method:
                 advice=having,
             )
     if name == "indirect":
-        from perilune.methods.indirect import Indirect
+        from perilune.methods.indirect.indirect import Indirect
 
         return Indirect(**chosen)
-    from perilune.methods.pseudospectral import Pseudospectral
+    from perilune.methods.direct.pseudospectral import Pseudospectral
 
     if name == "direct":
         return Pseudospectral(**chosen)
-    from perilune.methods.genetic import Genetic
-    from perilune.methods.hybrid import Hybrid
+    from perilune.methods.evolutionary.genetic import Genetic
+    from perilune.methods.evolutionary.hybrid import Hybrid
 
     seed = {key: chosen.pop(key) for key in ("seed",) if key in chosen}
     return Hybrid(Genetic(**seed), Pseudospectral(**chosen))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from perilune.words.outcome import PeriluneError
+from perilune.core.errors import PeriluneError
 
 
 def integer_in_range(least: int, most: int | None = None) -> Callable[[str], int]:
@@ -36,8 +36,8 @@ def time_limit(typed: argparse.Namespace) -> float | None:
     PeriluneError
         If it is no time with its unit.
     """
-    from perilune.words.declared import with_key_named
-    from perilune.words.units import parse_quantity
+    from perilune.core.fields import with_key_named
+    from perilune.core.units import parse_quantity
 
     if typed.time_limit is None:
         return None

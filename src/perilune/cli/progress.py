@@ -13,20 +13,20 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
-from perilune.cli.answer import INTERRUPTED, WrittenFiles, interrupted_error, print_to_stderr, refusal_answer
-from perilune.cli.stopping import STOPPED, raise_pending_interrupt
-from perilune.words.outcome import InfeasibleError, NotConvergedError, PeriluneError
+from perilune.cli.interrupts import STOPPED, raise_pending_interrupt
+from perilune.cli.output import INTERRUPTED, WrittenFiles, interrupted_error, print_to_stderr, refusal_answer
+from perilune.core.errors import InfeasibleError, NotConvergedError, PeriluneError
 
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from perilune.problem.preflight import Finding
+    from perilune.core.callbacks import Iteration
+    from perilune.problem.presolve import Finding
     from perilune.scenario import Scenario
-    from perilune.words.watch import Iteration
 
 LONGEST_LOG = 1000  # lines of progress that a failure keeps
 _FIRST_WORD, _NEXT_WORD = 2.0, 5.0  # s: until the first word on what is at work, and between two of them
-_BEST_SO_FAR = "best so far: "  # how `perilune.words.watch.remember_best` begins
+_BEST_SO_FAR = "best so far: "  # how `perilune.core.callbacks.remember_best` begins
 WRITING = "writing figures and the report"  # of an answer: no flight is the best so far any more
 _COUNT = re.compile(r"\d+ of \d+")  # members that are done, of all
 _COUNTED = re.compile(r" \((\d+ of \d+)\).*")  # behind the name of a member
@@ -153,7 +153,7 @@ def print_note(text: str) -> None:
 def refuse_unusable_target(out: Path | None, force: bool) -> None:
     """Refuse an unusable target before the work, not after it."""
     if out is not None:
-        from perilune.io.files import fresh_directory
+        from perilune.io.atomic_files import fresh_directory
 
         with fresh_directory(out, force):
             pass
@@ -165,12 +165,12 @@ def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[s
     try:
         yield
     except (InfeasibleError, NotConvergedError, KeyboardInterrupt) as error:
-        from perilune.io.files import FAILURE_FILE, fresh_directory, in_use, json_text
+        from perilune.io.atomic_files import FAILURE_FILE, fresh_directory, in_use, json_text
 
         interrupted = isinstance(error, KeyboardInterrupt) or STOPPED.is_set()
         if out is not None and not (interrupted and in_use(out)):
-            from perilune.io.export import program_versions, whole_document
             from perilune.io.format import hash_of
+            from perilune.io.save import program_versions, whole_document
 
             known = error if isinstance(error, PeriluneError) and not interrupted else interrupted_error()
             said = refusal_answer(known, getattr(error, "exit_code", INTERRUPTED))

@@ -7,13 +7,13 @@ which H is linear sits at a bound, at the upper one where S < 0. One in which H 
 where S = 0: in closed form where H is quadratic, else by Newton's method.
 
 A scalar may be known to stay in one regime all along its phase (`perilune.problem.controls.Settled`): on a bound, or
-singular, where its value follows from the motion of state and costate (`perilune.conditions.singular`).
+singular, where its value follows from the motion of state and costate (`perilune.conditions.singular_control`).
 
 Conditions of the path that are linear in a direction, or of scalars only, are active where H asks for more
-(`perilune.conditions.held`, `perilune.conditions.scalars`).
+(`perilune.conditions.active_constraints`, `perilune.conditions.scalar_regimes`).
 
 A *mode* names the regime of every scalar and the conditions that are held; its control is smooth in (x, lambda).
-Events lead from mode to mode (`perilune.conditions.transitions`).
+Events lead from mode to mode (`perilune.conditions.switching_events`).
 """
 
 from __future__ import annotations
@@ -25,10 +25,9 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.directions import eliminate_directions
-from perilune.conditions.held import Held, depends_on_direction, enumerate_active_sets, require_attainable
-from perilune.conditions.riding import boundary_arc_control
-from perilune.conditions.scalars import (
+from perilune.conditions.active_constraints import Held, depends_on_direction, enumerate_active_sets, require_attainable
+from perilune.conditions.boundary_arc_control import boundary_arc_control
+from perilune.conditions.scalar_regimes import (
     FREE,
     INSIDE,
     Bend,
@@ -41,11 +40,12 @@ from perilune.conditions.scalars import (
     no_control_law_error,
     satisfies_conditions,
 )
-from perilune.conditions.singular import Motion, singular_control
-from perilune.conditions.transitions import Mode, ModeSwitches, SwitchingEvent
+from perilune.conditions.singular_control import Motion, singular_control
+from perilune.conditions.switching_events import Mode, ModeSwitches, SwitchingEvent
+from perilune.conditions.unit_vector_control import eliminate_directions
+from perilune.problem.casadi_trace import elements
 from perilune.problem.controls import Regime, scalars
 from perilune.problem.phase import Phase
-from perilune.problem.symbolic import elements
 
 _ROUNDED = 1e-12  # of the amounts of its terms: by less H in one mode is no less than in another
 _UNKNOWN_TERMS = Terms(size=ca.SX(0.0), positive=ca.SX(0, 1))

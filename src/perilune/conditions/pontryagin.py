@@ -14,7 +14,7 @@ and for each free parameter q, which may move the initial state, the ends, the l
 For the retro burn this last line is Cho et al. (19), "lambda_u(0) + lambda_m(0) M/c exp(...) = 0", and H_f = 0. A free
 parameter in the dynamics becomes a constant state, whose costate collects the integral of dH/dq.
 
-Conditions along a phase are in `perilune.conditions.canonical`, those at links and ends are here.
+Conditions along a phase are in `perilune.conditions.canonical_equations`, those at links and ends are here.
 
 Unknowns of shooting: y = (lambda_k(0) for each phase, free parameters, nu), all in canonical units.
 """
@@ -27,12 +27,12 @@ from functools import lru_cache
 
 import casadi as ca
 
-from perilune.conditions.canonical import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
-from perilune.conditions.held import Held, attainable_as_equality
-from perilune.conditions.joints import contact_point_rows, smooth_junction_rows
-from perilune.problem.neighbours import without_start_offsets
-from perilune.problem.problem import Problem
-from perilune.problem.symbolic import (
+from perilune.conditions.active_constraints import Held, attainable_as_equality
+from perilune.conditions.canonical_equations import PhaseExtremal, canonical_equations, hamiltonian_at, limit_symbols
+from perilune.conditions.junction_conditions import contact_point_rows, smooth_junction_rows
+from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.units import quotient_unit
+from perilune.problem.casadi_trace import (
     SYMBOLIC,
     Parameters,
     Unnumbered,
@@ -41,9 +41,9 @@ from perilune.problem.symbolic import (
     trace_at_end,
     trace_parameters,
 )
-from perilune.problem.unpriced import cost_states, unpriced_states
-from perilune.words.units import quotient_unit
-from perilune.words.watch import Watch, ignore_events
+from perilune.problem.perturbed import without_start_offsets
+from perilune.problem.problem import Problem
+from perilune.problem.tracing.costate_signs import cost_states, unpriced_states
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +66,7 @@ class Conditions:
         First of the rows of the residual that hold the costates at the ends, in the order of `costate_at`.
     stationarity_at
         Slice of the residual: one row for each free parameter, which is dJ/dq along the family of extremals; but for
-        durations that end where something begins or ceases to be held (`perilune.conditions.joints`).
+        durations that end where something begins or ceases to be held (`perilune.conditions.junction_conditions`).
     ranges
         (row of the residual, unknown nu) of each end condition with a finite bound: its row holds psi, which only has
         to lie between the bounds.

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from perilune.core.arrays import Matrix, Vector
 from perilune.direct.blocks import Block
 from perilune.direct.layout import Layout
-from perilune.words.types import Matrix, Vector
 
 # Rows, columns and values of a sparse matrix.
 Triplets = tuple[Vector, Vector, Vector]

@@ -21,10 +21,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from perilune.problem.controls import directions
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.symbolic import (
+from perilune.core.arrays import Vector
+from perilune.problem.casadi_trace import (
     SYMBOLIC,
     Parameters,
     Unnumbered,
@@ -34,7 +32,9 @@ from perilune.problem.symbolic import (
     trace_parameters,
     trace_rates,
 )
-from perilune.words.types import Vector
+from perilune.problem.controls import directions
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,8 +19,8 @@ from typing import Literal
 
 import numpy as np
 
-from perilune.words.outcome import PeriluneError
-from perilune.words.types import Matrix, Vector
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.errors import PeriluneError
 
 Scheme = Literal["gauss", "radau"]
 

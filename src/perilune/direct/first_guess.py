@@ -15,13 +15,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.direct.segments import Sampler
-from perilune.problem.controls import control_scales, control_slices
-from perilune.problem.guess import fitting_guess
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution, Trajectory
-from perilune.problem.symbolic import (
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.errors import PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.direct.collocated_solution import Sampler
+from perilune.problem.casadi_trace import (
     Unnumbered,
     canonical_free,
     canonical_given,
@@ -29,9 +27,11 @@ from perilune.problem.symbolic import (
     trace_parameters,
     trace_rates,
 )
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
-from perilune.words.types import Matrix, Vector
+from perilune.problem.controls import control_scales, control_slices
+from perilune.problem.initial_guess import fitting_guess
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.results.solution import Solution, Trajectory
 
 # First durations tried from nothing, as multiples of the typical ones.
 STRETCHES = (1.0, 1.6, 0.6, 2.8)

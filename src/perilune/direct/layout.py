@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from perilune.core.arrays import Matrix, Vector
 from perilune.direct.collocation import Mesh, Rule, Scheme, rule
 from perilune.problem.controls import directions
 from perilune.problem.phase import Phase
-from perilune.words.types import Matrix, Vector
 
 
 class Layout(NamedTuple):

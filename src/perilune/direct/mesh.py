@@ -1,4 +1,4 @@
-"""Mesh refinement from the errors of the last mesh (`perilune.direct.errors`).
+"""Mesh refinement from the errors of the last mesh (`perilune.direct.mesh_error`).
 
 A segment that is not accurate enough is split where a bounded control switches, and where a bound of a control
 or a state is met or left: there arcs of another kind begin (Goddard's singular arc, a constrained arc). The new
@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from perilune.core.arrays import Matrix, Vector
+from perilune.direct.collocated_solution import Segment
 from perilune.direct.collocation import Mesh
-from perilune.direct.segments import Segment
 from perilune.problem.controls import scalars
 from perilune.problem.phase import Phase
-from perilune.words.types import Matrix, Vector
 
 HIGHEST_DEGREE = 40
 LOWEST_DEGREE = 5

@@ -11,8 +11,8 @@ Given values and mesh widths are numbers of the program and not of its functions
 problem of the same physics on every mesh of the same degrees. What is differentiated is differentiated once for each
 traced problem (`perilune.direct.blocks`); another mesh is put together from that (`perilune.direct.assembly`).
 
-Of programs of moderate size a search of our own (`perilune.direct.interior`) finds most optima, in about half the time;
-what it does not find, the others, and the least misses are for IPOPT.
+Of programs of moderate size a search of our own (`perilune.direct.interior_point`) finds most optima, in about half the
+time; what it does not find, the others, and the least misses are for IPOPT.
 """
 
 from __future__ import annotations
@@ -30,10 +30,12 @@ from typing import Any, TextIO
 import casadi as ca
 import numpy as np
 
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.callbacks import sign_of_life
 from perilune.direct.assembly import Assembled, assemble_program
 from perilune.direct.blocks import phase_blocks
 from perilune.direct.collocation import Mesh, Scheme
-from perilune.direct.interior import Optimum, PosedProgram, find_local_optimum
+from perilune.direct.interior_point import Optimum, PosedProgram, find_local_optimum
 from perilune.direct.layout import (
     Layout,
     PhaseValues,
@@ -44,12 +46,10 @@ from perilune.direct.layout import (
     unit_lengths,
     unpacked,
 )
+from perilune.problem.casadi_trace import Unnumbered, canonical_given, free_scales, state_scales
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.symbolic import Unnumbered, canonical_given, free_scales, state_scales
 from perilune.problem.variables import Variable
-from perilune.words.types import Matrix, Vector
-from perilune.words.watch import sign_of_life
 
 # State values up to which the dense search of our own is quicker than IPOPT, and iterations after which it is given up.
 MODERATE, PATIENCE = 160, 50

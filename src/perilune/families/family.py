@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from perilune.core.errors import Outcome, PeriluneError, unknown_name
+from perilune.core.facade import method_function
+from perilune.core.fields import parameter_name
+from perilune.core.units import format_value_range
+from perilune.core.validation import check_call, wrong_type_error
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
-from perilune.words.asked import check_call, wrong_type_error
-from perilune.words.declared import parameter_name
-from perilune.words.face import method_function
-from perilune.words.outcome import Outcome, PeriluneError, unknown_name
-from perilune.words.units import format_value_range
+from perilune.problem.results.solution import Solution
 
 if TYPE_CHECKING:
     import pandas
@@ -125,7 +125,7 @@ class Family:
 
     @check_call
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the members as rows of a frame of pandas; see `perilune.families.datasets.family_frame`.
+        """Return the members as rows of a frame of pandas; see `perilune.families.export_frames.family_frame`.
 
         Parameters, free parameters and results, angles in degrees and everything else in SI (``attrs["units"]``), then
         ``outcome``, ``verification_level``, ``within`` and ``message``.
@@ -139,7 +139,7 @@ class Family:
 
     @check_call
     def to_xarray(self) -> xarray.Dataset:
-        """Return the members as a data set of xarray; see `perilune.families.datasets.family_dataset`.
+        """Return the members as a data set of xarray; see `perilune.families.export_frames.family_dataset`.
 
         Its dimensions are the parameters where the members are a grid, else the one dimension ``point``.
 

@@ -1,7 +1,7 @@
 """Members of a family: the problem of each, the order and place of computing, and the progress.
 
 Every member passes the gate that `perilune.solve.solve` has, then its method, then the proof. Members along one
-parameter lead to each other (`perilune.families.continued`); all others are independent, so that any executor may
+parameter lead to each other (`perilune.families.continuation`); all others are independent, so that any executor may
 compute them in any order.
 """
 
@@ -12,21 +12,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 
-from perilune.families.continued import Continuation
-from perilune.families.elsewhere import Call, Submits, report_lost_worker, run_on_executor, run_serially
+from perilune.core.callbacks import Watch
+from perilune.core.errors import Outcome, PeriluneError
+from perilune.core.units import format_quantity
+from perilune.families.continuation import Continuation
+from perilune.families.executors import Call, Submits, report_lost_worker, run_on_executor, run_serially
 from perilune.families.family import FamilyPoint, failed_point
-from perilune.methods.indirect import Indirect
+from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.method import Method
-from perilune.problem.preflight import Finding, preflight, refuse_impossible, select_findings
+from perilune.problem.display.quantity_names import free_name
+from perilune.problem.presolve import Finding, preflight, refuse_impossible, select_findings
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import Verification
-from perilune.problem.wording import free_name
 from perilune.solve import ended_in_time, prove, solve, verify, with_verification
-from perilune.words.outcome import Outcome, PeriluneError
-from perilune.words.units import format_quantity
-from perilune.words.watch import Watch
 
 Found = Iterator[tuple[int, FamilyPoint]]
 

@@ -24,18 +24,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from perilune.core.errors import Outcome, PeriluneError
+from perilune.core.lazy import Deferred
+from perilune.core.untrusted_text import bounded_bytes, bounded_text
 from perilune.families.family import FamilyPoint
-from perilune.io.export import answer_document, program_versions
-from perilune.io.files import finite
+from perilune.io.atomic_files import finite
 from perilune.io.format import LARGEST_FILE
-from perilune.io.reading import array, enumeration_member, part, refuse_entry, short_text, tree
-from perilune.io.reload import read_answer, read_trajectories
+from perilune.io.json_checks import array, enumeration_member, part, refuse_entry, short_text, tree
+from perilune.io.load import read_answer, read_trajectories
+from perilune.io.save import answer_document, program_versions
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution, Trajectory
+from perilune.problem.results.solution import Solution, Trajectory
 from perilune.problem.verification import Verification
-from perilune.words.bounded import bounded_bytes, bounded_text
-from perilune.words.deferred import Deferred
-from perilune.words.outcome import Outcome, PeriluneError
 
 if TYPE_CHECKING:
     from perilune.families.members import Members

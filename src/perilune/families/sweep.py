@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from perilune.families.elsewhere import Submits
+from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.validation import (
+    check_call,
+    require_callable,
+    require_level,
+    require_path,
+    require_type,
+    wrong_type_error,
+)
+from perilune.families.executors import Submits
 from perilune.families.family import Family, FamilyPoint, Over, member_values
 from perilune.families.members import Members
 from perilune.families.store import FamilyStore
@@ -13,15 +22,6 @@ from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS
 from perilune.solve import method_or_default, require_time_limit, require_tolerance
-from perilune.words.asked import (
-    check_call,
-    require_callable,
-    require_level,
-    require_path,
-    require_type,
-    wrong_type_error,
-)
-from perilune.words.watch import Watch, ignore_events
 
 
 @check_call

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from perilune.problem.solution import Solution, Trajectory, full
-from perilune.words.maths import NUMERIC
-from perilune.words.types import Matrix, Vector
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.maths import NUMERIC
+from perilune.problem.results.solution import Solution, Trajectory, full
 
 
 @dataclass(frozen=True, kw_only=True)

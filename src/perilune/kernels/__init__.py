@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from perilune.kernels.algebra.prune import prune
     from perilune.kernels.algebra.system import Event
-    from perilune.kernels.code.mapped import Map, compile_map
-    from perilune.kernels.flight.arcs import Arcs, ArcStatus, Request
-    from perilune.kernels.flight.bound import BoundArcs, Engine
+    from perilune.kernels.code.batch_map import Map, compile_map
+    from perilune.kernels.flight.bound_buffers import BoundArcs, Engine
     from perilune.kernels.flight.dense import DenseArc
     from perilune.kernels.flight.engine import LANES, compile_arcs
+    from perilune.kernels.flight.records import Arcs, ArcStatus, Request
 
 _HOME = {
     "prune": "algebra.prune",
     "Event": "algebra.system",
-    "Map": "code.mapped",
-    "compile_map": "code.mapped",
-    "Arcs": "flight.arcs",
-    "ArcStatus": "flight.arcs",
-    "Engine": "flight.bound",
-    "Request": "flight.arcs",
-    "BoundArcs": "flight.bound",
+    "Map": "code.batch_map",
+    "compile_map": "code.batch_map",
+    "Arcs": "flight.records",
+    "ArcStatus": "flight.records",
+    "Engine": "flight.bound_buffers",
+    "Request": "flight.records",
+    "BoundArcs": "flight.bound_buffers",
     "DenseArc": "flight.dense",
     "LANES": "flight.engine",
     "compile_arcs": "flight.engine",

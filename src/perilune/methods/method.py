@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from perilune.core.callbacks import Watch
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
-from perilune.words.watch import Watch
+from perilune.problem.results.solution import Solution
 
 
 class Method(Protocol):

@@ -8,12 +8,10 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from perilune.words.face import public_names
+from perilune.core.facade import public_names
 
 if TYPE_CHECKING:
-    from perilune.models.atmosphere import Air
-    from perilune.models.bodies import BODIES, CERES, EARTH, EUROPA, MARS, MERCURY, MOON, Body, Planet, UniformGravity
-    from perilune.models.corridor import Corridor
+    from perilune.models.catalogue import Kind, Section
     from perilune.models.deorbit.opportunities import Opportunity, opportunities
     from perilune.models.deorbit.problem import deorbit_entry
     from perilune.models.deorbit.records import (
@@ -29,24 +27,37 @@ if TYPE_CHECKING:
         Separation,
         Transition,
     )
-    from perilune.models.descent import Ignition, Site, Steering, powered_descent
-    from perilune.models.final_descent import FinalDescent
-    from perilune.models.kinds import Kind, Section
-    from perilune.models.landing import Orbit, hybrid_landing
-    from perilune.models.precision import Approach, precision_landing
-    from perilune.models.vehicle import Retro, Throttle, Vehicle
+    from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
+    from perilune.models.landing.problem import Orbit, hybrid_landing
+    from perilune.models.physics.atmosphere import Air
+    from perilune.models.physics.bodies import (
+        BODIES,
+        CERES,
+        EARTH,
+        EUROPA,
+        MARS,
+        MERCURY,
+        MOON,
+        Body,
+        Planet,
+        UniformGravity,
+    )
+    from perilune.models.physics.vehicle import Retro, Throttle, Vehicle
+    from perilune.models.precision.final_descent import FinalDescent
+    from perilune.models.precision.path_constraints import Corridor
+    from perilune.models.precision.problem import Approach, precision_landing
 
 # What each file hands on, when it is asked for.
 _HOME = {
-    "bodies": "BODIES CERES EARTH EUROPA MARS MERCURY MOON Body Planet UniformGravity",
-    "vehicle": "Retro Throttle Vehicle",
-    "landing": "Orbit hybrid_landing",
-    "descent": "Ignition Site Steering powered_descent",
-    "precision": "Approach precision_landing",
-    "corridor": "Corridor",
-    "kinds": "Kind Section",
-    "final_descent": "FinalDescent",
-    "atmosphere": "Air",
+    "physics.bodies": "BODIES CERES EARTH EUROPA MARS MERCURY MOON Body Planet UniformGravity",
+    "physics.vehicle": "Retro Throttle Vehicle",
+    "landing.problem": "Orbit hybrid_landing",
+    "descent.problem": "Ignition Site Steering powered_descent",
+    "precision.problem": "Approach precision_landing",
+    "precision.path_constraints": "Corridor",
+    "catalogue": "Kind Section",
+    "precision.final_descent": "FinalDescent",
+    "physics.atmosphere": "Air",
     "deorbit.records": "Atmosphere Heating Interface Landing Limits Manoeuvre Parachute Returner Separation Transition",
     "deorbit.problem": "deorbit_entry",
     "deorbit.opportunities": "Opportunity opportunities",

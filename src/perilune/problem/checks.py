@@ -11,17 +11,17 @@ from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
+from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core.fields import check_values
+from perilune.core.units import Scales, parse_unit
+from perilune.core.validation import require_callable, require_row, require_type, wrong_type_error
 from perilune.problem.controls import scalars
-from perilune.problem.dimensions import Clash, clash, mixed_comparison
-from perilune.problem.form import StatedFunction, stated_functions
+from perilune.problem.display.views import Views, check_views
 from perilune.problem.names import check_names
 from perilune.problem.phase import Phase
+from perilune.problem.tracing.dimensions import Clash, clash, mixed_comparison
+from perilune.problem.tracing.traced_problem import StatedFunction, stated_functions
 from perilune.problem.variables import Free, Given, Variable
-from perilune.problem.views import Views, check_views
-from perilune.words.asked import require_callable, require_row, require_type, wrong_type_error
-from perilune.words.declared import check_values
-from perilune.words.outcome import PeriluneError, unknown_name
-from perilune.words.units import Scales, parse_unit
 
 HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight", "switching_guesses")  # functions that are not formulas
 

@@ -17,10 +17,10 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from perilune.words.asked import check_call, check_operands, require_identifier, require_si_number, wrong_type_error
-from perilune.words.outcome import PeriluneError
-from perilune.words.types import Matrix, Vector
-from perilune.words.units import Scales, require_si_unit
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.errors import PeriluneError
+from perilune.core.units import Scales, require_si_unit
+from perilune.core.validation import check_call, check_operands, require_identifier, require_si_number, wrong_type_error
 
 Regime = Literal["lower", "low_interior", "interior", "upper", "held", "direction", "singular"]
 # A limit: a number in SI, or the name of the parameter that holds it.

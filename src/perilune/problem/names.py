@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from perilune.core.errors import PeriluneError
+from perilune.core.validation import require_identifier, wrong_type_error
 from perilune.problem.phase import Phase
-from perilune.words.asked import require_identifier, wrong_type_error
-from perilune.words.outcome import PeriluneError
 
 _OWN = {"time": "the time since the phase began", "phase": "the phase of a row", "H": "the Hamiltonian"}
 _KINDS = {"state": "a state", "control": "a control", "output": "an output"}

@@ -10,12 +10,12 @@ from typing import Any, get_args
 
 import numpy as np
 
+from perilune.core.arrays import Physics, Vector
+from perilune.core.maths import NUMERIC
+from perilune.core.validation import check_call, require_row
 from perilune.problem.controls import Control
-from perilune.problem.shown import ShownPhase
+from perilune.problem.display.reprs import ShownPhase
 from perilune.problem.variables import Variable
-from perilune.words.asked import check_call, require_row
-from perilune.words.maths import NUMERIC
-from perilune.words.types import Physics, Vector
 
 _ROWS = (
     "states", "end_conditions", "path_conditions", "held_conditions",

@@ -13,7 +13,7 @@ phase. Running costs are states of their own. Every number that may be varied is
 so a sweep, a continuation and a table are the same walk.
 
 All functions take records with attribute access (``x.r``, ``p.thrust``) that also unpack in order, and the maths
-namespace ``m`` of `perilune.words.maths`. Numbers with a dimension belong into parameters, not into the functions: the
+namespace ``m`` of `perilune.core.maths`. Numbers with a dimension belong into parameters, not into the functions: the
 problem is solved in canonical units, and construction tests that the physics is dimensionally homogeneous.
 """
 
@@ -29,21 +29,27 @@ from typing import Any, get_args
 
 import numpy as np
 
+from perilune.core.arrays import Matrix, Physics
+from perilune.core.errors import Named, unknown_name
+from perilune.core.maths import NUMERIC
+from perilune.core.units import Scales
+from perilune.core.validation import check_call, require_type, wrong_type_error
 from perilune.problem.checks import HOOKS, check_free, check_given, check_homogeneous, check_parts, check_structure
 from perilune.problem.controls import Control, scalars
-from perilune.problem.form import OWN_TEXT, PHASE_FUNCTIONS, TracedProblem, canonical_expressions, trace
+from perilune.problem.display.reprs import ShownProblem
+from perilune.problem.display.views import Views
 from perilune.problem.phase import Phase
-from perilune.problem.shown import ShownProblem
-from perilune.problem.simulated import SimulatedProblem
-from perilune.problem.tape import Expression
+from perilune.problem.tracing.numeric_rates import SimulatedProblem
+from perilune.problem.tracing.tape import Expression
+from perilune.problem.tracing.traced_problem import (
+    OWN_TEXT,
+    PHASE_FUNCTIONS,
+    TracedProblem,
+    canonical_expressions,
+    trace,
+)
 from perilune.problem.variables import Free, Given, Variable, given_as, positive_scale
 from perilune.problem.verification import Check
-from perilune.problem.views import Views
-from perilune.words.asked import check_call, require_type, wrong_type_error
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import Named, unknown_name
-from perilune.words.types import Matrix, Physics
-from perilune.words.units import Scales
 
 _TRACED = ("form", "structure")  # properties found once for a problem, and possibly known
 _SIZED, _BOUNDED = (Variable, Free, *get_args(Control)), (Variable, *get_args(Control))
@@ -54,9 +60,9 @@ _SIZED, _BOUNDED = (Variable, Free, *get_args(Control)), (Variable, *get_args(Co
 class Problem(ShownProblem, SimulatedProblem):
     """Phases, links, parameters and the objective.
 
-    Problems are equal when their forms (`perilune.problem.form`) and all their numbers are. A copy in another process
-    (pickle) carries its formulas as expressions; `ranges`, `preflight`, `bookkeeping`, `rough_flight` and
-    `switching_guesses` go along where they are found by name, as functions of a module are, and are left behind
+    Problems are equal when their forms (`perilune.problem.tracing.traced_problem`) and all their numbers are. A copy in
+    another process (pickle) carries its formulas as expressions; `ranges`, `preflight`, `bookkeeping`, `rough_flight`
+    and `switching_guesses` go along where they are found by name, as functions of a module are, and are left behind
     otherwise.
 
     Parameters
@@ -89,11 +95,11 @@ class Problem(ShownProblem, SimulatedProblem):
         without arguments, where that takes long: an atlas asks for bounds only, at thousands of values. It raises
         `PeriluneError` for given values that make no sense together.
     declared
-        Records (`perilune.words.declared`) that the problem was made of, whose numbers are parameters; each checks new
+        Records (`perilune.core.fields`) that the problem was made of, whose numbers are parameters; each checks new
         values too, whoever gave them. With them `perilune.save` writes what a model is made of again.
     preflight
         ``preflight(p, m)`` of the given parameters returns what physics says before anything is solved, as
-        `perilune.problem.preflight.Finding`. Which comparisons there are may depend on which parameters `p` has,
+        `perilune.problem.presolve.Finding`. Which comparisons there are may depend on which parameters `p` has,
         but not on their values, which may be arrays or symbols; ``inf`` is no limit.
     bookkeeping
         ``bookkeeping(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).

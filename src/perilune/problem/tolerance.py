@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from perilune.words.declared import quantity, record, record_keys, record_values
-from perilune.words.units import dimension_text, parse_unit
+from perilune.core.fields import quantity, record, record_keys, record_values
+from perilune.core.units import dimension_text, parse_unit
 
 _NO_PROOF = "is no tolerance but no proof"
 LARGEST = 1e-3  # of the range of a quantity along the flight

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from perilune.core.errors import PeriluneError
+from perilune.core.fields import stated_text
+from perilune.core.maths import NUMERIC
+from perilune.core.units import require_si_unit
+from perilune.core.validation import check_call, require_identifier, require_si_number, require_type
 from perilune.problem.controls import Limit, demand_limits, limit_value
-from perilune.words.asked import check_call, require_identifier, require_si_number, require_type
-from perilune.words.declared import stated_text
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
-from perilune.words.units import require_si_unit
 
 
 def positive_scale(name: str, scale: Any) -> float | None:

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from perilune.core.facade import method_function
+from perilune.core.validation import check_call
 from perilune.problem.tolerance import Tolerance
-from perilune.words.asked import check_call
-from perilune.words.face import method_function
 
 LEVEL_NAMES = ("unverified", "feasible", "extremal", "locally optimal", "cross-checked", "theorem")
 LEVELS = tuple(range(1, len(LEVEL_NAMES)))  # levels that may be requested

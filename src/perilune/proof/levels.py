@@ -13,26 +13,26 @@ from dataclasses import replace
 
 import numpy as np
 
+from perilune.core.callbacks import sign_of_life
+from perilune.core.errors import PeriluneError
+from perilune.core.validation import require_level
 from perilune.methods.method import Method
-from perilune.problem.form import OWN_TEXT
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
+from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import Tolerance
+from perilune.problem.tracing.traced_problem import OWN_TEXT
 from perilune.problem.verification import LEVELS, Check, Verification
-from perilune.proof.arc import PhaseData
-from perilune.proof.crossed import check_agreement
-from perilune.proof.ended import with_end_bounds
-from perilune.proof.extremal import check_extremality
-from perilune.proof.feasible import check_feasibility, check_tables
-from perilune.proof.flight import reintegrate
-from perilune.proof.met import may_meet_condition
-from perilune.proof.resolved import SHIFTED, Resolve, check_neighbours
-from perilune.proof.second_order import check_local_optimality
-from perilune.proof.stated import check_tolerance_sense, raise_limit
-from perilune.proof.variations import KeptConditions
-from perilune.words.asked import require_level
-from perilune.words.outcome import PeriluneError
-from perilune.words.watch import sign_of_life
+from perilune.proof.cross_check import check_agreement
+from perilune.proof.feasible.feasibility import check_feasibility, check_tables
+from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.feasible.repropagate import reintegrate
+from perilune.proof.necessary.constraint_activity import may_meet_condition
+from perilune.proof.necessary.first_order import check_extremality
+from perilune.proof.necessary.terminal_bounds import with_end_bounds
+from perilune.proof.sufficient.second_order import check_local_optimality
+from perilune.proof.sufficient.second_variation import KeptConditions
+from perilune.proof.sufficient.sensitivities import SHIFTED, Resolve, check_neighbours
+from perilune.proof.tolerance import check_tolerance_sense, raise_limit
 
 _ROUGH = "neighbours were not solved again, as a check of level 1 failed"
 _UNTOLD = "neighbours were not solved again, as a check of level 3 cannot be told"
@@ -132,8 +132,8 @@ def _checks_in_order(
         stated = with_end_bounds(solution)
         parts, kept, idle, strict = stated, dict[int, KeptConditions](), dict[int, KeptConditions](), list[Check]()
         if any(may_meet_condition(arc) for arc, _ in flown):
-            from perilune.proof.rides import BoundaryArcs
-            from perilune.proof.touched import check_contact_multipliers, restate_with_contacts
+            from perilune.proof.necessary.contact_points import check_contact_multipliers, restate_with_contacts
+            from perilune.proof.sufficient.boundary_arcs import BoundaryArcs
 
             parts, structure = restate_with_contacts(stated)
             arcs, rides = None if structure.plain else (parts, structure), BoundaryArcs.of(stated, parts, structure)
@@ -162,7 +162,7 @@ def _local_optimality_checks(
     variations keep the condition, and its multiplier must be strict.
     """
     if not all(check.passed for check in strict):
-        from perilune.proof.touched import relax_strict_check
+        from perilune.proof.necessary.contact_points import relax_strict_check
 
         without = list(check_local_optimality(parts, idle))
         if all(check.passed for check in without):
@@ -172,7 +172,7 @@ def _local_optimality_checks(
     yield from strict
     found = list(check_local_optimality(parts, kept))
     if idling := _idle_controls(parts, found):
-        from perilune.proof.touched import relax_strict_check
+        from perilune.proof.necessary.contact_points import relax_strict_check
 
         released = {k: kept.get(k, KeptConditions()) for k in range(len(parts.problem.phases))}
         released = {k: replace(one, released=(*one.released, *idling.values())) for k, one in released.items()}

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from perilune.problem.solution import Solution
-from perilune.words.outcome import PeriluneError
+from perilune.core.errors import PeriluneError
+from perilune.problem.results.solution import Solution
 
 REPORT_FILE = "report.md"
 
@@ -43,8 +43,8 @@ def write_all(
     PeriluneError
         If the directory cannot be written, or is not empty and `force` is false.
     """
-    from perilune.io.export import write_solution_files
-    from perilune.io.files import fresh_directory, refuse_unwritten
+    from perilune.io.atomic_files import fresh_directory, refuse_unwritten
+    from perilune.io.save import write_solution_files
 
     with fresh_directory(out_dir, force) as work:
         failed = write_solution_files(solution, work, scenario_text)
@@ -56,8 +56,8 @@ def add_report(
     solution: Solution, directory: Path, *, scenario_text: str | None, ordinary: Solution | None = None
 ) -> None:
     """Add figures and report to the files that `perilune.save` wrote, which stay if this fails."""
-    from perilune.io.export import solution_files
-    from perilune.io.files import fresh_directory, refuse_unwritten
+    from perilune.io.atomic_files import fresh_directory, refuse_unwritten
+    from perilune.io.save import solution_files
 
     with fresh_directory(directory, force=True) as work:
         for name in solution_files(solution):
@@ -73,7 +73,7 @@ def _write_figures_and_report(
     """Write figures and report into a directory; return the errors of those that failed."""
     from matplotlib.figure import Figure
 
-    from perilune.io.files import FIGURES, unwritten, write_each
+    from perilune.io.atomic_files import FIGURES, unwritten, write_each
     from perilune.report.figures import save_figure, solution_drawings
     from perilune.report.summary import solution_markdown
 

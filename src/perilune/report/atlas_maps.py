@@ -15,15 +15,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
+from perilune.atlas.query.slices import Slice
 from perilune.atlas.region import Axis
-from perilune.atlas.slices import Slice
+from perilune.core.arrays import Vector
+from perilune.core.errors import PeriluneError
+from perilune.io.atomic_files import fresh_directory, refuse_unwritten, write_each
 from perilune.io.columns import display_unit
-from perilune.io.files import fresh_directory, refuse_unwritten, write_each
-from perilune.report.contours import label_lines, move_labels_inside
-from perilune.report.histories import LONG
+from perilune.report.contour_map import label_lines, move_labels_inside
 from perilune.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, new_figure, save_figure, styled
-from perilune.words.outcome import PeriluneError
-from perilune.words.types import Vector
+from perilune.report.time_histories import LONG
 
 _SHEETS = (BLUE, ORANGE, GREEN, SKY, PURPLE, VERMILION)
 _NOTHING = ("#D0D0D0", "#8C8C8C", "#404040", "#F0E0E0", "#B8A8A8")  # by their reason
@@ -76,7 +76,7 @@ def write_maps(shown: Slice, directory: str | Path, force: bool = False) -> list
     shown
         As `perilune.atlas.sliced` gives it.
     directory, force
-        As of `perilune.io.files.fresh_directory`.
+        As of `perilune.io.atomic_files.fresh_directory`.
 
     Returns
     -------

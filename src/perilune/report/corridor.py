@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune.core.arrays import Matrix
 from perilune.io.columns import display_times, phase_columns
-from perilune.problem.solution import Solution
-from perilune.problem.views import Corridor
-from perilune.report.histories import axis_text
+from perilune.problem.display.views import Corridor
+from perilune.problem.results.solution import Solution
 from perilune.report.style import BLUE, GREEN, VERMILION, legend_above, new_figure, styled
-from perilune.words.types import Matrix
+from perilune.report.time_histories import axis_text
 
 _POINTS = 81
 _LOOKS = ((VERMILION, "--"), (GREEN, ":"))

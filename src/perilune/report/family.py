@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from perilune.core.errors import Outcome
+from perilune.io.atomic_files import finite, fresh_directory, json_text, refuse_unwritten, write_each
 from perilune.io.columns import display_unit, round_degrees
-from perilune.io.export import results_document
-from perilune.io.files import finite, fresh_directory, json_text, refuse_unwritten, write_each
-from perilune.words.outcome import Outcome
+from perilune.io.save import results_document
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,7 +75,7 @@ def family_csv(family: Family) -> str:
 
 def family_figure(family: Family) -> Figure:
     """Draw each result that varies against the one parameter, in panels; unproved points stand out."""
-    from perilune.report.histories import family_panels
+    from perilune.report.time_histories import family_panels
 
     document = family_document(family)
     value = np.array([point["value"] for point in document["points"]])
@@ -110,14 +110,14 @@ def write_family(
     directory, force
         As of `fresh_directory`.
     axes
-        Names of the quantities of a map, as of `perilune.report.contours.family_map`.
+        Names of the quantities of a map, as of `perilune.report.contour_map.family_map`.
 
     Raises
     ------
     NotWrittenError
         If a table or figure cannot be written; the other files are there then.
     """
-    from perilune.families.datasets import grid_of
+    from perilune.families.export_frames import grid_of
     from perilune.report.style import save_figure
 
     writers: dict[str, Callable[[Path], object]] = {
@@ -126,7 +126,7 @@ def write_family(
     if len(family.parameters) == 1:
         writers[FAMILY_NAME] = lambda path: save_figure(family_figure(family), path.parent, path.name)
     elif any((axes or {}).values()) or _has_map(family, grid_of(family)):
-        from perilune.report.contours import family_map
+        from perilune.report.contour_map import family_map
 
         writers[FAMILY_NAME] = lambda path: save_figure(family_map(family, **(axes or {})), path.parent, path.name)
     with fresh_directory(directory, force) as work:

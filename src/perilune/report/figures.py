@@ -9,19 +9,19 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune.core.errors import Outcome
+from perilune.core.untrusted_text import one_line
 from perilune.io.columns import phase_columns
+from perilune.problem.display.views import History
 from perilune.problem.problem import Problem
-from perilune.problem.solution import Solution
-from perilune.problem.views import History
+from perilune.problem.results.solution import Solution
 from perilune.report.corridor import corridor_figure
 from perilune.report.ground import ground_track
-from perilune.report.histories import costate_figure, history_figure
-from perilune.report.limb import path_over_limb
-from perilune.report.optimality import optimality_figure
+from perilune.report.hamiltonian_figure import optimality_figure
+from perilune.report.profile_view import path_over_limb
+from perilune.report.side_and_top_view import track_figure
 from perilune.report.style import VERMILION, WIDEST, save_figure
-from perilune.report.track import track_figure
-from perilune.words.bounded import one_line
-from perilune.words.outcome import Outcome
+from perilune.report.time_histories import costate_figure, history_figure
 
 __all__ = ["label", "save_figure", "solution_drawings", "solution_figures", "write_doubts"]
 

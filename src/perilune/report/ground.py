@@ -12,11 +12,11 @@ from importlib.resources import files
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune.core.arrays import Matrix, Vector
 from perilune.io.columns import display_times, phase_columns
-from perilune.problem.solution import Solution
-from perilune.problem.views import Ground
+from perilune.problem.display.views import Ground
+from perilune.problem.results.solution import Solution
 from perilune.report.style import BLUE, GREEN, GREY, PURPLE, VERMILION, legend_above, new_figure, styled
-from perilune.words.types import Matrix, Vector
 
 WIDTH = 7.0  # inches
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE)

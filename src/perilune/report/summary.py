@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from perilune.io.export import extremals_document
-from perilune.problem.solution import Result, Solution
+from perilune.io.save import extremals_document
+from perilune.problem.results.solution import Result, Solution
 from perilune.problem.verification import LEVEL_NAMES, Verification
 
 _DIGITS = {"kg": 6, "m/s": 4, "s": 4, "Pa": 1, "W/m^2": 1, "J/m^2": 1}

@@ -22,9 +22,8 @@ from typing import Any
 from perilune.problem.controls import Bounded, Direction, Settled, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.rigorous.given import exact_value
+from perilune.rigorous.exact_tape import Unsupported, exact_value, read_tape
 from perilune.rigorous.graph import Graph, GraphExpression
-from perilune.rigorous.reading import Unsupported, read_tape
 from perilune.rigorous.taylor import TaylorProgram
 
 Key = tuple[Any, ...]
@@ -147,7 +146,7 @@ class ProblemReader:
 
     def function(self, key: Any, x: Sequence[Any] = (), u: Sequence[Any] = (), free: Mapping[str, Any] | None = None,
                  phase: Phase | None = None) -> list[GraphExpression]:  # fmt: skip
-        """Values of a function of the problem by its key in `perilune.problem.form`."""
+        """Values of a function of the problem by its key in `perilune.problem.tracing.traced_problem`."""
         values: dict[tuple[str, str], Any] = {("p", name): value for name, value in self.given.items()}
         values |= {("p", name): value for name, value in (free or {}).items()}
         if phase is not None:

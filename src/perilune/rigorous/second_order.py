@@ -37,17 +37,15 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from perilune.rigorous.boundary import BoundaryProblem, Differentiated, arc_duration
+from perilune.rigorous.boundary_value_problem import BoundaryProblem, Differentiated, arc_duration
+from perilune.rigorous.enclosure import ball_identity
+from perilune.rigorous.enclosure_step import NotEnclosed, enclose_step
 from perilune.rigorous.equations import CanonicalArc, ProblemReader
-from perilune.rigorous.flight import ball_identity
-from perilune.rigorous.flow import NotEnclosed, enclose_step
 from perilune.rigorous.graph import GraphExpression
-from perilune.rigorous.junctions import Junction, pass_junction, upper_bound_matrix
-from perilune.rigorous.limits import Statement
-from perilune.rigorous.minimum import positive_definite
-from perilune.rigorous.regular import first_irregular_time
-from perilune.rigorous.root import EnclosedRoot
-from perilune.rigorous.signs import SignedQuantity
+from perilune.rigorous.hamiltonian_minimum import positive_definite
+from perilune.rigorous.inequalities import SignedQuantity, Statement
+from perilune.rigorous.krawczyk import EnclosedRoot
+from perilune.rigorous.riccati_junctions import Junction, first_irregular_time, pass_junction, upper_bound_matrix
 from perilune.rigorous.taylor import Ball
 
 _WEIGHTS = (1e2, 1e4, 1e6)  # times the size of J over the square of that of a state

@@ -15,8 +15,8 @@ from typing import Any
 
 from flint import arb, arb_series, ctx
 
+from perilune.core.errors import PeriluneError
 from perilune.rigorous.graph import Graph, GraphExpression, node_operands
-from perilune.words.outcome import PeriluneError
 
 Ball = Any  # flint.arb, which comes without types
 Coefficients = list[Ball]

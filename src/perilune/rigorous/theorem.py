@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 from flint import ctx
 
-from perilune.problem.solution import Solution
-from perilune.rigorous.boundary import BoundaryProblem, boundary_problem
-from perilune.rigorous.flow import NotEnclosed
-from perilune.rigorous.guess import sides_of, suggested_pieces, unknowns_of
-from perilune.rigorous.limits import FlightLimits, Statement
-from perilune.rigorous.reading import Unsupported
-from perilune.rigorous.root import (
+from perilune.problem.results.solution import Solution
+from perilune.rigorous.boundary_value_problem import BoundaryProblem, boundary_problem
+from perilune.rigorous.candidate import sides_of, suggested_pieces, unknowns_of
+from perilune.rigorous.enclosure_step import NotEnclosed
+from perilune.rigorous.exact_tape import Unsupported
+from perilune.rigorous.inequalities import FlightLimits, Statement
+from perilune.rigorous.krawczyk import (
     EnclosedRoot,
     NotProved,
     ProofEffort,

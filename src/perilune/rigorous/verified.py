@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from perilune.problem.solution import Solution
+from perilune.core.callbacks import Watch, ignore_events
+from perilune.problem.results.solution import Solution
 from perilune.problem.verification import THEOREM, Check, Verification
+from perilune.rigorous.statement import certificate_document, theorem_text, unproved_sentence
 from perilune.rigorous.theorem import Attempt, ProvedExtremal, attempt_proof
-from perilune.rigorous.told import certificate_document, theorem_text, unproved_sentence
-from perilune.words.watch import Watch, ignore_events
 
 _FAR = 1e-6  # of an unknown: an extremal that is farther away is another one
 

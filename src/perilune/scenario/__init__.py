@@ -5,7 +5,7 @@ unit; every refusal names the key as the user writes it (``vehicle.specific_impu
 what *looks* wrong is refused too, with the slip it looks like: an exhaust velocity for a specific impulse, km
 for m, degrees for radians.
 
-Which sections and keys there are follows from the kinds of problems and their records, `perilune.models.kinds`; the
+Which sections and keys there are follows from the kinds of problems and their records, `perilune.models.catalogue`; the
 page docs/reference.md lists them all.
 """
 
@@ -16,16 +16,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from perilune.models.kinds import KINDS, kind_names
+from perilune.core.facade import public_names
+from perilune.core.fields import Quantity
+from perilune.core.validation import check_call, require_path, require_type
+from perilune.models.catalogue import KINDS, kind_names
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.scenario.ranges import bounds_of, values_of
 from perilune.scenario.reader import names_files, problem_of, quantities_in, tolerance_of
 from perilune.scenario.reference import template
 from perilune.scenario.text import apply_change, parse, read_scenario_file, scenario_toml
-from perilune.words.asked import check_call, require_path, require_type
-from perilune.words.declared import Quantity
-from perilune.words.face import public_names
 
 __all__ = [
     "KINDS",

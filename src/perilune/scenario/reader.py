@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from perilune.models.bodies import Body, recognise_body
-from perilune.models.kinds import HYBRID, KINDS, PROOF, Kind, Section, kind_named
+from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core.fields import Key, Quantity, TextField, record_keys, record_of_values, with_key_named
+from perilune.models.catalogue import HYBRID, KINDS, PROOF, Kind, Section, kind_named
+from perilune.models.physics.bodies import Body, recognise_body
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.scenario.plausible import refuse_slips
-from perilune.words.declared import Key, Quantity, TextField, record_keys, record_of_values, with_key_named
-from perilune.words.outcome import PeriluneError, unknown_name
 
 KIND = TextField(example=HYBRID.name, choices=tuple(KINDS), about="which kind of problem the file states")
 

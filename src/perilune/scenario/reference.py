@@ -5,12 +5,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 
-from perilune.models.kinds import KINDS, Kind, Section, kind_named, kind_names, one_line_error, unknown_kind
+from perilune.core.errors import PeriluneError
+from perilune.core.fields import Key, Quantity
+from perilune.core.validation import check_call, wrong_type_error
+from perilune.models.catalogue import KINDS, Kind, Section, kind_named, kind_names, one_line_error, unknown_kind
 from perilune.scenario.reader import names_files, names_of, problem_of, tolerance_of
 from perilune.scenario.text import parse
-from perilune.words.asked import check_call, wrong_type_error
-from perilune.words.declared import Key, Quantity
-from perilune.words.outcome import PeriluneError
 
 _COMMENT_COLUMN = 38
 _HEAD = """\

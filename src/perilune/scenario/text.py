@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from perilune.models.kinds import KINDS
-from perilune.words.bounded import bounded_text, refuse_nested
-from perilune.words.outcome import PeriluneError
+from perilune.core.errors import PeriluneError
+from perilune.core.untrusted_text import bounded_text, refuse_nested
+from perilune.models.catalogue import KINDS
 
 LARGEST_FILE = 64 * 1024  # bytes; a complete scenario takes about one thousand
 LONGEST_LINE = 1000  # characters; keeps the time of the TOML parser linear in practice

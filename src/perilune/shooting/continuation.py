@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.shooting.function import Root
-from perilune.words.types import Vector
+from perilune.core.arrays import Vector
+from perilune.shooting.shooting_function import Root
 
 Correct = Callable[[Vector, float], Root]  # (predicted Y, value) -> root
 Tangent = Callable[[Root, float], Vector]  # dY/dvalue at a root

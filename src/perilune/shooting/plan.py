@@ -15,8 +15,8 @@ Free parameters and end conditions that are ranges may be *held*, each lane of a
 row is  mask (value - held value) + (1 - mask) row,  with mask and held value among the parameters of the closing.
 
 Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out. The legs of a
-phase that settles (`perilune.shooting.settling`) have states only, and its transversality condition is met at its
-start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T), and Phi the product of those of its legs.
+phase that settles (`perilune.shooting.contracting_phases`) have states only, and its transversality condition is met at
+its start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T), and Phi the product of those of its legs.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions.pontryagin import Conditions
+from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import LANES, Engine, Request
+from perilune.shooting.contracting_phases import MOST_STEPS, settling_equations
 from perilune.shooting.newton import Columns
 from perilune.shooting.propagate import Equations, arc_engine, reduced_equations
-from perilune.shooting.settling import MOST_STEPS, settling_equations
-from perilune.words.types import Matrix, Vector
 
 #: Up to so many coupled unknowns Newton's step is compiled with the residual; beyond, LAPACK takes over.
 COMPILED = 12

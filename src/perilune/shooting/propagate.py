@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.canonical import PhaseExtremal
+from perilune.conditions.canonical_equations import PhaseExtremal
+from perilune.core.arrays import Vector
 from perilune.kernels import DenseArc, Engine, Event, compile_arcs, prune
-from perilune.words.types import Vector
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

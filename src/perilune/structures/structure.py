@@ -1,8 +1,9 @@
 """The structure of an answer: the arcs of each phase, with their active conditions and contact points.
 
 On an *arc* nothing of the state is held, or it rides *along* conditions: path conditions, or bounds of states, S >= 0
-that are 0 all along it. Of order q (`perilune.problem.rates`) such an arc is entered with S = S' = ... = S^(q-1) = 0,
-and S^(q) = 0 says what the control does on it. At the end of an arc a condition may be *touched*: S = 0 and S' = 0.
+that are 0 all along it. Of order q (`perilune.problem.tracing.lie_derivatives`) such an arc is entered with S = S' =
+... = S^(q-1) = 0, and S^(q) = 0 says what the control does on it. At the end of an arc a condition may be *touched*: S
+= 0 and S' = 0.
 
 Source: Bryson, Ho, *Applied Optimal Control*, 1975, sections 3.11 to 3.13.
 """
@@ -17,13 +18,13 @@ from itertools import accumulate
 from types import MappingProxyType
 from typing import Any
 
+from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core.units import quotient_unit
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.rates import component, depends_on_control, derivatives_to_control
-from perilune.problem.tape import Expression, Recorder
+from perilune.problem.tracing.lie_derivatives import component, depends_on_control, derivatives_to_control
+from perilune.problem.tracing.tape import Expression, Recorder
 from perilune.problem.variables import Given, Variable
-from perilune.words.outcome import PeriluneError, unknown_name
-from perilune.words.units import quotient_unit
 
 SIDES = ("lower", "upper")
 Regimes = tuple[tuple[str, str], ...]  # scalar controls with "lower", "upper", "singular" or "held"

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from perilune.core.arrays import Matrix, Vector
+from perilune.io.atomic_files import json_text
 from perilune.io.exports.epochs import stamp
 from perilune.io.exports.path import JUMP, InertialLeg, legs, separate_jumps, space_of
-from perilune.io.files import json_text
-from perilune.problem.solution import Solution
-from perilune.words.types import Matrix, Vector
+from perilune.problem.results.solution import Solution
 
 NAME = "CZML"
 _LONGEST = 0.05  # of the way, the longest arrow of thrust

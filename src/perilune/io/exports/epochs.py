@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from perilune.models.time_scales import leap_seconds_within, utc_after
-from perilune.problem.solution import Solution
-from perilune.words.instants import END, EXAMPLE, instant
-from perilune.words.outcome import PeriluneError
+from perilune.core.datetimes import END, EXAMPLE, instant
+from perilune.core.errors import PeriluneError
+from perilune.models.physics.time_scales import leap_seconds_within, utc_after
+from perilune.problem.results.solution import Solution
 
 TICK = 1e-6  # s
 

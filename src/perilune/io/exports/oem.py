@@ -1,9 +1,9 @@
 """An orbit ephemeris message (CCSDS 502.0-B-2, OEM version 2.0, in its keyword form), one segment for each phase.
 
 Positions and velocities stand in the axes of the ICRF, from the centre of the body, times in UTC. From the model's own
-axes they come by the orientation of the body at the begin of the flight (`perilune.models.orientation`); how well that
-is known stands in a comment, as does what the model left open. The format has no place for mass and thrust: a comment
-of each segment says how far they go, and their histories are in the tables of the other formats.
+axes they come by the orientation of the body at the begin of the flight (`perilune.models.physics.orientation`); how
+well that is known stands in a comment, as does what the model left open. The format has no place for mass and thrust: a
+comment of each segment says how far they go, and their histories are in the tables of the other formats.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from perilune.core.errors import PeriluneError
+from perilune.core.untrusted_text import one_line
 from perilune.io.columns import node_times
 from perilune.io.exports.epochs import TICK, leap_seconds_sentence, stamp_of_tick
 from perilune.io.exports.path import InertialLeg, legs, space_of
 from perilune.io.format import hash_of
-from perilune.models.orientation import axes_in_space, describe_orientation
-from perilune.problem.solution import Solution
-from perilune.words.bounded import one_line
-from perilune.words.outcome import PeriluneError
+from perilune.models.physics.orientation import axes_in_space, describe_orientation
+from perilune.problem.results.solution import Solution
 
 _WIDTH = 200  # the standard allows 254 characters
 _NAMED = 80  # of them for the name of the object

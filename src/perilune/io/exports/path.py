@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.errors import PeriluneError
 from perilune.io.columns import times_around_switches
-from perilune.problem.solution import Solution
-from perilune.problem.views import Space
-from perilune.words.outcome import PeriluneError
-from perilune.words.types import Matrix, Vector
+from perilune.problem.display.views import Space
+from perilune.problem.results.solution import Solution
 
 LOST = 1e-3  # m, between two times
 JUMP = 1e-6  # s; what changes faster than in so short a time jumps

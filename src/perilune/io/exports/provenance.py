@@ -9,10 +9,10 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from perilune.io.export import program_versions, results_document
-from perilune.io.files import finite
-from perilune.io.reload import claims_of
-from perilune.problem.solution import Solution
+from perilune.io.atomic_files import finite
+from perilune.io.load import claims_of
+from perilune.io.save import program_versions, results_document
+from perilune.problem.results.solution import Solution
 
 
 def provenance(solution: Solution, scenario_text: str | None = None, document: Any = None) -> dict[str, str]:

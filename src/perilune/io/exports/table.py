@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from perilune.core.arrays import Vector
 from perilune.io.columns import Column, node_times, phase_columns
 from perilune.io.exports.path import separate_jumps
-from perilune.problem.solution import Solution
-from perilune.problem.views import Space
-from perilune.words.types import Vector
+from perilune.problem.display.views import Space
+from perilune.problem.results.solution import Solution
 
 _AXES = ("x", "y", "z")
 

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from perilune import __version__
+from perilune.core.errors import PeriluneError
 from perilune.io.columns import round_degrees
 from perilune.io.exports.epochs import leap_seconds_sentence, stamp
 from perilune.io.exports.table import FlightColumn, FlightTable
-from perilune.models.time_scales import leap_seconds_within
-from perilune.words.outcome import PeriluneError
+from perilune.models.physics.time_scales import leap_seconds_within
 
 if TYPE_CHECKING:
     import pandas

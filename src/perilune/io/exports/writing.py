@@ -8,13 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from perilune.core.errors import PeriluneError
+from perilune.core.validation import check_call, require_type, wrong_type_error
+from perilune.io.atomic_files import fresh_file, new_file
 from perilune.io.exports.epochs import flight_epoch, needed_epoch
 from perilune.io.exports.formats import ENDINGS, format_of
 from perilune.io.exports.provenance import provenance
-from perilune.io.files import fresh_file, new_file
-from perilune.problem.solution import Solution
-from perilune.words.asked import check_call, require_type, wrong_type_error
-from perilune.words.outcome import PeriluneError
+from perilune.problem.results.solution import Solution
 
 if TYPE_CHECKING:
     import pandas

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from perilune.core.errors import PeriluneError
 from perilune.kernels.algebra.tables import with_tables
-from perilune.words.outcome import PeriluneError
 
 #: Operations by CasADi's name for them (without ``OP_``), and ours.
 OPERATIONS = {

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.words.outcome import PeriluneError
+from perilune.core.errors import PeriluneError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.core.errors import PeriluneError
 from perilune.kernels.algebra.program import Program, trace_function
-from perilune.words.outcome import PeriluneError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence, Set
 
-from perilune.kernels.algebra.pieces import HELD, Piece, split_program
 from perilune.kernels.algebra.program import Instruction, Program
+from perilune.kernels.algebra.split_program import HELD, Piece, split_program
 from perilune.kernels.code import vecmath
 from perilune.kernels.code.ir import NUM, Bits, Mask, Num, Ptr, Vec, Writer
 

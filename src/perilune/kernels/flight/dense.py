@@ -15,9 +15,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from perilune.core.arrays import Batch, Matrix, Vector
 from perilune.kernels.flight import tableau
-from perilune.kernels.flight.arcs import Arcs
-from perilune.words.types import Batch, Matrix, Vector
+from perilune.kernels.flight.records import Arcs
 
 Rates = Callable[[Matrix, Vector], Matrix]
 

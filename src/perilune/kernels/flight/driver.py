@@ -19,9 +19,9 @@ from collections.abc import Callable
 from perilune.kernels.algebra.system import ArcSystem
 from perilune.kernels.code.ir import BIT, INT, Int, Mask, Ptr, Vec, Writer
 from perilune.kernels.flight import lanes, tableau
-from perilune.kernels.flight.arcs import ArcStatus
-from perilune.kernels.flight.crossing import EventCrossings, crossing_searches
-from perilune.kernels.flight.frame import CallTable, Frame
+from perilune.kernels.flight.codegen_context import CallTable, Frame
+from perilune.kernels.flight.event_location import EventCrossings, crossing_searches
+from perilune.kernels.flight.records import ArcStatus
 
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 10.0
 # Hairer's first step is for any order: with order 8 its error was found 1e-6 to 1e-5 of what is allowed.

@@ -18,13 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from perilune.core.arrays import Matrix, Vector
 from perilune.kernels.algebra.system import ArcSystem, Event
 from perilune.kernels.code import cache as disk, native
 from perilune.kernels.code.threads import run_in_threads
-from perilune.kernels.flight.arcs import EQUATIONS, TABLE, Arcs, Request, request
-from perilune.kernels.flight.bound import BoundArcs, Engine
+from perilune.kernels.flight.bound_buffers import BoundArcs, Engine
 from perilune.kernels.flight.dense import DenseArc, dense_arc
-from perilune.words.types import Matrix, Vector
+from perilune.kernels.flight.records import EQUATIONS, TABLE, Arcs, Request, request
 
 _LOG = logging.getLogger("perilune.kernels")
 LANES = 4
@@ -73,7 +73,7 @@ def compile_arcs(
     system = ArcSystem(modes=modes, solved=tuple(solved) or (None,) * len(modes), events=tuple(events), seeds=seeds)
     if native.choose_native(backend):
         return NativeEngine(system, cache=cache)
-    from perilune.kernels.flight.fallback import ScipyEngine
+    from perilune.kernels.flight.scipy_engine import ScipyEngine
 
     if backend is None and not _told:
         _told.append("told")
@@ -99,7 +99,7 @@ class NativeEngine:
             system = self.system if columns else self._bare
 
             def build() -> bytes:
-                from perilune.kernels.flight import equations
+                from perilune.kernels.flight import rhs_code as equations
 
                 return native.compile_ir(equations.equations_module(system, width))
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from perilune.kernels.code.ir import INT, NUM, Index, Int, Mask, Num, Ptr, Vec
-from perilune.kernels.flight.arcs import INFO
-from perilune.kernels.flight.frame import CallTable, Frame
+from perilune.kernels.flight.codegen_context import CallTable, Frame
+from perilune.kernels.flight.records import INFO
 
 
 def gather(f: Frame, t: CallTable, group: Int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from itertools import pairwise
 
-from perilune.models.atmosphere import Air
+from perilune.core.errors import PeriluneError
 from perilune.models.deorbit.records import (
     Aim,
     Heating,
@@ -18,7 +18,7 @@ from perilune.models.deorbit.records import (
     ReturnOrbit,
     Separation,
 )
-from perilune.words.outcome import PeriluneError
+from perilune.models.physics.atmosphere import Air
 
 
 def require_epoch(aim: Aim) -> datetime:

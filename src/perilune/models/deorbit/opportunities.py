@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from perilune.models import ellipsoid
-from perilune.models.deorbit.fall import turning_speed
+from perilune.core.errors import InfeasibleError, PeriluneError
+from perilune.core.maths import NUMERIC
+from perilune.core.validation import check_call, require_type
+from perilune.models.deorbit.ballistic_fall import turning_speed
+from perilune.models.deorbit.initial_guess import estimate_descent
 from perilune.models.deorbit.orbit import plane_axes, radius_and_speeds
-from perilune.models.deorbit.passes import Pass, apsis_radii, find_passes, nearest_approach_to_plane
-from perilune.models.deorbit.preflight import OFF_PLANE
+from perilune.models.deorbit.presolve import OFF_PLANE
 from perilune.models.deorbit.records import (
     Aim,
     Manoeuvre,
@@ -28,13 +30,11 @@ from perilune.models.deorbit.records import (
     full_engine_thrust,
     total_velocity_change,
 )
-from perilune.models.deorbit.secular import Drift, drift
-from perilune.models.deorbit.times import estimate_descent
-from perilune.models.rotating import scalar_product
+from perilune.models.deorbit.secular_drift import Drift, drift
+from perilune.models.deorbit.site_passes import Pass, apsis_radii, find_passes, nearest_approach_to_plane
+from perilune.models.physics import ellipsoid
+from perilune.models.physics.rotating_frame import scalar_product
 from perilune.problem.problem import Problem
-from perilune.words.asked import check_call, require_type
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import InfeasibleError, PeriluneError
 
 MOST_DAYS = 60.0  # after which secular rates of first order, and no drag on the orbit, say little
 _DAY = 86400.0  # s

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from perilune.models import ellipsoid
-from perilune.models.rotating import Triple, combine, cross_product
-from perilune.words.types import Physics
+from perilune.core.arrays import Physics
+from perilune.models.physics import ellipsoid
+from perilune.models.physics.rotating_frame import Triple, combine, cross_product
 
 AXIS: Triple = (0.0, 0.0, 1.0)
 # The distance on an ellipse depends on the latitude, and above an ellipsoid this on that, by a thousandth.

@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from perilune.models import ellipsoid
-from perilune.models.atmosphere import Air
-from perilune.models.deorbit import flight, told
+from perilune.core.maths import NUMERIC
+from perilune.models.deorbit import dynamics as flight, outputs as told
 from perilune.models.deorbit.orbit import AXIS
-from perilune.models.landing import mass_state
-from perilune.models.rotating import Triple, apparent_gravity, combine, scalar_product
+from perilune.models.landing.problem import mass_state
+from perilune.models.physics import ellipsoid
+from perilune.models.physics.atmosphere import Air
+from perilune.models.physics.rotating_frame import Triple, apparent_gravity, combine, scalar_product
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable
-from perilune.words.maths import NUMERIC
 
 
 def sinking_velocity(x: Any, p: Any, m: Any, *, air: Air) -> Triple:

@@ -15,16 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from perilune.models import atmosphere, ellipsoid
-from perilune.models.atmosphere import Air
-from perilune.models.bodies import EARTH, Planet, catalogue_name
-from perilune.models.budget import SPENT
-from perilune.models.coast import SHORTEST
-from perilune.models.deorbit import checks, flight, orbit, parachute as parachutes, times, told
-from perilune.models.deorbit.along import rough_air
-from perilune.models.deorbit.fall import entry_end_altitude, fall
-from perilune.models.deorbit.passes import apsis_radii
-from perilune.models.deorbit.preflight import compare_return
+from perilune.core.arrays import Physics
+from perilune.core.errors import PeriluneError
+from perilune.core.units import STANDARD_GRAVITY, Scales
+from perilune.core.validation import check_call, require_records
+from perilune.models.deorbit import (
+    checks,
+    dynamics as flight,
+    initial_guess as times,
+    orbit,
+    outputs as told,
+    parachute as parachutes,
+)
+from perilune.models.deorbit.ballistic_fall import entry_end_altitude, fall
+from perilune.models.deorbit.presolve import compare_return
 from perilune.models.deorbit.records import (
     Aim,
     Atmosphere,
@@ -41,16 +45,19 @@ from perilune.models.deorbit.records import (
     engine_exhaust_speed,
     least_mass_left,
 )
-from perilune.models.landing import mass_state
-from perilune.models.vehicle import THROTTLE, Throttle
-from perilune.problem.declared import given_of
+from perilune.models.deorbit.site_passes import apsis_radii
+from perilune.models.deorbit.trajectory_atmosphere import rough_air
+from perilune.models.landing.problem import mass_state
+from perilune.models.physics import atmosphere, ellipsoid
+from perilune.models.physics.atmosphere import Air
+from perilune.models.physics.bodies import EARTH, Planet, catalogue_name
+from perilune.models.physics.coast import SHORTEST
+from perilune.models.physics.delta_v_budget import SPENT
+from perilune.models.physics.vehicle import THROTTLE, Throttle
+from perilune.problem.parameters import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
-from perilune.words.asked import check_call, require_records
-from perilune.words.outcome import PeriluneError
-from perilune.words.types import Physics
-from perilune.words.units import STANDARD_GRAVITY, Scales
 
 _DURATIONS = {
     "coast": "coast_time",

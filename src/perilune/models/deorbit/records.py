@@ -6,13 +6,13 @@ import math
 from datetime import datetime
 from typing import Any
 
-from perilune.models.aerodynamics import SUTTON_GRAVES
-from perilune.models.coast import SHORTEST
-from perilune.words.declared import quantity, record, text_field
-from perilune.words.instants import instant
-from perilune.words.maths import NUMERIC
-from perilune.words.outcome import PeriluneError
-from perilune.words.units import format_quantity
+from perilune.core.datetimes import instant
+from perilune.core.errors import PeriluneError
+from perilune.core.fields import quantity, record, text_field
+from perilune.core.maths import NUMERIC
+from perilune.core.units import format_quantity
+from perilune.models.physics.aerodynamics import SUTTON_GRAVES
+from perilune.models.physics.coast import SHORTEST
 
 MINIMISED = ("flight_time", "transition_time", "propellant", "heat_load")
 AIRS: dict[str, tuple[str, ...]] = {

@@ -1,0 +1,285 @@
+"""Continuation of extremals: along straight lines of parameters, and of one sheet from corner to corner of bricks.
+
+Each step goes along the tangent plane and is corrected by Newton's method, in lanes; a step that fails is halved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.chart import Chart, Extremals, Holds
+from perilune.atlas.store.cells import same_unknowns
+from perilune.core.arrays import Matrix, Vector
+
+Lanes = NDArray[np.int64]
+Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
+
+MOST = 20  # evaluations of a step
+_SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
+_APART, _NEAR = 0.5, 0.02  # how far a root may lie from the tangent plane: of the step there, and of 1 + |y|
+
+
+class StraightContinuation:
+    """Extremals continued along straight lines, in lanes, each at its present place.
+
+    Parameters
+    ----------
+    chart
+        Whose.
+    holds
+        What lanes hold at places: values of the axes, and behind them of the free parameters that `at` counts.
+    places, y
+        Where they begin, and unknowns there, canonical, (lanes, d + k) and (lanes, n).
+    at
+        Numbers of the free parameters that are held where the ways have them.
+    sides
+        On which side of folds each lane stays; either, if None. With them it is asked whether a long step leads back.
+    near
+        How far a root may lie from the tangent plane, of 1 + |y|, beside half of the step.
+    astray
+        Times as far Newton's method may lead on the way; anywhere if None.
+    rough
+        A residual and a last step, of 1 + |y|, that will do where errors of a sensitive flight leave no less.
+
+    Attributes
+    ----------
+    y, cost, rises
+        Unknowns, J and its derivatives by what is held (lanes, k), where each lane is.
+    good
+        Which lanes began at an extremal.
+    """
+
+    def __init__(
+        self,
+        chart: Chart,
+        holds: Callable[[Lanes, Matrix], Holds],
+        places: Matrix,
+        y: Matrix,
+        *,
+        at: Sequence[int] = (),
+        sides: Vector | None = None,
+        near: float = _NEAR,
+        astray: float | None = None,
+        rough: float = 0.0,
+    ) -> None:
+        self._chart, self._holds, self._at, self._d = chart, holds, list(at), len(chart.names)
+        self._sides, self._near, self._astray, self._rough = sides, near, astray, rough
+        count, n = y.shape
+        self.y: Matrix = y.copy()
+        self.cost: Vector = np.full(count, np.nan)
+        self.rises: Matrix = np.full((count, len(at)), np.nan)
+        self._places, self._tangents = places.copy(), np.zeros((count, places.shape[1], n))
+        self.good: NDArray[np.bool_] = np.all(np.isfinite(y), axis=1)
+        lanes = np.nonzero(self.good)[0]
+        if len(lanes):
+            found = self._solved(lanes, places[lanes], y[lanes])
+            self.good[lanes] = found.converged
+            self._put(lanes, places[lanes], found)
+
+    def go(self, lanes: Lanes, targets: Matrix, shortest: float = _SHORTEST) -> Vector:
+        """Lead some lanes to other places, (lanes, d + k), in steps of at least `shortest`; return their shares."""
+        starts = self._places[lanes]
+        way, share, stride = targets - starts, np.zeros(len(lanes)), np.where(self.good[lanes], 1.0, 0.0)
+        for _ in range(_ROUNDS):
+            some = np.nonzero((share < 1.0) & (stride >= shortest))[0]
+            if not len(some):
+                break
+            ahead, own = np.minimum(1.0, share[some] + stride[some]), lanes[some]
+            there = starts[some] + ahead[:, None] * way[some]
+            there[ahead == 1.0] = targets[some[ahead == 1.0]]
+            step = np.einsum("lk,lkn->ln", there - self._places[own], self._tangents[own])
+            guess, length = self.y[own] + step, 1.0 + np.linalg.norm(self.y[own], axis=1)
+            within = _APART * np.linalg.norm(step, axis=1) + self._near * length
+            reach = {} if self._astray is None else {"reach": self._astray * within}
+            found = self._solved(own, there, guess, **reach)
+            with np.errstate(invalid="ignore", over="ignore"):  # of what is lost
+                moved = np.linalg.norm(found.y - guess, axis=1)
+            good = found.converged & (moved <= within)
+            if self._sides is not None:
+                good &= found.orientation == self._sides[own]
+                far = np.nonzero(good & (moved > self._near * length))[0]
+                good[far] = self._leads_back(own[far], there[far], found.of(far))
+            self._put(own[good], there[good], found.of(np.nonzero(good)[0]))
+            share[some[good]] = ahead[good]
+            stride[some] *= np.where(good, 2.0, 0.5)
+        return share
+
+    def along(
+        self, targets: Matrix, steps: int, shortest: float
+    ) -> tuple[NDArray[np.float64], Matrix, NDArray[np.float64]]:
+        """Lead all lanes to other places; return `y`, `cost` and `rises` at all steps, NaN once a lane is lost."""
+        places, lanes = line_places(self._places, targets, steps), np.nonzero(self.good)[0]
+        seen = [np.full((len(rows), steps + 1, *rows.shape[1:]), np.nan) for rows in (self.y, self.cost, self.rises)]
+        for number in range(steps + 1):
+            if number and len(lanes):
+                self.good[lanes] = self.go(lanes, places[lanes, number], shortest) == 1.0
+                lanes = lanes[self.good[lanes]]
+            for out, rows in zip(seen, (self.y, self.cost, self.rises), strict=True):
+                out[lanes, number] = rows[lanes]
+        return seen[0], seen[1], seen[2]
+
+    def _leads_back(self, lanes: Lanes, there: Matrix, found: Extremals) -> NDArray[np.bool_]:
+        """Return True for steps that can be reversed: one that jumped to another layer from a steep one cannot."""
+        if not len(lanes):
+            return np.zeros(0, dtype=bool)
+        back = self._places[lanes]
+        guess = found.y + np.einsum("lk,lkn->ln", back - there, self._slopes(found))
+        again = self._solved(lanes, back, guess)
+        return again.converged & same_unknowns(self.y[lanes], again.y)
+
+    def _solved(self, lanes: Lanes, places: Matrix, y: Matrix, **settings: Any) -> Extremals:
+        found = self._chart.solve(places[:, : self._d], y, self._holds(lanes, places), limit=MOST, **settings)
+        if not self._rough:
+            return found
+        with np.errstate(invalid="ignore"):
+            will_do = (found.roots.residuals <= self._rough) & (found.length <= self._rough)
+        return replace(found, converged=found.converged | will_do)
+
+    def _slopes(self, found: Extremals) -> NDArray[np.float64]:
+        """Return derivatives of unknowns by places, (lanes, d + k, n)."""
+        if not self._at:
+            return found.slopes
+        columns, plan = found.roots.plan.columns, self._chart.shooting.plan
+        inverse = found.roots.rows[:, columns.inverse].reshape(-1, columns.n, columns.n)
+        by_held = inverse[:, self._chart.places[:, None], plan.held_rows[self._at][None]]
+        return np.concatenate([found.slopes, by_held.transpose(0, 2, 1)], axis=1)
+
+    def _put(self, lanes: Lanes, places: Matrix, found: Extremals) -> None:
+        self._places[lanes], self.y[lanes], self._tangents[lanes] = places, found.y, self._slopes(found)
+        if self._at:
+            self.cost[lanes] = found.cost
+            self.rises[lanes] = self._chart.shooting.held_values(found.roots)[1][:, self._at]
+
+
+def continue_sheet_to(
+    chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix
+) -> Matrix:
+    """Continue a sheet to other values of the parameters; return unknowns, (targets, n), NaN where it does not lead.
+
+    Parameters
+    ----------
+    chart, borders, sheet
+        The sheet, with its chart and bounds.
+    start, y
+        Values of the parameters, (d,), and unknowns, (n,), to begin with, canonical.
+    targets
+        Values of the parameters to reach, canonical, (targets, d).
+    """
+    here, share = follow_sheets(chart, borders, [sheet], *walks_from_one_extremal(start, y, targets))
+    here[share < 1.0] = np.nan
+    return here
+
+
+def follow_sheets(
+    chart: Chart,
+    borders: Borders,
+    sheets: Sequence[Sheet],
+    which: Lanes,
+    starts: Matrix,
+    y: Matrix,
+    targets: Matrix,
+    shortest: float = _SHORTEST,
+    near: float = _NEAR,
+    astray: float | None = None,
+) -> tuple[Matrix, Vector]:
+    """Follow sheets along straight lines.
+
+    Parameters
+    ----------
+    chart, borders, sheets, which
+        Whose, and the number of each walk's.
+    starts, y
+        An extremal of each: values, and unknowns there, canonical.
+    targets
+        Values to which the lines lead, (walks, d), canonical.
+    shortest, near, astray
+        Of `StraightContinuation`.
+
+    Returns
+    -------
+    y, share
+        Unknowns where each walk ended, (walks, n), and which share of its way that is, (walks,).
+    """
+    sides = np.array([sheet.orientation for sheet in sheets])[which]
+
+    def holds(lanes: Lanes, values: Matrix) -> Holds:
+        return borders.holds(sheets, which[lanes], values)
+
+    walk = StraightContinuation(chart, holds, starts, y, sides=sides, near=near, astray=astray)
+    share = walk.go(np.arange(len(starts)), targets, shortest)
+    return walk.y, share
+
+
+def line_places(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]:
+    """Return places on straight lines, (lanes, steps + 1, k)."""
+    share = np.linspace(0.0, 1.0, steps + 1)[None, :, None]
+    return starts[:, None] + share * (ends - starts)[:, None]
+
+
+def walks_from_one_extremal(
+    start: Vector, y: Vector, targets: Matrix
+) -> tuple[NDArray[np.int64], Matrix, Matrix, Matrix]:
+    """Return `which`, `starts`, `y` and `targets` of `follow_sheets` from one extremal of one sheet."""
+    count = len(targets)
+    return np.zeros(count, dtype=np.int64), np.tile(start, (count, 1)), np.tile(y, (count, 1)), targets
+
+
+def corners_reached(places: NDArray[np.int64], y: Matrix) -> Corners:
+    """Return the unknowns of a sheet at the corners that it reaches."""
+    return {tuple(corner): row for corner, row in zip(places.tolist(), y, strict=True) if np.isfinite(row[0])}
+
+
+def continue_between_corners(
+    chart: Chart, borders: Borders, sheet: Sheet, places: NDArray[np.int64], values: Matrix, known: Corners
+) -> Corners:
+    """Continue a sheet to further corners, from corner to neighbouring corner.
+
+    It continues only from corners at which it can be an answer: beyond its border it may turn back, and come to the
+    same place with other extremals.
+    """
+    reached, canonical = dict(known), values / chart.scale
+    numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}
+    border = list(known)
+    while border := _admissible_corners(
+        chart, borders, sheet, canonical, numbers, {corner: reached[corner] for corner in border}
+    ):
+        ways = dict[tuple[int, ...], list[tuple[int, ...]]]()  # to a corner, from those beside it in turn
+        for corner, axis, way in product(border, range(len(border[0])), (-1, 1)):
+            other = (*corner[:axis], corner[axis] + way, *corner[axis + 1 :])
+            if other in numbers and other not in reached:
+                ways.setdefault(other, []).append(corner)
+        border = list[tuple[int, ...]]()
+        while ways:
+            firsts = [of.pop(0) for of in ways.values()]
+            starts, targets = (canonical[[numbers[corner] for corner in some]] for some in (firsts, ways))
+            y, own = np.array([reached[corner] for corner in firsts]), np.zeros(len(ways), dtype=np.int64)
+            there, share = follow_sheets(chart, borders, [sheet], own, starts, y, targets)
+            new = {other: row for other, row, all_of_it in zip(ways, there, share == 1.0, strict=True) if all_of_it}
+            reached |= new
+            border += new
+            ways = {other: of for other, of in ways.items() if of and other not in new}
+    return reached
+
+
+def _admissible_corners(
+    chart: Chart,
+    borders: Borders,
+    sheet: Sheet,
+    canonical: Matrix,
+    numbers: Mapping[tuple[int, ...], int],
+    corners: Corners,
+) -> list[tuple[int, ...]]:
+    """Return the corners at which a sheet can be an answer."""
+    if not corners:
+        return []
+    values, which = canonical[[numbers[corner] for corner in corners]], np.zeros(len(corners), dtype=np.int64)
+    found = chart.at(values, np.array(list(corners.values())), borders.holds([sheet], which, values))
+    good = borders.margins_of([sheet], which, found) >= 0
+    return [corner for corner, here in zip(corners, good.tolist(), strict=True) if here]

@@ -1,0 +1,110 @@
+"""Columns of the shards of an atlas, entries of its header, and of the survey's line of its manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.branches.branch import Sheet
+from perilune.atlas.hermite import binary_digits
+from perilune.atlas.region import Region, region_of, stated_region
+from perilune.atlas.store.manifest import damage_text
+from perilune.atlas.store.store import HEADER, MANIFEST
+from perilune.core.arrays import Vector
+from perilune.io.load import read_problem
+from perilune.io.presolve_json import read_comparisons
+from perilune.problem.problem import Problem
+from perilune.problem.results.extremal import Nature
+
+MOST_NOTES = 100
+RANGES = "ranges"  # key of a header whose problem has lost what its ranges follow from
+COMPARISONS = "comparisons"  # key of what physics says of a problem of the user's own
+
+
+def node_type(d: int, n: int) -> np.dtype[Any]:
+    """Return the columns of a shard of nodes, for d axes and n unknowns."""
+    return np.dtype(
+        [
+            ("sheet", "<i4"), ("branch", "<i4"), ("place", "<i4", (d,)), ("values", "<f8", (d,)),
+            ("terms", "<f8", (2**d, n + 1)), ("margin", "<f8"), ("length", "<f8"), ("sequence", "<i8"),
+            ("residual", "<f8"), ("path", "<f8"), ("minimum", "<f8"), ("drift", "<f8"),
+        ]
+    )  # fmt: skip
+
+
+def cell_type(d: int) -> np.dtype[Any]:
+    """Return the columns of a shard of cells."""
+    return np.dtype(
+        [
+            ("sheet", "<i4"), ("branch", "<i4"), ("low", "<i4", (d,)), ("size", "<i4", (d,)),
+            ("corners", "<i4", (2**d,)), ("axis", "<i4"), ("child", "<i4"), ("status", "<i4"),
+        ]
+    )  # fmt: skip
+
+
+def seed_type(d: int, n: int) -> np.dtype[Any]:
+    """Return the columns of a shard of the survey: unknowns of a sheet at corners of bricks.
+
+    A sheet that reaches no corner has them at the `place`, in lattice steps, of the brick with this low corner.
+    """
+    return np.dtype([("sheet", "<i4"), ("corner", "<i4", (d,)), ("place", "<i4", (d,)), ("y", "<f8", (n,))])
+
+
+def brick_name(key: tuple[int, ...]) -> str:
+    """Return the name of a brick of a chart: its numbers, with ``m`` before those below zero."""
+    return "-".join(f"m{-number}" if number < 0 else str(number) for number in key)
+
+
+def header_problem(header: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
+    """Build the problem of a header, with the comparisons of the one that was mapped."""
+    problem = read_problem(header, problem_from_scenario)
+    if COMPARISONS not in header:
+        return problem
+    return problem.changed(preflight=read_comparisons(header[COMPARISONS], problem))
+
+
+def header_axes(region: Region) -> dict[str, Any]:
+    """Return the entry ``axes`` of a header for a region."""
+    return {"axes": [{"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in region.axes]}
+
+
+def header_region(problem: Problem, header: Mapping[str, Any]) -> Region:
+    """Return the region that a header states."""
+    with damage_text(HEADER):
+        return region_of(problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]})
+
+
+def survey_region(region: Region, survey: Mapping[str, Any]) -> Region:
+    """Return the region of a survey: that of the header, unless it states its own edges."""
+    with damage_text(MANIFEST):
+        return stated_region(region, survey["edges"]) if "edges" in survey else region
+
+
+def widths_of(chart: Mapping[str, Any], region: Region) -> Vector:
+    """Return the lengths of the ranges [SI] that set a chart's canonical units; a region that grows keeps them."""
+    return np.array(chart.get("widths", region.high - region.low), dtype=float)
+
+
+def places_of(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]:
+    """Return the numbers of the bricks that a chart may have."""
+    without = {tuple(place) for place in chart.get("without", ())}
+    return [brick for brick in region.bricks if brick not in without]
+
+
+def seeded_places(region: Region, chart: Mapping[str, Any], seeds: NDArray[Any]) -> set[tuple[int, ...]]:
+    """Return the bricks of a chart in which, or at whose corners, its survey has a sheet, by its shard."""
+    within = seeds["place"].any(axis=1)
+    beside = (seeds["corner"][~within][:, None] - binary_digits(len(region.axes))[None]).reshape(-1, len(region.axes))
+    there = set(map(tuple, np.vstack([beside, seeds["corner"][within]]).tolist()))
+    return there.intersection(places_of(region, chart))
+
+
+def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
+    """Return the sheets that the survey's line lists for a chart."""
+    return tuple(
+        Sheet(holds=dict(s["holds"]), orientation=float(s["orientation"]), nature=Nature[s["nature"]])
+        for s in chart["sheets"]
+    )

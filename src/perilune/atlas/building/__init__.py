@@ -1,0 +1,1 @@
+"""Build, extend, merge, audit, verify and export atlases."""

@@ -1,0 +1,1 @@
+"""Evaluate a branch at a point: interpolation, polish by Newton, an independent re-integration."""

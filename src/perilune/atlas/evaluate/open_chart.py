@@ -1,0 +1,167 @@
+"""One chart of an atlas, as queries need it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.branches.arc_sequence import arc_sequence_from
+from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.chart import Chart
+from perilune.atlas.branches.schema import sheets_of, widths_of
+from perilune.atlas.evaluate.polish import Polished, Polisher
+from perilune.atlas.evaluate.reintegrate import ChartReintegration
+from perilune.atlas.region import Region
+from perilune.core.arrays import Matrix, Vector
+from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.result import compose_solution
+from perilune.problem.casadi_trace import free_scales
+from perilune.problem.problem import Problem
+from perilune.problem.results.solution import Solution, Statistics
+from perilune.shooting.parameter_scan import ExtremalRoot
+from perilune.shooting.shooting_function import Root
+from perilune.structures.multiphase import renumber_restated, sums_of
+from perilune.structures.split_join import join_solution
+from perilune.structures.structure import margins
+
+
+class OpenChart:
+    """One chart of an atlas, as queries need it."""
+
+    def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
+        self.sheets: tuple[Sheet, ...] = sheets_of(said)
+        self.unknowns: int = said["unknowns"]
+        self.chart: Chart = Chart(problem, region.names, widths_of(said, region), arc_sequence_from(said))
+        if self.unknowns != len(self.chart.places):
+            raise ValueError(f"{self.unknowns} unknowns in place of {len(self.chart.places)}")
+        self.borders: Borders = Borders(self.chart)
+        reflights = ChartReintegration(self.chart, tuple(map(int, said["times"])))
+        self.polish: Polisher = Polisher(self.chart, self.borders, reflights, self.sheets)
+        self._moving: list[bool] = self.polish.moving.tolist()
+        self._sizes = free_scales(self.chart.problem.free, self.chart.problem)
+        names = [name for name, _ in self.chart.conditions.unknowns]
+        self._own_places = np.array([names.index(name) for name, _ in self.chart.own.unknowns])
+        plan = self.chart.shooting.plan
+        self._free = [i for i, name in enumerate(self.chart.free.free_names) if name not in region.names]
+        kept = [*self._free, *range(plan.free, plan.held)]
+        self._own_choice = [*kept, *(plan.held + i for i in kept)]
+
+    @property
+    def of_arcs(self) -> bool:
+        """Return True if the extremals consist of several arcs."""
+        return self.chart.course.structure is not None
+
+    @cached_property
+    def rank(self) -> tuple[int, int]:
+        """Return the order among charts of equal J, of which the least answers: number of contact points, then of arcs.
+
+        A flight with two contact points in place of a boundary arc has the same J, and no proof of level 3.
+        """
+        structure = self.chart.course.structure
+        if structure is None:
+            return 0, 1
+        return sum(len(arc.touches) for arcs in structure.phases for arc in arcs), structure.count
+
+    @cached_property
+    def breaks_controls_alone(self) -> bool:
+        """Return True if extremals can violate only bounds of singular controls, as no other margins exist."""
+        return not any(margins(self.chart.user, k) for k in range(len(self.chart.user.phases)))
+
+    @cached_property
+    def labels(self) -> list[str]:
+        """Return the label of each sheet: the arcs of the chart, and the bounds at which the sheet is held."""
+        return ["; ".join(filter(None, (self.chart.course.text, sheet.label))) for sheet in self.sheets]
+
+    def at_bounds(self, number: int, values: Matrix, y: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
+        """Return unknowns with a Newton step where they miss the bound that their sheet holds, and a mask of these.
+
+        Parameters
+        ----------
+        number
+            Number of the sheet.
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y
+            Unknowns as cells give them, canonical, (lanes, n).
+        """
+        if not self._moving[number]:
+            return y, np.zeros(len(y), dtype=bool)
+        if (missed := self.borders.missed(self.sheets[number], values, y)).any():
+            holds = self.borders.holds(self.sheets, np.full(len(y), number), values)
+            y = np.where(missed[:, None], self.chart.at(values, y, holds).stepped, y)
+        return y, missed
+
+    def short(self, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
+        """Return True for extremals, as cells give them, that are admissible but for a negative arc duration.
+
+        Parameters
+        ----------
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y
+            Unknowns, canonical, (lanes, n).
+        """
+        whole, limits = self.chart.whole(values, y), self.borders.at(values)
+        at = np.full((len(y), self.chart.shooting.plan.held), np.nan)
+        at[:, : self.chart.shooting.plan.free] = whole[:, self.chart.conditions.free_at]
+        return self.borders.short(whole, at, limits)
+
+    def met(self, number: int, values: Matrix, y: Matrix, cost: Vector) -> Vector:
+        """Return J of extremals of a sheet, solved by Newton's method from what cells give; `cost` where it fails.
+
+        Cells in which extremals break the path are not cut, so what their corners give is rough.
+
+        Parameters
+        ----------
+        number
+            Number of the sheet.
+        values
+            Values of the parameters, canonical, (lanes, d).
+        y, cost
+            Unknowns, (lanes, n), and J, (lanes,), as cells give them, canonical.
+        """
+        if not len(y):
+            return cost
+        polished = self.polish(values, np.full(len(y), number), y)
+        return np.where(polished.reached & np.isfinite(polished.cost), polished.cost, cost)
+
+    def free(self, y: Matrix) -> Matrix:
+        """Return the free parameters of the user's problem [SI], (lanes, k), given all unknowns of the chart."""
+        chart, own = self.chart, self.own_unknowns(y)[:, self.chart.own.free_at]
+        at = {name: value for name, value in zip(chart.problem.free_names, (own * self._sizes).T, strict=True)}
+        sums = {} if chart.course.structure is None else sums_of(chart.user, chart.course.structure)
+        return np.column_stack([np.zeros((len(y), 0)), *(
+            sum((at[part] for part in sums[name]), np.zeros(len(y))) if name in sums else at[name]
+            for name in chart.user.free_names
+        )])  # fmt: skip
+
+    def solution(self, problem: Problem, roots: Sequence[ExtremalRoot], statistics: Statistics) -> Solution:
+        """Return extremals of the chart as a solution of the user's problem at their values."""
+        chart, structure = self.chart, self.chart.course.structure
+        if structure is None:
+            return compose_solution(Indirect.name, problem, chart.own, roots, statistics)
+        found = compose_solution(
+            Indirect.name, renumber_restated(chart.problem, problem, structure), chart.own, roots, statistics
+        )
+        return join_solution(problem, found, structure)
+
+    def own_unknowns(self, y: Matrix) -> Matrix:
+        """Return the problem's own unknowns, (lanes, n), of all unknowns of the chart."""
+        return y[:, self._own_places]
+
+    def root(self, polished: Polished) -> Root:
+        """Return a polished extremal as a root of the problem itself, in which the axes are given."""
+        return Root(
+            y=self.own_unknowns(polished.y)[0],
+            residual=polished.flown.seen.residual[:1],
+            inverse=np.full((0, 0), np.nan),
+            slopes=np.zeros(len(self._free)),
+            ranges=np.zeros(0),
+            cost=float(polished.cost[0]),
+            choice=polished.choice[0, self._own_choice],
+            converged=True,
+        )

@@ -1,0 +1,1 @@
+"""The grid of a branch: blocks of nodes, and where a bound is crossed between nodes."""

@@ -1,0 +1,1 @@
+"""An atlas on disk: manifest, cells, locks."""

@@ -1,0 +1,448 @@
+"""Content of a brick: nodes at places of its lattice, and cells with nodes at their corners."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from itertools import repeat
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.hermite import binary_digits, interpolated
+from perilune.core.arrays import Matrix, Vector
+
+WHOLE = 2**12  # lattice steps along an edge of a brick
+_CLEARLY = 1.5  # times as far below zero as it differs at the corners and in the middle of a cell
+_SAME = 1e-6  # relative: one extremal
+_ENDING = {1: 2**6, 2: 2**7}  # the shortest edge of a cell in which a sheet ends, by axes; of more 2**8
+
+Whole = NDArray[np.int64]
+
+
+def shortest_ending_edge(d: int) -> int:
+    """Return the shortest edge of a cell in which a sheet ends, for d axes; with each the border has more cells."""
+    return _ENDING.get(d, 2**8)
+
+
+class Status(IntEnum):
+    """Status of a cell."""
+
+    CUT = 0  # its children are what counts
+    ONE_STEP = 1  # answers by one step of Newton's method
+    MORE_STEPS = 2  # answers, but at the least size a step is not enough
+    ENDS = 3  # the sheet ends inside
+    NO_ANSWER = 4  # its extremals lie beyond a bound, or gain by leaving one
+    BREAKS = 5  # its extremals break the path
+    ABSENT = 6  # the branch does not come here: no corner has it, and none of the nodes around
+    TORN = 7  # its corners lie on different layers of its sheet
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cells:
+    """Cells of all branches of a brick; the first of each branch is the whole brick.
+
+    Attributes
+    ----------
+    branch
+        Branch of each cell, (cells,).
+    low, size
+        Low corner and lengths, in lattice steps, (cells, d).
+    corners
+        Nodes at its corners, -1 where there is none, (cells, 2^d).
+    axis, child
+        Along which axis it was cut, -1 for none; the first of its two children, which follow each other.
+    status
+        `Status`.
+    """
+
+    branch: Whole
+    low: Whole
+    size: Whole
+    corners: Whole
+    axis: Whole
+    child: Whole
+    status: Whole
+
+    def __len__(self) -> int:
+        return len(self.branch)
+
+    def box(self, number: int) -> tuple[int, ...]:
+        """Return the identity of a cell: its branch, and its box."""
+        return (int(self.branch[number]), *self.low[number].tolist(), *self.size[number].tolist())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """Brick that was cut.
+
+    Attributes
+    ----------
+    nodes
+        Of each node its ``branch``, its ``place`` in the lattice (nodes, d), values and derivatives ``terms``
+        (nodes, 2^d, n + 1), by how much it is an answer (``margin``), the step that Newton's method would make
+        there (``length``), and of its second flight ``sequence``, ``residual``, ``path``, ``minimum`` and ``drift``.
+    cells
+        Its cells.
+    own
+        The number of the sheet of each branch; the first branch of a sheet has the number of the sheet.
+    """
+
+    nodes: dict[str, NDArray[Any]]
+    cells: Cells
+    own: tuple[int, ...]
+
+
+def same_unknowns(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool_]:
+    """Return True where unknowns, (n,) or (lanes, n), are those of one extremal to rounding.
+
+    Parameters
+    ----------
+    y, other
+        Unknowns, canonical, (n,) or (lanes, n).
+    """
+    return np.linalg.norm(y - other, axis=-1) <= _SAME * (1.0 + np.linalg.norm(y, axis=-1))
+
+
+class Nodes:
+    """Nodes of a brick; a node is identified by its branch and its place."""
+
+    def __init__(self) -> None:
+        self.known: dict[int, int] = {}
+        self.parts: dict[str, list[NDArray[Any]]] = {}
+        self._rows: dict[str, NDArray[Any]] = {
+            name: np.empty(0) for name in ("terms", "margin", "sequence", "path", "branch", "place")
+        }
+        self.count: int = 0
+        self.met: Whole = np.empty(0, dtype=np.int64)  # those where a later branch has run into another
+
+    def add(self, keys: Whole, **columns: NDArray[Any]) -> None:
+        """Add nodes by their keys."""
+        new = len(keys)
+        self.known |= dict(zip(keys.tolist(), range(self.count, self.count + new), strict=True))
+        for name, rows in columns.items():
+            self.parts.setdefault(name, []).append(rows)
+        for name, before in self._rows.items():
+            if len(before) < self.count + new:  # room is doubled, so that it is seldom made
+                more = np.empty((2 * (self.count + new), *columns[name].shape[1:]), dtype=columns[name].dtype)
+                more[: self.count] = before[: self.count] if self.count else 0
+                self._rows[name] = before = more
+            before[self.count : self.count + new] = columns[name]
+        self.count += new
+
+    def forget(self, key: Whole) -> None:
+        """Remove a node that is not of its branch from its place; no branch goes on from it."""
+        if (number := self.known.pop(int(key), None)) is not None:
+            self.met = np.append(self.met, number)
+
+    def numbers(self, keys: Whole) -> Whole:
+        """Return the numbers of nodes by their keys, -1 for missing ones; shape of `keys`."""
+        numbers = map(self.known.get, keys.ravel().tolist(), repeat(-1))
+        return np.fromiter(numbers, np.int64, keys.size).reshape(keys.shape)
+
+    def at(self, key: Whole) -> Vector | None:
+        """Return the unknowns of one node, None for a missing one."""
+        number = self.known.get(int(key))
+        return None if number is None else self._rows["terms"][number, 0, :-1]
+
+    def has(self, keys: Whole, y: Matrix, before: int | None = None) -> NDArray[np.bool_]:
+        """Return True where nodes, all or only the first `before`, hold these extremals.
+
+        Parameters
+        ----------
+        keys
+            Keys of the nodes, (lanes,).
+        y
+            Unknowns of the extremals, canonical, (lanes, n).
+        before
+            Number of first nodes to compare with; None for all.
+        """
+        numbers = self.numbers(keys)
+        found = (numbers >= 0) & (numbers < (self.count if before is None else before))
+        found[found] = same_unknowns(self.rows("terms", numbers[found])[:, 0, :-1], y[found])
+        return found
+
+    def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
+        """Return a column of nodes."""
+        return self._rows[name][numbers]
+
+    def along_slopes(self, numbers: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
+        """Extrapolate unknowns to places along the slopes of nodes; returns also their change; `step` is canonical.
+
+        Parameters
+        ----------
+        numbers
+            Nodes from which to extrapolate, (lanes,).
+        places
+            Places in lattice steps, (lanes, d).
+        step
+            Lattice step, canonical, (d,).
+        """
+        terms, move = self.rows("terms", numbers), (places - self.rows("place", numbers)) * step
+        guess = terms[:, 0, :-1] + sum(move[:, [i]] * terms[:, 1 << i, :-1] for i in range(len(step)))
+        return guess, np.linalg.norm(guess - terms[:, 0, :-1], axis=1)
+
+    def guesses(self, cells: Cells, cell: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
+        """Return y and its change at places of cells: interpolated from all corners, or along slopes of the nearest.
+
+        Parameters
+        ----------
+        cells, cell
+            Cells, and the number of one for each lane, (lanes,).
+        places
+            Places in lattice steps, (lanes, d).
+        step
+            Lattice step, canonical, (d,).
+        """
+        corners, size = cells.corners[cell], cells.size[cell] * step
+        at = (places - cells.low[cell]) / cells.size[cell]
+        away = np.abs(at[:, None] - binary_digits(len(step))[None]).sum(axis=2)
+        nearest = np.where(corners >= 0, away, np.inf).argmin(axis=1)
+        guess, spread = self.along_slopes(corners[np.arange(len(cell)), nearest], places, step)
+        full = (corners >= 0).all(axis=1)
+        if full.any():
+            terms = self.rows("terms", corners[full])
+            guess[full] = interpolated(terms, at[full], size[full])[:, :-1]
+            spread[full] = np.linalg.norm(np.ptp(terms[:, :, 0, :-1], axis=1), axis=1)
+        return guess, spread
+
+    def nearest(self, some: Whole, place: Whole) -> int:
+        """Return the number of the node, of some, that is nearest to a place."""
+        return int(some[np.abs(self.rows("place", some) - place).sum(axis=1).argmin()])
+
+    def beside(self, branch: int, places: Whole, reach: int) -> Whole:
+        """Return the node nearest to each place, (lanes,), from which a branch can go on; -1 with none within reach."""
+        goes_on = (self._rows["branch"][: self.count] == branch) & (self._rows["margin"][: self.count] >= 0)
+        goes_on[self.met] = False
+        numbers = np.nonzero(goes_on)[0]
+        if not len(numbers):
+            return np.full(len(places), -1)
+        there, found = self.rows("place", numbers), np.empty(len(places), dtype=np.int64)
+        for i, place in enumerate(places):
+            away = np.abs(there - place)
+            far = np.where(away.max(axis=1) <= reach, away.sum(axis=1), WHOLE * len(place))
+            found[i] = numbers[far.argmin()] if far.min() < WHOLE * len(place) else -1
+        return found
+
+    def within(self, branch: int, low: Whole, high: Whole, first: int) -> Whole:
+        """Return the nodes of a branch, from number `first` on, in a box or on its border from which it goes on.
+
+        Beyond the border of its sheet it may turn back, and does not go on.
+        """
+        here = slice(first, self.count)
+        place = self._rows["place"][here]
+        inside = (self._rows["branch"][here] == branch) & (self._rows["margin"][here] >= 0)
+        inside &= ((place >= low) & (place <= high)).all(axis=1)
+        found = first + np.nonzero(inside)[0]
+        return found[~np.isin(found, self.met)] if len(self.met) else found
+
+
+def clearly_below(rows: Matrix, slack: float) -> NDArray[np.bool_]:
+    """Return True for cells whose values, (cells, places), are all below zero by more than they vary.
+
+    Parameters
+    ----------
+    rows
+        Values at places of cells, (cells, places), that should not be below zero.
+    slack
+        Tolerated violation.
+    """
+    most, least = rows.max(axis=1), rows.min(axis=1)
+    with np.errstate(invalid="ignore"):  # where nothing limits them
+        return most < -_CLEARLY * (most - least) - slack
+
+
+def halved_at(low: Whole, axis: Whole, child: Whole) -> Whole:
+    """Return the places at which cells are split, in lattice steps along their axis; arbitrary for uncut cells."""
+    second = np.where(child >= 0, child + 1, 0)
+    return np.take_along_axis(low[second], np.maximum(axis, 0)[:, None], axis=1)[:, 0]
+
+
+def leaves(axis: Whole, child: Whole, split: Whole, root: int, places: Matrix) -> Whole:
+    """Return the leaf cells below one in which places lie, (points,)."""
+    cell = np.full(len(places), root)
+    while (going := np.nonzero(child[cell] >= 0)[0]).size:
+        here = cell[going]
+        cell[going] = child[here] + (places[going, axis[here]] >= split[here])
+    return cell
+
+
+def leaves_of(cells: Cells, branch: int, places: Whole) -> Whole:
+    """Return the leaf cells of a branch in which places lie, -1 where it has none.
+
+    Parameters
+    ----------
+    cells, branch
+        The cells of a brick, and a branch.
+    places
+        Places in lattice steps, (points, d).
+    """
+    root = np.nonzero((cells.size == WHOLE).all(axis=1) & (cells.branch == branch))[0]
+    if not len(root):
+        return np.full(len(places), -1)
+    split = halved_at(cells.low, cells.axis, cells.child)
+    return leaves(cells.axis, cells.child, split, int(root[0]), places.astype(float))
+
+
+def concatenate_cells(waves: Sequence[Cells]) -> Cells:
+    """Concatenate cells."""
+    return Cells(**{f.name: np.concatenate([getattr(w, f.name) for w in waves]) for f in fields(Cells)})
+
+
+def select_cells(cells: Cells, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cells:
+    """Return some of the cells."""
+    return Cells(**{f.name: getattr(cells, f.name)[which] for f in fields(Cells)})
+
+
+_TORN, _SMALL = 0.5, 1e-3  # by how much an edge may differ from a trapezoid: of what its slopes say, and of 1 + |y|
+_ALIKE = 1e-3  # relative: what a cell gives, and an extremal that it has
+_AT_ONCE = 64  # places, each of which is compared with all cells
+
+Extremal = tuple[int, Whole, Vector]  # its sheet, its place, and its unknowns
+ANSWERING = (Status.ONE_STEP, Status.MORE_STEPS, Status.NO_ANSWER, Status.BREAKS)
+
+
+def arrays_of(extremals: Sequence[Extremal]) -> tuple[Whole, Whole, Matrix]:
+    """Return sheets, places and unknowns of extremals, in lanes."""
+    sheet, place, y = zip(*extremals, strict=True) if extremals else ((), (), ())
+    return np.array(sheet, dtype=np.int64), np.array(place, dtype=np.int64), np.array(y)
+
+
+def torn_edges(nodes: Nodes, corners: Whole, size: Matrix) -> tuple[Whole, Whole, Whole]:
+    """Find edges of cells whose ends do not fit together.
+
+    Parameters
+    ----------
+    nodes, corners
+        Nodes, and which of them are at the corners of cells, -1 for none, (cells, 2^d).
+    size
+        Of the cells, canonical, (cells, d).
+
+    Returns
+    -------
+    cell, one, other
+        Numbers of the cells and of the corners at both ends.
+    """
+    found = list[tuple[Whole, Whole, Whole]]()
+    for axis in range(size.shape[1]):
+        low = np.nonzero(binary_digits(size.shape[1])[:, axis] == 0)[0]
+        cell, at = np.nonzero((corners[:, low] >= 0) & (corners[:, low | 1 << axis] >= 0))
+        one, other = low[at], low[at] | 1 << axis
+        ends = [nodes.rows("terms", corners[cell, corner]) for corner in (one, other)]
+        y, slopes = ([end[:, term, :-1] for end in ends] for term in (0, 1 << axis))
+        half = 0.5 * size[cell, axis, None]
+        away = np.linalg.norm(y[1] - y[0] - half * (slopes[0] + slopes[1]), axis=1)
+        said = np.linalg.norm(half * slopes[0], axis=1) + np.linalg.norm(half * slopes[1], axis=1)
+        torn = away > _TORN * said + _SMALL * (1.0 + np.linalg.norm(y[0], axis=1))
+        found.append((cell[torn], one[torn], other[torn]))
+    cell, one, other = (np.concatenate(part) for part in zip(*found, strict=True))
+    return cell, one, other
+
+
+def ending_layers(corners: Whole, torn: Iterable[tuple[int, int]], ends: Iterable[int]) -> NDArray[np.bool_]:
+    """Return a mask of the corners of a cell that lie on layers ending in it.
+
+    Parameters
+    ----------
+    corners
+        Nodes at its corners, -1 for none, (2^d,).
+    torn
+        Its edges that are torn, by the numbers of their corners.
+    ends
+        Corners from which an edge led nowhere.
+    """
+    found, left = np.zeros(len(corners), dtype=bool), list(ends)
+    apart = {frozenset(edge) for edge in torn}
+    while left:
+        corner = left.pop()
+        if not found[corner]:
+            found[corner] = True
+            beside = (corner ^ 1 << axis for axis in range(len(corners).bit_length() - 1))
+            left += [other for other in beside if corners[other] >= 0 and frozenset((corner, other)) not in apart]
+    return found
+
+
+def covered_by_branches(
+    cells: Cells, nodes: Nodes, step: Vector, branches: Sequence[int], places: Whole, y: Matrix
+) -> NDArray[np.bool_]:
+    """Return a mask of the extremals that cells of some branches give at places; `step` of the lattice, canonical.
+
+    Parameters
+    ----------
+    cells, nodes
+        Cells and nodes of the brick.
+    step
+        Lattice step, canonical, (d,).
+    branches
+        The branches.
+    places
+        Places in lattice steps, (points, d).
+    y
+        Unknowns of the extremals, canonical, (points, n).
+    """
+    found = np.zeros(len(places), dtype=bool)
+    own = np.isin(cells.branch, branches) & np.isin(cells.status, ANSWERING)
+    numbers = np.nonzero(own & (cells.corners >= 0).all(axis=1))[0]
+    low, high = cells.low[numbers].T, (cells.low + cells.size)[numbers].T
+    for start in range(0, len(places) if len(numbers) else 0, _AT_ONCE):
+        inside = np.ones((len(numbers), len(places[start : start + _AT_ONCE])), dtype=bool)
+        for at, begin, end in zip(places[start : start + _AT_ONCE].T, low, high, strict=True):
+            inside &= (begin[:, None] <= at) & (at <= end[:, None])
+        cell, here = np.nonzero(inside)
+        if not len(cell):
+            continue
+        cell, here = numbers[cell], start + here
+        found[here[cells_reproduce(select_cells(cells, cell), nodes, step, places[here], y[here])]] = True
+    return found
+
+
+def cells_reproduce(cells: Cells, nodes: Nodes, step: Vector, places: Whole, y: Matrix) -> NDArray[np.bool_]:
+    """Return True for each cell, complete with corners, that gives the extremal at its place (one place a cell).
+
+    Parameters
+    ----------
+    cells, nodes
+        Cells with all their corners, and the nodes of the brick.
+    step
+        Lattice step, canonical, (d,).
+    places
+        A place for each cell, in lattice steps, (cells, d).
+    y
+        Unknowns of the extremal there, canonical, (cells, n).
+    """
+    share = (places - cells.low) / cells.size
+    there = interpolated(nodes.rows("terms", cells.corners), share, cells.size * step)[:, :-1]
+    with np.errstate(over="ignore", invalid="ignore"):  # beside a fold slopes may be anything
+        return np.linalg.norm(there - y, axis=1) <= _ALIKE * (1.0 + np.linalg.norm(y, axis=1))
+
+
+def found_in_branches(
+    cells: Cells,
+    nodes: Nodes,
+    step: Vector,
+    keys: Callable[[Whole, Whole], Whole],
+    alike: Callable[[int], Sequence[int]],
+    extremals: Sequence[Extremal],
+) -> NDArray[np.bool_]:
+    """Return a mask of the extremals that branches have, as nodes or in their cells.
+
+    Parameters
+    ----------
+    cells, nodes, step
+        As of `covered_by_branches`.
+    keys, alike
+        Keys of nodes, by branches and places; the branches of which extremals of a sheet may be layers.
+    extremals
+        The extremals to look for: sheet, place and unknowns of each.
+    """
+    which, places, y = arrays_of(extremals)
+    found = np.zeros(len(extremals), dtype=bool)
+    for sheet in np.unique(which).tolist():
+        branches, mine = alike(sheet), which == sheet
+        for branch in branches:
+            found[mine] |= nodes.has(keys(np.array(branch), places[mine]), y[mine])
+        left = np.nonzero(mine & ~found)[0]
+        found[left] = covered_by_branches(cells, nodes, step, branches, places[left], y[left])
+    return found

@@ -1,0 +1,457 @@
+"""An atlas on disk: a header, shards that never change, and a manifest to which lines are added.
+
+``atlas.json`` states the problem, the region and the tolerance. A *shard* is one array in a file of NumPy's own format
+(``.npy``, a structured array that names its columns); it is written under another name and renamed, so that it is
+complete or absent. ``manifest.jsonl`` has one JSON object in each line: the survey, then each brick with the names of
+its shards and their SHA-256, and a checksum of its own. A line is added by one write, after the shards that it names.
+So a kill at any moment costs only the bricks that were being computed; several builders may work on one directory, each
+on bricks that it has locked; and a reader sees the content of the manifest at the time of reading.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import io
+import json
+import math
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.store.manifest import (
+    damage_text,
+    is_cut_off,
+    read_line,
+    refuse_no_brick,
+    refuse_no_sample,
+    refuse_no_survey,
+    written_line,
+)
+from perilune.core.errors import PeriluneError
+from perilune.core.untrusted_text import bounded_text
+from perilune.io.atomic_files import finite, json_text, refuse_name_of_file
+from perilune.io.format import LARGEST_FILE
+from perilune.io.json_checks import tree
+
+try:
+    import fcntl
+except ImportError:  # Windows: two builders may compute the same brick there
+    fcntl = None
+
+HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
+FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 6}
+PATIENCE = 0.2  # seconds between looks at what another builder does
+CHECKSUM = "sha256"  # of all else in the header
+_OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
+_ANEW = "build the atlas anew: perilune atlas build ... --force"
+
+
+class AtlasStore:
+    """Directory of one atlas.
+
+    Parameters
+    ----------
+    directory
+        Where it is.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self._file, self._read, self._made = -1, 0, False
+        self._seal = ""  # checksum of the header that was read
+        self._lines, self._names = list[dict[str, Any]](), set[str]()
+        self.unreadable: int = 0  # lines that were written whole, and say nothing now
+
+    def prepare(self, header: Mapping[str, Any] | None) -> None:
+        """Make the directory, or check that it holds only the same atlas, or any if `header` is None.
+
+        Raises
+        ------
+        PeriluneError
+            If there is something else, or it cannot be written.
+        """
+        refuse_name_of_file(self.directory)
+        try:
+            self._made = self._made or not self.directory.exists()
+            self.directory.mkdir(parents=True, exist_ok=True)
+            there = (self.directory / HEADER).exists()
+            if (header is None or not there) and not all(is_atlas_file(path.name) for path in self.directory.iterdir()):
+                got = "an atlas and other files" if there else "files, and no atlas"
+                raise _unusable_atlas(self.directory, got, "a new or empty directory")
+        except OSError as error:
+            raise _unusable_atlas(self.directory, str(error.strerror), "a directory that you may write") from error
+        if header is None or not there:
+            return
+        said, found = json.loads(json.dumps(finite(dict(header)))), self.header()
+        differs = [name for name, value in said.items() if name != "versions" and found.get(name) != value]
+        if differs:
+            got, advice = f"an atlas of other {', '.join(differs)}", "choose another directory"
+            if differs == ["axes"]:
+                advice = f"perilune atlas extend makes ranges wider, and completes what was made so; or {advice}"
+            raise _unusable_atlas(self.directory, got, "the same atlas", advice)
+
+    def begin(self, header: Mapping[str, Any]) -> None:
+        """Write the header, unless another builder did; arguments and errors of `prepare`."""
+        if not (self.directory / HEADER).exists():
+            self._put(HEADER, json_text(_sealed_header(header)).encode())
+        self.prepare(header)
+
+    def leave(self) -> None:
+        """Leave the directory as it was found, if nothing was begun in it."""
+        with contextlib.suppress(OSError):
+            if all(path.name.startswith((".claim-", ".writing-")) for path in self.directory.iterdir()):
+                clear_atlas(self.directory)
+                if self._made:
+                    self.directory.rmdir()
+
+    def header(self) -> dict[str, Any]:
+        """Read ``atlas.json``.
+
+        Raises
+        ------
+        PeriluneError
+            If there is none, or it is of another format, or altered: extremals of another problem would be polished to
+            answers of this one, each with its proof.
+        """
+        content = bounded_text(
+            self.directory / HEADER, "atlas", LARGEST_FILE, expected=f"a directory with {HEADER}",
+            advice="perilune atlas build SCENARIO --vary KEY=LOW:HIGH --out DIR",
+        )  # fmt: skip
+        found = tree(content, "atlas", _ANEW)
+        if not isinstance(found, dict) or found.get("format") != FORMAT:
+            said = found.get("format") if isinstance(found, dict) else None
+            raise PeriluneError(
+                "this is not an atlas of this version",
+                got=f"format {str(said)[:60]}",
+                expected=str(FORMAT),
+                advice=_ANEW,
+            )
+        if found != with_checksum(found):
+            raise PeriluneError(
+                f"the atlas is damaged: {HEADER} is not as it was written",
+                got="another content than its checksum says",
+                expected="the file as it was written",
+                advice=_ANEW,
+            )
+        self._seal = found.pop(CHECKSUM)
+        return found
+
+    @property
+    def seal(self) -> str:
+        """Return the checksum of the header, which a survey names: of the one that was read, if any; "" without one."""
+        if not self._seal and (self.directory / HEADER).exists():
+            self.header()
+        return self._seal
+
+    def lines(self) -> list[dict[str, Any]]:
+        """Read the lines of the manifest so far; an incomplete last line counts as not written.
+
+        Lines are never changed, so each is read once.
+        """
+        try:
+            with (self.directory / MANIFEST).open("rb") as opened:
+                if os.fstat(opened.fileno()).st_ino != self._file or opened.seek(0, os.SEEK_END) < self._read:
+                    self._file, self._read = os.fstat(opened.fileno()).st_ino, 0
+                    self._lines.clear()
+                    self._names.clear()
+                    self.unreadable = 0
+                opened.seek(self._read)
+                content = opened.read()
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise _unreadable_atlas_file(MANIFEST, error) from error
+        whole = content[: content.rfind(b"\n") + 1]
+        self._read += len(whole)
+        for line in whole.splitlines():
+            if (found := read_line(line)) is not None:
+                self._lines.append(found)
+                if found.get("kind") == "brick":
+                    self._names.add(str(found.get("name")))
+            elif line.strip() and not is_cut_off(line):
+                self.unreadable += 1
+        return self._lines
+
+    def survey(self) -> dict[str, Any] | None:
+        """Return the line of the valid survey.
+
+        It is the first (two builders that make one at once make the same), or the last extension of it: each names the
+        surveys ``before`` it, the last of which it extends.
+
+        Raises
+        ------
+        PeriluneError
+            If it is foreign, or all are of another header: extremals of one problem would be polished to those of
+            another, and need not be its best.
+        """
+        found, others = None, False
+        for line in self.lines():
+            if line.get("kind") == "survey":
+                with damage_text(MANIFEST):
+                    refuse_no_survey(line)
+                if line.get("header") != self.seal:
+                    others = True
+                elif line.get("before", [])[-1:] == ([] if found is None else [found["digest"]]):
+                    found = line
+        if others and found is None and self.seal:
+            raise PeriluneError(
+                f"the atlas is damaged: {HEADER} and {MANIFEST} are of two atlases", got=str(self.directory),
+                expected="the files of one, as they were written",
+                advice=f"copy the whole directory again; open one that was replaced meanwhile anew; or {_ANEW}",
+            )  # fmt: skip
+        return found
+
+    def bricks(self, survey: Mapping[str, Any], d: int) -> list[dict[str, Any]]:
+        """Return the lines of the bricks of a survey of d axes, and of those that it extends; errors of `survey`."""
+        mine, charts = {survey["digest"], *survey.get("before", [])}, len(survey["charts"])
+        found = [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
+        with damage_text(MANIFEST):
+            for line in found:
+                refuse_no_brick(line, d, charts)
+        return found
+
+    def latest(
+        self, survey: Mapping[str, Any], d: int, rounds: float = math.inf
+    ) -> dict[tuple[int, ...], dict[str, Any]]:
+        """Return the last line of each brick by chart and numbers, of so many rounds; otherwise as `bricks`."""
+        lines = (line for line in self.bricks(survey, d) if line.get("round", 0) <= rounds)
+        return {(line["chart"], *line["brick"]): line for line in lines}
+
+    def ended(self, survey: Mapping[str, Any], d: int) -> bool:
+        """Return True if a builder completed a survey, and no line of a brick was lost since; errors of `survey`.
+
+        Parameters
+        ----------
+        survey
+            Line of the survey.
+        d
+            Number of axes.
+        """
+        return end_line(survey, self.bricks(survey, d)) in self.lines()
+
+    def samples(self, digest: Any, nodes: int, d: int) -> list[dict[str, Any]]:
+        """Return the lines of samples of a survey of d axes with so many nodes; errors of `survey`."""
+        found = [line for line in self.lines() if line.get("kind") == "sample"]
+        with damage_text(MANIFEST):
+            for line in found:
+                refuse_no_sample(line, d)
+        return [line for line in found if line.get("survey") == digest and line.get("nodes") == nodes]
+
+    def there(self, name: str) -> bool:
+        """Return True if a brick was written, perhaps by another builder meanwhile."""
+        self.lines()
+        return name in self._names
+
+    def add(self, line: Mapping[str, Any]) -> None:
+        """Add a line to the manifest, by one write.
+
+        Raises
+        ------
+        PeriluneError
+            If there is no space left.
+        """
+        content = (written_line(line) + "\n").encode()
+        try:
+            handle = os.open(self.directory / MANIFEST, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+            try:
+                size = os.fstat(handle).st_size
+                if size:
+                    os.lseek(handle, size - 1, os.SEEK_SET)
+                    if os.read(handle, 1) != b"\n":  # a writer was killed in the middle of its line
+                        content = b"\n" + content
+                if os.write(handle, content) != len(content):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+        except OSError as error:
+            raise _unwritable_atlas(MANIFEST, error) from error
+
+    def write_lines(self, lines: Iterable[Mapping[str, Any]]) -> None:
+        """Write the whole manifest at once, in place of an existing one."""
+        self._put(MANIFEST, "".join(written_line(line) + "\n" for line in lines).encode())
+
+    def has(self, name: str, said: Mapping[str, Any]) -> bool:
+        """Return True if a shard of a name exists with the content that a line states of another.
+
+        Parameters
+        ----------
+        name
+            File name of the shard.
+        said
+            Entry of the other, with its ``sha256``.
+        """
+        try:
+            return hashlib.sha256((self.directory / name).read_bytes()).hexdigest() == said.get("sha256")
+        except OSError:
+            return False
+
+    def put(self, name: str, array: NDArray[Any]) -> dict[str, Any]:
+        """Write a shard; return its entry in the manifest."""
+        content = io.BytesIO()
+        np.save(content, array, allow_pickle=False)
+        data = content.getvalue()
+        self._put(name, data)
+        return {"file": name, "rows": len(array), "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+
+    def shard(self, said: Mapping[str, Any], dtype: np.dtype[Any], *, check: bool = True) -> NDArray[Any]:
+        """Return a shard as an array that reads the file on access.
+
+        Raises
+        ------
+        PeriluneError
+            If it is missing, altered, or not what it should be; it is named.
+        """
+        name = str(said.get("file"))
+        path = self.directory / name
+        if not _OURS.fullmatch(name):
+            raise _damaged_atlas(name[:60], "no name of a shard")
+        try:
+            altered = check and hashlib.sha256(path.read_bytes()).hexdigest() != said.get("sha256")
+            found = None if altered else np.load(path, mmap_mode="r", allow_pickle=False)
+        except PermissionError as error:
+            raise _unreadable_atlas_file(name, error) from error
+        except (OSError, ValueError, EOFError) as error:
+            raise _damaged_atlas(name, str(error)[:80]) from error
+        if found is None:
+            raise _damaged_atlas(name, "another content than its checksum says")
+        if found.dtype != dtype or found.ndim != 1 or len(found) != said.get("rows"):
+            raise _damaged_atlas(name, f"{found.dtype} {found.shape}"[:80])
+        return found
+
+    @contextlib.contextmanager
+    def claimed(self, name: str) -> Iterator[bool]:
+        """Lock a brick for the block; yields False if another process has it. A process that dies releases its lock."""
+        if fcntl is None:
+            yield True
+            return
+        file = self.directory / f".claim-{name}"
+        try:
+            handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise _unwritable_atlas(file.name, error) from error
+        _claims.add(handle)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                ours = file.stat().st_ino == os.fstat(handle).st_ino  # else who held it before has removed it
+            except OSError:
+                ours = False
+            yield ours
+        finally:
+            _claims.discard(handle)
+            os.close(handle)
+
+    def settled(self, name: str) -> None:
+        """Remove the file by which a brick was claimed; another process finds the finished brick."""
+        (self.directory / f".claim-{name}").unlink(missing_ok=True)
+
+    def tidy(self) -> None:
+        """Remove the files that killed or late builders leave, of bricks that exist meanwhile."""
+        for file in self.directory.glob(".writing-*"):
+            if (self.directory / file.name.split("-", 2)[-1]).exists():
+                file.unlink(missing_ok=True)
+        for file in self.directory.glob(".claim-*"):
+            if self.there(name := file.name.removeprefix(".claim-")):
+                self.settled(name)
+
+    def _put(self, name: str, content: bytes) -> None:
+        temporary = self.directory / f".writing-{os.getpid()}-{name}"
+        try:
+            with temporary.open("wb") as opened:
+                opened.write(content)
+                opened.flush()
+                os.fsync(opened.fileno())
+            os.replace(temporary, self.directory / name)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise _unwritable_atlas(name, error) from error
+
+
+_claims = set[int]()  # files by which this process holds what it computes
+
+
+def _release_inherited_locks() -> None:
+    """Release inherited locks in a forked worker, which may outlive its builder."""
+    for handle in _claims:
+        os.close(handle)
+    _claims.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_release_inherited_locks)
+
+
+def digest_of(said: Any) -> str:
+    """Return the SHA-256 of a tree as JSON with sorted keys."""
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+
+
+def end_line(survey: Mapping[str, Any], bricks: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the line by which a builder states that these are all bricks, so that a lost line shows."""
+    return {"kind": "end", "survey": survey["digest"], "bricks": len({line["name"] for line in bricks})}
+
+
+def with_checksum(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a header with the checksum of its content."""
+    said = {name: value for name, value in header.items() if name != CHECKSUM}
+    return {**said, CHECKSUM: digest_of(said)}
+
+
+def seal_of(header: Mapping[str, Any]) -> str:
+    """Return the checksum that a header will have."""
+    return _sealed_header(header)[CHECKSUM]
+
+
+def _sealed_header(header: Mapping[str, Any]) -> dict[str, Any]:
+    return with_checksum({"format": FORMAT, **finite(dict(header))})
+
+
+def clear_atlas(directory: Path) -> None:
+    """Remove the files of an atlas, and no others."""
+    with contextlib.suppress(FileNotFoundError):
+        for file in list(directory.iterdir()):
+            if is_atlas_file(file.name):
+                file.unlink()
+
+
+def is_atlas_file(name: str) -> bool:
+    """Return True if a file of this name belongs to an atlas."""
+    return name in (HEADER, MANIFEST) or name.startswith((".claim-", ".writing-")) or bool(_OURS.fullmatch(name))
+
+
+def _unusable_atlas(place: Path, got: str, expected: str, advice: str = "choose another directory") -> PeriluneError:
+    return PeriluneError(f"this atlas cannot be used: {place}", got=got, expected=expected, advice=advice)
+
+
+def _unwritable_atlas(name: str, error: OSError) -> PeriluneError:
+    helps = "look at its rights" if isinstance(error, PermissionError) or error.errno == errno.EROFS else "make space"
+    return PeriluneError(
+        "the atlas cannot be written", got=f"{name}: {error.strerror}",
+        expected="a directory that you may write, with space left",
+        advice=f"what is there is kept: {helps}, and give the same order again (atlas build: with --resume)",
+    )  # fmt: skip
+
+
+def _unreadable_atlas_file(name: str, error: OSError) -> PeriluneError:
+    return PeriluneError(
+        f"a file of the atlas cannot be read: {name}", got=str(error.strerror), expected="a file that you may read",
+        advice="look at its rights",
+    )  # fmt: skip
+
+
+def _damaged_atlas(name: str, got: str) -> PeriluneError:
+    again = "the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again"
+    if name.startswith("survey-"):  # without its line nobody knows where sheets are
+        again = "remove its line from manifest.jsonl, and give the order that built it again: atlas build ... --resume"
+    return PeriluneError(
+        f"a shard of the atlas is damaged: {name}", got=got, expected="the file as it was written", advice=again
+    )

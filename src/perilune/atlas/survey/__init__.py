@@ -1,0 +1,1 @@
+"""Find branches: initial solves, neighbours, folds, other minima."""

@@ -1,0 +1,408 @@
+"""Survey before the map: all sheets, with an extremal of each at every corner of a brick.
+
+The problem is solved without a guess at the middle and at the corners of the region. Each extremal found there, best or
+not, begins a sheet, unless it lies on a known one; sheets are continued to all corners of bricks by the tangent plane
+and Newton's method, in lanes, halving steps that fail, and from corners that were reached on to others. Where such a
+continuation ends at a fold it is followed around the fold to the sheet on the other side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perilune.atlas.branches.arc_sequence import ArcSequence
+from perilune.atlas.branches.branch import Borders, Sheet, held_at
+from perilune.atlas.branches.chart import Chart, Extremals
+from perilune.atlas.branches.continuation import (
+    MOST,
+    continue_between_corners,
+    continue_sheet_to,
+    corners_reached,
+    follow_sheets,
+    walks_from_one_extremal,
+)
+from perilune.atlas.branches.schema import seed_type
+from perilune.atlas.evaluate.reintegrate import ChartReintegration
+from perilune.atlas.grid.bound_crossing import continuing_sheets
+from perilune.atlas.region import Region
+from perilune.atlas.store.cells import WHOLE, same_unknowns
+from perilune.atlas.survey.folds import around_folds, classify_behind_folds
+from perilune.atlas.survey.initial_solves import RegionSolver, SolvedPoint, scanned_names, scanned_points
+from perilune.atlas.survey.other_minima import minima_around, other_minima
+from perilune.conditions.pontryagin import attainable_conditions
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.callbacks import Watch
+from perilune.core.errors import PeriluneError
+from perilune.methods.indirect.indirect import Indirect
+from perilune.problem.problem import Problem
+from perilune.problem.results.extremal import Extremal, Nature
+
+_MOST_SHEETS = 64  # of a chart, beside those on which answers of solves lie
+_AROUND = 4  # walks of a sheet that are followed around the folds at which they ended
+_BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
+_AGAIN, _ROUNDING = 16, 1e-13  # extremals beside one, and how far, relative, that are on its side of folds
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyedChart:
+    """Chart of the region with its sheets, and the corners that they reach.
+
+    Attributes
+    ----------
+    sheets
+        Sheets in the order in which they were found.
+    y
+        Unknowns of each at the corners of bricks, NaN where it does not reach, (sheets, corners, n).
+    times
+        Multiples of steps in their second flights (`perilune.atlas.evaluate.reintegrate.ChartReintegration`).
+    widths
+        Widths of the `Chart` [SI].
+    small
+        Extremals of sheets that reach no corner.
+    """
+
+    chart: Chart
+    borders: Borders
+    sheets: tuple[Sheet, ...]
+    y: NDArray[np.float64]
+    widths: Vector
+    times: tuple[int, ...] = ()
+    small: tuple[InteriorSeed, ...] = ()
+
+
+@dataclass(frozen=True)
+class InteriorSeed:
+    """Extremal inside a brick: its sheet, the brick and place in its lattice, parameters there, and unknowns."""
+
+    sheet: int
+    brick: tuple[int, ...]
+    place: NDArray[np.int64]
+    values: Vector
+    y: Vector
+
+
+@dataclass
+class Survey:
+    """Search for the sheets of a region.
+
+    Parameters
+    ----------
+    problem, region, method
+        What is mapped, and how it is solved from nothing.
+    watch
+        Receives lines of text, and each iteration of what is solved.
+    widths
+        Lengths of ranges [SI] by which canonical units are chosen; those of the region if it is not told.
+
+    Attributes
+    ----------
+    notes
+        Where there was no answer, and why, and what is not mapped, in sentences.
+    """
+
+    problem: Problem
+    region: Region
+    method: Indirect
+    watch: Watch
+    widths: Vector | None = None
+    notes: list[str] = field(default_factory=list)
+
+    def run(self) -> list[SurveyedChart]:
+        """Find all sheets, by charts.
+
+        Raises
+        ------
+        PeriluneError
+            If no point has an extremal that can be followed.
+        """
+        solving = RegionSolver(self.problem, self.region, self.method, self.watch, self._widths, self.notes)
+        solved, (_, corners) = solving.run(), self.region.corners()
+        courses = _arc_sequences(self.problem, self.region.names, solved)
+        if not (charts := [found for one in courses if (found := self._found(*one, corners)).sheets]):
+            raise PeriluneError(
+                "there is nothing to map",
+                got="; ".join(self.notes)[:300] or "extremals that Newton's method does not follow from where they are",
+                advice="solve the problem at one point of the region first: perilune solve",
+            )
+        return charts
+
+    @property
+    def _widths(self) -> Vector:
+        return self.region.high - self.region.low if self.widths is None else self.widths
+
+    def _found(self, course: ArcSequence, solved: Sequence[SolvedPoint], corners: Matrix) -> SurveyedChart:
+        """Find the sheets of one chart."""
+        chart = Chart(self.problem, self.region.names, self._widths, course)
+        empty = np.empty((0, len(corners), len(chart.places)))
+        found = SurveyedChart(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=self._widths)
+        for point in solved:
+            if not point.held:
+                found = self._with(found, corners, point.values, point.extremals)
+        for one in self._begun(found, solved):
+            found = self._with_these(found, corners, [one])
+        if course.structure is not None:  # what flies in one piece has its families followed by each solve
+            found = self._with_wells(found, corners)
+        if not found.sheets:
+            return found
+        found = _with_expected_sheets(found, corners / chart.scale)
+        at = np.nonzero(np.isfinite(found.y[:, :, 0]))
+        values = np.vstack([corners[at[1]] / chart.scale, *(one.values for one in found.small)])
+        y = chart.whole(values, np.vstack([found.y[at], *(one.y for one in found.small)]))
+        return replace(found, times=ChartReintegration(chart).fine_enough(y, chart.p[None]))
+
+    def _with(self, known: SurveyedChart, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> SurveyedChart:
+        """Add the sheets on which extremals at a point lie, and those behind the folds of these."""
+        chart, borders, left = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
+        for extremal in extremals:
+            if extremal.unknowns and len(extremal.unknowns) != len(chart.own.unknowns):
+                self.notes.append(
+                    f"at {self.region.told(at.tolist())}: '{chart.course.text}' is not mapped, as an end condition is"
+                    " one that the arc to the end keeps at these values, and at others not"
+                )
+            elif extremal.unknowns:
+                y = chart.told(np.array(extremal.unknowns))
+                holds = held_at(borders, at / chart.scale, y)
+                left.append((at / chart.scale, y, Sheet(holds=holds, orientation=0.0, nature=extremal.nature)))
+        return self._with_these(known, corners, left)
+
+    def _begun(self, known: SurveyedChart, solved: Sequence[SolvedPoint]) -> Iterator[tuple[Vector, Vector, Sheet]]:
+        """Yield minima of J along parameters between bounds, all over the region, from answers with a chart's arcs."""
+        chart, borders, names = known.chart, known.borders, scanned_names(self.problem, self.region)
+        begins = [
+            (point.values, chart.told(np.array(extremal.unknowns)))
+            for point in solved
+            for extremal in point.extremals
+            if len(extremal.unknowns or ()) == len(chart.own.unknowns)
+        ]
+        if names and begins:
+            values, y = (np.array(rows) for rows in zip(*begins, strict=True))
+            points = scanned_points(self.region)
+            away = np.abs((points[:, None] - values) / (self.region.high - self.region.low)).sum(axis=2)
+            near = away.argmin(axis=1)
+            yield from minima_around(chart, borders, names, points / chart.scale, values[near] / chart.scale, y[near])
+
+    def _with_wells(self, known: SurveyedChart, corners: Matrix) -> SurveyedChart:
+        """Add the sheets of other minima of J along parameters between bounds."""
+        number = 0
+        while number < len(known.sheets):
+            reached = np.nonzero(np.isfinite(known.y[number, :, 0]))[0]
+            if known.sheets[number].minimum and len(reached):
+                values, y = corners[reached] / known.chart.scale, known.y[number, reached]
+                for one in other_minima(known.chart, known.borders, known.sheets[number], values, y):
+                    known = self._with_these(known, corners, [one])
+            number += 1
+        return known
+
+    def _with_these(
+        self, known: SurveyedChart, corners: Matrix, left: list[tuple[Vector, Vector, Sheet]]
+    ) -> SurveyedChart:
+        """Add the sheets on which extremals, canonical, lie, and those behind the folds of these."""
+        chart, borders, around = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
+        while left or around:
+            behind_a_fold = not left
+            values, y, sheet = (left or around).pop(0)
+            if sheet.nature is Nature.UNPROVED and len(known.sheets) >= _MOST_SHEETS:
+                self._note_many(chart)
+                continue
+            holds = borders.holds([sheet], np.zeros(1, dtype=np.int64), values[None])
+            start = chart.solve(values[None], y[None], holds, limit=MOST)
+            if not start.converged[0]:
+                continue
+            if _sided_by_rounding(chart, start):
+                said = f"'{chart.course.text or 'a flight of one arc'}' switches by rounding, and is not mapped"
+                self.notes.append(f"at {self.region.told((values * chart.scale).tolist())}: {said}")
+                continue
+            sheet = replace(sheet, orientation=float(start.orientation[0]))
+            if curved := chart.shooting.curving_down(start.roots[0], chart.p):
+                sheet = replace(sheet, nature=Nature.WORST)
+            number = self._known(known, sheet, corners / chart.scale, values, start.y[0])
+            if number is not None:
+                known = _with_minimum_found(known, number, sheet)
+            else:
+                told_by_solve = sheet.nature is not Nature.UNPROVED
+                if not told_by_solve:
+                    said = chart_entry(replace(known, sheets=(sheet,)))
+                    nature = classify_behind_folds(self.problem, self.region, said, values, start.y[0])
+                    sheet = replace(sheet, nature=nature)
+                left += _sheets_held_at_ends(borders, sheet, values, start.y[0], curved)
+                y, behind = self._carried(chart, borders, sheet, corners, values, start.y[0])
+                if behind_a_fold and _has_negative_arc(borders, corners / chart.scale, y, values, start.y[0]):
+                    continue
+                count = np.isfinite(y[:, 0]).sum()
+                self.watch(f"{sheet.label}: at {count} corners of bricks")
+                known = _merge_sheet(known, sheet, y) if count else self._with_small(known, sheet, values, start.y[0])
+                # Two that reach no corner, on both sides of a fold, would lead to one another for ever.
+                around += behind if count or told_by_solve else []
+        return known
+
+    def _note_many(self, chart: Chart) -> None:
+        """Note, once, that a chart has more sheets than are mapped."""
+        flown = f"'{chart.course.text or 'a flight of one arc'}' has more than {_MOST_SHEETS} sheets"
+        if (said := f"{flown}: others, behind folds and at bounds, are not mapped and may be better") not in self.notes:
+            self.notes.append(said)
+
+    def _with_small(self, known: SurveyedChart, sheet: Sheet, values: Vector, y: Vector) -> SurveyedChart:
+        """Add a sheet that reaches no corner, by an extremal at the nearest place in the lattice of its brick."""
+        if not sheet.minimum:
+            return known
+        chart, at = known.chart, values * known.chart.scale
+        brick = self.region.brick_of(at)
+        low, high = self.region.box(brick)
+        place = np.rint((at - low) / (high - low) * WHOLE).astype(np.int64)
+        there = (low + place * ((high - low) / WHOLE)) / chart.scale
+        beside = continue_sheet_to(chart, known.borders, sheet, values, y, there[None])[0]
+        if not np.isfinite(beside[0]):
+            told = self.region.told(at.tolist())
+            self.notes.append(f"at {told}: the sheet '{sheet.label}' goes nowhere from there, and is not mapped")
+            return known
+        one = InteriorSeed(len(known.sheets), brick, place, there, beside)
+        none = np.full((1, *known.y.shape[1:]), np.nan)
+        sheets = (*known.sheets, sheet)
+        return replace(known, sheets=sheets, y=np.concatenate([known.y, none]), small=(*known.small, one))
+
+    def _carried(
+        self, chart: Chart, borders: Borders, sheet: Sheet, corners: Matrix, values: Vector, y: Vector
+    ) -> tuple[Matrix, list[tuple[Vector, Vector, Sheet]]]:
+        """Continue a sheet to all corners of bricks, NaN where it ends; also return extremals behind its folds."""
+        targets, (places, _) = corners / chart.scale, self.region.corners()
+        here, share = follow_sheets(chart, borders, [sheet], *walks_from_one_extremal(values, y, targets))
+        ended = np.nonzero(share < 1.0)[0]
+        ended = ended[np.linspace(0, len(ended) - 1, min(len(ended), _AROUND)).astype(np.int64)]
+        starts = values + share[ended, None] * (targets[ended] - values)
+        behind = [
+            (at, there, replace(sheet, orientation=side, nature=Nature.UNPROVED))
+            for at, there, side in around_folds(chart, borders, sheet, starts, here[ended], targets[ended])
+        ]
+        here[share < 1.0] = np.nan
+        reached = continue_between_corners(chart, borders, sheet, places, corners, corners_reached(places, here))
+        for i, place in enumerate(places.tolist()):
+            here[i] = reached.get(tuple(place), here[i])
+        return here, behind
+
+    @staticmethod
+    def _known(known: SurveyedChart, sheet: Sheet, corners: Matrix, values: Vector, y: Vector) -> int | None:
+        """Return the sheet on which an extremal lies, by continuation from nearest corners; None for a new one."""
+        away = np.abs(corners - values).sum(axis=1)
+        for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
+            if not other.alike(sheet):
+                continue
+            reached = np.nonzero(np.isfinite(there[:, 0]))[0]
+            if any(away[i] == 0.0 and not same_unknowns(y, there[i]) for i in reached):
+                continue  # it has another layer there
+            starts = [(corners[i], there[i]) for i in reached[np.argsort(away[reached])][:_BESIDE]]
+            starts += [(one.values, one.y) for one in known.small if one.sheet == number]
+            for start, unknowns in starts:
+                if same_unknowns(
+                    y, continue_sheet_to(known.chart, known.borders, other, start, unknowns, values[None])[0]
+                ):
+                    return number
+        return None
+
+
+def _arc_sequences(
+    problem: Problem, varied: Sequence[str], solved: Sequence[SolvedPoint]
+) -> Iterator[tuple[ArcSequence, list[SolvedPoint]]]:
+    """Yield each course, and the answers that go through it.
+
+    A control that keeps a condition equals one that does not wherever the condition is inactive, so that conditions
+    that some answers keep are kept in all courses.
+    """
+    every = dict.fromkeys(name for one in solved for name in one.course.keep)
+    for text in dict.fromkeys(one.course.text for one in sorted(solved, key=lambda one: bool(one.course.text))):
+        alike = [one for one in solved if one.course.text == text]
+        keepable = attainable_conditions(alike[0].course.restated(problem, varied)) if every else ()
+        yield replace(alike[0].course, keep=tuple(name for name in every if name in keepable)), alike
+
+
+def _has_negative_arc(borders: Borders, corners: Matrix, there: Matrix, values: Vector, y: Vector) -> bool:
+    """Return True if a sheet has a negative arc duration from the fold behind which it begins to all corners.
+
+    Where an arc vanishes the flight continues with other arcs, around folds of their own. This fold lies beyond: no
+    flight leads to the sheet behind it, and none of its extremals there is a flight.
+    """
+    reached = np.isfinite(there[:, 0])
+    return bool(borders.backwards(np.vstack([values, corners[reached]]), np.vstack([y, there[reached]])).all())
+
+
+def _sheets_held_at_ends(
+    borders: Borders, sheet: Sheet, values: Vector, y: Vector, ranges: list[int]
+) -> list[tuple[Vector, Vector, Sheet]]:
+    """Return starts of sheets held at the ends of ranges within which J has a maximum: values, unknowns, sheet."""
+    first, limits = borders.chart.shooting.plan.free, borders.at(values[None])
+    return [
+        (values, y, Sheet(holds={**sheet.holds, borders.names[k]: side}, orientation=0.0, nature=Nature.UNPROVED))
+        for k in (first + number for number in ranges)
+        for side, bound in zip(("lower", "upper"), limits, strict=True)
+        if np.isfinite(bound[0, k])
+    ]
+
+
+def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
+    """Return True if rounding decides an extremal's side of folds, as with a switch exactly at a joint."""
+    rng, again = np.random.default_rng(0), np.zeros(_AGAIN, dtype=np.int64)
+    y = found.y[again] * (1.0 + _ROUNDING * rng.uniform(-1.0, 1.0, (_AGAIN, found.y.shape[1])))
+    choice = found.roots.choice[again]
+    beside = chart.told_of(found.values[again], chart.shooting.at(chart.whole(found.values[again], y), chart.p, choice))
+    return bool((beside.orientation != found.orientation[0]).any())
+
+
+def _with_minimum_found(known: SurveyedChart, number: int, sheet: Sheet) -> SurveyedChart:
+    """Return the chart with one of its sheets marked as a minimum, if that was not known."""
+    if known.sheets[number].minimum or not sheet.minimum or sheet.nature is Nature.UNPROVED:
+        return known
+    sheets = list(known.sheets)
+    sheets[number] = replace(sheets[number], nature=sheet.nature)
+    return replace(known, sheets=tuple(sheets))
+
+
+def _merge_sheet(known: SurveyedChart, sheet: Sheet, y: Matrix) -> SurveyedChart:
+    """Return the chart with a sheet at corners, (corners, n), added.
+
+    With one extremal in common it is a known sheet. If it differs from that elsewhere, as around a cusp, the others are
+    kept as those of another sheet.
+    """
+    for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
+        if other.alike(sheet):
+            if (common := same_unknowns(y, there)).any():
+                known = _with_minimum_found(replace(known, y=known.y.copy()), number, sheet)
+                known.y[number] = np.where(np.isfinite(there), there, y)
+                y = np.where((common | ~np.isfinite(there[:, 0]))[:, None], np.nan, y)
+    if not np.isfinite(y[:, 0]).any():
+        return known
+    return replace(known, sheets=(*known.sheets, sheet), y=np.concatenate([known.y, y[None]]))
+
+
+def _with_expected_sheets(known: SurveyedChart, corners: Matrix) -> SurveyedChart:
+    """Add the sheets that would continue known ones across bounds; bricks find if there are any."""
+    sheets, small = list(known.sheets), {one.sheet: (one.values, one.y) for one in known.small}
+    for number, (sheet, y) in enumerate(zip(known.sheets, known.y, strict=True)):
+        first = int(np.isfinite(y[:, 0]).argmax())
+        at = small.get(number, (corners[first], y[first]))
+        for other in continuing_sheets(known.borders, sheet, *at) if sheet.minimum else ():
+            if not any(one.minimum and one.alike(other) for one in sheets):
+                sheets.append(other)
+    none = np.full((len(sheets) - len(known.sheets), *known.y.shape[1:]), np.nan)
+    return replace(known, sheets=tuple(sheets), y=np.concatenate([known.y, none]))
+
+
+def chart_entry(found: SurveyedChart) -> dict[str, Any]:
+    """Return the entry of a chart in a survey's line."""
+    sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
+    said = {"widths": found.widths.tolist(), "times": list(found.times), "unknowns": found.y.shape[2]}
+    return {**found.chart.course.document(), **said, "sheets": sheets}
+
+
+def seed_rows(places: NDArray[np.int64], found: SurveyedChart) -> NDArray[Any]:
+    """Return the shard of sheets at corners of bricks, and of sheets that reach none."""
+    sheet, corner = np.nonzero(np.isfinite(found.y[:, :, 0]))
+    rows = np.zeros(len(sheet) + len(found.small), dtype=seed_type(places.shape[1], found.y.shape[2]))
+    first = rows[: len(sheet)]
+    first["sheet"], first["corner"], first["y"] = sheet, places[corner], found.y[sheet, corner]
+    for row, one in zip(rows[len(sheet) :], found.small, strict=True):
+        row["sheet"], row["corner"], row["place"], row["y"] = one.sheet, one.brick, one.place, one.y
+    return rows

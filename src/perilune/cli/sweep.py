@@ -1,0 +1,193 @@
+"""The command ``sweep``: ranges from the command line to a family, and the family to a table."""
+
+from __future__ import annotations
+
+import signal
+from argparse import Namespace
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from operator import itemgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from perilune.cli.arguments import method_settings
+from perilune.cli.methods import method_of
+from perilune.cli.options import time_limit
+from perilune.cli.output import INTERRUPTED, CommandAnswer, WrittenFiles
+from perilune.cli.progress import LONGEST_LOG, print_note, progress, refuse_unusable_target
+from perilune.core.errors import InfeasibleError, Outcome, PeriluneError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from perilune.families.executors import Submits
+    from perilune.scenario import Scenario
+
+Kind = TypeVar("Kind")
+MEMBERS = "members"  # in the output directory: what a sweep goes on from
+
+
+def sweep_answer(order: Namespace) -> CommandAnswer:
+    """Solve the family and show it."""
+    if order.resume and order.out is None:
+        raise PeriluneError("--resume goes on with what is in a directory", expected="--out DIR", advice="name it")
+    method, limit = method_of(order.method, method_settings(order)), time_limit(order)
+    from perilune.scenario import values_of
+
+    over = ranges_of_keys(order, values_of)
+    scenario = scenario_with_ranges(order.file, order.changes, over)
+    axes = {name: getattr(order, name) for name in ("x", "y", "z")}
+    if any(axes.values()):
+        if order.out is None:
+            raise PeriluneError("--x, --y and --z are of a figure", expected="--out DIR", advice="say where it goes")
+        from perilune.core.fields import parameter_name
+        from perilune.report.contour_map import require_map
+
+        require_map(scenario.problem, tuple(map(parameter_name, over)), axes)
+    options: dict[str, Any] = {"method": method}
+    if order.out is not None:
+        _refuse_used_directory(order)
+        options["store"] = order.out / MEMBERS
+        if not order.resume:
+            from perilune.families.store import clear_family
+
+            clear_family(options["store"])
+    from perilune.families.sweep import sweep
+    from perilune.report.family import family_csv, family_document, write_family
+
+    with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, worker_pool(order.workers) as executor:
+        family = sweep(
+            scenario.problem,
+            over,
+            level=order.level,
+            watch=watch,
+            executor=executor,
+            tolerance=scenario.tolerance,
+            time_limit=limit,
+            **options,
+        )
+    for outcome, error in ((Outcome.INFEASIBLE, InfeasibleError), (Outcome.REFUSED, PeriluneError)):
+        if family.points and all(p.outcome is outcome for p in family.points):
+            first, names = family.points[0].message, " and ".join(family.parameters)
+            raise error(f"no value of {names} is possible", got=first, advice="try another range")
+    files = WrittenFiles()
+    if order.out is not None:
+        with files.written():
+            write_family(family, order.out, force=True, axes=axes)  # what may not be replaced was refused above
+    codes = [p.solution.outcome.exit_code if p.solution else 4 for p in family.points]
+    # At level 0 no proof was asked for, so none is missing.
+    worst = max((c for c in codes if c != 5 or order.level), default=0, key=(0, 5, 4).index)
+    for text in family.notes:
+        print_note(text)
+    if family.interrupted:
+        total = 1
+        for values in over.values():
+            total *= len(values)
+        print_note(f"stopped by the user with {len(family.points)} of {total} values done, which are kept")
+    code = INTERRUPTED if family.interrupted else worst
+    return files.noted(CommandAnswer(text=family_csv(family), document=family_document(family), exit_code=code))
+
+
+@contextmanager
+def worker_pool(count: int) -> Iterator[Executor | None]:
+    """Enter a pool of processes to compute in; None for a single one."""
+    if count < 2:
+        yield None
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    from perilune.families.executors import ignore_interrupt_in_children
+
+    class Pool(ProcessPoolExecutor):
+        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
+            with (
+                ignore_interrupt_in_children()
+            ):  # a process may begin here: until it ignores Ctrl-C that would end it with a traceback
+                return super().submit(fn, *args, **kwargs)
+
+    # Spawned: a forked process would share the threads' locks of the libraries that are loaded here.
+    with Pool(count, mp_context=get_context("spawn"), initializer=_initialize_sweep_worker) as pool:
+        yield pool
+
+
+@contextmanager
+def sweep_executor(order: Namespace) -> Iterator[Submits | None]:
+    """Enter the executor of a sweep: the cluster of ``--scheduler``, or ``--workers`` processes; None for one."""
+    if order.scheduler is None:
+        with worker_pool(order.workers) as pool:
+            yield pool
+        return
+    if order.workers > 1:
+        raise PeriluneError("--workers and --scheduler say two places at once", expected="one of the two")
+    from perilune.families.dask_cluster import cluster
+
+    with cluster(order.scheduler, print_note) as machines:
+        yield machines
+
+
+def _initialize_sweep_worker() -> None:
+    """Initialise a process of the pool: leave Ctrl-C to the parent, and end if that is killed."""
+    from perilune.families.executors import end_with_parent
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
+
+
+def ranges_of_keys(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]) -> dict[str, Kind]:
+    """Return what `read` makes of the range of each key that is varied."""
+    from perilune.scenario import quantities_of
+
+    known, over = quantities_of(order.file, order.changes), dict[str, Kind]()
+    changed = {change.partition("=")[0].strip() for change in order.changes}
+    for range_ in order.vary:
+        key, _, text = (part.strip() for part in range_.partition("="))
+        if key in over:
+            raise PeriluneError(
+                f"--vary names {key} twice", got=range_, expected="each key once", advice="say each range by itself"
+            )
+        if key in changed:
+            raise PeriluneError(
+                f"{key} is varied and set at once", got=f"--vary and --set {key}", expected="one of the two"
+            )
+        over[key] = read(key, text, known)
+    return over
+
+
+def _refuse_used_directory(order: Namespace) -> None:
+    """Refuse a directory with other content, or with a sweep that is neither to be resumed nor replaced."""
+    from perilune.families.store import MANIFEST
+    from perilune.io.atomic_files import in_use
+
+    stored = (order.out / MEMBERS / MANIFEST).is_file()
+    if stored and not (order.force or order.resume):
+        raise PeriluneError(
+            "the output directory holds a sweep already",
+            got=str(order.out),
+            expected="a new or empty directory",
+            advice="--resume to go on with it, --force to begin anew, or another directory",
+        )
+    if order.resume and not stored and in_use(order.out) and not order.force:
+        raise PeriluneError(
+            "there is no sweep in the output directory to go on with",
+            got=str(order.out),
+            expected=f"the directory of an earlier sweep, with {MEMBERS}/{MANIFEST}",
+            advice="leave out --resume and choose another directory",
+        )
+    refuse_unusable_target(order.out, order.force or order.resume)
+
+
+def scenario_with_ranges(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Scenario:
+    """Return the scenario with values of the keys; both ends of ranges and lists are checked as the file itself is."""
+    from perilune.scenario import load_file, quantities_of
+
+    known, found = quantities_of(file, changes), None
+    corners = [[pick(values) for values in over.values()] for pick in (max, min, itemgetter(-1), itemgetter(0))]
+    for k, corner in enumerate(corners):
+        if corner in corners[k + 1 :]:
+            continue
+        with suppress(InfeasibleError):  # the table will say so
+            ends = [f"{key}={value!r} {known[key].unit}" for key, value in zip(over, corner, strict=True)]
+            found = load_file(file, [*changes, *ends])
+    return found or load_file(file, changes)

@@ -1,0 +1,124 @@
+"""Calls on any executor, in any order: those of a process pool, or of a Dask client."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Hashable, Iterator
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from multiprocessing import parent_process
+from multiprocessing.connection import wait
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+from perilune.core.errors import PeriluneError
+
+Kind = TypeVar("Kind")
+Name = TypeVar("Name", bound=Hashable)
+Call = tuple[Any, ...]  # a function and its arguments
+_AHEAD = 1000  # calls handed to an executor before the first of them is back
+_PATIENCE = 0.2  # seconds between looks whether the user pressed Ctrl-C
+
+
+class Submits(Protocol):
+    """Common protocol of a `concurrent.futures.Executor` and a Dask client."""
+
+    def submit(self, function: Any, /, *arguments: Any) -> Any:
+        """Begin a call; what is returned has ``result``, ``cancel`` and ``add_done_callback``."""
+
+
+@runtime_checkable
+class Waits(Protocol):
+    """Executor that knows why no result may come back."""
+
+    def waited(self) -> None:
+        """Called again and again while nothing comes back."""
+
+
+def run_on_executor(
+    executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = _AHEAD
+) -> Iterator[tuple[Name, Any]]:
+    """Yield the name and result of each call in the order of completion; `ahead` calls are begun at once.
+
+    Parameters
+    ----------
+    executor
+        Makes the calls.
+    calls
+        Name of each call, and its function with arguments.
+    ahead
+        Number of calls in progress at once.
+    """
+    begun: dict[Name, Any] = {}
+    back: SimpleQueue[Name] = SimpleQueue()
+    try:
+        while True:
+            while len(begun) < ahead and (call := next(calls, None)) is not None:
+                name, (function, *arguments) = call
+                begun[name] = executor.submit(function, *arguments)
+                begun[name].add_done_callback(lambda _, name=name: back.put(name))
+            if not begun:
+                return
+            try:
+                name = back.get(timeout=_PATIENCE)
+            except Empty:
+                if isinstance(executor, Waits):
+                    executor.waited()
+                continue
+            yield name, begun.pop(name).result()
+    finally:
+        for future in begun.values():
+            future.cancel()
+
+
+def run_serially(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
+    """Yield the name and result of each call, made here one after the other."""
+    for name, (function, *arguments) in calls:
+        yield name, function(*arguments)
+
+
+def begin_processes(executor: Submits | None, call: Call) -> None:
+    """Start the processes of a pool ahead of the work, each with a call that prepares it."""
+    if isinstance(executor, ProcessPoolExecutor):  # threads are there, and a cluster's workers as well
+        with suppress(BrokenExecutor):  # who wants an answer is told
+            for _ in range(os.cpu_count() or 1):
+                executor.submit(*call)
+
+
+@contextmanager
+def ignore_interrupt_in_children() -> Iterator[None]:
+    """Let processes that begin in the block ignore Ctrl-C, which the terminal sends to all; the program ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_with_parent() -> None:
+    """End this process of a pool when its program is killed; holding both ends of its queue it would wait forever."""
+    parent = parent_process()
+    assert parent is not None, "of a process of a pool"
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
+
+
+def report_lost_worker(answers: Iterator[Kind]) -> Iterator[Kind]:
+    """Yield the same answers; report a lost worker by a `PeriluneError`."""
+    try:
+        yield from answers
+    except BrokenExecutor as error:
+        raise PeriluneError(
+            "a worker was lost, or what hands work to it",
+            got=f"{type(error).__name__}: {error}",
+            advice="what was done is kept where it was to be stored (--out DIR): run it again there (--resume)",
+        ) from error

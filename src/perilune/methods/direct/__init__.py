@@ -1,0 +1,1 @@
+"""Direct methods: initial mesh, transcription, pseudospectral collocation."""

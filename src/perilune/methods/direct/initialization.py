@@ -1,0 +1,248 @@
+"""The first program of a direct run that is solved, from one of several starts, or the reason for none.
+
+Most problems are solved from the first start in a few iterations. For the others it is asked first whether there is
+anything to find: from each start the flight that misses the path and the ends by the least. One that misses nothing is
+the better start. Where all of them miss something, there is nothing to solve.
+
+A flight that goes round a body is no straight line, and one that does so several times is more than a few nodes can
+follow. Where the first start leads nowhere the flight under the same controls is a start as well, on a mesh that has
+segments for each swing; where it winds it is the next one, also if the first led to an answer that is none between the
+nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+from perilune.core.arrays import Vector
+from perilune.direct.collocation import Mesh
+from perilune.methods.direct.transcription import Run
+from perilune.problem.results.solution import Solution
+
+if TYPE_CHECKING:
+    from perilune.direct.collocated_solution import Sampler
+    from perilune.direct.layout import PhaseValues
+    from perilune.direct.nlp import ProgramSolution, TranscribedProgram
+
+# Most iterations of the first attempt and of a search for the least miss; what ends well takes 10 to 60 and 10 to 130.
+BRIEF, PATIENT = 60, 150
+# Starts that all end at a least miss that is not zero, before nothing more is tried.
+CONVINCED = 2
+# Nodes times iterations of all attempts of one run, before no further start is tried: of one phase no attempts come to
+# so much, and of four, where each iteration takes long, what is found is found before.
+MOST_WORK = 40_000
+# Of its typical duration: what a phase has left that has shrunk to nothing.
+VANISHED = 1e-3
+# A condition violated by less, in canonical units, is met.
+MISSED = 1e-7
+# Relative error of a mesh beyond which its answer is no flight.
+ROUGHEST = 0.05
+
+
+class Start(NamedTuple):
+    """A program, first values of its unknowns in canonical units, what they are called, and whether its miss counts."""
+
+    program: TranscribedProgram
+    free: Vector
+    values: tuple[PhaseValues, ...]
+    name: str
+    counts: bool = True
+
+
+class FirstMesh:
+    """The first answer of one run.
+
+    Parameters
+    ----------
+    run
+        Whose.
+    guess
+        To start from; straight lines and flights without.
+    near, close
+        Only from there; and as one that lies close to the answer.
+    """
+
+    def __init__(self, run: Run, guess: Solution | None, *, near: bool = False, close: bool = False) -> None:
+        self.run, self.problem, self.guess, self.near, self.close = run, run.problem, guess, near, close
+        self.all_missed = self.settled = False
+        self.work = 0  # nodes times iterations
+        self.first: tuple[Vector, list[Sampler]] | None = None  # what the first straight line is, once it was drawn
+
+    def answer(self) -> tuple[TranscribedProgram, ProgramSolution]:
+        """Return the first program that was solved, with its solution."""
+        every = self.starts()
+        begin = next(every)
+        first = self.attempt(begin, BRIEF, close=self.close)
+        if self.close and not first.converged:
+            first = self.attempt(begin, BRIEF)
+        if first.converged and (self.guess is not None or not self.rough(begin.program, first)):
+            return begin.program, first
+        if self.near:
+            self.fail(begin.program, first)
+        flown = self.flown()
+        winding = flown is not None and flown.counts
+        if first.converged:
+            better = self.from_least_miss(flown)[1] if flown is not None and winding else None
+            return (begin.program, first) if flown is None or better is None else (flown.program, better)
+        starts = [begin] if flown is None else [flown, begin] if winding else [begin, flown]
+        return self.any_answer([*starts, *every], (begin.program, first))
+
+    def any_answer(
+        self, starts: list[Start], first: tuple[TranscribedProgram, ProgramSolution]
+    ) -> tuple[TranscribedProgram, ProgramSolution]:
+        """Return the answer from one of the starts, of which the first attempt has failed."""
+        tries = [first]
+        misses: list[tuple[TranscribedProgram, ProgramSolution]] = []
+        vanished: list[tuple[TranscribedProgram, ProgramSolution]] = []
+        for start in starts:
+            if self.work > MOST_WORK:
+                self.run.say(f"no more starts are tried after {self.run.iterations} iterations")
+                break
+            nearest, found = self.from_least_miss(start)
+            if found is not None:
+                tries.append((start.program, found))
+                if found.converged:
+                    return tries[-1]
+            elif nearest.converged and nearest.violation > MISSED and start.counts:
+                (vanished if self.vanished(nearest) else misses).append((start.program, nearest))
+        self.settled = bool(misses)
+        # One start alone may owe its miss to the mesh.
+        counted = sum(start.counts for start in starts)
+        self.all_missed = CONVINCED <= counted == len(misses) + len(vanished) and self.guess is None
+        if len(misses) >= CONVINCED and len(tries) == 1:
+            self.tell_least_miss(*min(misses, key=_violation), len(misses))
+        if not misses:
+            # A start that leads nowhere spends all it is given: what one of them may take, all of them share.
+            share = max(1, self.run.settings.iterations // len(starts))
+            for start in starts if self.work <= MOST_WORK else []:
+                tries.append((start.program, self.attempt(start, share)))
+                if tries[-1][1].converged:
+                    return tries[-1]
+        self.fail(*min(misses or vanished or tries, key=_violation))
+
+    def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> ProgramSolution:
+        """Solve a program from its start."""
+        return self.attempt_counted(start.program, start.free, start.values, start.name, most=most, close=close)
+
+    def attempt_counted(
+        self, program: TranscribedProgram, free: Vector, values: tuple[PhaseValues, ...], name: str, **how: Any
+    ) -> ProgramSolution:
+        """Return an attempt of the run, whose work is counted."""
+        answer = self.run.attempt(program, free, values, name, **how)
+        self.work += answer.iterations * sum(mesh.nodes for mesh in program.meshes)
+        return answer
+
+    def from_least_miss(self, start: Start) -> tuple[ProgramSolution, ProgramSolution | None]:
+        """Return the flight near a start that misses least, and what is reached from there if it misses nothing."""
+        program, free, values, name, _ = start
+        nearest = self.attempt_counted(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
+        if nearest.violation > MISSED:
+            return nearest, None
+        found = self.attempt_counted(program, nearest.free, nearest.phases, "from there")
+        if not found.converged:
+            # First steps as long as the adaptive barrier allows may lose the flight, as air is far from linear: with
+            # little barrier it is kept.
+            name = "from there, by little barrier"
+            found = self.attempt_counted(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
+        return nearest, found
+
+    def starts(self) -> Iterator[Start]:
+        """Yield the starts: the guess, or straight lines."""
+        from perilune.direct.collocated_solution import sample_guess
+        from perilune.direct.first_guess import first_guesses
+
+        s = self.run.settings
+        program = self.run.program(tuple(Mesh.uniform(s.segments, s.nodes) for _ in self.problem.phases))
+        for free, by, name in first_guesses(self.problem, self.guess):
+            self.first = self.first or (free, by)
+            yield Start(program, free, sample_guess(program, by), name)
+
+    def flown(self) -> Start | None:
+        """Return a start flown under the controls of the first straight line; None where it cannot be.
+
+        Its miss counts where it winds, as no straight line does. Else it is one more way to an answer, on a mesh that
+        may be too coarse for more.
+        """
+        from perilune.direct.collocated_solution import sample_guess
+        from perilune.direct.propagated_guess import NODES, fitting_segments, simulate_guess, winds_repeatedly
+
+        if self.guess is not None or self.first is None:
+            return None
+        s, (free, lines) = self.run.settings, self.first
+        flown = simulate_guess(self.problem, free, lines)
+        if flown is None:
+            return None
+        # Who asks for no refinement has chosen the mesh.
+        counts = fitting_segments(flown)
+        meshes = [Mesh.uniform(count, NODES) if s.refine else Mesh.uniform(s.segments, s.nodes) for count in counts]
+        program = self.run.program(tuple(meshes))
+        return Start(program, free, sample_guess(program, flown), "flown under its controls", winds_repeatedly(flown))
+
+    def rough(self, program: TranscribedProgram, answer: ProgramSolution) -> bool:
+        """Return True if the flight between the nodes is another one."""
+        return self.run.looked_at(program, answer).worst > ROUGHEST
+
+    def vanished(self, answer: ProgramSolution) -> bool:
+        """Return True if a phase has shrunk to nothing: then its miss says nothing of flights with a length."""
+        values = answer.free_si(self.problem)
+        durations = [f for f in self.problem.free if f.name in self.problem.duration_names]
+        return any(values[f.name] < VANISHED * f.typical for f in durations)
+
+    def tell_least_miss(self, program: TranscribedProgram, best: ProgramSolution, count: int) -> None:
+        """Raise not converged with what the best of so many misses, if that is more than the error of the mesh.
+
+        Each is the least only of its surroundings, so no number of them shows that nothing flies.
+        """
+        from perilune.core.errors import NotConvergedError
+        from perilune.direct.inconsistent_conditions import missed_conditions
+
+        errors = zip(self.problem.phases, self.run.looked_at(program, best).relative, strict=True)
+        error = max(float(relative[:, : len(phase.states)].max()) for phase, relative in errors)
+        self.run.say(f"the least miss is {best.violation:.2g}, the error of the mesh {error:.1g}")
+        if best.violation > error:
+            missed = missed_conditions(program, best, MISSED)
+            told = [f"{name} is missed by {much}" for name, much in missed]
+            raise NotConvergedError(
+                f"the best of {count} found misses {missed[0][0]} by {missed[0][1]}",
+                got="; ".join(told[:4]),
+                expected="every condition met",
+                advice="relax the condition named first, or give a guess (a solution of a nearby problem)",
+                partial=self.partial(best, told) | {"least_miss": float(best.violation)},
+                flight=self.run.missing(program, best),
+            )
+
+    def partial(self, answer: ProgramSolution, missed: list[str]) -> dict[str, Any]:
+        """Return what a failure keeps; `all_missed` is True if every start led to a least miss, if only of no flight.
+
+        `least_miss` is its size in canonical units, where it is more than the error of the mesh; `settled` whether any
+        start led to one that is a flight.
+        """
+        told = {
+            "missed": missed,
+            "all_missed": self.all_missed,
+            "settled": self.settled,
+            "tried": tuple(self.run.tried),
+        }
+        return told | {"free": answer.free_si(self.problem)}
+
+    def fail(self, program: TranscribedProgram, answer: ProgramSolution) -> NoReturn:
+        """Raise not converged with the conditions that the best trajectory misses."""
+        from perilune.core.errors import NotConvergedError
+        from perilune.direct.inconsistent_conditions import missed_conditions
+
+        missed = [f"{name} is missed by {much}" for name, much in missed_conditions(program, answer, MISSED)]
+        raise NotConvergedError(
+            "no trajectory was found that meets every condition" if missed else "the optimum was not reached",
+            got="; ".join(missed[:4]) or f"feasible after {answer.iterations} iterations, but not yet optimal",
+            expected="every condition met",
+            advice="relax the condition named first, or give a guess (a solution of a nearby problem)"
+            if missed
+            else "raise iterations, give a guess, or loosen nlp_tolerance",
+            partial=self.partial(answer, missed),
+            flight=self.run.missing(program, answer),
+        )
+
+
+def _violation(found: tuple[TranscribedProgram, ProgramSolution]) -> float:
+    return found[1].violation

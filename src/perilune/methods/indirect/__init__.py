@@ -1,0 +1,1 @@
+"""The indirect method: initial costates, Newton trials, structure search, admissibility, diagnosis."""

@@ -1,0 +1,146 @@
+"""Neighbouring extremals of a solution at other values of given parameters, by Newton's method, many at once.
+
+Values of given parameters are numbers that the shooting function takes. So nothing is stated, traced, derived or
+tabulated again: a family is one call in lanes. Whether an extremal keeps the rest of its conditions, and whether it is
+the best one, is for others to say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from perilune.conditions.canonical_equations import extremal_parameters
+from perilune.core.arrays import Matrix
+from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core.maths import NUMERIC
+from perilune.methods.indirect.newton_trials import found_at
+from perilune.methods.indirect.result import Curves, compose_solution
+from perilune.problem.perturbed import with_given_unchecked
+from perilune.problem.problem import Problem
+from perilune.problem.results.solution import Solution, Statistics
+from perilune.shooting.active_set import ActiveSetBounds, limits_of, solve_active_set
+from perilune.shooting.shooting_function import Root, Roots, Shooting
+from perilune.structures.multiphase import refuse_unstated_ends, renumber_restated
+from perilune.structures.split_join import JoinedTrajectories, join_solution
+
+
+class Nearby:
+    """Extremals near that of a solution, which differ from it in values of given parameters.
+
+    Parameters
+    ----------
+    solution
+        Of the indirect method, as it was found here: one that was saved or sent away is solved again first.
+
+    Raises
+    ------
+    PeriluneError
+        If nothing but its curves is known of it.
+    """
+
+    def __init__(self, solution: Solution) -> None:
+        known = solution.trajectories
+        self.solution, self.arcs = solution, known if isinstance(known, JoinedTrajectories) else None
+        curves = known.restated.trajectories if isinstance(known, JoinedTrajectories) else known
+        if not isinstance(curves, Curves):
+            raise PeriluneError(
+                "of this solution nothing but its curves is known",
+                got=f"a solution of the method {solution.method}",
+                expected="one of Indirect(), as it was found",
+                advice="perilune.solve(solution.problem, guess=solution)",
+            )
+        self.problem: Problem = curves.problem
+        self.root, self.shooting = curves.root, Shooting(curves.conditions)
+        self.limits = limits_of(self.problem, curves.conditions)
+        self._places = {name: i for i, name in enumerate(self.problem.given)}
+
+    def numbers(self, values: Mapping[str, ArrayLike]) -> Matrix:
+        """Return canonical numbers for the shooting function, (lanes, numbers), from SI values or arrays (lanes,).
+
+        Raises
+        ------
+        PeriluneError
+            If a name is no given parameter, or that of a bound between which an end condition has to lie, or moves an
+            end away from the arc on which the solution ends.
+        """
+        bounds = {limit for phase in self.problem.phases for c in phase.end_conditions for limit in (c.lower, c.upper)}
+        for name in values:
+            if name not in self.solution.problem.given:
+                raise unknown_name("given parameter", name, sorted(self.solution.problem.given))
+            if name in bounds:
+                raise PeriluneError(
+                    f"{name} bounds an end condition, which may be held at it or not",
+                    expected="a parameter of the equations",
+                    advice="perilune.solve(problem.with_given(...), guess=solution), one by one",
+                )
+        if self.arcs is not None:
+            refuse_unstated_ends(self.problem, self.solution.problem, self.arcs.structure, tuple(values))
+        arrays = np.broadcast_arrays(np.zeros(1), *(np.asarray(value, dtype=float) for value in values.values()))[1:]
+        found = np.tile(extremal_parameters(self.problem), (len(arrays[0]) if arrays else 1, 1))
+        for name, array in zip(values, arrays, strict=True):
+            found[:, self._places[name]] = array / self.problem.scales.of(self.problem.unit_of(name))
+        return found
+
+    def roots(self, values: Mapping[str, ArrayLike], begin: Matrix | None = None) -> Roots:
+        """Solve by Newton's method at values of given parameters, in lanes.
+
+        Parameters
+        ----------
+        values
+            As for `numbers`.
+        begin
+            Unknowns to begin with, (lanes, unknowns), such as those of neighbours; by default those of the solution.
+
+        Returns
+        -------
+        Roots
+            Each with what it holds; `converged` says which are extremals.
+        """
+        p = self.numbers(values)
+        Y = np.tile(self.root.y, (len(p), 1)) if begin is None else begin
+        each = self._limits(values, len(p))
+        choice = np.array([limits.taken_over(self.root.choice, self.limits) for limits in each])
+        limits = ActiveSetBounds(
+            lower=np.array([one.lower for one in each]), upper=np.array([one.upper for one in each])
+        )
+        return solve_active_set(self.shooting, Y, p, choice, limits)
+
+    def _limits(self, values: Mapping[str, ArrayLike], lanes: int) -> list[ActiveSetBounds]:
+        """Return the limits of each lane: ranges of free parameters may follow from the given ones."""
+        if self.solution.problem.ranges is None:
+            return [self.limits] * lanes
+        columns = [np.broadcast_to(np.asarray(value, dtype=float), lanes).tolist() for value in values.values()]
+        rows = zip(*columns, strict=True) if columns else [()] * lanes
+        return [self._limits_at(dict(zip(values, row, strict=True))) for row in rows]
+
+    def _limits_at(self, values: Mapping[str, float]) -> ActiveSetBounds:
+        known, found = self.solution.problem, dict[str, tuple[Any, ...]]()
+        assert known.ranges is not None, "they were asked for"
+        with suppress(PeriluneError):  # nothing is said where the values make no sense
+            found = known.ranges(SimpleNamespace(**{**vars(known.parameters({})), **values}), NUMERIC)
+        if all(found.get(f.name, (f.lower, f.upper))[:2] == (f.lower, f.upper) for f in known.free):
+            return self.limits
+        return limits_of(self._own(with_given_unchecked(known, values)), self.shooting.conditions)
+
+    def _own(self, problem: Problem) -> Problem:
+        """Return the user's problem at other values as it is solved: with a phase for each arc."""
+        return problem if self.arcs is None else renumber_restated(self.problem, problem, self.arcs.structure)
+
+    def at(self, root: Root, values: Mapping[str, float]) -> Solution:
+        """Return an extremal that was found as a solution of the problem with these values, unverified."""
+        problem = self.solution.problem.with_given(**values)
+        own = self._own(problem)
+        statistics = Statistics(rung="guess", iterations=len(root.history))
+        extremal = found_at(self.shooting, own, root)
+        found = compose_solution(self.solution.method, own, self.shooting.conditions, [extremal], statistics)
+        if self.arcs is None:
+            return found
+        whole = join_solution(problem, found, self.arcs.structure)
+        return replace(whole, statistics=replace(whole.statistics, rung=self.solution.statistics.rung))

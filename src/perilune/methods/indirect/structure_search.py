@@ -1,0 +1,509 @@
+"""Refinement of a rough answer to an extremal: detect arcs, reformulate the problem, apply Newton, revise arcs.
+
+A condition on states alone is kept by riding along it or touching it, which no single smooth arc does; nor does one
+know when a control becomes singular, as H says nothing of it then. The structure is read off the direct method's answer
+(`perilune.structures.detect_arcs`, `perilune.structures.detect_regimes`), and each of its arcs becomes a phase. The
+extremal of that shows whether it is the right one, and changes it by rule, a bounded number of times:
+
+- a touch whose multiplier has the wrong sign is none: the condition holds nothing back there;
+- an arc of no length is a touch, or none where its condition cannot be touched;
+- an arc is left where the multiplier of its condition becomes negative (`perilune.structures.multiplier_signs`); where
+it is so
+  all along, the condition is touched where the arc begins and ends;
+- an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
+- touches between which the condition is not left are an arc along it;
+- a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden;
+- where a condition is ridden to the end, first it is only touched where that begins.
+
+Bounds and conditions of the control the law of each arc keeps by itself, as far as it can hold them; an extremal that
+breaks one is no answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
+from itertools import pairwise
+
+import numpy as np
+
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.callbacks import Watch
+from perilune.core.errors import PeriluneError
+from perilune.methods.indirect.export_arcs import PropagatedStates
+from perilune.methods.indirect.newton_trials import bounded_parameters
+from perilune.methods.indirect.result import Curves
+from perilune.methods.indirect.search import Search
+from perilune.methods.indirect.settings import STRUCTURE, SearchSettings
+from perilune.methods.indirect.switch_pair import begun_pair, with_pair
+from perilune.methods.indirect.violations import violation_by_control
+from perilune.problem.perturbed import is_neighbour
+from perilune.problem.problem import Problem
+from perilune.problem.results.solution import Solution
+from perilune.structures.chattering_boundary import find_chattering_arc
+from perilune.structures.detect_arcs import (
+    CLOSEST,
+    EXACTLY,
+    NEAR,
+    POINTS,
+    Contact,
+    arcs_of,
+    broken_intervals,
+    detect_own_structures,
+    detect_structures,
+    find_contacts,
+    is_constant_condition,
+    margin_along,
+    margin_at,
+    margin_rounding,
+    refine_minima,
+    state_conditions,
+)
+from perilune.structures.detect_regimes import revised_stays, stays_between_bounds, stays_of
+from perilune.structures.multiphase import part_name, refuse_unstated_ends, renumber_restated, restate
+from perilune.structures.multiplier_signs import paying_intervals
+from perilune.structures.split_join import JoinedTrajectories, join_solution, split_solution, structure_with_times
+from perilune.structures.structure import Condition, Structure, conditions_of, margins
+
+ATTEMPTS, MOST_ARCS = 6, 12
+_GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
+_EXACT = 1e-7  # the same of what a neighbour begins with, which is on it or is not
+_BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
+_ROUGH = 1e-2  # relative mesh error from which on a finer mesh is asked first
+_FINE = 1e-3  # relative mesh error up to which a finer one tells no more
+_WITHOUT_NEWTON = 1e-8  # relative mesh error up to which a flight of a structure is one without Newton's method
+_NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
+_FEW = 2  # arcs of multiple shooting in a trial that is to be cheap
+
+
+@dataclass(kw_only=True)
+class StructureRefinement:
+    """One run from one rough answer.
+
+    Parameters
+    ----------
+    settings, problem, watch
+        Of the search that needs it.
+    tried
+        Receives a line for each structure.
+    guessed
+        Whether it begins with the user's guess, and not with what a search found.
+    brief
+        Whether each structure is tried only from the rough answer, and on no mesh of its own.
+    """
+
+    settings: SearchSettings
+    problem: Problem
+    watch: Watch
+    tried: list[str]
+    guessed: bool = False
+    brief: bool = False
+    chattering: Solution | None = None  # along a structure of which no flight is the best
+
+    def run(self, rough: Solution) -> Solution | None:
+        """Return the extremal of the structure of a rough answer, in the user's phases; None where none was found."""
+        found = self._first(rough)
+        alone = self.guessed or self.brief or is_neighbour(self.problem) or not bounded_parameters(self.problem)
+        return found if found is None or alone or self.chattering is not None else self._best_along_families(found)
+
+    def _first(self, rough: Solution) -> Solution | None:
+        if (found := self._known_by_arcs(rough)) is not None:
+            return found
+        least = _GUESSED if self.guessed else NEAR[0]
+        least = _EXACT if is_neighbour(self.problem) else least
+        for known in self._known(rough):
+            seen = set[str]()  # where one flight leads to nothing another one may
+            own = known.problem.phases is self.problem.phases  # as of the guess that a neighbour begins with
+            structures = detect_own_structures(known, least) if own else detect_structures(self.problem, known, least)
+            few = [structure for structure in structures if structure.count <= MOST_ARCS]
+            for structure in few or structures:
+                if (found := self._hopping(known, structure)) is not None:
+                    return found
+                if (found := self.followed(known, structure, seen)) is not None:
+                    return found
+        return None
+
+    def _hopping(self, rough: Solution, structure: Structure) -> Solution | None:
+        """Return the extremal that touches where what is ridden to the end begins, if there is one.
+
+        A mesh resolves no hop of centimetres, and along the arc that it shows Newton's method takes seconds to fail.
+        """
+        phases, hopped = [], list[tuple[int, str]]()
+        for k, arcs in enumerate(structure.phases):
+            known, last = list(_structure_contacts(structure, k)), arcs[-1].until
+            conditions = conditions_of(self.problem, k, [contact.name for contact in known])
+            found = list[Contact]()
+            for contact in known:
+                hops = contact.ridden and contact.end == last and conditions[contact.name].order > 1
+                found += _keep_paying_parts(contact, conditions[contact.name], last, []) if hops else [contact]
+                hopped += [(k, contact.name)] if hops else []
+            phases.append(arcs_of(self.problem, k, found, last, stays_of(structure, k)))
+        if is_neighbour(self.problem) or (touching := Structure(tuple(phases))) == structure:
+            return None
+        quick = replace(self, brief=True, settings=replace(self.settings, segments=_FEW))
+        answer = quick.followed(rough, touching, set())
+        return answer if answer is not None and all(self._leaves(answer, *at) for at in hopped) else None
+
+    def _leaves(self, answer: Solution, k: int, name: str) -> bool:
+        """Return whether a condition is left behind its last touch: one that is not left is ridden after all."""
+        known, (t, room) = answer.trajectories, margin_along(answer, k, name)
+        assert isinstance(known, JoinedTrajectories), "of arcs"
+        touch = max((c.end for c in _structure_contacts(known.structure, k) if c.name == name), default=0.0)
+        return bool(
+            (room[t > touch] > margin_rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))).any()
+        )
+
+    def _known_by_arcs(self, guess: Solution) -> Solution | None:
+        """Solve from a guess known arc by arc, of a problem that differs in values of its parameters."""
+        known = guess.trajectories
+        if self.brief or not isinstance(known, JoinedTrajectories) or not self.problem.differs_in_values(guess.problem):
+            return None
+        structure = known.structure
+        self.watch(f"structure: {structure.text}")
+        try:
+            refuse_unstated_ends(known.restated.problem, self.problem, structure)
+            problem = renumber_restated(known.restated.problem, self.problem, structure)
+            solved = Search(self.settings, problem, self.watch).solve(known.restated)
+            return self._kept_to(structure, solved, join_solution(self.problem, solved, structure))[0]
+        except PeriluneError as error:
+            self.tried.append(f"structure {structure.text}: {error.what}")
+            return None
+
+    def _known(self, rough: Solution) -> Iterator[Solution]:
+        """Yield the rough answer, and of some that of a finer mesh: the better one first.
+
+        Where a control wavers between its bounds it may be singular, or held by a condition on states; what rides along
+        one may touch it twice. A rougher mesh shows it worse, so that a finer one comes last in any case.
+        """
+        exact = self.guessed or self.brief
+        wavers = not exact and stays_between_bounds(rough)
+        finer = wavers or (not exact and self._rides(rough))
+        if not (finer and rough.statistics.residual > _ROUGH):
+            yield rough
+        if finer:
+            yield from self._finer(rough, 32 if wavers else 24, close=not wavers)
+        if finer and rough.statistics.residual > _ROUGH:
+            yield rough
+        near = self.guessed or self.brief or is_neighbour(self.problem)
+        if not (finer or near) and rough.statistics.residual > _FINE:
+            yield from self._finer(rough, 24, close=True)
+
+    def _finer(self, rough: Solution, segments: int, *, close: bool) -> Iterator[Solution]:
+        """Yield the same flight of a mesh of so many segments, where that finds one."""
+        from perilune.methods.direct.pseudospectral import Pseudospectral  # and with it much of SciPy
+
+        with suppress(PeriluneError):
+            yield Pseudospectral(nodes=6, segments=segments, refine=0).near(rough, self.watch, close=close)
+
+    def _rides(self, rough: Solution) -> bool:
+        phases = range(len(self.problem.phases))
+        return any(
+            c.ridden
+            for k in phases
+            for name in state_conditions(self.problem, k)
+            for c in find_contacts(rough, k, name)
+        )
+
+    def followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
+        """Follow the structures from the first that an answer has to the one that its extremal keeps to."""
+        while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
+            if structure.count > MOST_ARCS:
+                self._say(f"structure of more than {MOST_ARCS} arcs: not tried")
+                return None
+            seen.add(structure.text)
+            self.watch(f"structure: {structure.text}")
+            whole, revised = rough, None
+            try:
+                for solved in self._extremals(rough, structure):
+                    whole = join_solution(self.problem, solved, structure, named=not is_neighbour(self.problem))
+                    answer, revised = self._kept_to(structure, solved, whole)
+                    if answer is not None:
+                        return answer
+            except PeriluneError as error:
+                if self.chattering is not None:
+                    return self._composed(join_solution(self.problem, self.chattering, structure))
+                self.tried.append(f"structure {structure.text}: {error.what}")
+                return None
+            rough, structure = whole, revised
+        return None
+
+    def _kept_to(
+        self, structure: Structure, solved: Solution, whole: Solution
+    ) -> tuple[Solution | None, Structure | None]:
+        """Return the answer if the extremal of a structure keeps to it; else the structure that it asks for, if any."""
+        kept = structure_with_times(structure, solved)
+        # A neighbour has the arcs of its guess.
+        revised = kept if is_neighbour(self.problem) else self._revised(kept, solved, whole)
+        if revised is not kept:
+            self._say(f"structure {structure.text}: an extremal of another one")
+            return None, revised
+        if not is_neighbour(self.problem) and (breach := violation_by_control(kept, whole)) is not None:
+            self._say(f"structure {structure.text}: an extremal, but {breach.text}")
+            return None, None
+        self.tried.append(f"structure {structure.text}: an extremal")
+        return self._composed(whole), None
+
+    def _say(self, line: str) -> None:
+        """Report a line of what was tried, once."""
+        self.tried += [] if line in self.tried else [line]
+
+    def _best_along_families(self, first: Solution) -> Solution:
+        """Return the best of an answer and of those along families of parameters between bounds, with its arcs.
+
+        Where these are no longer its arcs they are revised, and what comes of that is followed in its turn.
+        """
+        answers, left, seen = list[Solution](), [first], set[str]()
+        while left and len(answers) < ATTEMPTS:
+            known = left.pop(0).trajectories
+            assert isinstance(known, JoinedTrajectories), "of arcs"
+            if known.structure.text in seen:
+                continue
+            seen.add(known.structure.text)
+            search = Search(self.settings, known.restated.problem, self.watch)
+            found, solution_of = search.along_families(known.restated)
+            kept = found[:1]
+            for one in found[1:]:
+                solved = solution_of([one])
+                whole = join_solution(self.problem, solved, known.structure)
+                answer, revised = self._kept_to(known.structure, solved, whole)
+                if answer is not None:
+                    kept.append(one)
+                elif one.minimum and (turned := self.followed(whole, revised, {known.structure.text})) is not None:
+                    left.append(turned)
+            answers.append(self._composed(join_solution(self.problem, solution_of(kept), known.structure)))
+        best = min(answers, key=lambda one: one.objective)
+        others = (replace(e, nature=e.nature.outdone) for one in answers if one is not best for e in one.extremals)
+        return replace(best, extremals=(*best.extremals, *others))
+
+    def _composed(self, found: Solution) -> Solution:
+        """Near a guess of this run's own it is the best, as it is the only one."""
+        extremals = (e if self.guessed else replace(e, nature=e.nature.unguided) for e in found.extremals)
+        statistics = replace(found.statistics, rung=STRUCTURE, tried=tuple(self.tried))
+        return replace(found, extremals=tuple(extremals), statistics=statistics)
+
+    def _extremals(self, rough: Solution, structure: Structure) -> Iterator[Solution]:
+        """Yield the extremals of a structure: by Newton's method from a rough answer at once, then by a mesh.
+
+        Raises
+        ------
+        PeriluneError
+            If it finds neither.
+        """
+        from perilune.methods.direct.pseudospectral import Pseudospectral  # and with it much of SciPy
+
+        restated = restate(self.problem, structure, repeated=False)
+        guess, failure, found = split_solution(rough, structure, restated), None, False
+        if (pair := begun_pair(self.problem, structure)) is not None:
+            self.watch("structure: a pair of switches that begins")
+            search = Search(self.settings, guess.problem, self.watch)
+            if (solved := with_pair(search, guess, pair)) is not None:
+                yield solved
+                found = True
+        # Phases that are smooth need one mesh; those in which a bounded control jumps need it where it does.
+        # Where a control chatters no mesh is fine enough.
+        refine = 0 if structure.singular else 3
+        meshes = [
+            Pseudospectral(refine=0).near,
+            Pseudospectral(segments=4, nodes=6, refine=refine, tolerance=1e-3).near,
+        ]
+        if structure.switched:  # every arc is smooth and known, but for the costates of what is ridden
+            meshes.insert(0, partial(Pseudospectral(segments=4, nodes=5, refine=0).near, close=True))
+        # Most answers are near enough as they are; from others it leaps to an extremal of another structure.
+        for mesh in (None,) if self.brief else (None, *meshes):
+            start = guess
+            try:
+                compared = is_neighbour(self.problem)
+                # Where there is no control law the search says so.
+                search = Search(self.settings, guess.problem, self.watch, compared=compared)
+                start = guess if mesh is None else mesh(guess, self.watch)
+                self.watch("structure: Newton's method")
+                solved = search.solve(start)
+            except PeriluneError as error:
+                failure = error
+            else:
+                yield solved
+                found = True
+                if mesh is not None or self.guessed:
+                    return
+                continue
+            exact = mesh is not None and start.statistics.residual < _WITHOUT_NEWTON
+            if exact and (name := find_chattering_arc(start)) is not None:
+                self._say(
+                    f"structure {structure.text}: no best flight follows it (chattering), as {name} switching to and "
+                    "fro between its bounds along it lowers J, the faster the more: a flight along it, no extremal"
+                )
+                self.chattering = start
+                break
+        if failure is not None and not found:
+            raise failure
+
+    def _revised(self, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
+        """Return the structure if the extremal keeps to it; else the one that it asks for; None where that is none."""
+        phases, same, way = [], True, ConstraintMargins(self.problem, structure, solved, whole)
+        for k, arcs in enumerate(structure.phases):
+            known = list(_structure_contacts(structure, k))
+            found = list(self._borne_out(structure, solved, k, known))
+            found = self._ridden(way, k, known, self._beside(way, k, found))
+            stays = stays_of(structure, k)
+            asked = revised_stays(whole, k, stays, _NO_TIME)
+            if asked is None:
+                return None
+            same &= found == known and asked == stays
+            phases.append(arcs_of(self.problem, k, found, arcs[-1].until, asked))
+        revised = Structure(tuple(phases))
+        return structure if same else None if revised.plain else revised
+
+    def _borne_out(self, structure: Structure, solved: Solution, k: int, known: list[Contact]) -> Iterator[Contact]:
+        """Yield the contacts that have a length, or a multiplier of the right sign, as far as they have."""
+        phase, arcs = self.problem.phases[k], structure.phases[k]
+        first = sum(len(before) for before in structure.phases[:k])
+        conditions = conditions_of(self.problem, k, [contact.name for contact in known])
+        for contact in known:
+            condition = conditions[contact.name]
+            j = next(j for j, arc in enumerate(arcs) if arc.until == contact.end)
+            if contact.ridden:
+                if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
+                    worth = paying_intervals(solved, first + j, condition)
+                    yield from _keep_paying_parts(contact, condition, arcs[-1].until, worth)
+                elif condition.order > 1:
+                    yield replace(contact, end=contact.begin, ridden=False)
+                continue
+            at = f"{part_name(phase.name, j, len(arcs))}.{condition.rated(0, 'touch_', 1.0).name}"
+            if solved.multipliers[at] <= 0:  # J falls where the condition gives way
+                yield contact
+
+    def _beside(self, way: ConstraintMargins, k: int, found: list[Contact]) -> list[Contact]:
+        """Return the contacts and those that are missing: where a condition is broken."""
+        found = list(found)
+        for name in state_conditions(self.problem, k):
+            size = self.problem.size_of(margins(self.problem, k)[name][0])
+            for begin, end, at in broken_intervals(*way.room_along(k, name), size):
+                reach = _BESIDE * (end - begin)
+                near = [c for c in found if c.name == name and begin - reach <= c.end and c.begin <= end + reach]
+                condition = conditions_of(self.problem, k, (name,))[name]
+                ridden = condition.steered and (bool(near) or condition.order == 1)
+                begin, end = (begin, end) if ridden else (at, at)
+                for contact in near:
+                    begin, end = min(begin, contact.begin), max(end, contact.end)
+                    found.remove(contact)
+                found.append(Contact(name=name, begin=begin, end=end, ridden=ridden))
+        return found
+
+    def _ridden(self, way: ConstraintMargins, k: int, known: Sequence[Contact], found: list[Contact]) -> list[Contact]:
+        """Return the contacts, touches that the extremal does not leave between them joined to one arc."""
+        for name in {c.name for c in known}:
+            condition, (t, room) = conditions_of(self.problem, k, (name,))[name], way.room_along(k, name)
+            near = np.abs(room) <= margin_rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))
+            runs = list[list[Contact]]()
+            for contact in (c for c in known if c.name == name):
+                before = runs[-1][-1] if runs else contact
+                between = (t > before.end) & (t < contact.begin)
+                stays = before is not contact and not (before.ridden or contact.ridden) and near[between].all()
+                runs = [*runs[:-1], [*runs[-1], contact]] if stays else [*runs, [contact]]
+            for run in runs if condition.steered else ():
+                if len(run) > 1 and all(c in found for c in run):
+                    found = [c for c in found if c not in run]
+                    found.append(Contact(name=name, begin=run[0].end, end=run[-1].begin, ridden=True))
+        return found
+
+
+def _keep_paying_parts(
+    contact: Contact, condition: Condition, last: float, worth: list[tuple[float, float]] | None
+) -> Iterator[Contact]:
+    """Yield the parts of an arc that pay [s of the arc], or touches in its place; itself where this is unknown.
+
+    Who rides to the end of the phase and gains by leaving for a time g before, returns there: with mu linear in time
+    the hop begins q/(q + 1) g before mu changes sign (for x^(q) = u). Where that is before the arc a touch is left.
+    """
+    length, order = contact.end - contact.begin, condition.order
+    parts = [(0.0, length)] if worth is None else list(worth)
+    if parts and contact.end == last and parts[-1][1] < length:
+        begin, end = parts.pop()
+        parts.append((begin, max(begin, end - order / (order + 1) * (length - end))))
+    ends = [0.0, length] if not parts else [begin for begin, end in parts if end == begin]
+    for at in (contact.begin + share for share in ends):
+        if order > 1 and 0.0 < at < last:
+            yield replace(contact, begin=at, end=at, ridden=False)
+    for begin, end in parts:
+        if end > begin:
+            yield replace(
+                contact, begin=contact.begin + begin, end=contact.end if end >= length else contact.begin + end
+            )
+
+
+def _structure_contacts(structure: Structure, k: int) -> Iterator[Contact]:
+    """Yield what a structure with times rides along and touches in phase k."""
+    begin = 0.0
+    for arc in structure.phases[k]:
+        for name in arc.along:
+            yield Contact(name=name, begin=begin, end=arc.until, ridden=True)
+        for name in arc.touches:
+            yield Contact(name=name, begin=arc.until, end=arc.until, ridden=False)
+        begin = arc.until
+
+
+@dataclass
+class ConstraintMargins:
+    """The margins to conditions of an extremal of a structure, whose curves need not be made for that.
+
+    Parameters
+    ----------
+    problem, structure
+        The user's problem, and its arcs with the times of the extremal.
+    solved, whole
+        The extremal, of the problem restated and in the user's phases.
+    """
+
+    problem: Problem
+    structure: Structure
+    solved: Solution
+    whole: Solution
+
+    def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
+        """Return the times of phase k [s] and how far a condition is from its limit there [SI]."""
+        if is_constant_condition(self.problem, k, name):
+            return (t := np.zeros(1)), self._room(k, name, t, self._aloft.at(self._first(k), t))
+        parts = [self._closely(k, name, *part) for part in self._phases(k)]
+        return np.concatenate([t for t, _ in parts]), np.concatenate([room for _, room in parts])
+
+    def _closely(self, k: int, name: str, j: int, times: Vector, x: Matrix) -> tuple[Vector, Vector]:
+        """Return the times of an arc and S there, the closer together the nearer S may be to its limit between them."""
+        room, begin, length = self._room(k, name, times, x), times[0], times[-1] - times[0]
+        for _ in range(CLOSEST):
+            between = refine_minima(times, room, EXACTLY * self._size(k, name)) if length > 0.0 else times[:0]
+            if not len(between):
+                break
+            states = self._aloft.at(self._first(k) + j, np.clip((between - begin) / length, 0.0, 1.0))
+            times, at = np.unique(np.append(times, between), return_index=True)
+            room = np.append(room, self._room(k, name, between, states))[at]
+        return times, room
+
+    def _room(self, k: int, name: str, t: Vector, x: Matrix) -> Vector:
+        return margin_at(self.problem, self.whole.parameters, k, name, t, x)
+
+    def _size(self, k: int, name: str) -> float:
+        return self.problem.size_of(margins(self.problem, k)[name][0])
+
+    @cached_property
+    def _aloft(self) -> PropagatedStates:
+        curves = self.solved.trajectories
+        assert isinstance(curves, Curves), "of a search, which ends at a root"
+        return curves.aloft()
+
+    @cached_property
+    def _phases(self) -> Callable[[int], list[tuple[int, Vector, Matrix]]]:
+        return cache(self._phase)
+
+    def _phase(self, k: int) -> list[tuple[int, Vector, Matrix]]:
+        """Return for each arc of phase k its number, times [s of the phase], and states there."""
+        begins, found = [0.0, *(arc.until for arc in self.structure.phases[k])], list[tuple[int, Vector, Matrix]]()
+        for j, (begin, end) in enumerate(pairwise(begins)):
+            shares = np.linspace(0.0, 1.0, 2 + math.ceil(POINTS * (end - begin) / begins[-1]))
+            found.append((j, begin + shares * (end - begin), self._aloft.at(self._first(k) + j, shares)))
+        return found
+
+    def _first(self, k: int) -> int:
+        return sum(map(len, self.structure.phases[:k]))

@@ -1,0 +1,83 @@
+"""A pair of switches that begins: the time w between them is held, and found where J neither falls nor rises with it.
+
+What is on its bound gains by an instant on the other one, at a rate that goes through zero where the pair begins; it
+loses like w^2, so that w rises in proportion. With w free both switches ask for nearly the same, and w = 0 at any zero
+of the switching function asks for nothing more: Newton's method mostly ends there. With w held it does not, and the
+slope of J along these extremals is nearly a straight line in w (secant method).
+"""
+
+from __future__ import annotations
+
+from perilune.core.arrays import Vector
+from perilune.methods.indirect.newton_trials import found_at
+from perilune.methods.indirect.random_costates import active_set_of_guess, unknowns_of_guess
+from perilune.methods.indirect.search import Search
+from perilune.problem.casadi_trace import free_scales
+from perilune.problem.problem import Problem
+from perilune.problem.results.solution import Solution
+from perilune.shooting.newton import FINEST
+from perilune.shooting.shooting_function import Root
+from perilune.structures.detect_regimes import PAIR
+from perilune.structures.multiphase import part_durations
+from perilune.structures.structure import Structure
+
+_LONGEST = 2.0  # times as long as a pair is tried
+_SECANTS = 8
+_SAME = 1e-6  # of w: nearer Newton's method ends at it
+
+
+def begun_pair(problem: Problem, structure: Structure) -> str | None:
+    """Return the name of the duration of an arc as short as a pair is tried, between two on the other bound; or None.
+
+    Parameters
+    ----------
+    problem, structure
+        The user's, and arcs with times.
+    """
+    for k, arcs in enumerate(structure.phases):
+        names = part_durations(problem, structure, k)
+        for j in range(1, len(arcs) - 1):
+            before, own, behind = (arcs[i].regimes for i in (j - 1, j, j + 1))
+            brief = arcs[j].until - arcs[j - 1].until <= _LONGEST * PAIR * arcs[-1].until
+            if brief and own and own != before == behind and all(regime in ("lower", "upper") for _, regime in own):
+                return names[j]
+    return None
+
+
+def with_pair(search: Search, guess: Solution, duration: str) -> Solution | None:
+    """Return the extremal in which a phase is as brief as it is best, from one near it without that; None if none.
+
+    Parameters
+    ----------
+    search
+        Of the restated problem.
+    guess
+        A solution of it, however the phase lasts.
+    duration
+        Name of the free parameter that the length of the phase is.
+    """
+    trials, index = search.trials, search.problem.free_names.index(duration)
+    y = unknowns_of_guess(search.settings, trials, guess)
+    free = active_set_of_guess(trials, guess, y)
+    free[[index, trials.shooting.plan.held + index]] = 0.0
+
+    def held(y: Vector, w: float) -> Root:
+        choice = free.copy()
+        trials.shooting.plan.hold(choice, index, w)
+        return trials.settled(y[None], choice, limits=trials.limits.without(index), accuracy=FINEST)[0]
+
+    w = guess.free[duration] / float(free_scales(search.problem.free, search.problem)[index])
+    last, root = held(y, 2.0 * w), held(y, w)
+    for _ in range(_SECANTS):
+        ends = [float(r.y[trials.conditions.free_at][index]) for r in (last, root)]
+        slopes = [float(r.slopes[index]) for r in (last, root)]
+        if not (last.converged and root.converged) or slopes[0] == slopes[1]:
+            break
+        w = ends[1] - slopes[1] * (ends[1] - ends[0]) / (slopes[1] - slopes[0])
+        if not w > 0.0 or abs(w - ends[1]) <= _SAME * w:
+            break
+        last, root = root, held(root.y, w)
+    found = trials.settled((root if root.converged else last).y[None], free, limits=trials.limits, accuracy=FINEST)[0]
+    if not found.converged or trials.outside(found) is not None:
+        return None
+    return search.compose([found_at(trials.shooting, search.problem, found)], "guess")

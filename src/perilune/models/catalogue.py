@@ -1,0 +1,406 @@
+"""The kinds of problems that a file can state: which records are its sections, and the function that makes a problem.
+
+Nothing else knows of them: the reader of scenarios, the templates and the reference page follow from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, is_dataclass, replace
+from functools import cache, wraps
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from perilune.core.errors import PeriluneError, UnknownKindError, unknown_name
+from perilune.core.fields import Key, parameter_name, record, record_keys
+from perilune.core.validation import require_type
+from perilune.models.deorbit import records as deorbit
+from perilune.models.deorbit.problem import deorbit_entry
+from perilune.models.descent.problem import Choices, Ignition, Site, Steering, powered_descent
+from perilune.models.landing.problem import LandingSite, Orbit, hybrid_landing
+from perilune.models.physics.bodies import BODIES, PLANETS, Body, OblateBody, Planet, UniformGravity
+from perilune.models.physics.vehicle import Retro, Throttle, Vehicle
+from perilune.models.precision.final_descent import FinalDescent
+from perilune.models.precision.problem import Approach, Corridor, precision_landing
+from perilune.problem.problem import Problem
+from perilune.problem.tolerance import Tolerance
+
+GROUP = "perilune.models"  # of entry points
+PROOF = "proof"  # the section that is no part of the problem
+
+
+@record("problem")
+class Undecided:
+    """Section ``problem`` of a kind that leaves nothing to choose."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A section of a file.
+
+    Parameters
+    ----------
+    record
+        Class of its record.
+    required
+        Whether it must be there.
+    otherwise
+        Its record where it is left out.
+    known
+        Records that may be stated only by their name.
+    instead
+        Class of another record that the section may state.
+    absent
+        When it may be left out, in words.
+    """
+
+    record: type
+    required: bool = True
+    otherwise: Any = None
+    known: Mapping[str, Any] = field(default_factory=dict)
+    instead: type | None = None
+    absent: str = "may be left out"
+
+    def __post_init__(self) -> None:
+        """Refuse what declares no keys."""
+        for stated in (self.record, self.instead):
+            if stated is not None and not (isinstance(stated, type) and is_dataclass(stated)):
+                raise PeriluneError(
+                    "a section is stated by a record", got=repr(stated)[:80], expected="a class below @record(...)"
+                )
+
+    @property
+    def keys(self) -> Mapping[str, Key]:
+        """Return all keys that the section may have, in order."""
+        return {**record_keys(self.record), **self._others}
+
+    @property
+    def _others(self) -> Mapping[str, Key]:
+        return {} if self.instead is None else record_keys(self.instead)
+
+    @property
+    def alone(self) -> tuple[str, ...]:
+        """Keys that stand in place of the others."""
+        return (
+            *(("name",) if self.known else ()),
+            *(key for key in self._others if key not in record_keys(self.record)),
+        )
+
+    def stated(self, keys: Iterable[str]) -> type:
+        """Class of the record that has these keys; where no one class has them all, of the first."""
+        found = set(keys)
+        return self.instead if self.instead and found and found <= self._others.keys() else self.record
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """Kind of problem that a file can state.
+
+    Parameters
+    ----------
+    name, about
+        ``problem.kind``, and what it is.
+    sections
+        Those of the problem by name, in the order of a file.
+    make
+        Called with the record of each section by the section's name.
+    example
+        Values that together are a problem worth solving, where they differ from the examples of the records; a key or
+        a section that may be left out is shown in the template as one to be used if it is here.
+    package
+        Which package brings it, as is found where it is loaded; "" of perilune's own.
+    """
+
+    name: str
+    about: str
+    sections: Mapping[str, Section]
+    make: Callable[..., Problem]
+    example: Mapping[str, str]
+    package: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse what no file could state."""
+        sections: Any = self.sections  # of a package, that may bring anything
+        if not isinstance(sections, Mapping) or not all(isinstance(found, Section) for found in sections.values()):
+            raise PeriluneError(
+                f"the sections of the kind {self.name} are not what a file has", got=repr(sections)[:80],
+                expected="a dictionary of Section(record=...) by their names",
+            )  # fmt: skip
+        if "problem" not in sections or PROOF in sections:
+            raise PeriluneError(
+                f"the sections of the kind {self.name} are not what a file has", got=", ".join(map(str, sections)),
+                expected=f"problem, which states the kind, among them, and {PROOF} not: every file may have that",
+            )  # fmt: skip
+        require_type(
+            self.example, Mapping, f"what the example of the kind {self.name} can be", '{"section.key": "value"}'
+        )
+        known = [f"{name}.{key}" for name, section in self.in_file.items() for key in section.keys]
+        for key in self.example:
+            if key not in known:
+                raise unknown_name(f"key, which the example of the kind {self.name} has,", key, known)
+
+    @property
+    def in_file(self) -> Mapping[str, Section]:
+        """Return all sections of a file: those of the problem, and that of its proof."""
+        return {**self.sections, PROOF: Section(record=Tolerance, required=False, otherwise=Tolerance())}
+
+
+def _make_hybrid(
+    problem: Undecided, body: Body, vehicle: Vehicle, retro: Retro | None, orbit: Orbit, landing: LandingSite
+) -> Problem:
+    return hybrid_landing(vehicle, retro, orbit, body, landing.altitude)
+
+
+def _make_descent(
+    problem: Choices,
+    body: OblateBody,
+    vehicle: Vehicle,
+    start: Ignition,
+    site: Site,
+    steering: Steering | None,
+    throttle: Throttle | None,
+) -> Problem:
+    shares = None if throttle is None else (throttle.lower, throttle.upper)
+    return powered_descent(
+        vehicle, start, site, body, **vars(problem), steering=steering, throttle=shares, j2=body.j2
+    )  # fmt: skip
+
+
+def _make_precision(
+    problem: Undecided,
+    body: OblateBody | UniformGravity,
+    vehicle: Vehicle,
+    throttle: Throttle,
+    approach: Approach,
+    site: Site | None,
+    corridor: Corridor | None,
+    final: FinalDescent | None,
+) -> Problem:
+    shares, j2 = (throttle.lower, throttle.upper), getattr(body, "j2", 0.0)
+    return precision_landing(vehicle, approach, site, corridor, shares, body, final=final, j2=j2)
+
+
+def _make_deorbit(
+    problem: deorbit.Aim,
+    body: Planet,
+    orbit: deorbit.ReturnOrbit,
+    manoeuvre: deorbit.Manoeuvre | None,
+    vehicle: deorbit.Returner,
+    throttle: Throttle | None,
+    transition: deorbit.Transition,
+    interface: deorbit.Interface,
+    atmosphere: deorbit.Atmosphere | None,
+    separation: deorbit.Separation | None,
+    heating: deorbit.Heating | None,
+    limits: deorbit.Limits | None,
+    parachute: deorbit.Parachute | None,
+    site: deorbit.Landing | None,
+) -> Problem:
+    return deorbit_entry(
+        vehicle, orbit, interface, body, manoeuvre=manoeuvre, transition=transition, air=atmosphere, site=site,
+        heating=heating, separation=separation, limits=limits, minimise=problem.minimise,
+        epoch=problem.epoch, parachute=parachute, throttle=throttle,
+    )  # fmt: skip
+
+
+_ANY = Section(record=Undecided, required=False, otherwise=Undecided())
+HYBRID = Kind(
+    name="hybrid_landing",
+    about="A lander on its way from a circular parking orbit to the ground: an impulsive retro burn, then thrust.",
+    sections={
+        "problem": _ANY,
+        "body": Section(record=Body, known=BODIES),
+        "vehicle": Section(record=Vehicle),
+        "retro": Section(record=Retro, required=False),
+        "orbit": Section(record=Orbit),
+        "landing": Section(record=LandingSite, required=False, otherwise=LandingSite()),
+    },
+    make=_make_hybrid,
+    example={"retro.specific_impulse": "310 s", "landing.altitude": "0 km"},
+)
+DESCENT = Kind(
+    name="powered_descent",
+    about="A descent in three dimensions from a state over a body to rest above it.",
+    sections={
+        "problem": Section(record=Choices),
+        "body": Section(record=OblateBody, known=BODIES),
+        "vehicle": Section(record=Vehicle),
+        "start": Section(record=Ignition),
+        "site": Section(
+            record=Site, required=False, otherwise=Site(), absent="may be left out with the target anywhere"
+        ),
+        "steering": Section(record=Steering, required=False),
+        "throttle": Section(record=Throttle, required=False),
+    },
+    make=_make_descent,
+    example={
+        "problem.target": "site",
+        "vehicle.mass": "15 t",
+        "vehicle.thrust": "45 kN",
+        "vehicle.specific_impulse": "365 s",
+        "vehicle.dry_mass": "8 t",
+        "site.altitude": "2 km",
+        "site.longitude": "5 deg",
+        "site.latitude": "76 deg",
+    },
+)
+PRECISION = Kind(
+    name="precision_landing",
+    about="The last kilometres: down to a named point with the least propellant, within a corridor.",
+    sections={
+        "problem": Section(record=Undecided),
+        "body": Section(record=OblateBody, known=BODIES, instead=UniformGravity),
+        "vehicle": Section(record=Vehicle),
+        "throttle": Section(record=Throttle),
+        "approach": Section(record=Approach),
+        "site": Section(record=Site, required=False, absent="left out over flat ground"),
+        "corridor": Section(record=Corridor, required=False),
+        "final": Section(record=FinalDescent, required=False),
+    },
+    make=_make_precision,
+    example={
+        "vehicle.mass": "2 t",
+        "vehicle.thrust": "8 kN",
+        "vehicle.dry_mass": "1200 kg",
+        "approach.east_speed": "50 m/s",
+        "approach.up_speed": "-30 m/s",
+        "site.longitude": "0 deg",
+        "site.latitude": "-85 deg",
+        "corridor.tilt": "50 deg",
+        "corridor.slope": "20 deg",
+    },
+)
+DEORBIT = Kind(
+    name="deorbit_entry",
+    about="From an orbit through a finite burn to the entry interface, and through the air to a place.",
+    sections={
+        "problem": Section(record=deorbit.Aim),
+        "body": Section(record=Planet, known=PLANETS),
+        "orbit": Section(record=deorbit.ReturnOrbit),
+        "manoeuvre": Section(record=deorbit.Manoeuvre, required=False, absent="left out where [orbit] says it"),
+        "vehicle": Section(record=deorbit.Returner),
+        "throttle": Section(record=Throttle, required=False, absent="left out, the engine burns at full thrust"),
+        "transition": Section(record=deorbit.Transition, required=False, otherwise=deorbit.Transition()),
+        "interface": Section(record=deorbit.Interface),
+        "atmosphere": Section(
+            record=deorbit.Atmosphere, required=False, absent="without it the flight ends at the interface"
+        ),
+        "separation": Section(record=deorbit.Separation, required=False, absent="left out, all of it enters the air"),
+        "heating": Section(record=deorbit.Heating, required=False),
+        "limits": Section(record=deorbit.Limits, required=False),
+        "parachute": Section(record=deorbit.Parachute, required=False, absent="left out, the entry ends at the site"),
+        "site": Section(record=deorbit.Landing, required=False, absent="left out, any place will do"),
+    },
+    make=_make_deorbit,
+    example={
+        "problem.minimise": "propellant",
+        "body.name": "earth",
+        "orbit.radius": "6778.14 km",
+        "orbit.inclination": "51.6 deg",
+        "manoeuvre.longitude": "16 deg",
+        "manoeuvre.latitude": "39.5 deg",
+        "vehicle.mass": "500 kg",
+        "vehicle.thrust": "200 N",
+        "vehicle.exhaust_velocity": "3000 m/s",
+        "vehicle.drag_area": "0.6 m^2",
+        "vehicle.nose_radius": "0.3 m",
+        "transition.longest_coast": "3000 s",
+        "interface.altitude": "120 km",
+        "interface.angle": "-1.5 deg",
+        "atmosphere.model": "us1976",
+        "site.altitude": "10 km",
+    },
+)
+KINDS = {kind.name: kind for kind in (HYBRID, DESCENT, PRECISION, DEORBIT)}
+
+
+def kind_names() -> list[str]:
+    """Names of all kinds, and of those that installed packages bring."""
+    return list(dict.fromkeys([*KINDS, *sorted(entry.name for entry in entry_points(group=GROUP))]))
+
+
+def unknown_kind(called: str, name: str) -> UnknownKindError:
+    """Error for a kind of this name."""
+    error = unknown_name(called, name, kind_names())
+    advice = error.advice or f"install the package that brings it (an entry point of the group {GROUP})"
+    return UnknownKindError(error.what, got=error.got, expected=error.expected, advice=advice)
+
+
+def kind_named(name: str) -> Kind:
+    """A kind by its name: one of these, or one that an installed package brings as an entry point of `GROUP`.
+
+    Nothing of a package is loaded before a file asks for its kind.
+
+    Raises
+    ------
+    PeriluneError
+        If there is none of this name, packages bring more than one, or it cannot be loaded.
+    """
+    if name in KINDS:
+        return KINDS[name]
+    brought = {_describe_entry_point(entry): entry for entry in entry_points(group=GROUP, name=name)}
+    if not brought:
+        raise unknown_kind("problem.kind", name)
+    if len(brought) > 1:
+        got = ", ".join(sorted(brought))[:300]
+        raise PeriluneError(
+            f"packages bring more than one kind {name}", got=got, advice="uninstall all but one of them"
+        )
+    package, entry = next(iter(brought.items()))
+    try:
+        found = entry.load()
+    except (Exception, SystemExit) as error:
+        raise PeriluneError(
+            f"the kind of problem {name} cannot be loaded", got=f"{package}: {one_line_error(error)}"
+        ) from error
+    if not isinstance(found, Kind) or found.name != name:
+        raise PeriluneError(f"what {package} brings is no kind of problem", expected=f"Kind(name={name!r}, ...)")
+    found = replace(found, make=_check_package_kind(found, package), package=package)
+    KINDS[name] = found  # its keys are known like those of the others from now on
+    _keys_by_parameter.cache_clear()
+    return found
+
+
+def _describe_entry_point(entry: EntryPoint) -> str:
+    return f"{entry.value} of {entry.dist.name if entry.dist is not None else 'a package'}"
+
+
+def one_line_error(error: BaseException) -> str:
+    """Return the message of a package's error in one line, to be quoted in our own."""
+    return f"{type(error).__name__}: {'; '.join(map(str.strip, str(error).splitlines()))}"[:300]
+
+
+def _check_package_kind(kind: Kind, package: str) -> Callable[..., Problem]:
+    """Return the kind's `make`, with errors in it reported as the package's, not as ones of this program."""
+
+    @wraps(kind.make)
+    def make(**records: Any) -> Problem:
+        try:
+            made = kind.make(**records)
+        except PeriluneError:
+            raise
+        except Exception as error:
+            raise PeriluneError(
+                f"the kind of problem {kind.name} fails", got=f"{package}: {one_line_error(error)}",
+                advice="it is called with the record of each section by its name; PERILUNE_TRACEBACK=1 shows where",
+            ) from error  # fmt: skip
+        if not isinstance(made, Problem):
+            got = f"{package}: {type(made).__name__}"
+            raise PeriluneError(f"the kind of problem {kind.name} makes no problem", got=got, expected="Problem")
+        return made
+
+    return make
+
+
+@cache
+def _keys_by_parameter() -> dict[str, str]:
+    """Keys of all files by the names of the parameters that they state."""
+    stated = [
+        f"{name}.{key}" for kind in KINDS.values() for name, section in kind.sections.items() for key in section.keys
+    ]
+    return {parameter_name(key): key for key in stated}
+
+
+def key_of(parameter: str) -> str:
+    """The key of a file that states a parameter, as ``vehicle.thrust``; its name where it is of another making."""
+    return _keys_by_parameter().get(parameter, parameter)

@@ -1,0 +1,157 @@
+"""Functions of the phases of a return: motion in axes that turn with the body, path and end conditions.
+
+    r'' = g(r) + (T/m) d - 2 Omega x r' - Omega x (Omega x r),   m' = -T/c      above the interface, engine on
+    r'' = g(r) + drag + lift - 2 Omega x r' - Omega x (Omega x r)               below it
+
+z is the rotation axis and x points to longitude 0. Velocities are relative to the body, as are the speed V and the path
+angle gamma at the interface, sin gamma = r.V/(|r| |V|).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.models.deorbit.orbit import AXIS
+from perilune.models.deorbit.records import engine_exhaust_speed, is_something_left, throttled
+from perilune.models.physics import aerodynamics, ellipsoid
+from perilune.models.physics.atmosphere import Air
+from perilune.models.physics.rotating_frame import Triple, combine, free_acceleration, local_axes, scalar_product
+from perilune.problem.controls import Bounded, Direction
+from perilune.problem.variables import Variable
+
+STEERING = Direction(names=("toward_x", "toward_y", "toward_z"))
+BANKS: dict[str, Direction | Bounded] = {
+    "free": Direction(names=("lift_up", "lift_right")),
+    # Bank reversals cancel its lateral part.
+    "reversed": Bounded(name="lift_up", lower=-1.0, upper=1.0),
+}
+STATES = (
+    *(Variable(name=name, unit="m") for name in ("x", "y", "z")),
+    *(Variable(name=name, unit="m/s", description="beside the turning body") for name in ("vx", "vy", "vz")),
+)
+SITE = ("site_up", "site_north", "site_east")
+HEAT_SIZE = 1e7  # J/m^2
+# What the vehicle weighed before a part of it was left behind, kept where a throttle decides it.
+WHOLE = Variable(name="whole", unit="kg", description="mass at the interface, before separation")
+HEAT = Variable(name="heat", unit="J/m^2", description="heat load at the stagnation point", scale=HEAT_SIZE)
+
+
+def extra_entry_states(*, heat: bool, weighed: bool) -> tuple[Variable, ...]:
+    """Return the states of the phases in the air in addition to motion and mass."""
+    return (*((HEAT,) if heat else ()), *((WHOLE,) if weighed else ()))
+
+
+def position_vector(x: Any) -> Triple:
+    """Position [m]."""
+    return x.x, x.y, x.z
+
+
+def velocity_vector(x: Any) -> Triple:
+    """Velocity relative to the body [m/s]."""
+    return x.vx, x.vy, x.vz
+
+
+def relative_speed(x: Any, m: Any) -> Any:
+    """Speed relative to the body [m/s]."""
+    return m.sqrt(scalar_product(velocity_vector(x), velocity_vector(x)))
+
+
+def path_angle(x: Any, m: Any) -> Any:
+    """Angle of the velocity above the horizon [rad]."""
+    r, v = position_vector(x), velocity_vector(x)
+    return m.asin(scalar_product(r, v) / m.sqrt(scalar_product(r, r) * scalar_product(v, v)))
+
+
+def engine_thrust(u: Any, p: Any) -> Any:
+    """Thrust [N]: full, or throttled where `throttle` is a control."""
+    return p.vehicle_thrust * getattr(u, "throttle", 1.0)
+
+
+def coast_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Rates without thrust, above the air."""
+    return *velocity_vector(x), *free_acceleration(position_vector(x), velocity_vector(x), AXIS, p, m), 0.0
+
+
+def burn_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Rates with the engine on."""
+    push = combine(
+        (1, free_acceleration(position_vector(x), velocity_vector(x), AXIS, p, m)),
+        (engine_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)),
+    )
+    return *velocity_vector(x), *push, -engine_thrust(u, p) / engine_exhaust_speed(p)
+
+
+def entry_rates(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """Rates in the air: x, y, z, vx, vy, vz, m, and the heat load and the whole mass where they are states."""
+    r, v = position_vector(x), velocity_vector(x)
+    density = air.density(ellipsoid.altitude(r, p, m), p, m)
+    felt = aerodynamics.drag(density, v, x.m, p, m)
+    if hasattr(p, "vehicle_lift_to_drag"):
+        upward, right = aerodynamics.lift_axes(r, v, m)
+        lift = p.vehicle_lift_to_drag * aerodynamics.drag_acceleration(density, v, x.m, p, m)
+        felt = combine((1, felt), (lift * u.lift_up, upward), (lift * getattr(u, "lift_right", 0.0), right))
+    heat = (aerodynamics.heat_rate(density, v, p, m),) if hasattr(x, "heat") else ()
+    rates = *v, *combine((1, free_acceleration(r, v, AXIS, p, m)), (1, felt)), 0.0, *heat
+    return *rates, *((0.0,) if hasattr(x, "whole") else ())
+
+
+def limit_margins(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """Return the margin to each stated limit: load [m/s^2], heat rate [W/m^2], dynamic pressure [Pa]."""
+    density, v = air.density(ellipsoid.altitude(position_vector(x), p, m), p, m), velocity_vector(x)
+    left = []
+    if hasattr(p, "limits_load"):
+        left.append(p.limits_load - aerodynamics.aerodynamic_load(density, v, x.m, p, m))
+    if hasattr(p, "limits_heat_rate"):
+        left.append(p.limits_heat_rate - aerodynamics.heat_rate(density, v, p, m))
+    if hasattr(p, "limits_dynamic_pressure"):
+        left.append(p.limits_dynamic_pressure - aerodynamics.dynamic_pressure(density, v))
+    return left
+
+
+LIMITED = {"load": "m/s^2", "heat_rate": "W/m^2", "dynamic_pressure": "Pa"}
+
+
+def height_above_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Height above the interface [m], below which there is air."""
+    return (ellipsoid.altitude(position_vector(x), p, m) - p.interface_altitude,)
+
+
+def depth_below_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Depth below the interface [m]: an entry that comes above it again has left the air."""
+    return (p.interface_altitude - ellipsoid.altitude(position_vector(x), p, m),)
+
+
+def entry_path_margins(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+    """Return the path conditions of an entry: depth below the interface, and the margins to the limits."""
+    return *depth_below_interface(x, u, p, m), *limit_margins(x, u, p, m, air=air)
+
+
+def interface_end_values(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Return what ends the transition: altitude, speed and path angle where stated, mass where no time gives it."""
+    ends = [ellipsoid.altitude(position_vector(x), p, m) - p.interface_altitude]
+    for name, value in (("speed", relative_speed(x, m)), ("angle", path_angle(x, m))):
+        if hasattr(p, f"interface_{name}"):
+            ends.append(value - getattr(p, f"interface_{name}"))
+        elif hasattr(p, f"interface_{name}_lower") or hasattr(p, f"interface_{name}_upper"):
+            ends.append(value)
+    return [*ends, *((x.m,) if throttled(p) and is_something_left(p) else ())]
+
+
+def offset_from_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """End of the flight, `SITE` [m]: the height above the site, and how far north and east of a place."""
+    if not hasattr(p, "site_longitude"):
+        return (ellipsoid.altitude(position_vector(x), p, m) - p.site_altitude,)
+    site = ellipsoid.geodetic_position(p.site_longitude, p.site_latitude, p.site_altitude, p, m)
+    away = combine((1, position_vector(x)), (-1, site))
+    return tuple(scalar_product(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, m))
+
+
+def site_arrival(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Return the same with the speed."""
+    return *offset_from_site(x, p, m), relative_speed(x, m)
+
+
+def parachute_opening_end(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """End of the entry where a parachute opens: the height above that altitude, and the speed."""
+    return ellipsoid.altitude(position_vector(x), p, m) - p.parachute_altitude, relative_speed(x, m)

@@ -1,0 +1,331 @@
+"""Feasibility checks of a return, before it is solved.
+
+*Down at all.* From a circular or elliptic orbit the least velocity change that lowers the flight to the radius r_a is
+that of an impulse at the apogee r_2, against the velocity there, to an ellipse with its perigee at r_a:
+
+    dV = sqrt(2 mu/r_2) (sqrt(r_1/(r_1 + r_2)) - sqrt(r_a/(r_a + r_2))),   r_1 the perigee of the orbit
+
+No finite burn does better, and drag begins at the interface only. Oblateness moves the height of a flight by some
+kilometres within a turn: `oblateness_height_shift` stands for that.
+
+*At the interface.* What `bounds` says of its speed and its angle.
+
+*Limits* of a ballistic entry. What `ballistic` says that every one bears.
+
+*Weak thrust.* How many turns a burn of that change lasts: of more than one it is warned, as it winds down.
+
+*In the air.* What `skip` says of entries that leave it again.
+
+*Slow enough.* What `fall` says of arriving at the site.
+
+*A file of air.* Its densities and those of the standard atmosphere of the body, which differ by less than a factor of
+three between solar minimum and maximum where they are compared: beyond ten a unit is wrong.
+
+*Sideways.* What `find_passes` says of a site that is out of the plane of the orbit; lift may reach further, and is only
+warned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from perilune.core.arrays import Physics
+from perilune.core.maths import NUMERIC
+from perilune.models.deorbit.ballistic_fall import (
+    Fall,
+    all_falls_too_fast,
+    entry_end_altitude,
+    fall,
+    slowest_arrival,
+    terminal_speed,
+)
+from perilune.models.deorbit.ballistic_limits import compare_least_loads
+from perilune.models.deorbit.interface_bounds import (
+    interface_speeds,
+    largest_altitude_change,
+    oblateness_height_shift,
+    steepest_angle,
+)
+from perilune.models.deorbit.orbit import orbit_state
+from perilune.models.deorbit.records import (
+    engine_exhaust_speed,
+    full_engine_thrust,
+    is_something_left,
+    total_velocity_change,
+)
+from perilune.models.deorbit.secular_drift import drift
+from perilune.models.deorbit.site_passes import (
+    Pass,
+    apsis_radii,
+    find_passes,
+    least_burnout_mass,
+    nearest_approach_to_plane,
+)
+from perilune.models.deorbit.skip_out import compare_skip_out
+from perilune.models.physics import ellipsoid
+from perilune.models.physics.atmosphere import Air
+from perilune.models.physics.standard_atmosphere import LOWEST, density as standard_density
+from perilune.problem.presolve import Finding
+
+_DEGREE = math.degrees(1.0)
+OFF_PLANE = math.radians(0.5)  # of oblateness and of what the air does
+_DAY = 86400.0  # s
+_ONE_TURN = 1.0  # of the orbit: a burn that lasts longer winds down
+_AHEAD = 3 * _DAY  # looked at for a pass that can be made
+_COMPARED_TO, _COMPARED_AT = 200e3, 401  # m, above which the Sun changes densities by more; altitudes
+_OTHER_AIR = 10.0  # times a density
+
+
+def compare_return(
+    p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: bool, standard: bool
+) -> tuple[Finding, ...]:
+    """Return every comparison of a return, for `Problem.preflight`.
+
+    Parameters
+    ----------
+    p, m
+        Parameters [SI] and the maths namespace.
+    angles
+        Argument of latitude and node at t = 0 [rad].
+    air
+        Air below the interface, or None.
+    drifts
+        Whether a coast follows the burn.
+    standard
+        True if the U.S. Standard Atmosphere, 1976, is the body's.
+    """
+    low, high = apsis_radii(p)
+    found = _compare_lowest_altitude(p, m, low, angles)
+    enters = all(np.all(f.passed) for f in found if f.binding)  # what is within the air already falls from no interface
+    if air is not None and air.said and standard:
+        found += _compare_with_standard_air(air)
+    if is_something_left(p):
+        found += [_compare_deorbit_change(p, m, low, high), *_compare_interface_values(p, m)]
+        if not hasattr(p, "transition_longest_coast"):
+            found.append(_compare_burn_descent(p, m, low))
+    if _is_single_problem(p, low) and low > p.body_radius and enters:
+        found += _compare_burn_with_turn(p, low, high)
+    if air is not None and _is_single_problem(p, low) and low > p.body_radius and enters:
+        fallen = fall(p, air)
+        if not hasattr(p, "vehicle_lift_to_drag"):
+            found += (*compare_least_loads(p, air, fallen), *compare_skip_out(p, air, fallen))
+        found += _compare_arrival_speed(p, air, fallen)
+        found += _compare_plane_turn(p, angles, fallen, drifts=drifts) if hasattr(p, "site_longitude") else ()
+    return tuple(found)
+
+
+def _compare_with_standard_air(air: Air) -> list[Finding]:
+    """Compare the air of a file with the standard, by the largest factor between their densities."""
+    low, high = max(air.bottom, LOWEST), min(air.top, _COMPARED_TO)
+    if low >= high:
+        return []
+    altitude = np.linspace(low, high, _COMPARED_AT)
+    own = SimpleNamespace(**{name: given.value for name, given in air.given.items()})
+    share = air.density(altitude, own, NUMERIC) / standard_density(altitude)
+    factor = np.maximum(share, 1 / share)
+    worst = int(factor.argmax())
+    return [
+        Finding(
+            name="factor between its densities and the US Standard Atmosphere 1976", value=float(factor[worst]),
+            limit=_OTHER_AIR, at_least=False, unit="1", binding=False,
+            meaning=f"at {altitude[worst] / 1e3:.3g} km the {air.name} has {share[worst]:.3g} times the density of the"
+            f" US Standard Atmosphere 1976; its file was read as {air.said}",
+            advice="look at the units in its headings, and at the order of its columns",
+        )
+    ]  # fmt: skip
+
+
+def _compare_lowest_altitude(p: Any, m: Any, low: Any, angles: Physics) -> list[Finding]:
+    """Compare perigee and ignition with the interface: a burn from high up may leave the ellipse before its perigee."""
+    leaves = not hasattr(p, "orbit_radius") and not hasattr(p, "orbit_longest_coast")
+    heights = {"perigee": (low - p.body_radius, not leaves)}
+    if leaves:
+        angle, node = angles(p, m)
+        position, _ = orbit_state(angle, node, p, m)
+        heights["ignition"] = ellipsoid.altitude(position, p, m), True
+    return [
+        Finding(
+            name=f"{name} above the interface", value=(height - p.interface_altitude) / 1e3, limit=0.0, at_least=True,
+            unit="km", binding=binding,
+            meaning="the orbit comes down into the air by itself, and there is no air above the interface here",
+            advice="a higher orbit (its radius is from the centre of the body), or a lower interface.altitude",
+        )
+        for name, (height, binding) in heights.items()
+    ]  # fmt: skip
+
+
+def _least_change(p: Any, m: Any, low: Any, high: Any, gate: Any) -> Any:
+    """Least velocity change [m/s] from the orbit to a perigee at a distance."""
+    left = m.sqrt(low / (low + high)) - m.sqrt(gate / (gate + high))
+    return m.sqrt(2 * p.body_gravitational_parameter / high) * m.fmax(left, 0.0)
+
+
+def _compare_deorbit_change(p: Any, m: Any, low: Any, high: Any) -> Finding:
+    return Finding(
+        name="velocity change that comes down to the interface",
+        value=_least_change(p, m, low, high, p.body_radius + p.interface_altitude + oblateness_height_shift(p, m)),
+        limit=total_velocity_change(p, m),
+        at_least=False,
+        unit="m/s",
+        binding=True,
+        meaning="the propellant cannot bring the vehicle down to the interface",
+        advice="more propellant (a lower vehicle.dry_mass or separation.mass), a lower orbit, or another engine",
+    )
+
+
+def _compare_burn_with_turn(p: Any, low: float, high: float) -> list[Finding]:
+    """Compare the burn of the least velocity change with one turn: a search seldom follows a spiral."""
+    mu, exhaust = p.body_gravitational_parameter, engine_exhaust_speed(p)
+    change = _least_change(p, NUMERIC, low, high, p.body_radius + p.interface_altitude)
+    burn = -math.expm1(-change / exhaust) * p.vehicle_mass * exhaust / full_engine_thrust(p)
+    turns = burn * math.sqrt(mu / ((low + high) / 2) ** 3) / (2 * math.pi)
+    if turns <= _ONE_TURN:
+        return []
+    return [
+        Finding(
+            name="turns of the orbit that the burn takes", value=turns, limit=_ONE_TURN, at_least=False, unit="1",
+            binding=False,
+            meaning=f"the engine is so weak that coming down to the interface takes {change:.0f} m/s or more, a burn of"
+            f" {burn / 3600:.1f} h: a spiral, which no search may find, and which arrives almost level",
+            advice="more vehicle.thrust, less mass, or a lower orbit",
+        )
+    ]  # fmt: skip
+
+
+def _compare_burn_descent(p: Any, m: Any, low: Any) -> Finding:
+    return Finding(
+        name="way down to the interface",
+        value=(low - p.body_radius - p.interface_altitude - oblateness_height_shift(p, m)) / 1e3,
+        limit=largest_altitude_change(p, m, total_velocity_change(p, m)) / 1e3,
+        at_least=False,
+        unit="km",
+        binding=True,
+        meaning="the burn, which lasts all the way to the interface, takes longer than there is propellant",
+        advice="transition.longest_coast, for a way down after the burn; or more propellant, less thrust",
+    )
+
+
+def _compare_interface_values(p: Any, m: Any) -> list[Finding]:
+    """Compare stated speed and angle at the interface with the range that the velocity change allows."""
+    found = list[Finding]()
+    slowest, fastest = interface_speeds(p, m)
+    for ending, limit, at_least in (("upper", slowest, True), ("lower", fastest, False)):
+        stated = getattr(p, "interface_speed", getattr(p, f"interface_speed_{ending}", None))
+        if stated is not None:
+            found.append(
+                Finding(
+                    name=f"{'greatest' if at_least else 'least'} speed at the interface", value=stated, limit=limit,
+                    at_least=at_least, unit="m/s", binding=True,
+                    meaning="the velocity change of all propellant gives no such speed at the interface",
+                    advice="another interface.speed, beside the turning body; look for m/s in place of km/s",
+                )
+            )  # fmt: skip
+    stated = getattr(p, "interface_angle", getattr(p, "interface_angle_upper", None))
+    if stated is not None:
+        found.append(
+            Finding(
+                name="path angle at the interface below the horizon", value=-stated * _DEGREE,
+                limit=steepest_angle(p, m) * _DEGREE, at_least=False, unit="deg", binding=True,
+                meaning="the velocity change of all propellant gives no flight so steep at the interface",
+                advice="a flatter interface angle, or more propellant (a lower vehicle.dry_mass or separation.mass)",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _is_single_problem(p: Any, low: Any) -> bool:
+    """Return True for one problem with finite numbers; for many at once or for symbols no flights are computed."""
+    return all(isinstance(number, int | float) and math.isfinite(number) for number in (*vars(p).values(), low))
+
+
+def _compare_arrival_speed(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...]:
+    """Compare the arrival speeds of a typical fall without lift (not binding) and of the slowest fall (binding)."""
+    advice = "more drag area, a higher site.altitude, or a greater site.speed_upper"
+    found, light = list[Finding](), ""
+    if fallen.lands and hasattr(p, "vehicle_drag_area") and not hasattr(p, "separation_mass"):
+        enough = p.vehicle_mass * (p.site_speed_upper / terminal_speed(p, air)) ** 2
+        light = f"; falling steadily it is slow enough below {enough:.0f} kg of its {p.vehicle_mass:g} kg"
+    if fallen.lands:
+        found.append(
+            Finding(
+                name="landing speed of a fall without lift", value=float(fallen.rows[-1, 2]), limit=p.site_speed_upper,
+                at_least=False, unit="m/s", binding=False,
+                meaning=f"the vehicle may arrive faster than site.speed_upper, which a parachute can take{light}",
+                advice=advice,
+            )
+        )  # fmt: skip
+    else:
+        found.append(
+            Finding(
+                name="altitude of a fall without lift after three turns", value=float(fallen.rows[-1, 0]) / 1e3,
+                limit=entry_end_altitude(p) / 1e3, at_least=False, unit="km", binding=False,
+                meaning="the vehicle may float, or leave the air again",
+                advice="a smaller drag area, or a steeper interface.angle",
+            )
+        )  # fmt: skip
+    if hasattr(p, "vehicle_lift_to_drag") or not fallen.lands or found[0].passed:
+        return tuple(found)
+    steep = steepest_angle(p, NUMERIC) if is_something_left(p) else math.inf
+    speeds = interface_speeds(p, NUMERIC) if is_something_left(p) else (0.0, math.inf)
+    light = SimpleNamespace(
+        **{**vars(p), "vehicle_mass": least_burnout_mass(p)}
+    )  # the less is left the slower it falls
+    slowest = slowest_arrival(light, air, -float(steep), (float(speeds[0]), float(speeds[1])))
+    steady = terminal_speed(light, air)
+    for name, value, sure in (
+        ("landing speed of the slowest fall, less a tenth", 0.9 * slowest, True),
+        ("speed of a steady fall at the site", steady, steady > p.site_speed_upper and all_falls_too_fast(light, air)),
+    ):
+        if sure:
+            found.append(
+                Finding(
+                    name=name, value=value, limit=p.site_speed_upper, at_least=False, unit="m/s", binding=True,
+                    meaning="no entry without lift arrives as slowly as site.speed_upper, which a parachute can take",
+                    advice=advice,
+                )
+            )  # fmt: skip
+    return tuple(found)
+
+
+def _compare_plane_turn(p: Any, angles: Physics, fallen: Fall, *, drifts: bool) -> tuple[Finding, ...]:
+    """Compare the site's least distance from the plane of the orbit during a flight with the turn by all propellant."""
+    angle, node = (float(v) for v in angles(p, NUMERIC))
+    orbit = drift(*orbit_state(angle, node, p, NUMERIC), p)
+    entry = fallen.time, float(fallen.rows[-1, 1])
+    away, turned = nearest_approach_to_plane(p, orbit, entry)
+    lifts = hasattr(p, "vehicle_lift_to_drag")
+    advice = "another site"
+    if away > turned + OFF_PLANE:
+        advice = f"{_describe_next_pass(p, find_passes(p, orbit, entry, drifts=drifts, until=_AHEAD))}; or another site"
+    return (
+        Finding(
+            name="site out of the plane of the orbit", value=math.degrees(away),
+            limit=math.degrees(turned + OFF_PLANE), at_least=False, unit="deg", binding=not lifts,
+            meaning=f"the site stays {away * p.body_radius / 1e3:.0f} km or more"
+            " out of the plane of the orbit, which is further than the propellant can turn it",
+            advice=advice,
+        ),
+    )  # fmt: skip
+
+
+def _describe_next_pass(p: Any, found: Sequence[Pass]) -> str:
+    """Describe the first pass that can be made; where there is none, the one that needs the least turn."""
+    available = total_velocity_change(p)
+    good = next((one for one in found if one.velocity_change <= available), None)
+    if good is not None:
+        return f"the first pass that can be made has its ignition {good.ignition / 3600:.1f} h after t = 0"
+    if abs(p.site_latitude) > math.asin(math.sin(p.orbit_inclination)):
+        return "the plane of the orbit never comes over its latitude: a higher orbit.inclination"
+    days = _AHEAD / _DAY
+    if not found:
+        return f"no pass within {days:g} days is surely within reach"
+    least = min(found, key=lambda one: abs(one.away))
+    return (
+        f"no pass within {days:g} days is surely within reach; the nearest is"
+        f" {math.degrees(abs(least.away)):.1f} deg off, {least.ignition / 3600:.1f} h after t = 0"
+    )

@@ -1,0 +1,1 @@
+"""Hybrid-engine landing from an orbit: problem and presolve."""

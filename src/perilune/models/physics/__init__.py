@@ -1,0 +1,1 @@
+"""Bodies, atmospheres, vehicles, time scales, frames and coasts, which every model shares."""

@@ -1,0 +1,86 @@
+"""A free fall before ignition: where the start is stated, the place at which the engine lights is chosen.
+
+Stating the longest fall (``longest_coast`` of a start) puts a phase without thrust before the burn. Its length
+`coast_time` is a free parameter, so that it is chosen as every other: H = 0 along the fall as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+from perilune.core.arrays import Physics
+from perilune.core.fields import quantity
+from perilune.problem.phase import Phase
+from perilune.problem.variables import Free, Variable
+
+SHORTEST = 1e-3  # s: a curve has a length; the landed mass does not feel it
+LONGEST: Any = quantity(
+    "s", "900 s", default=None, above=SHORTEST,
+    about="longest free fall before ignition, whose length is then chosen; left open, ignition is at the start",
+)  # fmt: skip
+COAST_TIME = Variable(name="coast_time", unit="s", description="free fall before ignition")
+FREE = Free(name="coast_time", unit="s")
+
+
+def coast_range(longest: float) -> tuple[float, float, float]:
+    """Bounds and order of magnitude of `coast_time`."""
+    return SHORTEST, longest, 0.5 * longest
+
+
+def with_coast(burn: Phase, path: Physics, kept: Mapping[str, tuple[str, ...]]) -> tuple[Phase, Phase]:
+    """The fall and the burn.
+
+    Parameters
+    ----------
+    burn
+        The phase that begins at ignition; its functions are asked with every control 0.
+    path
+        Values of the path conditions that hold without thrust as well.
+    kept
+        Names of these (``path_conditions``), and of the outputs that mean something then (``output_variables``).
+    """
+
+    def off(function: Physics | None) -> Physics | None:
+        return function and partial(_engine_off, function=function, names=burn.control_names)
+
+    conditions, outputs = (
+        tuple(v for v in getattr(burn, name) if v.name in kept[name])
+        for name in ("path_conditions", "output_variables")
+    )
+    places = [k for k, v in enumerate(burn.output_variables) if v in outputs]
+    fall = replace(
+        burn,
+        name="coast",
+        controls=(),
+        dynamics=partial(_engine_off, function=burn.dynamics, names=burn.control_names),
+        duration=FREE.name,
+        end=None,
+        end_conditions=(),
+        path=path,
+        path_conditions=conditions,
+        outputs=partial(_select_values, function=off(burn.outputs), places=places) if outputs else None,
+        output_variables=outputs,
+        integrals=off(burn.integrals),
+        inertial=off(burn.inertial),
+        typical_end=None,
+    )
+    return fall, burn
+
+
+def at_ignition(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    """The burn begins where the fall ends."""
+    return tuple(x)
+
+
+def _engine_off(x: Any, u: Any, *rest: Any, function: Physics, names: Sequence[str]) -> Sequence[Any]:
+    """A function of (x, u, p, m) or (x, u, t, p, m) with the engine off."""
+    return function(x, SimpleNamespace(**{**dict.fromkeys(names, 0.0), "throttle": 0.0}), *rest)
+
+
+def _select_values(x: Any, u: Any, p: Any, m: Any, *, function: Any, places: Sequence[int]) -> Sequence[Any]:
+    values = function(x, u, p, m)
+    return [values[k] for k in places]

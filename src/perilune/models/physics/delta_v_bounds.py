@@ -1,0 +1,279 @@
+"""Bounds that hold for every flight, whatever its steering: what the models' comparisons before solving share.
+
+No flight goes below the radius r_s of its site, and thrust never exceeds T, the greatest that the throttle allows.
+
+*Speed.* Let w^2 = V^2 + 2 mu (1/r_s - 1/r) with the inertial speed V, so w >= V. Gravity of a point mass leaves w as it
+is, and thrust acceleration a gives |w w'| <= a V <= a w. At rest on the ground w <= |omega| r_s. So the whole ideal
+velocity change is at least w(start) - |omega| r_s, and the rocket equation turns it into mass. An impulsive burn lowers
+w by at most its size.
+
+*Touchdown* from above at rest needs r'' >= 0 there, so T/m_f >= mu/r_s^2 - omega^2 r_s.
+
+*Stopping* a descent at radial speed -v. In inertial axes r'' = V_h^2/r + a_r - mu/r^2 (J2 apart). Whatever the throttle
+did before, a_r <= T/(m0 - q t), q = T/c the greatest flow, as more mass is left wherever less was burnt. While r_s <= r
+<= r(0), and until the time t_b = (m0/q) (1 - exp(-v/c)) in which full thrust stops v without gravity,
+
+    V <= S = V(0) + v + mu/r_s^2 t_b          (thrust adds at most c log(m0/(m0 - q t_b)) = v)
+    r'' <= T/(m0 - q t) - k,   k = mu/r(0)^2 - S^2/r_s
+    r(t) <= Z(t) = r(0) - v t + (integral of c log(m0/(m0 - q s))) - k t^2/2
+
+Z is convex, and r' <= Z'. Let Z(t_b) < r_s. Where k >= 0, Z' < 0 before t_b, so no flight is at rest before t_b, and
+at t_b it is below the site. Where k < 0, Z has its least value, below r_s too, at some t_s <= t_b; before t_s no flight
+is at rest, and at t_s it is below the site. Either way there is no flight. Z(t_b) = r(0) - v m0/q + c t_b - k t_b^2/2.
+
+*A speed u that may be left on the ground.* With v - u for v in t_b and in the way, Z(t_b) + u t_b is compared with r_s.
+Until Z' = -u no flight is slow enough, and there Z <= Z(t_b) + u t_b, so that it is below the site.
+
+*Flat ground.* Under uniform gravity g, r is the height over the ground, the fall from it mu (1/r_s - 1/r) is g (r -
+r_s), mu/r^2 is g, and what has r in its denominator otherwise is nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.models.physics.bodies import Body
+from perilune.models.physics.rotating_frame import combine, cross_product, scalar_product
+from perilune.problem.presolve import Finding
+
+SLACK = 1.02  # of what the rocket equation allows, for J2, which the speed w leaves out
+_SAME_ORBIT = 1e-6  # of the speed: what changes an orbit by less does not choose a place on it
+
+
+def is_flat(p: Any) -> bool:
+    """Return True if the ground is flat and gravity uniform: a radius is then the height over it."""
+    return hasattr(p, "body_gravity")
+
+
+def gravity_at(r: Any, p: Any) -> Any:
+    """Gravity [m/s^2] of a sphere at a radius, or uniform gravity."""
+    return p.body_gravity if is_flat(p) else p.body_gravitational_parameter / (r * r)
+
+
+def _pull_of_j2(r_site: Any, p: Any, m: Any) -> Any:
+    """Return the most [m/s^2] that oblateness pulls above the site."""
+    if not hasattr(p, "body_j2"):
+        return 0.0
+    r_ratio = p.body_radius / r_site
+    return 3 * m.fabs(p.body_j2) * gravity_at(r_site, p) * r_ratio * r_ratio
+
+
+def _centrifugal(speed: Any, r: Any, p: Any) -> Any:
+    """Return the centrifugal acceleration [m/s^2] of a horizontal speed where the ground is round."""
+    return 0.0 if is_flat(p) else speed * speed / r
+
+
+def greatest_thrust(p: Any) -> Any:
+    """Thrust [N] at the upper bound of the throttle."""
+    return p.vehicle_thrust * getattr(p, "throttle_upper", 1.0)
+
+
+def exhaust_speed(p: Any) -> Any:
+    """Exhaust speed [m/s] of the engine."""
+    return p.vehicle_specific_impulse * p.vehicle_standard_gravity
+
+
+def inertial_speed(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
+    """Speed [m/s] in inertial axes, of a position from the centre and a velocity relative to the turning body."""
+    seen = velocity if is_flat(p) else combine((1, velocity), (p.body_rotation_rate, cross_product(axis, position)))
+    return m.sqrt(scalar_product(seen, seen))
+
+
+def speed_with_fall(speed: Any, r_start: Any, r_site: Any, p: Any, m: Any) -> Any:
+    """The speed w of the head of this file [m/s], which only thrust changes."""
+    drop = r_start - r_site
+    fall = p.body_gravity * drop if is_flat(p) else p.body_gravitational_parameter * (1 / r_site - 1 / r_start)
+    return m.sqrt(speed * speed + 2 * fall)
+
+
+def speed_of_ground(r_site: Any, p: Any, m: Any) -> Any:
+    """Greatest inertial speed [m/s] of a place at rest on the ground."""
+    return 0.0 if is_flat(p) else m.fabs(p.body_rotation_rate) * r_site
+
+
+def largest_mass_stopped(r_site: Any, p: Any, m: Any) -> Any:
+    """Largest mass [kg] that can come to rest on the ground from above, anywhere at this radius."""
+    lifted = _centrifugal(speed_of_ground(r_site, p, m), r_site, p)
+    return greatest_thrust(p) / m.fmax(gravity_at(r_site, p) - _pull_of_j2(r_site, p, m) - lifted, 0.0)
+
+
+def compare_thrust_and_weight(r_site: Any, p: Any) -> Finding:
+    """Compare the thrust at ignition with the weight at the site: whether the vehicle could hover."""
+    return Finding(
+        name="thrust against weight at ignition",
+        value=greatest_thrust(p) / (p.vehicle_mass * gravity_at(r_site, p)),
+        limit=1.0,
+        at_least=True,
+        unit="1",
+        binding=False,
+        meaning="the lander cannot hover when it ignites: it must brake while its speed still carries it",
+    )
+
+
+def compare_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
+    """Compare the dry mass with the largest mass [kg] that the engine can stop; empty where no dry mass is given."""
+    if not hasattr(p, "vehicle_dry_mass"):
+        return ()
+    return (
+        Finding(
+            name="landed mass that the thrust can hold",
+            value=held,
+            limit=p.vehicle_dry_mass,
+            at_least=True,
+            unit="kg",
+            binding=True,
+            meaning="even at its greatest throttle the engine cannot stop the descent of an empty vehicle",
+            advice="more thrust, or a lighter vehicle",
+        ),
+    )
+
+
+def compare_start_height(start: Any, site: Any) -> Finding:
+    """Compare the altitudes [m] of start and site; a millimetre stands for "strictly above"."""
+    return Finding(
+        name="start above the site",
+        value=start - site,
+        limit=1e-3,
+        at_least=True,
+        unit="m",
+        binding=True,
+        meaning="the descent does not begin above its site, and no flight here goes below that",
+        advice="a higher start, or a lower site",
+    )
+
+
+def compare_neglected_air(body: Body) -> tuple[Finding, ...]:
+    """Warn about the air of a body that has some: no model here has drag, lift or heat."""
+    if not body.air:
+        return ()
+    return (
+        Finding(
+            name="pressure of the air at the surface",
+            value=body.air,
+            limit=0.0,
+            at_least=False,
+            unit="Pa",
+            binding=False,
+            meaning=f"{body.spoken} has air, which is left out: the answer is that of an airless body",
+            advice="take it for the last part, where the lander is slow, and know the drag to be missing",
+            lasting=True,
+        ),
+    )
+
+
+def braking_distance_and_time(speed: Any, p: Any, m: Any, lever: Any = 1.0) -> tuple[Any, Any]:
+    """Distance [m] and time [s] to stop from `speed` by full thrust in free space, each push times a lever."""
+    tau = p.vehicle_mass * exhaust_speed(p) / greatest_thrust(p)
+    exhaust = lever * exhaust_speed(p)
+    time = tau * (1 - m.exp(-speed / exhaust))
+    return speed * tau - exhaust * time, time
+
+
+def longest_burn(p: Any) -> Any:
+    """Time [s] in which full thrust burns all propellant."""
+    return (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * exhaust_speed(p) / greatest_thrust(p)
+
+
+def velocity_change(p: Any, m: Any) -> Any:
+    """Velocity change [m/s] that all propellant above the dry mass gives, by the rocket equation."""
+    return exhaust_speed(p) * m.log(p.vehicle_mass / p.vehicle_dry_mass)
+
+
+def speed_to_lose(
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+) -> Any:
+    """Least ideal velocity change [m/s] from a start to rest on the ground; arguments as `compare_stopping_distance`."""
+    r = m.sqrt(scalar_product(position, position))
+    speed = inertial_speed(position, velocity, axis, p, m)
+    return speed_with_fall(speed, r, r_site, p, m) - speed_of_ground(r_site, p, m)
+
+
+def compare_propellant(
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
+) -> Finding:
+    """Compare the speed to lose with the velocity change of the propellant; arguments as `compare_stopping_distance`."""
+    return Finding(
+        name="speed to lose",
+        value=speed_to_lose(position, velocity, axis, r_site, p, m) - left,
+        limit=SLACK * velocity_change(p, m),
+        at_least=False,
+        unit="m/s",
+        binding=True,
+        meaning="the propellant cannot take away the speed of the start and of the fall to the site",
+        advice="more propellant, a higher specific impulse, or a slower start",
+    )
+
+
+def compare_stopping_distance(
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
+) -> Finding:
+    """Compare the least stopping distance with the height above the site: the proof is at the head of this file.
+
+    Parameters
+    ----------
+    position, velocity
+        From the centre [m], and relative to the turning body [m/s], in axes that turn with it; over flat ground
+        from the point under the vehicle.
+    axis
+        Unit vector of the rotation in them.
+    r_site
+        Radius of the site [m].
+    left
+        Speed [m/s] straight down that may be left on the ground.
+    """
+    r = m.sqrt(scalar_product(position, position))
+    down = m.fmax(-scalar_product(position, velocity) / r - left, 0.0)
+    distance, time = braking_distance_and_time(down, p, m)
+    oblate = _pull_of_j2(r_site, p, m)
+    fastest = inertial_speed(position, velocity, axis, p, m) + down + (gravity_at(r_site, p) + oblate) * time
+    pull = gravity_at(r, p) - oblate - _centrifugal(fastest, r_site, p)
+    return Finding(
+        name="fall before full thrust can stop it",
+        value=distance + 0.5 * pull * time * time,
+        limit=r - r_site,
+        at_least=False,
+        unit="m",
+        binding=True,
+        meaning="the descent is too fast: even full thrust straight up cannot stop it above the site",
+        advice="a slower or higher start, or more thrust",
+    )
+
+
+def compare_late_ignition(position: Any, velocity: Any, p: Any, m: Any) -> Finding:
+    """Compare what the place and the time of the first burn change with nothing, for a landing anywhere.
+
+    On a circular orbit over a sphere that does not turn every place is as good as every other, so that a flight that
+    may coast first may do so for any time at no cost: the best flights are a continuum, and none is strictly the best.
+
+    Parameters
+    ----------
+    position, velocity
+        Where the flight begins, relative to the body [m, m/s].
+    p, m
+        Parameters of a descent whose throttle has bounds, and the maths namespace.
+
+    Returns
+    -------
+    Finding
+        The eccentricity, the speed of the ground over that of the orbit, and the least throttle, added up.
+    """
+    mu, square = p.body_gravitational_parameter, scalar_product(velocity, velocity)
+    r, rising = m.sqrt(scalar_product(position, position)), scalar_product(position, velocity)
+    apse = [((square - mu / r) * place - rising * rate) / mu for place, rate in zip(position, velocity, strict=True)]
+    ground = m.fabs(p.body_rotation_rate) * r / m.sqrt(mu / r)
+    return Finding(
+        name="cost of a later ignition",
+        value=m.sqrt(scalar_product(apse, apse))
+        + ground
+        + m.fabs(p.throttle_lower)
+        + m.fabs(getattr(p, "body_j2", 0.0)),
+        limit=_SAME_ORBIT,
+        at_least=True,
+        unit="1",
+        binding=False,
+        meaning="the orbit is circular, the body does not turn, and any place will do: equally good flights"
+        " ignite later, so that none is strictly the best, and local optimality (level 3) cannot be proved",
+        advice="any of them may be flown; a site, a body that turns, or an orbit that is not circular chooses one",
+        lasting=True,
+    )

@@ -1,0 +1,1 @@
+"""Precision landing in the tangent plane of a site: problem, path constraints, presolve."""

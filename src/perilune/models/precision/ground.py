@@ -1,0 +1,48 @@
+"""Ground around a landing site: of a round body that turns, or flat under uniform gravity.
+
+Frame: east, north, up at the site, turning with the body; position from the site, velocity relative to it. The
+rotation axis of a round body is (0, cos latitude, sin latitude) there, and the mechanics are those of
+`perilune.models.physics.rotating_frame`. Over flat ground gravity is (0, 0, -g), and no direction in the plane is
+marked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.models.descent.coordinates import descent_thrust
+from perilune.models.physics.delta_v_bounds import is_flat
+from perilune.models.physics.rotating_frame import Triple, combine, free_acceleration, inertial_triples, local_axes
+
+
+def position_from_centre(x: Any, p: Any) -> Triple:
+    """Position [m] from the centre of a round body."""
+    return x.east, x.north, x.up + p.body_radius + p.site_altitude
+
+
+def axis(p: Any, m: Any) -> Triple:
+    """Unit vector of the rotation of a round body."""
+    return 0.0, m.cos(p.site_latitude), m.sin(p.site_latitude)
+
+
+def ground_free_acceleration(x: Any, velocity: Sequence[Any], p: Any, m: Any) -> Triple:
+    """Return the acceleration [m/s^2] of a free fall relative to the ground."""
+    if is_flat(p):
+        return 0.0, 0.0, -p.body_gravity
+    return free_acceleration(position_from_centre(x, p), velocity, axis(p, m), p, m)
+
+
+def over_ground(x: Any, p: Any, m: Any) -> tuple[Triple, Triple, Any]:
+    """Return the place in the form of `delta_v_bounds`: position, axis of the rotation, radius of the site."""
+    if is_flat(p):
+        return (0.0, 0.0, x.up), (0.0, 0.0, 0.0), 0.0
+    return position_from_centre(x, p), axis(p, m), p.body_radius + p.site_altitude
+
+
+def inertial_over_round_body(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+    """`perilune.problem.phase.Phase.inertial` over a round body."""
+    up, north, east = local_axes(p.site_longitude, p.site_latitude, m)
+    vectors = (position_from_centre(x, p), (x.v_east, x.v_north, x.v_up), (u.toward_east, u.toward_north, u.toward_up))
+    position, velocity, direction = (combine((a, east), (b, north), (c, up)) for a, b, c in vectors)
+    return inertial_triples(position, velocity, combine((descent_thrust(u, p) / x.m, direction)), t, p, m)

@@ -1,0 +1,69 @@
+"""Path conditions of a precision landing: height above the ground or a glide slope, and the tilt of its thrust.
+
+    d_up >= cos(tilt)                                      pointing limit: the vehicle stays near upright
+    up >= tan(slope) (sqrt(east^2 + north^2 + a^2) - a)    glide slope: the ground is not flown into
+
+The glide slope is a hyperboloid with pad radius a. It lies between the cone from the site, whose tip has no
+normal, and the cone from the rim of the pad.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from perilune.core.fields import quantity, record
+from perilune.models.descent.coordinates import variables_of_unit
+from perilune.problem.variables import Variable
+
+
+@record("corridor")
+class Corridor:
+    """Limits on the path of a precision landing, each of them optional; without any, only the ground remains."""
+
+    tilt: float | None = quantity(
+        "rad", "50 deg", default=None, above=0.0, below=0.5 * math.pi, outside="is no angle",
+        about="greatest angle of the thrust from the vertical; up to it the lander may touch down tilted",
+    )  # fmt: skip
+    slope: float | None = quantity(
+        "rad", "20 deg", default=None, above=0.0, below=0.5 * math.pi, outside="is no angle",
+        about="least elevation of the vehicle above the horizon as seen from the site; else the ground alone",
+    )  # fmt: skip
+    pad_radius: float = quantity(
+        "m", "10 m", default=10.0, above=0.0, outside="must be positive",
+        about="where the glide slope begins: its tip is rounded so far",
+    )  # fmt: skip
+
+
+NONE = Corridor()  # but the ground
+POINTING = Variable(name="pointing_margin", description="cosine of the thrust's tilt less that of corridor.tilt")
+
+
+def corridor_conditions(corridor: Corridor, *, to_gate: bool = False) -> tuple[Variable, ...]:
+    """Conditions of the path, in the order of `corridor_margins`; `to_gate` where a vertical descent follows."""
+    heights = ("height_above_glide_slope",) if corridor.slope is not None else ()
+    heights += ("height_above_gate",) if to_gate else ()
+    return (
+        *variables_of_unit("m", *(heights or ("height_above_site",))),
+        *((POINTING,) if corridor.tilt is not None else ()),
+    )
+
+
+def above_slope(x: Any, p: Any, m: Any) -> Any:
+    """Height [m] above the glide slope."""
+    a = p.corridor_pad_radius
+    return x.up - m.tan(p.corridor_slope) * (m.sqrt(x.east * x.east + x.north * x.north + a * a) - a)
+
+
+def corridor_margins(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Values of `corridor_conditions` where the engine burns."""
+    pointing = (u.toward_up - m.cos(p.corridor_tilt),) if hasattr(p, "corridor_tilt") else ()
+    return *height_margins(x, u, p, m), *pointing
+
+
+def height_margins(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    """Values of `corridor_conditions` that mean something without thrust: the heights."""
+    slope = (above_slope(x, p, m),) if hasattr(p, "corridor_slope") else ()
+    gate = (x.up - p.final_height,) if hasattr(p, "final_height") else ()
+    return (*slope, *gate) or (x.up,)

@@ -1,0 +1,1 @@
+"""How problems and solutions are shown: reprs, views, names of quantities."""

@@ -1,0 +1,20 @@
+"""Given parameters of a problem from the declared records of a model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from perilune.core.fields import Quantity, record_keys, record_values, section_of
+from perilune.problem.variables import Given
+
+
+def given_of(*records: Any) -> dict[str, Given]:
+    """Return given parameters ``section_key`` of records, with the text in which a value was stated; none of None."""
+    found = {}
+    for record in records:
+        section, keys = section_of(type(record)), record_keys(type(record))
+        for name, value in record_values(record).items():
+            declared = keys[name].declared
+            if isinstance(declared, Quantity) and value is not None:
+                found[f"{section}_{name}"] = Given(value=value, unit=declared.unit)
+    return found

@@ -1,0 +1,1 @@
+"""What a solution holds: extremals, nodes, extrema, arc sequences, dispersion, warnings."""

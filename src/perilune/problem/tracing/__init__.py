@@ -1,0 +1,1 @@
+"""Problems as expressions: tapes, dimensions, Lie derivatives, costate signs."""

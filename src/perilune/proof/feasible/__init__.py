@@ -1,0 +1,1 @@
+"""Level 1: the trajectory is propagated again, and every stated condition holds."""

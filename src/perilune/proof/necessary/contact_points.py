@@ -1,0 +1,206 @@
+"""Contact points and boundary arcs of pure state conditions: their multipliers are jumps of the costates.
+
+Where S(x, p) >= 0 is touched, at a time of the flight's own choice,
+
+    lam(t-) = lam(t+) + nu dS/dx,   nu <= 0,   H(t-) = H(t+),
+
+nu being the change of J as the condition is moved, J + nu S. The flight is cut there, and at the beginning and the end
+of every boundary arc S = 0, and proved as an answer of the problem restated with these arcs as phases
+(`perilune.structures.multiphase`), whose conditions at the cuts are S = 0 and its derivatives. Where to cut is found
+here, by the tables themselves. A neighbour of the flight that does not touch S pays to first order where nu < 0
+strictly.
+
+Boundary arcs have files of their own (`ridden`, `rides`).
+
+Source: Bryson and Ho (1975), sections 3.11-3.13; Hartl, Sethi, Vickson (1995), sections 4 and 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+
+from perilune.core.arrays import Vector
+from perilune.core.maths import NUMERIC
+from perilune.problem.controls import scalars
+from perilune.problem.results.solution import Solution, full
+from perilune.problem.tracing.lie_derivatives import depends_on_control
+from perilune.problem.tracing.tape import Expression
+from perilune.problem.verification import Check
+from perilune.proof.feasible.phase_data import PhaseData
+from perilune.proof.necessary.constraint_activity import LEAST, table_edges
+from perilune.proof.necessary.first_order import STATIONARY_LIMIT, phase_end_multipliers
+from perilune.proof.necessary.minimum_principle import on_bounds
+from perilune.structures.detect_arcs import POINTS, Contact, arcs_of
+from perilune.structures.multiphase import restate
+from perilune.structures.split_join import split_solution
+from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds, steering_controls
+
+_ON = 1e-7  # of what a condition goes through: it is met
+_HELD = 1e-7  # of the most that its rate with the control in it is: that vanishes
+_SAID = 1e-6  # of the costates where a phase ends, scaled: what end conditions leave of them is nothing
+_JUMP = 1e-9  # of a costate's size: less is no jump
+MET = 1e-9  # of its size: a condition that is met, or its rate
+SIDEWAYS = 1e-6  # of a multiplier, of what H told: it is continuous there to a double root only
+_LOOKS = 200  # times of an arc
+STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
+
+
+def restate_with_contacts(solution: Solution) -> tuple[Solution, Structure]:
+    """Return the solution of the problem restated with its contact points and boundary arcs; itself if none."""
+    phases = []
+    for k, flown in enumerate(solution.trajectories):
+        arc = PhaseData(solution=solution, index=k)
+        known = margins(solution.problem, arc.index) if flown.costate is not None else {}
+        found = [
+            c for name, (_, S, _) in known.items() if not depends_on_control(S) for c in _contact_times(arc, name, S)
+        ]
+        phases.append(arcs_of(solution.problem, k, found, arc.duration))
+    structure = Structure(tuple(phases))
+    if structure.plain:
+        return solution, structure
+    if any(arcs[-1].along for arcs in structure.phases):
+        # The costates may be those of end conditions that the arc says again, or of a statement without: both are one.
+        # Where multipliers are claimed of these it is the first, in which they can be compared.
+        fewer = split_solution(solution, structure, restate(solution.problem, structure, repeated=False))
+        stated = {f"{phase.name}.{c.name}" for phase in fewer.problem.phases for c in phase.end_conditions}
+        arcs = (PhaseData(solution=fewer, index=k) for k in range(len(fewer.trajectories)))
+        if fewer.multipliers.keys() <= stated and all(
+            np.abs(phase_end_multipliers(arc)[1]).max() <= _SAID for arc in arcs
+        ):
+            return fewer, structure
+    return split_solution(solution, structure), structure
+
+
+def _contact_times(arc: PhaseData, name: str, S: Expression) -> Iterator[Contact]:
+    """Yield the contacts of a condition: arcs between edges of the tables, and edges at which the costates jump."""
+    edges, size = table_edges(arc), LEAST * _condition_size(arc, name)
+    t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, POINTS))
+    room = _condition_along(arc, S, t)
+    met = np.abs(room) <= _ON * max(float(np.ptp(room)), size)
+    if not met.any():
+        return
+    condition = conditions_of(arc.problem, arc.index, (name,))[name]
+    # Between two touches, or a touch and its end, a flight may stay that near and ride along nothing.
+    rate = np.abs(_condition_along(arc, condition.values[-1], t))
+    held, order = met & (rate <= _HELD * rate.max()), condition.order
+    ends = [0.0, *edges.tolist(), arc.duration]
+    riding = [bool(held[(t > a) & (t < b)].all()) and bool(met[(t >= a) & (t <= b)].all()) for a, b in pairwise(ends)]
+    begin = None
+    for i, rides in enumerate([*riding, False]):
+        if rides and begin is None:
+            begin = ends[i]
+        elif not rides and begin is not None:
+            if condition.steered and not _kept_by_control_bounds(arc, condition, begin, ends[i]):
+                yield Contact(name=name, begin=begin, end=ends[i], ridden=True)
+            begin = None
+    for i, time in enumerate(edges.tolist()):
+        if (
+            order > 1
+            and not (riding[i] or riding[i + 1])
+            and met[np.argmin(np.abs(t - time))]
+            and _costates_jump(arc, time)
+        ):
+            yield Contact(name=name, begin=time, end=time, ridden=False)
+
+
+def _condition_along(arc: PhaseData, S: Expression, t: Vector) -> Vector:
+    """S at times of a phase [SI]."""
+    bounds = {given: g.value for given, g in plain_bounds(arc.problem).items()}
+    p, x, u = SimpleNamespace(**vars(arc.p), **bounds), arc.state(t), arc.control(t)
+    return full(S(arc.phase.state_record(*x), arc.phase.control_record(*u), p, NUMERIC)[0], t)
+
+
+def _condition_size(arc: PhaseData, name: str) -> float:
+    """Size of a condition that goes through nothing [SI]: of the path condition, or of the state whose bound it is."""
+    paths = [condition.name for condition in arc.phase.path_conditions]
+    if name in paths:
+        return float(arc.path_scale[paths.index(name)])
+    return float(arc.state_scale[arc.phase.state_names.index(name.rpartition(".")[0])])
+
+
+def _kept_by_control_bounds(arc: PhaseData, condition: Condition, begin: float, end: float) -> bool:
+    """Return True if a met condition has no multiplier: the controls that move it are on bounds, lam does not jump.
+
+    An empty tank stays empty while the engine is off. The checks are then made without the condition.
+    """
+    moving = steering_controls(condition)
+    u = arc.control(np.linspace(begin, end, _LOOKS + 2)[1:-1])
+    on = {
+        control.name: bool(np.logical_or(*on_bounds(arc, at, control, u)).all())
+        for at, control in scalars(arc.phase.controls)
+    }
+    return all(on.get(control, False) for control in moving) and not any(_costates_jump(arc, t) for t in (begin, end))
+
+
+def _costates_jump(arc: PhaseData, time: float) -> bool:
+    """Return True if the costates jump at a time, where the physics does not."""
+    curve = arc.trajectory.costate
+    if curve is None or np.isin(time, arc.crossed).any():
+        return False
+    at = np.nonzero(curve.time == time)[0]
+    size = np.abs(curve.values).max(axis=0)
+    return len(at) > 1 and bool((np.abs(curve.values[at[-1]] - curve.values[at[0]]) > _JUMP * size).any())
+
+
+def check_contact_multipliers(solution: Solution, parts: Solution, structure: Structure) -> Iterator[Check]:
+    """Checks of levels 2 and 3: the multipliers at what is touched.
+
+    Parameters
+    ----------
+    solution, parts, structure
+        Of `restate_with_contacts`.
+    """
+    number = 0
+    for k, arcs in enumerate(structure.phases):
+        conditions = conditions_of(solution.problem, k, structure.named(k))
+        for arc in arcs:
+            part = PhaseData(solution=parts, index=number)
+            number += 1
+            yield from (check for name in arc.touches for check in _check_contact_point(part, conditions[name]))
+
+
+def _check_contact_point(part: PhaseData, condition: Condition) -> Iterator[Check]:
+    nu, _ = phase_end_multipliers(part)
+    name, row = condition.name, {c.name: i for i, c in enumerate(part.phase.end_conditions)}
+    at, rate = (row[condition.rated(i, "touch_", 1.0).name] for i in (0, 1))
+    scaled = nu * part.end_scale / part.objective_scale
+    yield _check_contact(part, [at, rate], name)
+    yield Check(
+        name=f"{part.prefix}touch", level=2, unit="1", limit=STATIONARY_LIMIT, value=float(np.maximum(0.0, scaled[at])),
+        meaning=f"what J would gain if the flight left {name} where it touches it (scaled): the multiplier is not "
+        "positive",
+    )  # fmt: skip
+    yield Check(
+        name=f"{part.prefix}touch_jump", level=2, unit="1", limit=SIDEWAYS, value=abs(float(scaled[rate])),
+        meaning=f"jump of the costates along the slope of the rate of {name}, where it is touched (scaled): they jump "
+        "along its own slope alone",
+    )  # fmt: skip
+    yield Check(
+        name=f"{part.prefix}strict_touch", level=3, unit="1", limit=-STRICT, value=float(scaled[at]),
+        meaning=f"multiplier of {name} where it is touched (scaled): strictly negative, so that a flight that does not "
+        "touch it pays to first order",
+    )  # fmt: skip
+
+
+def relax_strict_check(strict: Check) -> Check:
+    """Return the check of a multiplier that need not be strict, as the second variation is positive without that."""
+    return replace(
+        strict, limit=STATIONARY_LIMIT,
+        meaning=strict.meaning.partition(":")[0] + ": next to nothing, but not positive; the second variation is "
+        "positive for flights that leave the condition as well, so that it need not be strictly negative",
+    )  # fmt: skip
+
+
+def _check_contact(part: PhaseData, rows: list[int], name: str) -> Check:
+    """Check that the conditions of a contact vanish at the end of the part."""
+    end = part.state(np.array([part.duration]))[:, 0].tolist()
+    values = np.array(part.phase.evaluate("end", end, (), part.p), dtype=float) / part.end_scale
+    return Check(
+        name=f"{part.prefix}met", level=2, unit="1", limit=MET, value=float(np.abs(values[rows]).max()),
+        meaning=f"{name} and its rates where the flight is said to meet it (scaled): they vanish",
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Level 3: second variation, conjugate points, strict complementarity, sensitivities."""

@@ -1,0 +1,82 @@
+"""A quadratic form of variations under linear conditions: whether it is positive, and what a Newton step would gain.
+
+Source: Hestenes (1966), as `perilune.proof.sufficient.second_order`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from perilune.core.arrays import Matrix, Vector
+
+_NOTHING = 1e-10  # of the form: less is zero
+
+
+@dataclass(frozen=True)
+class QuadraticForm:
+    """Variations of (parameters, switching times, controls of all pieces).
+
+    In coordinates such that int du' H_uu du + sum D dt^2 is a sum of squares.
+
+    Attributes
+    ----------
+    form, constraints
+        Second variation, and linearised end conditions in rows.
+    slope
+        First variation of J, with the multipliers of what variations need not keep; flown, and so 0 on those that keep
+        the conditions, whatever the costates say.
+    m
+        Number of the parameters, which come first.
+    """
+
+    form: Matrix
+    constraints: Matrix
+    slope: Vector
+    m: int
+
+
+def _kernel_basis(constraints: Matrix) -> Matrix:
+    """Orthonormal basis of the variations that keep the linearised end conditions, in columns."""
+    _, sizes, rows = np.linalg.svd(constraints, full_matrices=True)
+    return rows[int((sizes > 1e-10 * sizes.max(initial=0.0)).sum()) :].T
+
+
+def destabilising_eigenvalue(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
+    """Largest destabilising eigenvalue (above); and of how many.
+
+    It is infinite where a free parameter alone already gains, and NaN where it costs nothing to second order.
+
+    Parameters
+    ----------
+    form, constraints, m
+        Of a `QuadraticForm`.
+    """
+    free = _kernel_basis(constraints)
+    form = free.T @ form @ free
+    # The measure, 1 on controls and switching times and 0 on parameters, is 1 - q'q here, q the rows of the parameters.
+    _, shares, vectors = np.linalg.svd(free[:m], full_matrices=True)
+    weights = 1.0 - np.pad(shares, (0, len(form) - len(shares))) ** 2
+    vectors = vectors.T
+    form = vectors.T @ form @ vectors
+    alone = int((weights < 1e-10).sum())  # variations of parameters without any of the control
+    if alone:
+        own, mixed = form[:alone, :alone], form[:alone, alone:]
+        least = float(np.linalg.eigvalsh(own)[0])
+        if least <= _NOTHING * np.abs(form).max():
+            return float("nan") if least >= -_NOTHING * np.abs(form).max() else float("inf"), len(weights)
+        form = form[alone:, alone:] - mixed.T @ np.linalg.solve(own, mixed)
+    if not form.size or alone == len(weights):
+        return 0.0, len(weights)
+    root = np.sqrt(weights[alone:])
+    return float(1.0 - np.linalg.eigvalsh(form / root / root[:, None])[0]), len(weights)
+
+
+def newton_gain(forms: QuadraticForm) -> float:
+    """Return the gain of a Newton step over the size of J (its absolute value, where the form is none of a minimum)."""
+    free = _kernel_basis(forms.constraints)
+    form, slope = free.T @ forms.form @ free, free.T @ forms.slope
+    if not form.size:
+        return 0.0
+    return abs(0.5 * float(slope @ np.linalg.lstsq(form, slope, rcond=_NOTHING)[0]))

@@ -1,1 +1,0 @@
-"""Certificate checks: `form`, `expressions`, `equations`, `steps`, least H (`minimum`), second order (`optimum`)."""

@@ -1,0 +1,404 @@
+"""Structure detection in an answer without arcs, such as the direct method's: where S >= 0 is at its limit.
+
+On a mesh S is near 0 and not 0: between its points S falls below 0, and bulges above by some times as much. A flight
+that *touches* S = 0 leaves it like t^2: S is below 4 times a level for twice as long as below it. One that *rides
+along* is there for about as long. What the control moves in its first derivative is never touched, as no condition on
+the state says so: it is ridden, if only for a moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
+from weakref import ref
+
+import numpy as np
+
+from perilune.core.arrays import Matrix, Vector
+from perilune.core.maths import NUMERIC
+from perilune.problem.problem import Problem
+from perilune.problem.results.solution import Solution, full
+from perilune.problem.tracing.lie_derivatives import depends_on_control
+from perilune.problem.tracing.tape import Expression
+from perilune.problem.tracing.traced_problem import TracedProblem
+from perilune.structures.detect_regimes import (
+    EXACT,
+    LEVELS,
+    Stay,
+    brief_stays,
+    gain_along,
+    leaves_bounds,
+    linear_scalars,
+    read_stays,
+    regimes_at,
+    seen_stays,
+    stays_around_singular,
+)
+from perilune.structures.structure import Arc, Structure, conditions_of, margins, plain_bounds, steering_controls
+
+NEAR = (1e-4, 5e-2)  # of what S goes through: as near as counts at least and at most, whatever the mesh
+BULGE = 8.0  # times what S falls below 0 it may rise above on an arc that is ridden; 1 to 6 were met
+POINTS = 2000  # of a phase, beside the nodes of its tables
+ROUNDING = 1e-8  # of what S goes through: less below 0 is not broken
+_CLOSER = 33  # times between the neighbours of a look at which S is least: 16 times as close, 256 times as exact
+_ROUNDED = 1e-12  # of the times looked at: those nearer to each other are one
+CLOSEST = 4  # times that is done: from a share 1/200 of a phase on, it ends below the last digit of a time
+EXACTLY = 1e-9  # of the size of S, to which an answer is judged
+WIDER, STAYS = 4.0, 0.6  # a wider level; ridden where the flight stays for such a share of the time below the wider one
+STAYS_EXACTLY = 0.4  # the same of a level wider by its cube: what goes to zero like t^4 stays for 0.35
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """A condition that is ridden from `begin` to `end` [s] of a phase, or touched at both."""
+
+    name: str
+    begin: float
+    end: float
+    ridden: bool
+
+
+def detect_structure(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
+    """Detect the arcs of a solution, by its curves, of conditions on states only.
+
+    Parameters
+    ----------
+    problem
+        What it is a solution of.
+    solution
+        Of any method, however coarse.
+    least
+        As near as counts whatever the mesh, as a share of what a condition goes through.
+
+    Returns
+    -------
+    Structure
+        With times; None where no condition on states only is at its limit on the way.
+    """
+    structure = _assemble_structure(
+        problem, solution, _contacts_by_phase(problem, solution, least), [[] for _ in problem.phases]
+    )
+    return None if structure.plain else structure
+
+
+def detect_structures(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
+    """Return every structure a solution may have: by exact tables, with singular arcs (few arcs first), without.
+
+    Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds; so
+    where a burn or a coast lasts but for an instant of its phase.
+    Next to a touch a mesh wavers where nothing is singular: there singular arcs are read only off exact tables.
+
+    Parameters
+    ----------
+    problem
+        The problem that the solution is one of, or one of its form.
+    solution
+        A solution that knows no arcs.
+    least
+        Share of its range below which S is at its limit.
+    """
+    met, nothing = _contacts_by_phase(problem, solution, least), [list[Stay]() for _ in problem.phases]
+    without = _assemble_structure(problem, solution, met, nothing)
+    touched = any(arc.touches for arcs in without.phases for arc in arcs)
+    stays = [read_stays(solution, k) for k in range(len(problem.phases))]
+    # Beside a slow switch the gain is small for long: exact tables that never leave the bounds are singular nowhere.
+    told = touched or (least < NEAR[0] and not any(leaves_bounds(solution, k) for k in range(len(met))))
+    by_level = {level: [own[level] for own in stays] for level in ((EXACT,) if told else (EXACT, *LEVELS))}
+    structures = {
+        level: _assemble_structure(problem, solution, met, own) for level, own in by_level.items() if own != nothing
+    }
+    different = dict[str, Structure]()
+    if (brief := [brief_stays(solution, k) for k in range(len(met))]) != nothing:
+        structure = _assemble_structure(problem, solution, met, brief)
+        different[structure.text] = structure
+    if (switched := [_switched_stays(problem, solution, k, met[k]) for k in range(len(met))]) != nothing:
+        structure = _assemble_structure(problem, solution, met, switched)
+        different[structure.text] = structure
+    for level in sorted(structures, key=lambda level: (level != EXACT, level[0], structures[level].count)):
+        different.setdefault(structures[level].text, structures[level])
+    if not without.plain:
+        different.setdefault(without.text, without)
+    # Where a pair of switches begins no law finds it: last the arcs stay on the bounds on which they are seen.
+    if touched and (bound := [seen_stays(solution, k) for k in range(len(met))]) != nothing:
+        structure = _assemble_structure(problem, solution, met, bound)
+        different.setdefault(structure.text, structure)
+    return list(different.values())
+
+
+class _Guess:
+    """A solution as a key: equal only to itself, and not kept alive."""
+
+    def __init__(self, solution: Solution) -> None:
+        self.solution, self._hash = ref(solution), id(solution)
+
+    def __eq__(self, other: object) -> bool:
+        own = self.solution()
+        return isinstance(other, _Guess) and own is not None and own is other.solution()
+
+    def __hash__(self) -> int:
+        return self._hash
+
+
+def detect_own_structures(solution: Solution, least: float) -> list[Structure]:
+    """Return `detect_structures` of a solution for its own problem, kept for the last few: its neighbours all ask for them."""
+    return list(_remembered_structures(_Guess(solution), least))
+
+
+@lru_cache(maxsize=8)
+def _remembered_structures(guess: _Guess, least: float) -> tuple[Structure, ...]:
+    solution = guess.solution()
+    assert solution is not None, "which the caller holds"
+    return tuple(detect_structures(solution.problem, solution, least))
+
+
+def _switched_stays(problem: Problem, solution: Solution, k: int, met: Sequence[Contact]) -> list[Stay]:
+    """Return the bounds that the one switched scalar of phase k is on, except where it keeps what is ridden."""
+    ridden = sorted((c for c in met if c.ridden), key=lambda c: c.begin)
+    known = linear_scalars(problem, k)
+    if not ridden or len(known) != 1 or solution.trajectories[k].costate is None:
+        return []
+    at, control = known[0]
+    conditions = conditions_of(problem, k, tuple({c.name for c in ridden}))
+    if any(c.order < 2 or steering_controls(c) != {control.name} for c in conditions.values()):
+        return []
+    t, _, share = gain_along(solution, k, at, control)
+    return stays_around_singular(control.name, t, share > 0.5, [(c.begin, c.end) for c in ridden])
+
+
+def _contacts_by_phase(problem: Problem, solution: Solution, least: float) -> list[list[Contact]]:
+    """Return for each phase the contacts of conditions on states only."""
+    return [
+        [c for name in state_conditions(problem, k) for c in find_contacts(solution, k, name, least)]
+        for k in range(len(problem.phases))
+    ]
+
+
+def _assemble_structure(
+    problem: Problem, solution: Solution, met: Sequence[Sequence[Contact]], stays: Sequence[Sequence[Stay]]
+) -> Structure:
+    return Structure(
+        tuple(
+            arcs_of(problem, k, [c for c in met[k] if not _follows_from_bounds(c, stays[k])], flown.duration, stays[k])
+            for k, flown in enumerate(solution.trajectories)
+        )
+    )
+
+
+def _follows_from_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
+    """Return True if a condition is ridden while all scalars are on their bounds, which keep to it by themselves."""
+    names = {s.control for s in stays}
+    here = [s for s in stays if s.begin < 0.5 * (contact.begin + contact.end) < s.end]
+    return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
+
+
+def state_conditions(problem: Problem, k: int) -> list[str]:
+    """Return the names of the conditions of phase k on states only."""
+    return [name for name, (_, value, _) in margins(problem, k).items() if not depends_on_control(value)]
+
+
+def is_constant_condition(problem: Problem, k: int, name: str) -> bool:
+    """Return True if a condition does not change along phase k, as no state in it does: that of a mass on a coast.
+
+    Parameters
+    ----------
+    problem, k
+        The problem and the number of the phase.
+    name
+        Name of the condition, as `margins` has it.
+    """
+    return _is_constant(problem.form, k, problem.phases[k].state_names, margins(problem, k)[name][1])
+
+
+@lru_cache(maxsize=256)
+def _is_constant(form: TracedProblem, k: int, names: tuple[str, ...], value: Expression) -> bool:
+    tape = form.expressions[k, "dynamics"].tape
+    rates = [tape.instructions[at] for at in tape.outputs]
+    moved = {n for n, op in zip(names, rates, strict=True) if op[0] != "const" or float(op[1]) != 0.0}
+    return not any(op[0] == "x" and op[1] in moved for op in value.tape.instructions)
+
+
+def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
+    """Yield where a condition of phase k is at its limit on the way; a start or an end that lies on it is none.
+
+    Parameters
+    ----------
+    solution, k
+        The solution and the number of the phase.
+    name
+        Name of the condition, as `margins` has it.
+    share
+        Share of its range along the phase below which S is at its limit.
+    """
+    t, room = margin_along(solution, k, name)
+    least, most = share * float(np.ptp(room)), NEAR[1] * float(np.ptp(room))
+    near = min(max(-BULGE * float(room.min()), least), most)
+    for first, last in _runs_of_true(room <= near):
+        inside = first > 0 and last < len(t) - 1
+        length = _time_below(t, room, first, last, near)
+        stays = length > STAYS * _time_below(t, room, first, last, WIDER * near)
+        if share < NEAR[0] and not inside:  # exact tables: S goes to zero at an end like t^3 where a low hop begins
+            stays &= length > STAYS_EXACTLY * _time_below(t, room, first, last, WIDER**3 * near)
+        condition = conditions_of(solution.problem, k, (name,))[name]
+        here = t[first : last + 1]
+        if condition.steered and (stays or (inside and condition.order == 1)):
+            on = here[room[first : last + 1] <= near / BULGE + max(0.0, float(room[first : last + 1].min()))]
+            yield Contact(name=name, begin=float(on[0]), end=float(on[-1]), ridden=True)
+        elif inside:
+            at = float(here[np.argmin(room[first : last + 1])])
+            yield Contact(name=name, begin=at, end=at, ridden=False)
+
+
+def broken_intervals(t: Vector, room: Vector, size: float) -> Iterator[tuple[float, float, float]]:
+    """Yield where a condition is broken by more than rounding: from when to when, and when the most [s].
+
+    `size` is that of S.
+
+    Parameters
+    ----------
+    t
+        Times [s], (n,).
+    room
+        S at these times [SI], (n,).
+    size
+        Size of S [SI].
+    """
+    for first, last in _runs_of_true(room < -margin_rounding(room, size)):
+        yield float(t[first]), float(t[last]), float(t[first + int(np.argmin(room[first : last + 1]))])
+
+
+def refine_minima(t: Vector, room: Vector, slack: float) -> Vector:
+    """Return times around each minimum of S at which S may still vanish unseen: more of them, between the looks.
+
+    Between looks a smooth S is less than at the least of them by an eighth of what it rises to the farther neighbour,
+    about; where that is nothing, or S is far above it, there is nothing to see.
+
+    Parameters
+    ----------
+    t, room
+        Times, in order, and S there.
+    slack
+        By which S may fall below zero.
+
+    Returns
+    -------
+    Vector
+        Times; none where the looks were close enough.
+    """
+    if len(t) < 2:
+        return t[:0]
+    # Of two times that rounding parts neither is the other's neighbour: what lies behind them would go unseen.
+    apart = np.append(True, np.diff(t) > _ROUNDED * (t[-1] - t[0]))
+    t, room = t[apart], room[apart]
+    before, behind = np.append(room[0], room[:-1]), np.append(room[1:], room[-1])
+    rise = np.maximum(before, behind) - room
+    low = (room <= before) & (room <= behind) & (rise > slack) & (room < rise)
+    around = [np.linspace(t[max(i - 1, 0)], t[min(i + 1, len(t) - 1)], _CLOSER) for i in np.nonzero(low)[0]]
+    return np.concatenate([*around, t[:0]])
+
+
+def margin_rounding(room: Vector, size: float) -> float:
+    """Return what counts as rounding of S along a phase; that of its `size` where S goes through little.
+
+    Parameters
+    ----------
+    room
+        S along a phase [SI], (n,).
+    size
+        Size of S [SI].
+    """
+    return max(ROUNDING * float(np.ptp(room)), EXACTLY * size)
+
+
+def margin_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
+    """Return times of a phase [s] and S there [SI].
+
+    Parameters
+    ----------
+    solution, k
+        The solution and the number of the phase.
+    name
+        Name of a condition on states only, as `margins` has it.
+    """
+    flown = solution.trajectories[k]
+    t = np.union1d(flown.time, np.linspace(0.0, flown.duration, POINTS))
+    return t, margin_at(solution.problem, solution.parameters, k, name, t, np.asarray(flown.state(t)).T)
+
+
+def margin_at(problem: Problem, p: Any, k: int, name: str, t: Vector, x: Matrix) -> Vector:
+    """Return S of a condition on states only at times of phase k [SI], from the states there, (n, times).
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    p
+        Record of its parameters in SI.
+    k
+        Number of the phase.
+    name
+        Name of a condition on states only, as `margins` has it.
+    t
+        Times [s], (times,).
+    x
+        States at these times [SI], (n, times).
+    """
+    phase, value = problem.phases[k], margins(problem, k)[name][1]
+    bounds = {given: g.value for given, g in plain_bounds(problem).items()}
+    known: Any = SimpleNamespace(**vars(p), **bounds)
+    u = np.zeros(len(phase.control_names))  # which stands in none
+    return full(value(phase.state_record(*x), phase.control_record(*u), known, NUMERIC)[0], t)
+
+
+def _runs_of_true(near: Any) -> list[tuple[int, int]]:
+    """Return the first and last index of each run of true values."""
+    edges = np.diff(np.concatenate([[False], near, [False]]).astype(int))
+    return list(zip(np.nonzero(edges == 1)[0].tolist(), (np.nonzero(edges == -1)[0] - 1).tolist(), strict=True))
+
+
+def _time_below(t: Vector, room: Vector, first: int, last: int, level: float) -> float:
+    """Return how long S stays below a level about the points from `first` to `last` [s]."""
+    low, high = next((a, b) for a, b in _runs_of_true(room <= level) if a <= first <= b)
+    begin, end = float(t[low]), float(t[high])
+    if low > 0:
+        begin = float(np.interp(-level, -room[low - 1 : low + 1], t[low - 1 : low + 1]))
+    if high < len(t) - 1:
+        end = float(np.interp(level, room[high : high + 2], t[high : high + 2]))
+    return end - begin
+
+
+def arcs_of(
+    problem: Problem, k: int, found: Sequence[Contact], duration: float, stays: Sequence[Stay] = ()
+) -> tuple[Arc, ...]:
+    """Return the arcs of phase k between the times at which something begins, ends or is touched.
+
+    What is ridden at once is named in the order in which the problem states it, so that the same arcs read the same.
+
+    Parameters
+    ----------
+    problem, k
+        The problem and the number of the phase.
+    found
+        Contacts with conditions on states.
+    duration
+        Length of the phase [s].
+    stays
+        Regimes of its scalar controls.
+    """
+    order = list(margins(problem, k))
+    found = sorted(found, key=lambda contact: order.index(contact.name))
+    known = conditions_of(problem, k, tuple({c.name for c in found})) if stays else {}
+    cuts = sorted({t for c in (*found, *stays) for t in (c.begin, c.end) if 0.0 < t < duration})
+    arcs = list[Arc]()
+    for begin, end in zip([0.0, *cuts], [*cuts, duration], strict=True):
+        middle = 0.5 * (begin + end)
+        along = tuple(c.name for c in found if c.ridden and c.begin < middle < c.end)
+        touches = tuple(c.name for c in found if not c.ridden and c.end == end)
+        held = {name for condition in along if condition in known for name in steering_controls(known[condition])}
+        arc = Arc(along=along, touches=touches, regimes=regimes_at(stays, middle, held), until=end)
+        if arcs and arc.regimes and replace(arcs[-1], touches=touches, until=end) == arc and not arcs[-1].touches:
+            arcs.pop()  # nothing begins where two regimes of a control meet that is held along both
+        arcs.append(arc)
+    return tuple(arcs)

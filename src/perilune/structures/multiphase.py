@@ -1,0 +1,429 @@
+"""Multi-phase reformulation: one smooth phase for each arc, with its active conditions and its end conditions.
+
+A phase of several arcs becomes as many phases with the states, controls and formulas of its own, linked by identity.
+Each has a free duration; their sum is the user's: where that is a free parameter, the sum stands in its place in every
+formula, and its range becomes a range of the sum; where it is given, or belongs to another phase too, the sum has to
+be equal to it.
+
+A condition that is ridden decides the control there (`Phase.held`), and is no path condition of that arc. On the others
+it stays one, as the arc that leads to it needs it: without S >= 0 the cost has no minimum at the time of entry, but a
+slope that vanishes and does not change its sign (`perilune.conditions.junction_conditions`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+from perilune.core.errors import PeriluneError
+from perilune.core.units import format_value_range
+from perilune.problem.controls import Bounded, Control
+from perilune.problem.phase import Phase
+from perilune.problem.problem import Problem
+from perilune.problem.tracing.lie_derivatives import MOST_ORDER, component, gather_expressions, run_expression
+from perilune.problem.tracing.tape import Expression, Recorder
+from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS, roles_of
+from perilune.problem.variables import Free, Variable
+from perilune.structures.detect_regimes import settle_scalar
+from perilune.structures.redundant_conditions import repeated_ends
+from perilune.structures.structure import (
+    Arc,
+    Condition,
+    Structure,
+    check_arc_structure,
+    conditions_of,
+    plain_bound,
+    plain_bounds,
+    without_bounds,
+)
+
+_ENDLESS = 1e6  # canonical units of time: what a free duration without an upper bound may last
+
+
+def restate(problem: Problem, structure: Structure, *, repeated: bool = True, varied: Collection[str] = ()) -> Problem:
+    """Restate the problem with a phase for each arc of a structure.
+
+    Parameters
+    ----------
+    problem
+        As the user states it.
+    structure
+        Its arcs. Their times are first values of the new durations; nothing else depends on them.
+    repeated
+        Whether end conditions are stated that an arc to the end says already
+        (`perilune.structures.redundant_conditions`).
+    varied
+        Given parameters that will have other values: what is said already is so whatever these are.
+
+    Returns
+    -------
+    Problem
+        With phases ``descent-1``, ``descent-2``, ... in place of ``descent``, whose durations are free parameters of
+        the same endings. Its `bookkeeping` is left out, as it is of the user's phases.
+
+    Raises
+    ------
+    PeriluneError
+        If the structure is none of the problem's, no control acts on one of its conditions, or a condition is touched
+        that can only be ridden, as the control acts on its first derivative.
+    """
+    check_arc_structure(problem, structure)
+    return _Restated(problem, structure, repeated, varied).problem()
+
+
+def renumber_restated(restated: Problem, problem: Problem, structure: Structure) -> Problem:
+    """Return what `restate` returns, from its result for a problem of other values: nothing is traced again.
+
+    Parameters
+    ----------
+    restated
+        Of that other problem, with the arcs of the structure.
+    problem, structure
+        As for `restate`.
+
+    Raises
+    ------
+    PeriluneError
+        If the range of a duration that is a sum is none there any more, or one value, or becomes one.
+    """
+    given = {**{name: g for name, g in restated.given.items() if name not in problem.given}, **problem.given}
+    given = MappingProxyType({name: given[name] for name in restated.given})  # in its order
+    free, phases = _Restated(problem, structure, True).free(), _resummed_phases(restated, problem, structure)
+    return restated.changed(phases=tuple(phases), given=given, free=tuple(free), structure=restated.structure)
+
+
+def _resummed_phases(restated: Problem, problem: Problem, structure: Structure) -> Sequence[Phase]:
+    """Return the phases of `renumber_restated`: ranges of durations that are sums, stated at the end, may have moved."""
+    phases, most = list(restated.phases), {f.name: f.upper for f in restated.free}
+    for name, k in summed_durations(problem, structure).items():
+        of, at = problem.free[problem.free_names.index(name)], sum(map(len, structure.phases[: k + 1])) - 1
+        one, (lower, upper), stated = of.lower == of.upper, _range_of_sum(of), phases[at].end_conditions
+        if stated and (was := stated[-1]).name == name:
+            alike = not one if was.ranged else one and most[part_durations(problem, structure, k)[0]] == upper
+            if was.ranged and alike and (was.lower, was.upper) != (lower, upper):
+                phases[at] = replace(phases[at], end_conditions=(*stated[:-1], replace(was, lower=lower, upper=upper)))
+        else:
+            alike = not (math.isfinite(lower) or math.isfinite(upper))
+        if not alike:
+            what = f"the range of {name} is of another kind there: none, one value, or between bounds"
+            raise PeriluneError(
+                what, got=format_value_range((lower, upper), of.unit), advice="solve there from nothing"
+            )
+    return restated.phases if all(new is old for new, old in zip(phases, restated.phases, strict=True)) else phases
+
+
+def _range_of_sum(of: Free) -> tuple[float, float]:
+    return (of.lower if of.lower > 0 else -math.inf), of.upper  # none of the durations is negative
+
+
+def refuse_unstated_ends(
+    restated: Problem, problem: Problem, structure: Structure, varied: Collection[str] = ()
+) -> None:
+    """Refuse values at which an arc to the end does not say what `restate` left out as said by it.
+
+    Parameters
+    ----------
+    restated, problem, structure
+        As for `renumber_restated`.
+    varied
+        Given parameters that will have other values.
+    """
+    for k, (phase, arcs) in enumerate(zip(problem.phases, structure.phases, strict=True)):
+        last = next(p for p in restated.phases if p.name == part_name(phase.name, len(arcs) - 1, len(arcs)))
+        stated = {condition.name for condition in last.end_conditions}
+        left_out = {i for i, condition in enumerate(phase.end_conditions) if condition.name not in stated}
+        if not left_out:
+            continue
+        said = repeated_ends(problem, k, arcs[-1], conditions_of(problem, k, arcs[-1].along), varied)
+        for i in left_out - said:
+            raise PeriluneError(
+                f"{phase.end_conditions[i].name} is said by the arc along {' and '.join(arcs[-1].along)} no longer",
+                expected="an end where that is ridden, as of the flight that is known",
+                advice="solve at these values from nothing",
+            )
+
+
+def part_name(name: str, j: int, count: int) -> str:
+    """Return the name of the j-th of so many parts of a phase, or of its duration.
+
+    Parameters
+    ----------
+    name
+        Name of the phase, or of its duration.
+    j
+        Number of the part, from 0.
+    count
+        Number of the parts.
+    """
+    return name if count == 1 else f"{name}-{j + 1}"
+
+
+def part_durations(problem: Problem, structure: Structure, k: int) -> tuple[str, ...]:
+    """Return the names of the durations of the parts of phase k.
+
+    Parameters
+    ----------
+    problem, structure
+        The user's problem and its arcs.
+    k
+        Number of the phase.
+    """
+    count, name = len(structure.phases[k]), problem.phases[k].duration
+    if count == 1:
+        return (name,)
+    shared = problem.duration_names.count(name) > 1
+    own = f"{name}.{problem.phases[k].name}" if shared else name
+    return tuple(part_name(own, j, count) for j in range(count))
+
+
+def summed_durations(problem: Problem, structure: Structure) -> dict[str, int]:
+    """Return free durations that are sums of new ones, each with the number of the phase whose parts it sums."""
+    found: dict[str, int] = {}
+    for k, phase in enumerate(problem.phases):
+        if phase.duration in problem.free_names and len(structure.phases[k]) > 1:
+            found.setdefault(phase.duration, k)
+    whole = {p.duration for p, arcs in zip(problem.phases, structure.phases, strict=True) if len(arcs) == 1}
+    return {name: k for name, k in found.items() if name not in whole}
+
+
+def sums_of(problem: Problem, structure: Structure) -> dict[str, tuple[str, ...]]:
+    """Return free durations that are sums, with the names of the new ones that they sum."""
+    return {name: part_durations(problem, structure, k) for name, k in summed_durations(problem, structure).items()}
+
+
+@dataclass
+class _Restated:
+    """The parts of a problem while it is restated."""
+
+    user: Problem
+    structure: Structure
+    repeated: bool
+    varied: Collection[str] = ()
+
+    @cached_property
+    def sums(self) -> dict[str, tuple[str, ...]]:
+        """Free durations of the user that are sums, by name."""
+        return sums_of(self.user, self.structure)
+
+    @cached_property
+    def expressions(self) -> dict[Any, Expression]:
+        """The user's functions with the sums in them."""
+        return {key: with_sums(e, self.sums) for key, e in self.user.form.expressions.items()}
+
+    def problem(self) -> Problem:
+        user, own = self.user, self.expressions
+        phases, links = list[Phase](), list[Expression]()
+        for k, phase in enumerate(user.phases):
+            if k:
+                links.append(own["links", k - 1])
+            parts = list(self._parts(k))
+            links += [_identity_link(phase)] * (len(parts) - 1)
+            phases += parts
+        bounds = {name: g for name, g in plain_bounds(user).items() if name in self._bounds_named()}
+        return user.changed(
+            phases=tuple(phases),
+            links=tuple(links),
+            start=own["start"],
+            objective=own["objective"],
+            results=own.get("results"),
+            given=MappingProxyType({**user.given, **bounds}),
+            free=tuple(self.free()),
+            views=replace(user.views, dispersion=None),  # which names phases
+            bookkeeping=None,
+            rough_flight=None,
+            switching_guesses=None,
+            form=None,
+        )
+
+    def _bounds_named(self) -> set[str]:
+        return {
+            plain_bound(phase.name, phase.states[c.bound[0]], c.bound[1])
+            for k, phase in enumerate(self.user.phases)
+            for c in self._conditions(k).values()
+            if c.bound is not None
+        }
+
+    def _conditions(self, k: int) -> dict[str, Condition]:
+        return conditions_of(self.user, k, self.structure.named(k))
+
+    def free(self) -> Iterator[Free]:
+        """Yield free parameters: the user's, but for durations that are sums, and those of the arcs."""
+        yield from (f for f in self.user.free if f.name not in self.sums)
+        known = {f.name: f for f in self.user.free}
+        for k, (phase, arcs) in enumerate(zip(self.user.phases, self.structure.phases, strict=True)):
+            if len(arcs) == 1:
+                continue
+            of = known.get(phase.duration)
+            whole = self.user.given[phase.duration].value if of is None else of.typical
+            longest = whole if of is None else min(of.upper, _ENDLESS * self.user.scales.time)
+            whole = arcs[-1].until if math.isfinite(arcs[-1].until) else whole
+            ends = self.structure.ends(k, whole)
+            for name, begin, end in zip(
+                part_durations(self.user, self.structure, k), [0.0, *ends[:-1]], ends, strict=True
+            ):
+                yield Free(name=name, unit="s", lower=0.0, upper=longest, typical=end - begin)
+
+    def _parts(self, k: int) -> Iterator[Phase]:
+        """Yield the phases that a phase becomes."""
+        phase, arcs, own = self.user.phases[k], self.structure.phases[k], self.expressions
+        conditions, count = self._conditions(k), len(arcs)
+        rough = self._rough(k)
+        durations = part_durations(self.user, self.structure, k)
+        for j, arc in enumerate(arcs):
+            ends = list(self._met(arc, arcs[j + 1] if j + 1 < count else None, conditions))
+            if j + 1 == count:
+                entered = j > 0 and not self.repeated  # else nothing but its start says that S = 0 on it
+                said = repeated_ends(self.user, k, arc, conditions, self.varied) if entered else frozenset()
+                ends += [(v, component(own[k, "end"], i)) for i, v in enumerate(phase.end_conditions) if i not in said]
+                ends += list(self._whole(phase, durations))
+            self._refuse_unsteered(arc, conditions)
+            held = [(conditions[n].rated(conditions[n].order, "", self._second), conditions[n].values[-1])
+                    for n in arc.along]  # fmt: skip
+            changes = {
+                **{name: own.get((k, name)) for name in PHASE_FUNCTIONS},
+                "name": part_name(phase.name, j, count),
+                "duration": durations[j],
+                "controls": _arc_controls(phase, arc),
+                "states": without_bounds(phase, [c.bound for c in conditions.values() if c.bound is not None]),
+                "typical_end": rough[j],
+                **({} if j + 1 == count else {"marks": None, "mark_variables": ()}),
+                **_gathered_function("end", "end_conditions", ends),
+                **_gathered_function("path", "path_conditions", self._kept(k, arc, conditions)),
+                **_gathered_function("held", "held_conditions", held + self._user_held(k)),
+            }
+            yield replace(phase, **changes)
+
+    @staticmethod
+    def _refuse_unsteered(arc: Arc, conditions: Mapping[str, Condition]) -> None:
+        for name in arc.along:
+            if not conditions[name].steered:
+                raise PeriluneError(
+                    f"no control acts on {name}",
+                    got=f"none in its first {MOST_ORDER} derivatives along the flight",
+                    expected="a quantity that a control moves, to ride along it",
+                    advice=f"Arc(touches=({name!r},)), where an arc ends",
+                )
+
+    @property
+    def _second(self) -> float:
+        return self.user.scales.time
+
+    def _user_held(self, k: int) -> list[tuple[Variable, Expression]]:
+        held = self.user.phases[k].held_conditions
+        return [(v, component(self.expressions[k, "held"], i)) for i, v in enumerate(held)]
+
+    def _kept(self, k: int, arc: Arc, conditions: Mapping[str, Condition]) -> list[tuple[Variable, Expression]]:
+        """Return what stays >= 0 on an arc: path conditions, and bounds in contact with another arc of the phase."""
+        phase = self.user.phases[k]
+        paths = [
+            (v, component(self.expressions[k, "path"], i))
+            for i, v in enumerate(phase.path_conditions)
+            if v.name not in arc.along
+        ]
+        others = [c for c in conditions.values() if c.bound is not None and c.name not in arc.along]
+        return paths + [(c.variable, with_sums(c.values[0], self.sums)) for c in others]
+
+    def _met(
+        self, arc: Arc, following: Arc | None, conditions: Mapping[str, Condition]
+    ) -> Iterator[tuple[Variable, Expression]]:
+        """Yield what vanishes at the end of an arc: conditions touched there, and those that are ridden next."""
+        entered = () if following is None else following.along
+        for name in arc.touches:
+            found = conditions[name]
+            if found.order < 2:
+                raise PeriluneError(
+                    f"{name} can be ridden, and not touched",
+                    got=f"a condition of order {found.order}",
+                    expected="order 2 or more, so that S = 0 and S' = 0 are conditions on the state",
+                    advice=f"Arc(along=({name!r},)), an arc of its own",
+                )
+            yield from self._vanishing(found, "touch_", 2)
+        for name in (n for n in entered if n not in arc.along):
+            yield from self._vanishing(conditions[name], "enter_", conditions[name].order)
+
+    def _vanishing(self, condition: Condition, prefix: str, count: int) -> Iterator[tuple[Variable, Expression]]:
+        for i in range(count):
+            yield condition.rated(i, prefix, self._second), with_sums(condition.values[i], self.sums)
+
+    def _whole(self, phase: Phase, durations: Sequence[str]) -> Iterator[tuple[Variable, Expression]]:
+        """Yield the sum of the durations of a phase's parts, that has to be what the user says of it."""
+        if len(durations) == 1:
+            return
+        recorder, name = Recorder(), phase.duration
+        total = _sum_of_parameters(recorder, durations)
+        if self.sums.get(name) == tuple(durations):
+            of = next(f for f in self.user.free if f.name == name)
+            if of.lower == of.upper:
+                total = recorder.do("sub", total, of.lower)
+                yield Variable(name=name, unit="s"), Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
+                return
+            lower, upper = _range_of_sum(of)
+            if math.isfinite(lower) or math.isfinite(upper):
+                whole = Variable(name=name, unit="s", lower=lower, upper=upper)
+                yield whole, Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
+            return
+        said = _sum_of_parameters(recorder, self.sums[name]) if name in self.sums else recorder.input("p", name)
+        yield Variable(name=name, unit="s"), Expression(recorder.tape([total - said]), ("x", "p"), origin="a duration")
+
+    def _rough(self, k: int) -> list[Expression | None]:
+        """Return rough end states of the parts, on a straight line through the rough end of the phase."""
+        arcs, user = self.structure.phases[k], self.expressions
+        if (k, "typical_end") not in user:
+            return [None] * len(arcs)
+        recorder = Recorder()
+        begin, names = run_expression(user["start"], recorder), self.user.phases[0].state_names
+        for before in range(k):
+            end = run_expression(user[before, "typical_end"], recorder) if (before, "typical_end") in user else begin
+            begin = run_expression(
+                user["links", before], recorder, {("x", n): v for n, v in zip(names, end, strict=True)}
+            )
+            names = self.user.phases[before + 1].state_names
+        end, shares = run_expression(user[k, "typical_end"], recorder), self.structure.ends(k, 1.0)
+        inner = [recorder.tape([a + share * (b - a) for a, b in zip(begin, end, strict=True)]) for share in shares[:-1]]
+        roles = roles_of((k, "typical_end"))
+        return [*(Expression(tape, roles, origin="a straight line") for tape in inner), user[k, "typical_end"]]
+
+
+def _gathered_function(function: str, names: str, rows: Sequence[tuple[Variable, Expression]]) -> dict[str, Any]:
+    """Return a function of a phase and the names of its values; None where there are none."""
+    roles = PHASE_FUNCTIONS[function][0]
+    return {
+        function: gather_expressions([e for _, e in rows], roles) if rows else None,
+        names: tuple(v for v, _ in rows),
+    }
+
+
+def _arc_controls(phase: Phase, arc: Arc) -> tuple[Control, ...]:
+    """Return the controls of an arc: those that stay in a regime along it say so."""
+    regimes = {name: regime for name, regime in arc.regimes if regime != "held"}
+    return tuple(
+        settle_scalar(c, regimes[c.name]) if isinstance(c, Bounded) and c.name in regimes else c for c in phase.controls
+    )
+
+
+def _identity_link(phase: Phase) -> Expression:
+    recorder = Recorder()
+    return Expression(recorder.tape([recorder.input("x", n) for n in phase.state_names]), ("x", "p"), origin="identity")
+
+
+def _sum_of_parameters(recorder: Recorder, names: Sequence[str]) -> Any:
+    total, *others = [recorder.input("p", name) for name in names]
+    for other in others:
+        total = recorder.do("add", total, other)
+    return total
+
+
+def with_sums(expression: Expression, sums: Mapping[str, Sequence[str]]) -> Expression:
+    """Return an expression with sums of new durations in place of the user's."""
+    inside = [name for name in sums if ("p", name) in expression.tape.instructions]
+    if not inside:
+        return expression
+    recorder = Recorder()
+    values = run_expression(
+        expression, recorder, {("p", name): _sum_of_parameters(recorder, sums[name]) for name in inside}
+    )
+    return Expression(recorder.tape(values), expression.roles, expression.scalar, expression.origin)
