@@ -235,7 +235,8 @@ def _peng_claims(made: PengReproduction) -> list[list[str]]:
         [
             "in less than 2 minutes",
             "text",
-            f"median {made.genetic.median_time:.1f} s, at most {slowest:.1f} s, on another machine than a 3 GHz Pentium 4",
+            f"median {made.genetic.median_time:.1f} s, at most {slowest:.1f} s, on another machine than a 3 GHz "
+            f"Pentium 4",
             claim_verdict(slowest < PRINTED_TIME_LIMIT),
         ],
     ]
