@@ -81,7 +81,10 @@ def compare_with_cold_start(followed: Solution, watch: Watch) -> ColdStartCompar
     if found.objective < followed.objective - room:
         if all(abs(own.objective - other.objective) > room for other in best):
             best = (*best, *_mark_dominated([own]))
-        words = f"the optimum has jumped: {objective_in_words(found)}, best of {len(best)} found; {objective_in_words(followed)} where it was"
+        words = (
+            f"the optimum has jumped: {objective_in_words(found)}, best of {len(best)} found; "
+            f"{objective_in_words(followed)} where it was"
+        )
         found = replace(found, extremals=best)
         return ColdStartComparison(solution=found, jumped=True, words=words, family=cost_along_free_parameter(found))
     same = abs(found.objective - followed.objective) <= room

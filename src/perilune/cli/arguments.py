@@ -90,7 +90,7 @@ def _unknown_argument(word: str, parser: argparse.ArgumentParser) -> PeriluneErr
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that reports errors by `PeriluneError`, and help by `HelpShown`, so that both are printed as answers are."""
+    """Parser that raises `PeriluneError` for errors and `HelpShown` for help, so that both are printed as answers."""
 
     def error(self, message: str) -> NoReturn:
         raise PeriluneError(message, advice=f"{self.prog} --help")

@@ -213,7 +213,7 @@ def _substitute_singular_control(
     step: tuple[ca.SX, ca.SX, ca.SX],
     motion: Motion | None,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the control of `_control_in_mode` with the motion's expression in place of the symbol of the singular scalar."""
+    """Return the control of `_control_in_mode`, the motion's expression in place of the singular scalar's symbol."""
     singular = [kind for kind in mode.kinds if kind.regimes == ("singular",)]
     control, solved, _ = step
     if motion is None or len(singular) > 1 or solved.numel():

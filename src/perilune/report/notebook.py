@@ -45,7 +45,8 @@ def problem_page(problem: Problem) -> str:
     ]
     return (
         f"<div><b>{escape(problem.heading)}</b>, J in {escape(problem.objective_unit)}, minimised"
-        f"{_html_table(('phase', 'states', 'controls'), phases)}{_html_table(('parameter', 'value', ''), [*free, *given])}</div>"
+        f"{_html_table(('phase', 'states', 'controls'), phases)}"
+        f"{_html_table(('parameter', 'value', ''), [*free, *given])}</div>"
     )
 
 

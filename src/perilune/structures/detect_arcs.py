@@ -143,7 +143,7 @@ class _Guess:
 
 
 def detect_own_structures(solution: Solution, least: float) -> list[Structure]:
-    """Return `detect_structures` of a solution for its own problem, kept for the last few: its neighbours all ask for them."""
+    """Return `detect_structures` of a solution for its own problem; the last few are kept for its neighbours."""
     return list(_remembered_structures(_Guess(solution), least))
 
 

@@ -97,7 +97,7 @@ def renumber_restated(restated: Problem, problem: Problem, structure: Structure)
 
 
 def _resummed_phases(restated: Problem, problem: Problem, structure: Structure) -> Sequence[Phase]:
-    """Return the phases of `renumber_restated`: ranges of durations that are sums, stated at the end, may have moved."""
+    """Return the phases of `renumber_restated`, whose sums of durations may have other ranges."""
     phases, most = list(restated.phases), {f.name: f.upper for f in restated.free}
     for name, k in summed_durations(problem, structure).items():
         of, at = problem.free[problem.free_names.index(name)], sum(map(len, structure.phases[: k + 1])) - 1

@@ -313,8 +313,7 @@ class _MarchedPhase:
 
 
 class BoundReintegration:
-    """Second flights bound to arrays, which are read at each call: those of `ChartReintegration.__call__`, and its
-    `times`.
+    """Re-integrations bound to arrays, read at each call: those of `ChartReintegration.__call__`, and its `times`.
 
     Attributes
     ----------

@@ -174,7 +174,8 @@ def _netcdf_variables(table: FlightTable, epoch: datetime | None) -> dict[str, t
         time = {"standard_name": "time", "long_name": "UTC", "units": since, "calendar": "standard"}
         if leap_seconds_within(epoch, float(table.time[-1])):
             # No calendar that readers know has leap seconds; lengths of time are right, dates behind the leap are not.
-            late = f"{leap_seconds_sentence(epoch, float(table.time[-1]))} It is counted here, and dates behind it are late."
+            leap = leap_seconds_sentence(epoch, float(table.time[-1]))
+            late = f"{leap} It is counted here, and dates behind it are late."
             time |= {"long_name": "UTC until a leap second", "units_metadata": "leap_seconds: none", "comment": late}
         else:
             time["units_metadata"] = "leap_seconds: utc"

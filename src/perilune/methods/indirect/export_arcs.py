@@ -103,8 +103,7 @@ class PropagatedPhase:
 def propagate_in_one_piece(
     problem: Problem, conditions: Conditions, y: Vector, **settings: float
 ) -> list[PropagatedPhase]:
-    """Propagate from the unknowns y, whatever is met; settings as for `propagate_arc`. What settles is in several
-    pieces.
+    """Propagate from the unknowns y, whatever is met; a phase that settles is in several pieces.
 
     Parameters
     ----------

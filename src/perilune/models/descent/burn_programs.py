@@ -164,7 +164,7 @@ def burn_grazing_program(brief: int = 1) -> BurnProgram:
 
 @cache
 def compile_burn() -> ca.Function:
-    """Return a burn as a function of state (7), law (6), length, thrust and flow, as `_burn_end` returns it; canonical."""
+    """Return a burn as a function of state (7), law (6), length, thrust and flow, as `_burn_end`; canonical."""
     s, by, t, force, flow = (ca.SX.sym(name, n) for name, n in (("s", 7), ("by", 6), ("t", 1), ("f", 1), ("q", 1)))
     return ca.Function("burn", [s, by, t, force, flow], [_burn_end(s, by, t, force, flow, _STEPS)])
 

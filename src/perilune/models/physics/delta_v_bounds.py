@@ -183,7 +183,7 @@ def velocity_change(p: Any, m: Any) -> Any:
 def speed_to_lose(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
 ) -> Any:
-    """Least ideal velocity change [m/s] from a start to rest on the ground; arguments as `compare_stopping_distance`."""
+    """Return the least ideal velocity change [m/s] from a start to rest; arguments as `compare_stopping_distance`."""
     r = m.sqrt(scalar_product(position, position))
     speed = inertial_speed(position, velocity, axis, p, m)
     return speed_with_fall(speed, r, r_site, p, m) - speed_of_ground(r_site, p, m)
@@ -192,7 +192,7 @@ def speed_to_lose(
 def compare_propellant(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
 ) -> Finding:
-    """Compare the speed to lose with the velocity change of the propellant; arguments as `compare_stopping_distance`."""
+    """Compare the speed to lose with what the propellant gives; arguments as `compare_stopping_distance`."""
     return Finding(
         name="speed to lose",
         value=speed_to_lose(position, velocity, axis, r_site, p, m) - left,

@@ -179,7 +179,8 @@ def _warn_of_valid_ranges(solution: Any) -> Iterator[str]:
                     worst, reached = limit - least, sign * least
         if worst > 0:
             said = meant.title or name.replace("_", " ")
-            yield f"{said} reaches {format_quantity(reached, unit, 3)}, beyond what the model is meant for: {meant.because}"
+            value = format_quantity(reached, unit, 3)
+            yield f"{said} reaches {value}, beyond what the model is meant for: {meant.because}"
 
 
 def _warn_of_reached_limits(solution: Any) -> Iterator[str]:

@@ -54,7 +54,7 @@ class BoundaryArc:
 
     @cached_property
     def eta(self) -> Vector:
-        """Multiplier of S^(q) at the times of `PhaseData.sampled`, J per second and its unit; NaN where there is none."""
+        """Multiplier of S^(q) at the times of `PhaseData.sampled`, J per second and its unit; else NaN."""
         inside, allowed = self.part.sampled, self.part.allowed
         names = [] if allowed is None else [c.name for c in allowed.conditions]
         if allowed is None or self.rate not in names:

@@ -340,7 +340,7 @@ def control_gradient(arc: PhaseData, x: Matrix, u: Matrix, lam: Matrix) -> tuple
 
 
 def _size_factors(arc: PhaseData) -> Vector:
-    """Return the factor by which each tangent is judged more than by `PhaseData.control_scale`, (k,): 1 for a direction."""
+    """Return the factor of each tangent over `PhaseData.control_scale`, shape (k,); 1 for a direction."""
     more = control_sizes(arc) / arc.control_scale
     rows = [
         more[here] if control.scalar else np.ones(control.freedom)

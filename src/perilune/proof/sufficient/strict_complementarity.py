@@ -109,8 +109,7 @@ def _vanishing_switches(arc: PhaseData, time: float) -> Iterator[EndSwitch]:
 
 
 def _switch_threshold(arc: PhaseData, at: int, control: Bounded, time: float) -> float:
-    """Return the |S| at an end of the flight below which `check_strictness` would take it for 0; below 0 beside a
-    switch.
+    """Return the |S| at an end below which `check_strictness` would take it for 0; negative next to a switch.
 
     Parameters
     ----------
