@@ -12,18 +12,18 @@ hop = pl.Phase(
     name="hop",
     states=variables(x="m", y="m", vx="m/s", vy="m/s", m="kg"),
     controls=(pl.Direction(names=("along", "up")), pl.Bounded(name="thrust", unit="N", lower=0.0, upper=4000.0)),
-    dynamics=lambda x, u, p, m: (
+    dynamics=lambda x, u, p, xp: (
         x.vx, x.vy, u.thrust / x.m * u.along, u.thrust / x.m * u.up - p.g, -u.thrust / p.exhaust_speed,
     ),
     duration="flight_time",
-    end=lambda x, p, m: (x.x - p.distance, x.y, x.vx, x.vy),
+    end=lambda x, p, xp: (x.x - p.distance, x.y, x.vx, x.vy),
     end_conditions=variables(place="m", ground="m", speed_along="m/s", speed_up="m/s"),
-    typical_end=lambda p, m: (p.distance, 0.0, 0.0, 0.0, 0.9 * p.mass),
+    typical_end=lambda p, xp: (p.distance, 0.0, 0.0, 0.0, 0.9 * p.mass),
 )  # fmt: skip
 problem = pl.Problem(
     name="lunar_hop",
     phases=(hop,),
-    start=lambda p, m: (0.0, 0.0, 0.0, 0.0, p.mass),
+    start=lambda p, xp: (0.0, 0.0, 0.0, 0.0, p.mass),
     given={
         "g": pl.Given(value=1.62, unit="m/s^2"),
         "distance": pl.Given(value=2000.0, unit="m"),
@@ -31,7 +31,7 @@ problem = pl.Problem(
         "exhaust_speed": pl.Given(value=3000.0, unit="m/s"),
     },
     free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=300.0, typical=60.0),),
-    objective=lambda x, p, m: -x.m,
+    objective=lambda x, p, xp: -x.m,
     objective_unit="kg",
     scales=pl.Scales(length=1000.0, time=30.0, mass=1000.0),
 )

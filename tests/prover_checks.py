@@ -317,18 +317,18 @@ def swinging(duration: float, free: bool) -> pl.Problem:
         name="go",
         states=(pl.Variable(name="x", unit="m"), pl.Variable(name="cost", unit="m^2*s")),
         controls=(pl.Bounded(name="u", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u / (p.w * p.w) - x.x * x.x)),
+        dynamics=lambda x, u, p, xp: (u.u, 0.5 * (u.u * u.u / (p.w * p.w) - x.x * x.x)),
         duration="T",
-        end=None if free else lambda x, p, m: (x.x - p.e,),
+        end=None if free else lambda x, p, xp: (x.x - p.e,),
         end_conditions=() if free else (pl.Variable(name="place", unit="m"),),
     )
     given = {"T": (duration, "s"), "e": (1.0, "m"), "w": (1.0, "1/s")}
     return pl.Problem(
         name="swinging",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0),
         given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        objective=lambda x, p, m: x.cost,
+        objective=lambda x, p, xp: x.cost,
         objective_unit="m^2*s",
     )
 

@@ -67,19 +67,19 @@ class Task:
     end_units: tuple[str, ...]
 
 
-def _landing_rates(x: Sequence[Any], beta: Any, m: Any) -> tuple[Any, ...]:
+def _landing_rates(x: Sequence[Any], beta: Any, xp: Any) -> tuple[Any, ...]:
     """Cho et al. (1), (3)-(5)."""
     h, u, v, mass = x
     r, a = RADIUS + h, THRUST / mass
     return (
         v,
-        a * m.cos(beta) - u * v / r,
-        u * u / r - MU / (r * r) + a * m.sin(beta),
+        a * xp.cos(beta) - u * v / r,
+        u * u / r - MU / (r * r) + a * xp.sin(beta),
         -MASS_FLOW + 0.0 * mass,
     )
 
 
-def _meditch_rates(x: Sequence[Any], thrust: Any, m: Any) -> tuple[Any, ...]:
+def _meditch_rates(x: Sequence[Any], thrust: Any, xp: Any) -> tuple[Any, ...]:
     _, v, mass = x
     return (v, thrust / mass - GRAVITY, -thrust / EXHAUST)
 

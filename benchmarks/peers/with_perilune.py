@@ -61,23 +61,23 @@ def _meditch(task: Task) -> Any:
             Variable(name="m", unit="kg", lower=0.1),
         ),
         controls=(Bounded(name="thrust", unit="N", lower=task.bounds[0], upper=task.bounds[1]),),
-        dynamics=lambda x, u, p, m: (x.v, u.thrust / x.m - p.g, -u.thrust / p.c),
+        dynamics=lambda x, u, p, xp: (x.v, u.thrust / x.m - p.g, -u.thrust / p.c),
         duration="t_f",
-        end=lambda x, p, m: (x.h, x.v),
+        end=lambda x, p, xp: (x.h, x.v),
         end_conditions=(Variable(name="touchdown", unit="m"), Variable(name="touchdown_speed", unit="m/s")),
-        typical_end=lambda p, m: (0 * p.h, 0 * p.v, task.guess_end[-1] * p.m),
+        typical_end=lambda p, xp: (0 * p.h, 0 * p.v, task.guess_end[-1] * p.m),
     )
     return Problem(
         name="meditch",
         phases=(phase,),
-        start=lambda p, m: (p.h, p.v, p.m),
+        start=lambda p, xp: (p.h, p.v, p.m),
         given={
             "g": Given(value=numbers.GRAVITY, unit="m/s^2"),
             "c": Given(value=numbers.EXHAUST, unit="m/s"),
             **{n: Given(value=v, unit=u) for n, v, u in zip("hvm", task.start, ("m", "m/s", "kg"), strict=True)},
         },
         free=(Free(name="t_f", unit="s", lower=0.0, upper=10.0, typical=task.guess_time),),
-        objective=lambda x, p, m: p.c * (p.m - x.m),
+        objective=lambda x, p, xp: p.c * (p.m - x.m),
         objective_unit="N*s",
     )
 

@@ -36,7 +36,7 @@ def _variables(**units: str) -> tuple[pl.Variable, ...]:
     return tuple(pl.Variable(name=name, unit=unit) for name, unit in units.items())
 
 
-def _rates(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
+def _rates(x: Any, u: Any, p: Any, xp: Any) -> tuple[Any, ...]:
     push = u.thrust / x.m
     return x.vx, x.vy, push * u.along, push * u.up - p.hop_gravity, -u.thrust / p.hopper_exhaust_speed
 
@@ -52,21 +52,21 @@ def lunar_hop(problem: Aim, hopper: Hopper, hop: Hop) -> pl.Problem:
         ),
         dynamics=_rates,
         duration="flight_time",
-        end=lambda x, p, m: (x.x - p.hop_distance, x.y, x.vx, x.vy),
+        end=lambda x, p, xp: (x.x - p.hop_distance, x.y, x.vx, x.vy),
         end_conditions=_variables(place="m", ground="m", speed_along="m/s", speed_up="m/s"),
-        typical_end=lambda p, m: (p.hop_distance, 0.0, 0.0, 0.0, 0.9 * p.hopper_mass),
+        typical_end=lambda p, xp: (p.hop_distance, 0.0, 0.0, 0.0, 0.9 * p.hopper_mass),
     )
     return pl.Problem(
         name="lunar_hop",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0, 0.0, p.hopper_mass),
+        start=lambda p, xp: (0.0, 0.0, 0.0, 0.0, p.hopper_mass),
         given=given_of(hopper, hop),
         declared=(hopper, hop),  # whose ranges hold for values that are given later, too
         free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=300.0, typical=60.0),),
-        objective=lambda x, p, m: -x.m,
+        objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         scales=pl.Scales(length=1000.0, time=30.0, mass=1000.0),
-        results=lambda start, end, p, m: (end.m,),
+        results=lambda start, end, p, xp: (end.m,),
         result_variables=_variables(landed_mass="kg"),
     )
 

@@ -331,11 +331,11 @@ def test_what_physics_refuses_is_refused_though_it_has_extremals(tmp_path: Path)
     assert found.answered.tolist() == [Answered.IMPOSSIBLE, Answered.YES] and np.isnan(found.objective[0])
 
 
-def away(p: Any, m: Any) -> tuple[Finding, ...]:
+def away(p: Any, xp: Any) -> tuple[Finding, ...]:
     """Comparisons of a user's own: not where a brick is in the middle."""
-    value = m.fabs(p.orbit_parking_altitude - 100e3)
+    value = xp.fabs(p.orbit_parking_altitude - 100e3)
     one = Finding(name="away", value=value, limit=1e3, at_least=True, unit="m", binding=True, meaning="too near")
-    return (one, replace(one, name="root", value=m.sqrt(value - 5e3), binding=False))
+    return (one, replace(one, name="root", value=xp.sqrt(value - 5e3), binding=False))
 
 
 def test_what_physics_refuses_inside_a_brick_alone_is_refused_there(tmp_path: Path) -> None:
@@ -356,13 +356,13 @@ def test_what_physics_refuses_inside_a_brick_alone_is_refused_there(tmp_path: Pa
 @pytest.mark.parametrize(
     ("preflight", "words"),
     [
-        (lambda p, m: away(p, m) if p.orbit_parking_altitude < 1e5 else (), "branches"),
-        (lambda p, m: [replace(f, meaning=f"{p.orbit_parking_altitude} m") for f in away(p, m)], "words or values"),
-        (lambda p, m: [replace(f, limit=np.interp(f.value, (0, 1), (0, 1))) for f in away(p, m)], r"m\.table"),
-        (lambda p, m: away(p, m)[: 1 + isinstance(p.orbit_parking_altitude, float)], "more or fewer"),
-        (lambda p, m: [f.name for f in away(p, m)], "AttributeError"),
-        (lambda p, m: [replace(f, binding=p.orbit_parking_altitude > 0) for f in away(p, m)], "what binding of"),
-        (lambda p, m: [replace(f, limit=np.array([f.limit])) for f in away(p, m)], "scalars"),
+        (lambda p, xp: away(p, xp) if p.orbit_parking_altitude < 1e5 else (), "branches"),
+        (lambda p, xp: [replace(f, meaning=f"{p.orbit_parking_altitude} m") for f in away(p, xp)], "words or values"),
+        (lambda p, xp: [replace(f, limit=np.interp(f.value, (0, 1), (0, 1))) for f in away(p, xp)], r"m\.table"),
+        (lambda p, xp: away(p, xp)[: 1 + isinstance(p.orbit_parking_altitude, float)], "more or fewer"),
+        (lambda p, xp: [f.name for f in away(p, xp)], "AttributeError"),
+        (lambda p, xp: [replace(f, binding=p.orbit_parking_altitude > 0) for f in away(p, xp)], "what binding of"),
+        (lambda p, xp: [replace(f, limit=np.array([f.limit])) for f in away(p, xp)], "scalars"),
     ],
     ids=["branches", "words", "NumPy", "fewer", "no findings", "a side that varies", "an array"],
 )
@@ -375,12 +375,12 @@ def test_comparisons_that_an_atlas_cannot_keep_are_refused(preflight: Callable[[
 def test_comparisons_are_looked_at_within_a_region_too(tmp_path: Path) -> None:
     """As with its corners alone: of this function an atlas kept what it says there, and answered at 100 km."""
 
-    def hidden(p: Any, m: Any) -> Any:
+    def hidden(p: Any, xp: Any) -> Any:
         try:
             inside = bool(abs(p.orbit_parking_altitude - 100e3) < 8e3)
         except Exception:  # a symbol
             inside = False
-        return [replace(f, value=0.0 * f.value if inside else f.value) for f in away(p, m)]
+        return [replace(f, value=0.0 * f.value if inside else f.value) for f in away(p, xp)]
 
     axes = {"orbit.parking_altitude": (90e3, 110e3)}
     with pytest.raises(PeriluneError, match="words or values"):

@@ -40,9 +40,9 @@ def priced(price: Callable[[Any, Any], Any], *more: pl.Free) -> pl.Problem:
         name="way",
         states=(Variable(name="x", unit="1"), Variable(name="c", unit="1/s")),
         controls=(pl.Bounded(name="u", unit="1/s"),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.x - p.q,),
+        end=lambda x, p, xp: (x.x - p.q,),
         end_conditions=(Variable(name="there", unit="1"),),
     )
 
@@ -50,10 +50,10 @@ def priced(price: Callable[[Any, Any], Any], *more: pl.Free) -> pl.Problem:
     return pl.Problem(
         name="wells",
         phases=(phase,),
-        start=lambda p, m: (0.0 * p.a, 0.0 * p.a / p.one),
+        start=lambda p, xp: (0.0 * p.a, 0.0 * p.a / p.one),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
         free=(pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5), *more),
-        objective=lambda x, p, m: p.one * x.c - 0.5 * p.q * p.q + price(p, m),
+        objective=lambda x, p, xp: p.one * x.c - 0.5 * p.q * p.q + price(p, xp),
         objective_unit="1",
     )
 
@@ -61,8 +61,8 @@ def priced(price: Callable[[Any, Any], Any], *more: pl.Free) -> pl.Problem:
 def wells(well: tuple[float, float], b: bool = False) -> pl.Problem:
     """Two wells, the better one at a bound or beside it."""
 
-    def price(p: Any, m: Any) -> Any:
-        s = well[0] + well[1] * m.exp(-(((p.a - WHERE) / WIDE) ** 2) - (((p.b - 0.64) / 0.05) ** 2 if b else 0.0))
+    def price(p: Any, xp: Any) -> Any:
+        s = well[0] + well[1] * xp.exp(-(((p.a - WHERE) / WIDE) ** 2) - (((p.b - 0.64) / 0.05) ** 2 if b else 0.0))
         return 8.0 * (p.q - 0.2) ** 2 * (p.q - s) ** 2 - 0.3 * p.q
 
     return priced(price)
@@ -121,7 +121,7 @@ def test_a_sheet_that_reaches_no_corner_of_a_brick_is_mapped_from_where_it_was_m
         away = ((a - 0.5) / 0.1) ** 2 + ((b - 0.5) / 0.15) ** 2 + ((q - 0.8) / 0.1) ** 2
         return 2.0 * (q - 0.2) ** 2 - 1.2 * exp(-away)
 
-    problem = priced(lambda p, m: dent(p.q, p.a, p.b, m.exp))
+    problem = priced(lambda p, xp: dent(p.q, p.a, p.b, xp.exp))
     store = build(problem, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, tmp_path / "atlas", bricks=1)
     atlas, rng = open_atlas(store, lambda _: problem), np.random.default_rng(3)
     points = np.vstack([0.5 + 0.15 * rng.uniform(-1.0, 1.0, (200, 2)), rng.uniform(0.0, 1.0, (100, 2))])
@@ -142,8 +142,8 @@ def least_over_q(price: Callable[[Any, Any], Any], points: Matrix) -> Vector:
 def test_a_sheet_that_bends_does_not_end(tmp_path: Path, deep: float) -> None:
     """Slopes foretell neither the next corner of a cell, nor that a long step ends in the other well."""
 
-    def price(p: Any, m: Any) -> Any:
-        s = 0.92 + deep * m.exp(-(((p.a - 0.46) / 0.03) ** 2)) + 0.02 * p.a
+    def price(p: Any, xp: Any) -> Any:
+        s = 0.92 + deep * xp.exp(-(((p.a - 0.46) / 0.03) ** 2)) + 0.02 * p.a
         return 8.0 * (p.q - 0.2) ** 2 * (p.q - s) ** 2 - 0.3 * p.q
 
     problem, points = priced(price), np.random.default_rng(5).uniform(0.0, 1.0, (200, 1))
@@ -156,8 +156,8 @@ def test_a_sheet_that_bends_does_not_end(tmp_path: Path, deep: float) -> None:
 def test_cells_are_cut_where_J_alone_bends(tmp_path: Path) -> None:
     """Along b, by which no unknown of what is held changes; they were cut along a, and the worse well answered."""
 
-    def price(p: Any, m: Any) -> Any:
-        gain = 0.3 * p.q * (1.0 - m.exp(-(((p.b - 0.5) / 0.2) ** 2)))
+    def price(p: Any, xp: Any) -> Any:
+        gain = 0.3 * p.q * (1.0 - xp.exp(-(((p.b - 0.5) / 0.2) ** 2)))
         return 8.0 * (p.q - 0.2) ** 2 * (p.q - 1.1) ** 2 - gain + 0.0 * p.a
 
     problem, points = priced(price), np.random.default_rng(5).uniform(0.0, 1.0, (200, 2))
@@ -169,9 +169,9 @@ def test_cells_are_cut_where_J_alone_bends(tmp_path: Path) -> None:
 def test_a_layer_that_enters_a_brick_through_a_part_of_its_side_is_mapped(tmp_path: Path) -> None:
     """A well leaves another with a; its layer comes to the middle of a side, and one cell has the other's all over."""
 
-    def price(p: Any, m: Any) -> Any:
+    def price(p: Any, xp: Any) -> Any:
         away = ((p.b - 0.62) / 0.07) ** 2 + ((p.a - 0.1) / 0.4) ** 2 + ((p.q - 0.2 - 1.4 * p.a) / 0.1) ** 2
-        return 2.0 * (p.q - 0.2) ** 2 - m.exp(-away)
+        return 2.0 * (p.q - 0.2) ** 2 - xp.exp(-away)
 
     problem, rng = priced(price), np.random.default_rng(5)
     store = build(problem, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, tmp_path / "atlas")
@@ -184,9 +184,9 @@ def test_a_layer_that_enters_a_brick_through_a_part_of_its_side_is_mapped(tmp_pa
 def test_of_what_enters_a_brick_the_layer_that_its_first_cell_passes_over_is_mapped(tmp_path: Path) -> None:
     """A well was met on a side of two bricks alone; the other layer is at all corners of the second."""
 
-    def price(p: Any, m: Any) -> Any:
+    def price(p: Any, xp: Any) -> Any:
         away = ((p.a - 0.5) / 0.1) ** 2 + ((p.b - 0.5) / 0.15) ** 2 + ((p.q - 0.8) / 0.1) ** 2
-        return 2.0 * (p.q - 0.2) ** 2 - 1.2 * m.exp(-away)
+        return 2.0 * (p.q - 0.2) ** 2 - 1.2 * xp.exp(-away)
 
     problem, of = priced(price), {"problem_from_scenario": lambda _: problem, "sample": 0}
     store = build(problem, {"a": (0.0, 0.5), "b": (0.0, 1.0)}, tmp_path / "atlas", bricks=1)
@@ -205,9 +205,9 @@ def test_of_what_enters_a_brick_the_layer_that_its_first_cell_passes_over_is_map
 def test_two_bounds_are_crossed_inside_a_brick(tmp_path: Path, width: float, late: float, tied: float) -> None:
     """What holds both was not foretold, nor found where it begins and what holds one of them is no answer anywhere."""
 
-    def price(p: Any, m: Any) -> Any:
-        q = p.q - 0.8 - width * m.exp(-(((p.a - 0.4) / 0.05) ** 2))
-        r = p.r - 0.8 - width * m.exp(-(((p.a - 0.4 - late) / 0.05) ** 2))
+    def price(p: Any, xp: Any) -> Any:
+        q = p.q - 0.8 - width * xp.exp(-(((p.a - 0.4) / 0.05) ** 2))
+        r = p.r - 0.8 - width * xp.exp(-(((p.a - 0.4 - late) / 0.05) ** 2))
         return q * q + r * r + 2.0 * tied * q * r
 
     def least(a: float) -> float:
@@ -227,9 +227,9 @@ def test_two_bounds_are_crossed_inside_a_brick(tmp_path: Path, width: float, lat
 def test_where_two_branches_change_places_in_one_cell_none_of_their_layers_is_passed_over(tmp_path: Path) -> None:
     """A window turns the wells by half a turn on the way to one side; of both branches a cell is torn, at one place."""
 
-    def price(p: Any, m: Any) -> Any:
-        turned = 8.05 * p.q + 5.61 - 2.0 * m.exp(-(((p.a - 0.947) / 0.064) ** 2))
-        return m.sin(turned) * (1.0 + 0.48 * m.exp(-(((p.a - 0.81) / 0.076) ** 2)))
+    def price(p: Any, xp: Any) -> Any:
+        turned = 8.05 * p.q + 5.61 - 2.0 * xp.exp(-(((p.a - 0.947) / 0.064) ** 2))
+        return xp.sin(turned) * (1.0 + 0.48 * xp.exp(-(((p.a - 0.81) / 0.076) ** 2)))
 
     problem, points = priced(price), np.linspace(0.0, 1.0, 400)[:, None]
     store = build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=1)
@@ -245,11 +245,11 @@ def test_a_bound_that_goes_and_comes_back_inside_a_cell_is_where_it_is_at_the_po
 ) -> None:
     """J has a maximum between both bounds; the upper one is the better where it is far away, which no corner knows."""
 
-    def upper(p: Any, m: Any) -> Any:
-        return 0.7 + 0.3 * m.exp(-(((p.a - 0.3) / 0.04) ** 2))
+    def upper(p: Any, xp: Any) -> Any:
+        return 0.7 + 0.3 * xp.exp(-(((p.a - 0.3) / 0.04) ** 2))
 
-    base = priced(lambda p, m: 0.5 * p.q * (0.8 - p.q) + 0.0 * p.a)
-    problem = replace(base, ranges=lambda p, m: {"q": (0.0, upper(p, m), 0.5)})
+    base = priced(lambda p, xp: 0.5 * p.q * (0.8 - p.q) + 0.0 * p.a)
+    problem = replace(base, ranges=lambda p, xp: {"q": (0.0, upper(p, xp), 0.5)})
     monkeypatch.setattr(building, "refuse_moving_ranges", lambda *_: None)  # a model's are kept with its records
     monkeypatch.setattr(read, "header_problem", lambda *_: problem)
     atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=1))
@@ -266,11 +266,11 @@ def two_wells(p: Any) -> Any:
     return 16.6 * (p.q - first) ** 2 * (p.q - 0.895) ** 2 - 0.0565 * p.q
 
 
-def wanted(p: Any, m: Any, windows: tuple[tuple[float, float, float], ...]) -> Any:
+def wanted(p: Any, xp: Any, windows: tuple[tuple[float, float, float], ...]) -> Any:
     """The r that each well wants, moved in windows: by how much, where and how wide."""
     s = 0.6 + 0.24 * (p.a - 0.5) + 0.551 * p.q
     for high, at, wide in windows:
-        s = s + high * m.exp(-(((p.a - at) / wide) ** 2))
+        s = s + high * xp.exp(-(((p.a - at) / wide) ** 2))
     return s
 
 
@@ -279,7 +279,7 @@ def answered(
 ) -> tuple[Atlas, Vector, Answers]:
     """An atlas of both wells, and its answers; each that it gives is looked at."""
     r = pl.Free(name="r", unit="1", lower=0.0, upper=1.0, typical=0.5)
-    problem = priced(lambda p, m: two_wells(p) + 2.06 * (p.r - wanted(p, m, windows)) ** 2, r)
+    problem = priced(lambda p, xp: two_wells(p) + 2.06 * (p.r - wanted(p, xp, windows)) ** 2, r)
     atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=bricks), lambda _: problem)
     a = np.random.default_rng(5).uniform(0.0, 1.0, 150)
     found, p = atlas.query_many(a[:, None]), SimpleNamespace(a=a[:, None], q=np.linspace(0.0, 1.0, 40_001))
@@ -307,8 +307,8 @@ def test_a_later_branch_is_followed_over_a_steep_window_as_a_first_one_is(tmp_pa
 def test_a_price_that_falls_between_the_corners_and_the_middle_of_a_large_cell_is_seen(tmp_path: Path) -> None:
     """What is held is so in one cell all over; where it was the better, the well inside was the answer."""
 
-    def price(p: Any, m: Any) -> Any:
-        return 8.0 * (p.q - 0.2) ** 2 * (p.q - 1.05) ** 2 - 0.5 * p.q**8 * m.exp(-(((p.a - 0.26) / 0.03) ** 2))
+    def price(p: Any, xp: Any) -> Any:
+        return 8.0 * (p.q - 0.2) ** 2 * (p.q - 1.05) ** 2 - 0.5 * p.q**8 * xp.exp(-(((p.a - 0.26) / 0.03) ** 2))
 
     problem, a = priced(price), np.linspace(0.2, 0.32, 100)
     atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=1), lambda _: problem)
@@ -317,8 +317,8 @@ def test_a_price_that_falls_between_the_corners_and_the_middle_of_a_large_cell_i
     assert found.objective == pytest.approx(price(p, np).min(axis=1), abs=1e-7)
 
 
-def rippled(p: Any, m: Any) -> Any:
-    return 0.1 * m.sin(107.0 * p.q + 9.0 * p.a) + 0.5 * (p.q - p.a) ** 2
+def rippled(p: Any, xp: Any) -> Any:
+    return 0.1 * xp.sin(107.0 * p.q + 9.0 * p.a) + 0.5 * (p.q - p.a) ** 2
 
 
 def test_of_many_wells_none_is_left_out(tmp_path: Path) -> None:

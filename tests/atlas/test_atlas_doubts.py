@@ -104,8 +104,8 @@ def two_wells(
             *[pl.Free(name="other", lower=0.0, upper=1.0, typical=0.5)] * beside,
         ),
         given={**given, **{name: pl.Given(value=1.0, unit=unit) for name, unit in units.items()}},
-        objective=lambda x, p, m: (
-            plain.objective(x, p, m)
+        objective=lambda x, p, xp: (
+            plain.objective(x, p, xp)
             + p.one * (price(p.speed / p.pace, p.ceiling / p.far) + ((p.other - 0.4) ** 2 if beside else 0.0))
         ),
     )
@@ -154,10 +154,12 @@ def test_what_is_kept_amid_a_cell_and_broken_alike_at_its_corners_is_an_answer(t
     units = {"one": plain.objective_unit, "far": "m", "top": "m", "off": "1"}
     problem = replace(
         plain,
-        phases=(replace(phase, path=lambda x, u, p, m: (p.top - p.far * p.off**2 - x.x,)),),
+        phases=(replace(phase, path=lambda x, u, p, xp: (p.top - p.far * p.off**2 - x.x,)),),
         given={**given, **{n: pl.Given(value=0.3 if n == "top" else 1.0, unit=unit) for n, unit in units.items()}},
         free=(pl.Free(name="other", lower=0.0, upper=1.0, typical=0.5),) * beside,
-        objective=lambda x, p, m: plain.objective(x, p, m) + (p.one * (p.other - 0.2 - p.off) ** 2 if beside else 0.0),
+        objective=lambda x, p, xp: (
+            plain.objective(x, p, xp) + (p.one * (p.other - 0.2 - p.off) ** 2 if beside else 0.0)
+        ),
     )
     atlas = open_atlas(build(problem, {"off": (-0.4, 0.4)}, tmp_path / "arch", bricks=1), lambda _: problem)
     off = np.linspace(-0.39, 0.39, 40)
@@ -192,7 +194,7 @@ def test_ranges_of_several_parameters_are_looked_over_in_turn(tmp_path: Path) ->
     problem, least = two_wells(96.749, 0.746, 1.304, 6.045, -7.581, lower=0.6, upper=1.6)
     priced, q = problem.objective, pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5)
     several = replace(
-        problem, free=(*problem.free, q), objective=lambda x, p, m: priced(x, p, m) + p.one * (p.q - 0.4) ** 2
+        problem, free=(*problem.free, q), objective=lambda x, p, xp: priced(x, p, xp) + p.one * (p.q - 0.4) ** 2
     )
     atlas = open_atlas(build(several, {"ceiling": (0.1, 0.45)}, tmp_path / "wells", bricks=1), lambda _: several)
     ceilings = np.linspace(0.18, 0.21, 4)
@@ -212,7 +214,7 @@ def test_durations_between_bounds_are_followed_over_their_ranges_too() -> None:
         plain,
         free=(pl.Free(name="T", unit="s", lower=0.9, upper=1.2, typical=1.0),),
         given={**given, **{name: pl.Given(value=1.0, unit=unit) for name, unit in units.items()}},
-        objective=lambda x, p, m: plain.objective(x, p, m) + p.one * (p.T / p.second - 1) ** 2,
+        objective=lambda x, p, xp: plain.objective(x, p, xp) + p.one * (p.T / p.second - 1) ** 2,
     )
     region = region_of(problem, {"ceiling": (0.1, 0.14)}, bricks=1)
     scan = Scan(problem, region, widths := np.array([0.04]))

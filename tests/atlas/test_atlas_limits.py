@@ -43,9 +43,9 @@ def haul(patient: bool) -> pl.Problem:
         name="haul",
         states=tuple(Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("c", "m^2/s^3"))),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.v, x.x),
+        end=lambda x, p, xp: (x.v, x.x),
         end_conditions=(Variable(name="still", unit="m/s"), Variable(name="far", unit="m", upper="high")),
     )
     values = {"high": (0.6, "m"), "reward": (REWARD, "m/s^3"), "longest": (LONGEST, "s")}
@@ -53,11 +53,11 @@ def haul(patient: bool) -> pl.Problem:
     return pl.Problem(
         name="haul",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
         free=(pl.Free(name="T", unit="s", lower=0.0, upper=2.0, typical=1.0),) if patient else (),
-        ranges=(lambda p, m: {"T": (0.0, p.longest * p.patience**2, 1.0)}) if patient else None,
-        objective=lambda x, p, m: x.c - p.reward * x.x,
+        ranges=(lambda p, xp: {"T": (0.0, p.longest * p.patience**2, 1.0)}) if patient else None,
+        objective=lambda x, p, xp: x.c - p.reward * x.x,
         objective_unit="m^2/s^3",
     )
 
@@ -125,7 +125,7 @@ def test_ranges_are_asked_of_no_values_that_were_not_set() -> None:
     """Arrays that wait for them hold anything, and what a range follows from may take for ever with that."""
     asked = list[float]()
 
-    def ranges(p: Any, m: Any) -> Any:
+    def ranges(p: Any, xp: Any) -> Any:
         asked.append(p.longest if p.longest > 0.0 else -1.0)  # what has no value is not compared
         return {"T": (0.0, p.longest * p.patience**2, 1.0)}
 
@@ -146,7 +146,7 @@ def test_ranges_that_an_atlas_cannot_keep_are_refused(tmp_path: Path) -> None:
     assert "0.891 s" in str(refused.value)
     assert not (tmp_path / "map").exists()
     there_and_back = replace(
-        problem.with_given(high=0.5), ranges=lambda p, m: {"T": (0.0, LONGEST + (p.high - 0.5) * (0.7 - p.high), 1.0)}
+        problem.with_given(high=0.5), ranges=lambda p, xp: {"T": (0.0, LONGEST + (p.high - 0.5) * (0.7 - p.high), 1.0)}
     )
     with pytest.raises(PeriluneError, match="the range of T follows from what varies"):
         build(there_and_back, {"high": (0.5, 0.7)}, tmp_path / "map")
@@ -167,8 +167,8 @@ def test_ranges_of_the_users_in_a_problem_of_a_model_are_refused_where_they_move
     ranges = model.ranges
     assert ranges is not None and model.declared
 
-    def slower(p: Any, m: Any) -> Any:
-        found = dict(ranges(p, m))
+    def slower(p: Any, xp: Any) -> Any:
+        found = dict(ranges(p, xp))
         least, most, typical = found["retro_delta_v"]
         return {**found, "retro_delta_v": (least, most - 10.0 * (p.vehicle_thrust - 440.0), typical)}
 
@@ -181,7 +181,7 @@ def test_ranges_of_the_users_in_a_problem_of_a_model_are_refused_where_they_move
 def test_an_atlas_that_has_lost_what_its_ranges_follow_from_is_not_extended(tmp_path: Path) -> None:
     """Within its axes they do not move; what they do beyond nobody who opens it knows."""
     problem = replace(
-        haul(True).with_given(high=0.6), ranges=lambda p, m: {"T": (0.0, LONGEST - m.fmax(p.high - 0.7, 0.0), 1.0)}
+        haul(True).with_given(high=0.6), ranges=lambda p, xp: {"T": (0.0, LONGEST - xp.fmax(p.high - 0.7, 0.0), 1.0)}
     )
     directory = build(problem, {"high": (0.5, 0.7)}, tmp_path / "map", bricks=1)
     with pytest.raises(PeriluneError, match="follow from a function that this atlas does not keep"):
@@ -196,19 +196,19 @@ def two_hauls() -> pl.Problem:
         name="haul",
         states=tuple(Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("c", "m^2/s^3"))),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.v, x.x - p.q - p.way),
+        end=lambda x, p, xp: (x.v, x.x - p.q - p.way),
         end_conditions=(Variable(name="still", unit="m/s"), Variable(name="there", unit="m")),
     )
     values = {"T": (1.0, "s"), "way": (1.0, "m"), "bend": (100.0, "1/s^3"), "toll": (14.0, "m/s^3"), "K": (24.0, "m")}
     return pl.Problem(
         name="two_hauls",
         phases=(phase,),
-        start=lambda p, m: (0.0 * p.way, 0.0, 0.0),
+        start=lambda p, xp: (0.0 * p.way, 0.0, 0.0),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
         free=(pl.Free(name="q", unit="m", lower=-1.0, upper=1.0, typical=1.0),),
-        objective=lambda x, p, m: x.c - 0.5 * p.bend * (p.q**2 - p.way**2) + (p.toll - p.K / p.T**3) * (p.q + p.way),
+        objective=lambda x, p, xp: x.c - 0.5 * p.bend * (p.q**2 - p.way**2) + (p.toll - p.K / p.T**3) * (p.q + p.way),
         objective_unit="m^2/s^3",
     )
 
@@ -247,7 +247,7 @@ def test_a_sum_of_arcs_lies_between_bounds_that_follow_from_what_varies() -> Non
     base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5)
     problem = replace(
         base, given={**base.given, "longest": Given(value=1.0, unit="s")},
-        ranges=lambda p, m: {"T": (0.5 * p.longest, p.longest, 0.9)},
+        ranges=lambda p, xp: {"T": (0.5 * p.longest, p.longest, 0.9)},
     )  # fmt: skip
     rides = Structure(((Arc(until=0.3), Arc(until=0.7, along=("room",)), Arc()),))
     borders = Borders(Chart(problem, ("longest",), np.array([0.4]), ArcSequence(structure=rides)))
@@ -273,7 +273,7 @@ def lure(far: float = 0.3) -> pl.Problem:
         phases=(phase,),
         start=base.start,
         given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        objective=lambda x, p, m: x.c - 0.5 * p.pull * x.x**2 - p.push * x.x,
+        objective=lambda x, p, xp: x.c - 0.5 * p.pull * x.x**2 - p.push * x.x,
         objective_unit="m^2/s^3",
     )
 

@@ -49,7 +49,7 @@ def test_what_is_no_number_passes_nothing() -> None:
 def test_comparisons_that_only_numpy_reads_are_made_point_by_point() -> None:
     """Nor is what CasADi makes of NumPy's functions taken for what they say."""
 
-    def compare(p: Any, m: Any) -> list[Finding]:
+    def compare(p: Any, xp: Any) -> list[Finding]:
         held = np.float64(p.vehicle_thrust) if np.ndim(p.vehicle_thrust) == 0 else np.asarray(p.vehicle_thrust)
         limits = {"at_least": True, "unit": "N", "meaning": "too weak"}
         return [
@@ -83,7 +83,7 @@ def test_traced_bounds_are_those_that_are_stated(name: str) -> None:
 def test_bounds_that_only_numpy_states_are_made_point_by_point() -> None:
     """As those that refuse what makes no sense; of that nothing is told."""
 
-    def ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+    def ranges(p: Any, xp: Any) -> dict[str, tuple[float, float, float]]:
         if p.vehicle_thrust < 300.0:
             raise pl.PeriluneError("too weak")
         return {"flight_time": (0.0, float(np.interp(p.vehicle_thrust, [300.0, 500.0], [1e3, 3e3])), 1e3)}
@@ -98,19 +98,19 @@ def test_bounds_that_only_numpy_states_are_made_point_by_point() -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        lambda x, m: m.sqrt(x - 400.0) ** 2,
+        lambda x, xp: xp.sqrt(x - 400.0) ** 2,
         lambda x, m: (x - 400.0) / (x - 400.0),
-        lambda x, m: 0.0 * m.log(x - 400.0),
-        lambda x, m: m.fmax(m.sqrt(x - 400.0), 0.0),
+        lambda x, xp: 0.0 * xp.log(x - 400.0),
+        lambda x, xp: xp.fmax(xp.sqrt(x - 400.0), 0.0),
     ],
     ids=["square of a root", "0/0", "0 log", "greater"],
 )
 def test_what_symbols_make_simpler_allows_no_more_than_what_is_stated(value: Any) -> None:
     """Each is NaN at 399 or at 400, of which CasADi's own simplifications and functions make a number."""
 
-    def compare(p: Any, m: Any) -> list[Finding]:
+    def compare(p: Any, xp: Any) -> list[Finding]:
         one = {"limit": -1.5, "at_least": True, "unit": "N", "binding": True, "meaning": "too weak"}
-        return [Finding(name="shown", value=value(p.vehicle_thrust, m), **one)]
+        return [Finding(name="shown", value=value(p.vehicle_thrust, xp), **one)]
 
     problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, preflight=compare)
     points = np.array([[399.0], [400.0], [401.0]])

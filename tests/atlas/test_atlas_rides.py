@@ -328,7 +328,7 @@ def test_wells_of_a_parameter_are_looked_for_with_the_arcs_of_an_answer_too(tmp_
         plain,
         free=(*plain.free, pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5)),
         given={**plain.given, "one": pl.Given(value=1.0, unit=unit)},
-        objective=lambda x, p, m: plain.objective(x, p, m) + p.one * price(p.q),
+        objective=lambda x, p, xp: plain.objective(x, p, xp) + p.one * price(p.q),
     )
     least = float(price(np.linspace(0.0, 1.0, 10_001)).min())
     for ceiling in (0.15, 0.2, 0.3):  # ridden, touched, free

@@ -19,7 +19,7 @@ build = partial(building.build, sample=0)  # proofs have tests of their own
 def test_flights_through_a_bent_table_are_answered_between_nodes(tmp_path: Path) -> None:
     """Costates turn at its knots, and the sensitivities with them: without that one step leads nowhere near enough."""
     slope = pl.Table((0.0, 0.3, 0.6, 1.0), (0.0, 0.4, 0.1, 0.3), "linear")
-    problem = push(lambda x, p, m: p.k * m.table(slope, x.x / p.L))
+    problem = push(lambda x, p, xp: p.k * xp.table(slope, x.x / p.L))
     atlas = open_atlas(build(problem, {"k": (0.2, 0.4)}, tmp_path / "map", bricks=1))
     answers = atlas.query_many(np.linspace(0.2, 0.4, 40)[:, None])
     assert answers.good.all()

@@ -43,22 +43,22 @@ def push(lower: float = -math.inf, upper: float = math.inf, **given: float) -> P
         name="push",
         states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s"), Variable(name="cost", unit="m^2/s^3")),
         controls=(Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.x - p.length, x.v),
+        end=lambda x, p, xp: (x.x - p.length, x.v),
         end_conditions=(
             Variable(name="place", unit="m"),
             Variable(name="speed", unit="m/s", lower=lower, upper=upper),
         ),
-        typical_end=lambda p, m: (p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
+        typical_end=lambda p, xp: (p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
     )
     numbers = {"T": (1.0, "s"), "length": (1.0, "m")}
     return Problem(
         name="push",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given={name: Given(value=given.get(name, v), unit=unit) for name, (v, unit) in numbers.items()},
-        objective=lambda x, p, m: x.cost,
+        objective=lambda x, p, xp: x.cost,
         objective_unit="m^2/s^3",
     )
 
@@ -73,7 +73,7 @@ def energy(distance: float, start_speed: float, end_speed: float, time: float = 
 # -- ranges at ends. Left free, the end speed is 1.5 m/s: the costate of the speed vanishes there.
 
 
-@pytest.mark.parametrize("method", METHODS, ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize("method", METHODS, ids=lambda xp: type(xp).__name__)
 @pytest.mark.parametrize(
     ("lower", "upper", "speed", "sign"),
     [(0.0, 2.0, 1.5, 0), (0.0, 1.0, 1.0, 1), (1.8, math.inf, 1.8, -1), (-math.inf, 1.2, 1.2, 1)],
@@ -116,15 +116,15 @@ def test_a_range_between_phases(upper: float) -> None:
     def phase(name: str, duration: str, where: float, conditions: tuple[Variable, ...]) -> Phase:
         return replace(
             half, name=name, duration=duration, end_conditions=conditions,
-            end=lambda x, p, m: (x.x - where * p.length, x.v)[: len(conditions)],
-            typical_end=lambda p, m: (where * p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
+            end=lambda x, p, xp: (x.x - where * p.length, x.v)[: len(conditions)],
+            typical_end=lambda p, xp: (where * p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
         )  # fmt: skip
 
     place, speed = half.end_conditions[0], Variable(name="speed", unit="m/s", upper=upper)
     problem = replace(
         base,
         phases=(phase("first", "T", 0.5, (place, speed)), phase("second", "T2", 1.0, (place,))),
-        links=(lambda x, p, m: (x.x, x.v, x.cost),),
+        links=(lambda x, p, xp: (x.x, x.v, x.cost),),
         given={**base.given, "T2": Given(value=1.0, unit="s")},
     )
     speeds = np.linspace(0.0, upper, 20001)
@@ -197,7 +197,7 @@ def shove(place: tuple[float, float], speed: tuple[float, float], time: tuple[fl
     base = push(1.0, 1.5)
     return replace(
         base,
-        start=lambda p, m: (p.a, p.b, 0.0 * p.price_a * p.a * p.a),
+        start=lambda p, xp: (p.a, p.b, 0.0 * p.price_a * p.a * p.a),
         given={
             "length": Given(value=1.0, unit="m"),
             "price_a": Given(value=4.0, unit="1/s^3"),
@@ -209,7 +209,7 @@ def shove(place: tuple[float, float], speed: tuple[float, float], time: tuple[fl
             Free(name="b", unit="m/s", lower=speed[0], upper=speed[1], typical=0.1),
             Free(name="T", unit="s", lower=time[0], upper=time[1], typical=1.0),
         ),
-        objective=lambda x, p, m: x.cost + p.price_a * p.a * p.a + p.price_b * p.b * p.b + p.price_T * p.T,
+        objective=lambda x, p, xp: x.cost + p.price_a * p.a * p.a + p.price_b * p.b * p.b + p.price_T * p.T,
     )
 
 
@@ -279,7 +279,7 @@ def test_extremals_are_told_apart_however_close_and_flat(worst: float, price: fl
         base,
         given={**base.given, "price": Given(value=price, unit="m^2/s^3")},
         free=(Free(name="q", unit="m", lower=0.0, upper=1.0, typical=1.0),),
-        objective=lambda x, p, m: x.cost + p.price * polynomial(p.q / p.length),
+        objective=lambda x, p, xp: x.cost + p.price * polynomial(p.q / p.length),
     )
 
     found = {e.nature: e for e in solve(problem, level=0).extremals}
@@ -303,10 +303,10 @@ def test_a_parameter_that_acts_between_phases() -> None:
     problem = replace(
         base,
         phases=(first, second),
-        links=(lambda x, p, m: (x.x, x.v + p.kick, x.cost),),
+        links=(lambda x, p, xp: (x.x, x.v + p.kick, x.cost),),
         given={**base.given, "T2": Given(value=0.5, unit="s"), "price": Given(value=0.8, unit="1/s")},
         free=(Free(name="kick", unit="m/s", lower=-5.0, upper=5.0, typical=1.0),),
-        objective=lambda x, p, m: x.cost + p.price * p.kick * p.kick,
+        objective=lambda x, p, xp: x.cost + p.price * p.kick * p.kick,
     )
 
     def cost(z: np.ndarray) -> float:
@@ -370,7 +370,7 @@ def test_that_no_flight_at_all_is_best_is_said(longest: float) -> None:
         base,
         given={"length": Given(value=0.0, unit="m"), "price": Given(value=1.0, unit="m^2/s^4")},
         free=(Free(name="T", unit="s", lower=0.0, upper=longest, typical=1.0),),
-        objective=lambda x, p, m: x.cost + p.price * p.T,
+        objective=lambda x, p, xp: x.cost + p.price * p.T,
     )
     with pytest.raises(NotConvergedError, match=r"T goes to 0 s: the best push is none[\s\S]*a lower bound above 0"):
         solve(waiting)
@@ -382,18 +382,20 @@ def placed_by_choice(gain: float, ranged: bool) -> Problem:
         name="go",
         states=(Variable(name="x", unit="m"), Variable(name="e", unit="m^2/s")),
         controls=(Bounded(name="u", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=(lambda x, p, m: (x.x,)) if ranged else (lambda x, p, m: (x.x - p.q,)),
+        end=(lambda x, p, xp: (x.x,)) if ranged else (lambda x, p, xp: (x.x - p.q,)),
         end_conditions=(Variable(name="place", unit="m", lower=0.0 if ranged else -np.inf),),
     )
     return Problem(
         name="placed",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0),
         given={"T": Given(value=1.0, unit="s"), "gain": Given(value=gain, unit="1/s")},
         free=() if ranged else (Free(name="q", unit="m", lower=0.0, upper=5.0),),
-        objective=(lambda x, p, m: x.e - p.gain * x.x * x.x) if ranged else (lambda x, p, m: x.e - p.gain * p.q * p.q),
+        objective=(lambda x, p, xp: x.e - p.gain * x.x * x.x)
+        if ranged
+        else (lambda x, p, xp: x.e - p.gain * p.q * p.q),
         objective_unit="m^2/s",
     )
 
@@ -414,18 +416,18 @@ def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else()
         name="go",
         states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
         controls=(Bounded(name="u", unit="m/s^2", lower=-1.0, upper="q"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u),
         duration="T",
-        end=lambda x, p, m: (x.x - p.distance, x.v),
+        end=lambda x, p, xp: (x.x - p.distance, x.v),
         end_conditions=(Variable(name="place", unit="m"), Variable(name="rest", unit="m/s")),
     )
     problem = Problem(
         name="limits",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0),
         given={"distance": Given(value=1.0, unit="m"), "price": Given(value=0.2, unit="s^5/m^2")},
         free=(Free(name="T", unit="s", lower=0.0, upper=20.0), Free(name="q", unit="m/s^2", lower=0.1, upper=10.0)),
-        objective=lambda x, p, m: p.T + p.price * p.q * p.q,
+        objective=lambda x, p, xp: p.T + p.price * p.q * p.q,
         objective_unit="s",
     )
     best = solve(problem)

@@ -29,7 +29,7 @@ Rate = Callable[[Any, Any, Any], Any]
 
 
 def counted(
-    rate: Rate = lambda u, p, m: u.u * u.u,
+    rate: Rate = lambda u, p, xp: u.u * u.u,
     unit: str = "m^2/s^3",
     *,
     lower: float = -1.1,
@@ -42,24 +42,24 @@ def counted(
     ends += [] if used is None else [pl.Variable(name="used", unit=unit, lower=used[0], upper=used[1])]
     limited: dict[str, Any] = {}
     if fastest is not None:
-        limited = {"path": lambda x, u, p, m: (p.fastest - x.v,), "path_conditions": variables(limit="m/s")}
+        limited = {"path": lambda x, u, p, xp: (p.fastest - x.v,), "path_conditions": variables(limit="m/s")}
     phase = pl.Phase(
         name="run",
         states=variables(s="m", v="m/s", E=unit),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=lower, upper=upper),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, rate(u, p, m)),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, rate(u, p, xp)),
         duration="T",
-        end=lambda x, p, m: (x.s - p.L, x.v) if used is None else (x.s - p.L, x.v, x.E),
+        end=lambda x, p, xp: (x.s - p.L, x.v) if used is None else (x.s - p.L, x.v, x.E),
         end_conditions=tuple(ends),
         **limited,
     )
     return pl.Problem(
         name="counted",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given=given(L=(10.0, "m"), one=(1.0, "m/s^2"), **({} if fastest is None else {"fastest": (fastest, "m/s")})),
         free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=SCALES,
     )
@@ -71,17 +71,17 @@ def spent(sign: float) -> pl.Problem:
         name="run",
         states=variables(s="m", v="m/s", E="m^2/s^3"),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=0.5),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.s - p.L,),
+        end=lambda x, p, xp: (x.s - p.L,),
         end_conditions=variables(place="m"),
     )
     return pl.Problem(
         name="spent",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given=given(L=(2.0, "m"), T=(4.0, "s")),
-        objective=lambda x, p, m: sign * x.E,
+        objective=lambda x, p, xp: sign * x.E,
         objective_unit="m^2/s^3",
         scales=SCALES,
     )
@@ -93,17 +93,17 @@ def turned(a: float, lower: float, upper: float) -> pl.Problem:
         name="run",
         states=variables(s="m", v="m/s", E="m^2/s^3", tau="s", C="m^2/s"),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=lower, upper=upper),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, u.u * u.u, 1.0, (p.a - x.tau) * x.E),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, u.u * u.u, 1.0, (p.a - x.tau) * x.E),
         duration="T",
-        end=lambda x, p, m: (x.s - p.L, x.v),
+        end=lambda x, p, xp: (x.s - p.L, x.v),
         end_conditions=variables(place="m", speed="m/s"),
     )
     return pl.Problem(
         name="turned",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.0),
         given=given(L=(1.5, "m"), T=(4.0, "s"), a=(a, "s")),
-        objective=lambda x, p, m: x.C,
+        objective=lambda x, p, xp: x.C,
         objective_unit="m^2/s",
         scales=SCALES,
     )
@@ -113,14 +113,14 @@ def rocket(fastest: float | None = None) -> pl.Problem:
     """The rocket cart of InfiniteOpt's manual: drag 0.2 v^2, propellant 0.01 u^2, |u| <= 1.1; the speed at most."""
     limited: dict[str, Any] = {}
     if fastest is not None:
-        limited = {"path": lambda x, u, p, m: (p.fastest - x.v,), "path_conditions": variables(limit="m/s")}
+        limited = {"path": lambda x, u, p, xp: (p.fastest - x.v,), "path_conditions": variables(limit="m/s")}
     phase = pl.Phase(
         name="run",
         states=variables(s="m", v="m/s", m="kg"),
         controls=(pl.Bounded(name="u", unit="N", lower=-1.1, upper=1.1),),
-        dynamics=lambda x, u, p, m: (x.v, (u.u - p.k * x.v * x.v) / x.m, -p.c * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, (u.u - p.k * x.v * x.v) / x.m, -p.c * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.s - p.L, x.v),
+        end=lambda x, p, xp: (x.s - p.L, x.v),
         end_conditions=variables(place="m", speed="m/s"),
         **limited,
     )
@@ -128,10 +128,10 @@ def rocket(fastest: float | None = None) -> pl.Problem:
     return pl.Problem(
         name="rocket cart",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, p.m0),
+        start=lambda p, xp: (0.0, 0.0, p.m0),
         given=given(**values, **({} if fastest is None else {"fastest": (fastest, "m/s")})),
         free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=SCALES,
     )
@@ -156,12 +156,12 @@ LEAST_TIME = 2 * math.sqrt(10 / 1.1)
     ("problem", "truth"),
     [
         (counted(), LEAST_TIME),
-        (counted(lambda u, p, m: u.u**4, "m^4/s^7"), LEAST_TIME),
+        (counted(lambda u, p, xp: u.u**4, "m^4/s^7"), LEAST_TIME),
         (counted(lower=-2.0, upper=0.7), math.sqrt(2 * 10 * 2.7 / (2.0 * 0.7))),
         # A costate that is zero only at the solution: the range of its state does not bind.
         (counted(used=(-math.inf, 100.0)), LEAST_TIME),
         (counted(used=(1.0, 100.0), lower=-2.0, upper=0.7), math.sqrt(2 * 10 * 2.7 / (2.0 * 0.7))),
-        (counted(lambda u, p, m: u.u**4, "m^4/s^7", used=(-math.inf, 100.0)), LEAST_TIME),
+        (counted(lambda u, p, xp: u.u**4, "m^4/s^7", used=(-math.inf, 100.0)), LEAST_TIME),
         (counted(fastest=1.7), 10 / 1.7 + 1.7 / 1.1),
     ],
 )
@@ -171,7 +171,7 @@ def test_what_only_counts_does_not_bend_the_hamiltonian(method: Any, problem: pl
 
 
 def test_what_is_counted_changes_no_digit() -> None:
-    linear, squared = (pl.solve(counted(rate)) for rate in (lambda u, p, m: p.one * u.u, lambda u, p, m: u.u * u.u))
+    linear, squared = (pl.solve(counted(rate)) for rate in (lambda u, p, xp: p.one * u.u, lambda u, p, xp: u.u * u.u))
     assert linear.objective == squared.objective
 
 
@@ -280,9 +280,9 @@ def planar(rate: Rate, of: str) -> pl.Problem:
     """From (0, 0) with velocity (0, 1 m/s) to rest in (2 m, 2 m) in least time: thrust in any direction, 0.2 to 1."""
     mass = of == "m"
 
-    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
+    def dynamics(x: Any, u: Any, p: Any, xp: Any) -> Any:
         pushed = u.size / x.m if mass else u.size
-        return (x.vx, x.vy, pushed * u.dx, pushed * u.dy, rate(u, p, m))
+        return (x.vx, x.vy, pushed * u.dx, pushed * u.dy, rate(u, p, xp))
 
     unit = "N" if mass else "m/s^2"
     phase = pl.Phase(
@@ -291,17 +291,17 @@ def planar(rate: Rate, of: str) -> pl.Problem:
         controls=(pl.Direction(names=("dx", "dy")), pl.Bounded(name="size", unit=unit, lower=0.2, upper=1.0)),
         dynamics=dynamics,
         duration="T",
-        end=lambda x, p, m: (x.x - p.L, x.y - p.L, x.vx, x.vy),
+        end=lambda x, p, xp: (x.x - p.L, x.y - p.L, x.vx, x.vy),
         end_conditions=variables(east="m", north="m", rest_x="m/s", rest_y="m/s"),
     )
     own = {"c": (0.05, "kg/N^2/s"), "k": (0.05, "kg/N/s"), "m0": (1.0, "kg")} if mass else {"one": (1.0, "m/s^2")}
     return pl.Problem(
         name="planar",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0, p.v0, p.m0 if mass else 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0, p.v0, p.m0 if mass else 0.0),
         given=given(L=(2.0, "m"), v0=(1.0, "m/s"), **own),
         free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=SCALES,
     )
@@ -311,13 +311,13 @@ def planar(rate: Rate, of: str) -> pl.Problem:
 @pytest.mark.parametrize("of", ["E", "m"])
 def test_beside_a_direction_too(method: Any, of: str) -> None:
     """At full thrust all along what is counted, or burnt, is the same by the thrust or by its square."""
-    one = planar(lambda u, p, m: -p.k * u.size if of == "m" else p.one * u.size, of)
-    two = planar(lambda u, p, m: -p.c * u.size**2 if of == "m" else u.size**2, of)
+    one = planar(lambda u, p, xp: -p.k * u.size if of == "m" else p.one * u.size, of)
+    two = planar(lambda u, p, xp: -p.c * u.size**2 if of == "m" else u.size**2, of)
     assert proved(two, method).objective == pytest.approx(pl.solve(one, level=2).objective, abs=1e-11)
 
 
 @pytest.mark.parametrize(
-    "rate", [lambda u, p, m: u.u * u.u, lambda u, p, m: u.u * u.u + u.b * u.b, lambda u, p, m: u.u * u.b]
+    "rate", [lambda u, p, xp: u.u * u.u, lambda u, p, xp: u.u * u.u + u.b * u.b, lambda u, p, xp: u.u * u.b]
 )
 def test_one_of_two_scalars_alone(rate: Rate) -> None:
     """T + int b^2/2 for 3 m from rest to rest by u, and a speed of 1 m/s beside it by b: T is least, b = 1/T."""
@@ -328,18 +328,18 @@ def test_one_of_two_scalars_alone(rate: Rate) -> None:
             pl.Bounded(name="u", unit="m/s^2", lower=-1.1, upper=0.8),
             pl.Bounded(name="b", unit="m/s^2", lower=-1.0, upper=1.0),
         ),
-        dynamics=lambda x, u, p, m: (x.v, u.u, u.b, rate(u, p, m), 0.5 * u.b * u.b / (p.one * p.one)),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, u.b, rate(u, p, xp), 0.5 * u.b * u.b / (p.one * p.one)),
         duration="T",
-        end=lambda x, p, m: (x.s - p.L, x.v, x.w - p.W),
+        end=lambda x, p, xp: (x.s - p.L, x.v, x.w - p.W),
         end_conditions=variables(place="m", speed="m/s", side="m/s"),
     )
     problem = pl.Problem(
         name="two",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.0),
         given=given(L=(3.0, "m"), W=(1.0, "m/s"), one=(1.0, "m/s^2")),
         free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
-        objective=lambda x, p, m: p.T + x.C,
+        objective=lambda x, p, xp: p.T + x.C,
         objective_unit="s",
         scales=SCALES,
     )
@@ -352,16 +352,16 @@ def with_energy() -> pl.Problem:
     own = goddard()
     (ascent,) = own.phases
 
-    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
-        return (*ascent.dynamics(x, u, p, m), u.thrust * u.thrust)
+    def dynamics(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        return (*ascent.dynamics(x, u, p, xp), u.thrust * u.thrust)
 
     phase = replace(
         ascent,
         states=(*ascent.states, pl.Variable(name="E", unit="N^2*s")),
         dynamics=dynamics,
-        typical_end=lambda p, m: (p.scale_height, 0 * p.c, p.dry_mass, 0.0 * p.c),
+        typical_end=lambda p, xp: (p.scale_height, 0 * p.c, p.dry_mass, 0.0 * p.c),
     )
-    return replace(own, phases=(phase,), start=lambda p, m: (0.0, 0.0, p.mass, 0.0))
+    return replace(own, phases=(phase,), start=lambda p, xp: (0.0, 0.0, p.mass, 0.0))
 
 
 def test_a_singular_arc_beside_what_only_counts() -> None:

@@ -25,18 +25,18 @@ def cart(cost: Cost, unit: str, way: float, speed: float | None = None) -> pl.Pr
         name="run",
         states=variables(s="m", v="m/s", C=unit),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, cost(u.u, p.one)),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, cost(u.u, p.one)),
         duration="T",
-        end=lambda x, p, m: (x.s - p.L,) if speed is None else (x.s - p.L, x.v - p.vT),
+        end=lambda x, p, xp: (x.s - p.L,) if speed is None else (x.s - p.L, x.v - p.vT),
         end_conditions=variables(place="m") if speed is None else variables(place="m", speed="m/s"),
     )
     ends = {"L": (way, "m"), "T": (3.0, "s"), "one": (1.0, "m/s^2")}
     return pl.Problem(
         name="cart",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given=given(**ends, **({} if speed is None else {"vT": (speed, "m/s")})),
-        objective=lambda x, p, m: x.C,
+        objective=lambda x, p, xp: x.C,
         objective_unit=unit,
         scales=pl.Scales(length=1.0, time=1.0, mass=1.0),
     )

@@ -29,17 +29,17 @@ def slide(bound: float | str) -> pl.Problem:
         name="slide",
         states=variables(x="m", v="m/s", c="m^2/s^3"),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-5.0 if isinstance(bound, str) else -bound, upper=bound),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.x - p.way, x.v),
+        end=lambda x, p, xp: (x.x - p.way, x.v),
         end_conditions=variables(arrive="m", rest="m/s"),
     )
     return pl.Problem(
         name="slide",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given=given(T=(1.0, "s"), way=(1.0, "m"), strength=(5.0, "m/s^2")),
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s^3",
     )
 
@@ -81,7 +81,7 @@ def test_an_angle_and_a_direction_steer_alike() -> None:
     turned = replace(
         base.phases[0],
         controls=(pl.Bounded(name="angle", unit="rad"),),
-        dynamics=lambda x, u, p, m: (x.vy, p.a * m.cos(u.angle), p.a * m.sin(u.angle)),
+        dynamics=lambda x, u, p, xp: (x.vy, p.a * xp.cos(u.angle), p.a * xp.sin(u.angle)),
     )
     solution = pl.solve(replace(base, phases=(turned,)))
     assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 3)
@@ -95,7 +95,7 @@ def curve(push: bool) -> pl.Problem:
     The acceleration a is a direction times its size; with a brake of its own along y that costs alike.
     """
 
-    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
+    def dynamics(x: Any, u: Any, p: Any, xp: Any) -> Any:
         y = u.size * u.dy + (u.brake if push else 0.0 * u.size)
         cost = 0.5 * u.size * u.size + (0.5 * u.brake * u.brake if push else 0.0 * u.size * u.size)
         return (x.vx, x.vy, u.size * u.dx, y, cost)
@@ -107,15 +107,15 @@ def curve(push: bool) -> pl.Problem:
         controls=(pl.Direction(names=("dx", "dy")), pl.Bounded(name="size", unit="m/s^2", lower=0.0), *brake),
         dynamics=dynamics,
         duration="T",
-        end=lambda x, p, m: (x.x - p.way, x.y - p.way, x.vx, x.vy),
+        end=lambda x, p, xp: (x.x - p.way, x.y - p.way, x.vx, x.vy),
         end_conditions=variables(east="m", north="m", rest_x="m/s", rest_y="m/s"),
     )
     return pl.Problem(
         name="curve",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0, p.speed, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0, p.speed, 0.0),
         given=given(T=(1.0, "s"), way=(1.0, "m"), speed=(1.0, "m/s")),
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s^3",
     )
 
@@ -132,13 +132,13 @@ def test_a_quadratic_size_beside_a_direction(push: bool, share: float) -> None:
 def test_what_has_no_minimum_is_named() -> None:
     """A direction that enters nonlinearly, a scalar that enters linearly and has no bounds."""
     base = tangent_steering()
-    squared = replace(base.phases[0], dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx * u.cx, p.a * u.cy))
+    squared = replace(base.phases[0], dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx * u.cx, p.a * u.cy))
     with pytest.raises(PeriluneError, match="no control law for cx, cy"):
         pl.solve(replace(base, phases=(squared,)), level=0)
     pushed = replace(
         base.phases[0],
         controls=(*base.phases[0].controls, pl.Bounded(name="push", unit="m/s^2")),
-        dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx + u.push, p.a * u.cy),
+        dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx + u.push, p.a * u.cy),
     )
     with pytest.raises(PeriluneError, match="no control law for push"):
         pl.solve(replace(base, phases=(pushed,)), level=0)
@@ -154,8 +154,8 @@ def test_on_either_side_of_a_kink_a_control_passes_through_the_same_regimes() ->
     """Three before a slope begins and three on it: from each to its neighbours, and to its like on the other side."""
     (flat,) = slide(5.0).phases
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
-        return x.v, u.u - p.strength * m.fmax(x.x / p.way - 0.5, 0.0), 0.5 * u.u * u.u
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        return x.v, u.u - p.strength * xp.fmax(x.x / p.way - 0.5, 0.0), 0.5 * u.u * u.u
 
     problem = replace(slide(5.0), phases=(replace(flat, dynamics=rates),))
     ways = [way for event in derive(problem).phases[0].events for way in event.switches.items()]
@@ -180,19 +180,19 @@ def across_a_current(lower: float, upper: float, unit: str) -> tuple[pl.Problem,
         name="cross",
         states=variables(x="m", y="m"),
         controls=(pl.Bounded(name="theta", unit=unit, lower=lower, upper=upper),),
-        dynamics=lambda x, u, p, m: (p.V * m.cos(u.theta) - p.k * x.y, p.V * m.sin(u.theta)),
+        dynamics=lambda x, u, p, xp: (p.V * xp.cos(u.theta) - p.k * x.y, p.V * xp.sin(u.theta)),
         duration="T",
-        end=lambda x, p, m: (x.x, x.y),
+        end=lambda x, p, xp: (x.x, x.y),
         end_conditions=variables(there="m", across="m"),
     )
     x0, y0 = way(first) - way(last), 1 / math.cos(first) - 1 / math.cos(last)
     problem = pl.Problem(
         name="zermelo",
         phases=(phase,),
-        start=lambda p, m: (p.x0, p.y0),
+        start=lambda p, xp: (p.x0, p.y0),
         given=given(V=(1.0, "m/s"), k=(1.0, "1/s"), x0=(x0, "m"), y0=(y0, "m")),
         free=(pl.Free(name="T", unit="s", lower=1.0, upper=20.0, typical=5.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=pl.Scales(length=1.0, time=1.0, mass=1.0),
     )
@@ -226,8 +226,8 @@ def lander_in_a_plane(angle: pl.Bounded | None) -> pl.Problem:
     """Least propellant from 1 km to rest anywhere on the ground, by throttle and angle, or by a direction."""
     controls = (pl.Bounded(name="k", lower=0.0, upper=1.0), angle or pl.Direction(names=("a", "b")))
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
-        east, up = (u.a, u.b) if angle is None else (m.sin(u.theta), m.cos(u.theta))
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> tuple[Any, ...]:
+        east, up = (u.a, u.b) if angle is None else (xp.sin(u.theta), xp.cos(u.theta))
         thrust = p.thrust * u.k
         return x.vx, x.vy, thrust * east / x.mass, thrust * up / x.mass - p.g, -thrust / p.exhaust
 
@@ -237,18 +237,18 @@ def lander_in_a_plane(angle: pl.Bounded | None) -> pl.Problem:
         controls=controls,
         dynamics=rates,
         duration="T",
-        end=lambda x, p, m: (x.y, x.vx, x.vy),
+        end=lambda x, p, xp: (x.y, x.vx, x.vy),
         end_conditions=variables(ground="m", across="m/s", down="m/s"),
     )
     return pl.Problem(
         name="lander",
         phases=(phase,),
-        start=lambda p, m: (0 * p.height, p.height, p.across, -p.down, p.mass),
+        start=lambda p, xp: (0 * p.height, p.height, p.across, -p.down, p.mass),
         given=given(
             thrust=(4000.0, "N"), g=(1.6, "m/s^2"), exhaust=(120.0, "m/s"), height=(1000.0, "m"), across=(24.0, "m/s"),
             down=(8.0, "m/s"), mass=(1000.0, "kg")),
         free=(pl.Free(name="T", unit="s", lower=7.5, upper=200.0, typical=38.0),),
-        objective=lambda x, p, m: -x.mass,
+        objective=lambda x, p, xp: -x.mass,
         objective_unit="kg",
     )  # fmt: skip
 

@@ -28,21 +28,21 @@ def level_flight(scale: float | None = None) -> pl.Problem:
         name="level",
         states=variables(x="m", y="m", vx="m/s", vy="m/s"),
         controls=(pl.Direction(names=("c", "s")),),
-        dynamics=lambda x, u, p, m: (x.vx, x.vy, p.a * u.c, p.a * u.s - p.g),
+        dynamics=lambda x, u, p, xp: (x.vx, x.vy, p.a * u.c, p.a * u.s - p.g),
         duration="T",
-        end=lambda x, p, m: (x.x - p.d,),
+        end=lambda x, p, xp: (x.x - p.d,),
         end_conditions=variables(reach="m"),
-        held=lambda x, u, p, m: (p.a * u.s - p.g,),
+        held=lambda x, u, p, xp: (p.a * u.s - p.g,),
         held_conditions=(pl.Variable(name="climb", unit="m/s^2", scale=scale),),
-        typical_end=lambda p, m: (p.d, 0.0, m.sqrt(p.a * p.d), 0.0),
+        typical_end=lambda p, xp: (p.d, 0.0, xp.sqrt(p.a * p.d), 0.0),
     )
     return pl.Problem(
         name="level",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0, 0.0),
         given=given(a=(5.0, "m/s^2"), g=(3.0, "m/s^2"), d=(100.0, "m")),
         free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=10.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=pl.Scales(length=100.0, time=10.0),
     )
@@ -105,7 +105,7 @@ def test_problems_that_hold_nothing_are_saved_as_before(tmp_path: Path) -> None:
 def test_what_cannot_be_held_is_named() -> None:
     problem = level_flight()
     with pytest.raises(PeriluneError, match=r"dimensionally homogeneous: held of level, climb"):
-        replace(problem, phases=(replace(problem.phases[0], held=lambda x, u, p, m: (u.s - p.g,)),))
+        replace(problem, phases=(replace(problem.phases[0], held=lambda x, u, p, xp: (u.s - p.g,)),))
     with pytest.raises(PeriluneError, match="held of level is missing"):
         replace(problem, phases=(replace(problem.phases[0], held=None),))
     with pytest.raises(PeriluneError, match=r"the held condition level\.climb is missed"):

@@ -28,7 +28,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "precision_landing.toml"
 STEEPEST, HEIGHT, DURATION = 0.5, 0.22, 1.0  # sine of the greatest elevation, height to reach [m], time [s]
 
 
-def _rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     return x.vx, x.vy, p.push * u.along, p.push * u.up
 
 
@@ -40,7 +40,7 @@ def _steered(*, path: Any, names: tuple[str, ...], of: str = "1", **given: float
         controls=(Direction(names=("along", "up")),),
         dynamics=_rates,
         duration="T",
-        end=lambda x, p, m: (x.y - p.height,),
+        end=lambda x, p, xp: (x.y - p.height,),
         end_conditions=variables_of_unit("m", "height"),
         path=path,
         path_conditions=variables_of_unit(of, *names),
@@ -50,9 +50,9 @@ def _steered(*, path: Any, names: tuple[str, ...], of: str = "1", **given: float
     return Problem(
         name="steered",
         phases=(phase,),
-        start=lambda p, m: (0 * p.height, 0 * p.height, 0 * p.push * p.T, 0 * p.push * p.T),
+        start=lambda p, xp: (0 * p.height, 0 * p.height, 0 * p.push * p.T, 0 * p.push * p.T),
         given={name: Given(value=value, unit=units.get(name, "1")) for name, value in values.items()},
-        objective=lambda x, p, m: -x.vx,
+        objective=lambda x, p, xp: -x.vx,
         objective_unit="m/s",
     )
 
@@ -83,7 +83,7 @@ def _clipped(least: float = -1.0) -> tuple[float, float, float]:
 
 
 def test_linear_tangent_steering_under_a_limit_is_its_closed_form() -> None:
-    problem = _steered(path=lambda x, u, p, m: (p.steepest - u.up,), names=("below_steepest",))
+    problem = _steered(path=lambda x, u, p, xp: (p.steepest - u.up,), names=("below_steepest",))
     solution = solve(problem, level=0)
     J, slope, leaves = _clipped()
     assert 0.2 < leaves < 0.8  # the limit holds for a good part of the flight
@@ -103,7 +103,7 @@ def test_a_limit_that_the_direct_solution_meets_is_kept_where_no_extremal_tells_
     """As random costates without the limit may find nothing."""
     found = ColdStarts.from_random_costates
     monkeypatch.setattr(ColdStarts, "from_random_costates", lambda self: found(self) if self.keep else iter(()))
-    problem = _steered(path=lambda x, u, p, m: (p.steepest - u.up,), names=("below_steepest",))
+    problem = _steered(path=lambda x, u, p, xp: (p.steepest - u.up,), names=("below_steepest",))
     solution = solve(problem, level=0)
     assert solution.objective == pytest.approx(_clipped()[0], abs=1e-11)
     assert any(line.startswith("random costates keeping steepest") for line in solution.statistics.tried)
@@ -111,7 +111,7 @@ def test_a_limit_that_the_direct_solution_meets_is_kept_where_no_extremal_tells_
 
 def test_a_limit_that_does_not_bind_changes_nothing() -> None:
     """It is not even derived: the control keeps only what an extremal broke."""
-    path = {"path": lambda x, u, p, m: (p.steepest - u.up,), "names": ("below_steepest",)}
+    path = {"path": lambda x, u, p, xp: (p.steepest - u.up,), "names": ("below_steepest",)}
     free, bound = solve(_steered(**path, steepest=2.0), level=0), solve(_steered(**path, steepest=0.97), level=0)
     assert free.objective == pytest.approx(bound.objective, abs=1e-12)
 
@@ -145,7 +145,7 @@ def test_a_flight_that_begins_with_a_switch_begins_in_a_mode_that_has_it_ahead(m
 def test_two_limits_at_once() -> None:
     """A limit on the other side, met at the end: the same closed form, clipped twice."""
     problem = _steered(
-        path=lambda x, u, p, m: (p.steepest - u.up, u.up - p.flattest), names=("below", "above"), flattest=0.2
+        path=lambda x, u, p, xp: (p.steepest - u.up, u.up - p.flattest), names=("below", "above"), flattest=0.2
     )
     assert attainable_conditions(problem) == ("below", "above")
     solution = solve(problem, level=0)
@@ -157,8 +157,8 @@ def test_two_limits_at_once() -> None:
 @pytest.mark.parametrize(
     ("path", "names", "of"),
     [
-        (lambda x, u, p, m: (p.steepest * p.height - x.y,), ("low",), "m"),  # of a state alone
-        (lambda x, u, p, m: (p.steepest - u.up * u.up,), ("bent",), "1"),  # not linear
+        (lambda x, u, p, xp: (p.steepest * p.height - x.y,), ("low",), "m"),  # of a state alone
+        (lambda x, u, p, xp: (p.steepest - u.up * u.up,), ("bent",), "1"),  # not linear
     ],
 )
 def test_what_the_control_cannot_keep_so(path: Any, names: tuple[str, ...], of: str) -> None:
@@ -202,10 +202,10 @@ def test_a_free_parameter_in_a_condition_is_chosen_with_its_multiplier() -> None
     price = 0.05
 
     def at(steepest: float) -> float:
-        problem = _steered(path=lambda x, u, p, m: (p.steepest - u.up,), names=("below",), steepest=steepest)
+        problem = _steered(path=lambda x, u, p, xp: (p.steepest - u.up,), names=("below",), steepest=steepest)
         return solve(problem, level=0).objective + price * steepest
 
-    base = _steered(path=lambda x, u, p, m: (p.steepest - u.up,), names=("below",))
+    base = _steered(path=lambda x, u, p, xp: (p.steepest - u.up,), names=("below",))
     given = {name: g for name, g in base.given.items() if name != "steepest"}
     problem = Problem(
         name="bought",
@@ -213,7 +213,7 @@ def test_a_free_parameter_in_a_condition_is_chosen_with_its_multiplier() -> None
         start=base.start,
         given=given,
         free=(Free(name="steepest", unit="1", typical=0.5),),
-        objective=lambda x, p, m: -x.vx + price * p.steepest * p.push * p.T,
+        objective=lambda x, p, xp: -x.vx + price * p.steepest * p.push * p.T,
         objective_unit="m/s",
     )
     guess = solve(base, level=0)

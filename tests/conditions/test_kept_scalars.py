@@ -39,7 +39,7 @@ def test_a_limit_that_is_no_interval_holds_on_both_its_sides() -> None:
     phase = replace(
         bounded.phases[0],
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        path=lambda x, u, p, m: (p.strength * p.strength - u.u * u.u,),
+        path=lambda x, u, p, xp: (p.strength * p.strength - u.u * u.u,),
         path_conditions=variables(weak="m^2/s^4"),
     )
     solution = _proved(replace(bounded, phases=(phase,)))
@@ -56,20 +56,20 @@ def _pushed(*limits: str) -> pl.Problem:
         name="push",
         states=variables(x="m", v="m/s"),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-BRAKES, upper=9.0),),
-        dynamics=lambda x, u, p, m: (x.v, u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u),
         duration="T",
-        end=lambda x, p, m: (x.x - p.way, x.v),
+        end=lambda x, p, xp: (x.x - p.way, x.v),
         end_conditions=variables(arrive="m", rest="m/s"),
-        path=lambda x, u, p, m: tuple(every[name](x, u, p) for name in limits),
+        path=lambda x, u, p, xp: tuple(every[name](x, u, p) for name in limits),
         path_conditions=variables(**dict.fromkeys(limits, "m/s^2")),
     )
     return pl.Problem(
         name="push",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0),
         given=given(way=(WAY, "m"), push=(1.0, "m/s^2"), gain=(1.0, "1/s"), most=(1.5, "m/s^2")),
         free=(pl.Free(name="T", unit="s", lower=0.1, upper=20.0, typical=3.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
 
@@ -96,15 +96,15 @@ def _plane(size: bool) -> pl.Problem:
     """Least int a^2/2 in the plane with |a| <= 5.2: by components and a condition, or by size and direction."""
     states = variables(x="m", y="m", vx="m/s", vy="m/s", c="m^2/s^3")
 
-    def by_components(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    def by_components(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
         return x.vx, x.vy, u.a, u.b, 0.5 * (u.a * u.a + u.b * u.b)
 
-    def by_size(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    def by_size(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
         return x.vx, x.vy, u.size * u.e, u.size * u.n, 0.5 * u.size * u.size
 
     common: dict[str, Any] = {
         "name": "plane", "states": states, "duration": "T",
-        "end": lambda x, p, m: (x.x - p.way, x.vx, x.y - p.up, x.vy),
+        "end": lambda x, p, xp: (x.x - p.way, x.vx, x.y - p.up, x.vy),
         "end_conditions": variables(there="m", rest="m/s", height="m", level="m/s"),
     }  # fmt: skip
     if size:
@@ -115,15 +115,15 @@ def _plane(size: bool) -> pl.Problem:
             **common,
             controls=(pl.Bounded(name="a", unit="m/s^2"), pl.Bounded(name="b", unit="m/s^2")),
             dynamics=by_components,
-            path=lambda x, u, p, m: (p.most * p.most - u.a * u.a - u.b * u.b,),
+            path=lambda x, u, p, xp: (p.most * p.most - u.a * u.a - u.b * u.b,),
             path_conditions=variables(weak="m^2/s^4"),
         )
     return pl.Problem(
         name="plane",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, p.across, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, p.across, 0.0, 0.0),
         given=given(T=(1.0, "s"), way=(1.0, "m"), up=(0.5, "m"), across=(0.3, "m/s"), most=(5.2, "m/s^2")),
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s^3",
     )
 
@@ -206,7 +206,7 @@ def test_what_knows_a_direction_too_is_not_kept() -> None:
     problem = _plane(size=True)
     phase = replace(
         problem.phases[0],
-        path=lambda x, u, p, m: (p.most - u.size * u.e,),
+        path=lambda x, u, p, xp: (p.most - u.size * u.e,),
         path_conditions=variables(across="m/s^2"),
     )
     assert attainable_conditions(replace(problem, phases=(phase,))) == ()

@@ -29,7 +29,7 @@ def walled(room: Callable[..., Any], **given: Given) -> Problem:
     """Least time over 1 m from x = 0, v = 0, and a condition of the path."""
     problem = least_time()
     phase = replace(
-        problem.phases[0], path=lambda x, u, p, m: (room(x, u, p),), path_conditions=(Variable(name="room", unit="m"),)
+        problem.phases[0], path=lambda x, u, p, xp: (room(x, u, p),), path_conditions=(Variable(name="room", unit="m"),)
     )
     return replace(problem, phases=(phase,), given={**problem.given, **given})
 
@@ -63,7 +63,7 @@ def test_what_is_chosen_is_not_judged_at_the_start() -> None:
     assert preflight(walled(lambda x, u, p: x.x - p.distance * (p.t_f / p.wait), wait=Given(value=1.0, unit="s"))) == ()
     moved = replace(
         walled(lambda x, u, p: x.x - p.distance),
-        start=lambda p, m: (p.begin, 0.0 * p.begin / p.t_f),
+        start=lambda p, xp: (p.begin, 0.0 * p.begin / p.t_f),
         free=(*least_time().free, Free(name="begin", unit="m", lower=0.0, upper=2.0)),
     )
     assert preflight(moved) == ()
@@ -78,7 +78,7 @@ def test_a_start_outside_the_bounds_of_a_state_is_refused_by_both_methods() -> N
 
 
 def test_an_objective_that_is_the_same_for_all_is_told_of() -> None:
-    constant = replace(least_energy(), objective=lambda x, p, m: p.v0 * p.v0 / p.T)
+    constant = replace(least_energy(), objective=lambda x, p, xp: p.v0 * p.v0 / p.T)
     (said,) = preflight(constant)
     assert said.verdict == "warning" and "the objective is a constant" in said.meaning
     assert preflight(least_energy()) == () and preflight(least_time()) == ()

@@ -230,17 +230,17 @@ def exponential(growth: float) -> Problem:
         name="only",
         states=(Variable(name="x", unit="m"),),
         controls=(),
-        dynamics=lambda x, u, p, m: (p.k * x.x,),
+        dynamics=lambda x, u, p, xp: (p.k * x.x,),
         duration="T",
     )
     return Problem(
         name="exponential",
         phases=(phase,),
-        start=lambda p, m: (p.x0,),
+        start=lambda p, xp: (p.x0,),
         given={
             "T": Given(value=1.0, unit="s"), "k": Given(value=growth, unit="1/s"), "x0": Given(value=1.0, unit="m")
         },
-        objective=lambda x, p, m: x.x,
+        objective=lambda x, p, xp: x.x,
         objective_unit="m",
     )  # fmt: skip
 

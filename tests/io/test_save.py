@@ -111,7 +111,7 @@ def test_every_kind_is_made_again(example: str, change: tuple[str, ...]) -> None
 
 def test_what_no_model_makes_is_saved_as_expressions(hybrid: Solution, hop: Solution) -> None:
     """A model's problem that was changed, and one that only has the name of a kind."""
-    assert model_document(replace(hybrid.problem, objective=lambda x, p, m: -2.0 * x.m)) is None
+    assert model_document(replace(hybrid.problem, objective=lambda x, p, xp: -2.0 * x.m)) is None
     assert model_document(replace(hybrid.problem, scales=pl.Scales(mass=7.0))) is None
     assert model_document(replace(hop.problem, name="hybrid_landing")) is None
     assert model_document(replace(hop.problem, name="hybrid_landing", declared=hybrid.problem.declared)) is None

@@ -28,22 +28,22 @@ def saddle(rate: float) -> pl.Problem:
         name="way",
         states=(Variable(name="x", unit="m"), Variable(name="J", unit="m^2/s")),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-100.0, upper=100.0),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u + (p.rate * x.x) ** 2)),
+        dynamics=lambda x, u, p, xp: (u.u, 0.5 * (u.u * u.u + (p.rate * x.x) ** 2)),
         duration="T",
-        end=lambda x, p, m: (x.x - p.side,),
+        end=lambda x, p, xp: (x.x - p.side,),
         end_conditions=(Variable(name="there", unit="m"),),
-        typical_end=lambda p, m: (p.side, p.side**2 / p.T),
+        typical_end=lambda p, xp: (p.side, p.side**2 / p.T),
     )
     return pl.Problem(
         name="saddle",
         phases=(phase,),
-        start=lambda p, m: (p.side, 0.0),
+        start=lambda p, xp: (p.side, 0.0),
         given={
             "side": Given(value=1.0, unit="m"),
             "rate": Given(value=rate, unit="1/s"),
             "T": Given(value=1.0, unit="s"),
         },
-        objective=lambda x, p, m: x.J,
+        objective=lambda x, p, xp: x.J,
         objective_unit="m^2/s",
     )
 
@@ -168,20 +168,20 @@ def test_a_thrust_that_nothing_points_in_the_last_instant_is_told(drag: float) -
     Without drag the thrust keeps one direction: (L + v t)^2 + (L + g t^2/2)^2 = (T t^2/2)^2.
     """
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
-        slowed = p.k * m.sqrt(x.vx**2 + x.vy**2 + p.v**2)
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        slowed = p.k * xp.sqrt(x.vx**2 + x.vy**2 + p.v**2)
         return x.vx, x.vy, p.T * u.a - slowed * x.vx, p.T * u.b - p.g - slowed * x.vy
 
     phase = pl.Phase(
         name="go", states=variables(x="m", y="m", vx="m/s", vy="m/s"), controls=(pl.Direction(names=("a", "b")),),
-        dynamics=rates, duration="t", end=lambda x, p, m: (x.x - p.L, x.y - p.L),
+        dynamics=rates, duration="t", end=lambda x, p, xp: (x.x - p.L, x.y - p.L),
         end_conditions=variables(east="m", up="m"),
     )  # fmt: skip
     problem = pl.Problem(
-        name="toy", phases=(phase,), start=lambda p, m: (0.0, 0.0, -p.v, 0.0),
+        name="toy", phases=(phase,), start=lambda p, xp: (0.0, 0.0, -p.v, 0.0),
         given=given(T=(2.0, "m/s^2"), k=(drag, "1/m"), g=(1.0, "m/s^2"), L=(3.0, "m"), v=(0.5, "m/s")),
         free=(pl.Free(name="t", unit="s", lower=0.1, upper=50.0, typical=3.0),),
-        objective=lambda x, p, m: p.t, objective_unit="s",
+        objective=lambda x, p, xp: p.t, objective_unit="s",
     )  # fmt: skip
     solution = pl.solve(problem)
     assert solution.outcome is pl.Outcome.PROVED

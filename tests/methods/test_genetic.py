@@ -185,7 +185,7 @@ def test_a_broken_path_condition_costs() -> None:
     def below(height: float) -> Any:
         limited = replace(
             phase,
-            path=lambda x, u, p, m: (height * p.height - x.y,),
+            path=lambda x, u, p, xp: (height * p.height - x.y,),
             path_conditions=(Variable(name="room", unit="m"),),
         )
         return ControlFitness(replace(base, phases=(limited,)))
@@ -203,7 +203,7 @@ def test_an_unbounded_control_is_refused() -> None:
     steered = replace(
         base.phases[0],
         controls=(Bounded(name="angle"),),
-        dynamics=lambda x, u, p, m: (x.vy, p.a * m.cos(u.angle), p.a * m.sin(u.angle)),
+        dynamics=lambda x, u, p, xp: (x.vy, p.a * xp.cos(u.angle), p.a * xp.sin(u.angle)),
     )
     with pytest.raises(PeriluneError, match="control angle has none"):
         ControlFitness(replace(base, phases=(steered,)))

@@ -16,7 +16,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given
 
 
-def _rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     return x.v, u.a, 0.5 * u.a * u.a
 
 
@@ -45,13 +45,13 @@ def bryson_denham(wall: float) -> Problem:
         phases=(
             phase(
                 "up",
-                end=lambda x, p, m: (x.x - p.wall, x.v),
+                end=lambda x, p, xp: (x.x - p.wall, x.v),
                 end_conditions=(*variables_of_unit("m", "on_wall"), *variables_of_unit("m/s", "at_rest")),
             ),
-            phase("along", held=lambda x, u, p, m: (u.a,), held_conditions=variables_of_unit("m/s^2", "stays")),
+            phase("along", held=lambda x, u, p, xp: (u.a,), held_conditions=variables_of_unit("m/s^2", "stays")),
             phase(
                 "down",
-                end=lambda x, p, m: (x.x, x.v + p.speed, p.T_up + p.T_along + p.T_down - p.T),
+                end=lambda x, p, xp: (x.x, x.v + p.speed, p.T_up + p.T_along + p.T_down - p.T),
                 end_conditions=(
                     *variables_of_unit("m", "back"),
                     *variables_of_unit("m/s", "speed"),
@@ -59,15 +59,15 @@ def bryson_denham(wall: float) -> Problem:
                 ),
             ),
         ),
-        links=(lambda x, p, m: (x.x, x.v, x.cost),) * 2,
-        start=lambda p, m: (0 * p.wall, p.speed, 0 * p.speed * p.speed / p.T),
+        links=(lambda x, p, xp: (x.x, x.v, x.cost),) * 2,
+        start=lambda p, xp: (0 * p.wall, p.speed, 0 * p.speed * p.speed / p.T),
         given={
             "wall": Given(value=wall, unit="m"),
             "speed": Given(value=1.0, unit="m/s"),
             "T": Given(value=1.0, unit="s"),
         },
         free=tuple(Free(name=f"T_{name}", unit="s", typical=0.3) for name in ("up", "along", "down")),
-        objective=lambda x, p, m: x.cost,
+        objective=lambda x, p, xp: x.cost,
         objective_unit="m^2/s^3",
     )
 

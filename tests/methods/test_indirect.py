@@ -53,7 +53,7 @@ def test_a_free_parameter_in_the_dynamics() -> None:
         base,
         given={**{n: g for n, g in base.given.items() if n != "a"}, "price": Given(value=2e-3, unit="s^3/m")},
         free=(*base.free, Free(name="a", unit="m/s^2", typical=90.0)),
-        objective=lambda x, p, m: p.t2 + p.price * p.a,
+        objective=lambda x, p, xp: p.t2 + p.price * p.a,
     )
     solution = solve(priced, level=0)
     a, step = solution.free["a"], 1e-3
@@ -129,7 +129,7 @@ def impossible_steering() -> Problem:
     base = tangent_steering()
     stuck = replace(
         base.phases[0],
-        end=lambda x, p, m: (x.y - p.height, x.vx * x.vx + p.speed * p.speed, x.vy),
+        end=lambda x, p, xp: (x.y - p.height, x.vx * x.vx + p.speed * p.speed, x.vy),
         end_conditions=tuple(
             Variable(name=n, unit=u) for n, u in (("height", "m"), ("impossible", "m^2/s^2"), ("up", "m/s"))
         ),

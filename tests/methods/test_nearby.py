@@ -95,7 +95,7 @@ def test_bounds_that_follow_from_what_varies_are_those_of_each_lane(rides: bool)
     base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5) if rides else haul(True)
     longest = "longest" if rides else "patience"
     given = {**base.given, "longest": pl.Given(value=1.0, unit="s")}
-    ranges = (lambda p, m: {"T": (0.5 * p.longest, p.longest, 0.9)}) if rides else base.ranges
+    ranges = (lambda p, xp: {"T": (0.5 * p.longest, p.longest, 0.9)}) if rides else base.ranges
     problem = replace(base, given=given, ranges=ranges)
     nearby = Nearby(pl.solve(problem, level=0))
     assert (nearby.arcs is not None) == rides
@@ -112,7 +112,7 @@ def test_a_sum_of_arcs_whose_range_becomes_one_value_is_solved_anew() -> None:
     """That is another formula, and no other number."""
     base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5)
     given = {**base.given, "least": pl.Given(value=0.5, unit="s")}
-    problem = replace(base, given=given, ranges=lambda p, m: {"T": (p.least, 1.0, 0.9)})
+    problem = replace(base, given=given, ranges=lambda p, xp: {"T": (p.least, 1.0, 0.9)})
     nearby = Nearby(pl.solve(problem, level=0))
     with pytest.raises(PeriluneError, match="range of T is of another kind"):
         nearby.roots({"least": 1.0})

@@ -277,7 +277,7 @@ def slow_move(fastest: float) -> Problem:
     base = least_time()
     phase = replace(
         base.phases[0],
-        path=lambda x, u, p, m: (p.fastest - x.v,),
+        path=lambda x, u, p, xp: (p.fastest - x.v,),
         path_conditions=(Variable(name="slower", unit="m/s"),),
     )
     given = {**base.given, "fastest": Given(value=fastest, unit="m/s")}
@@ -311,12 +311,12 @@ def test_a_jump_is_named_where_the_mesh_cannot_follow_it():
     problem = meditch()
     phase = problem.phases[0]
 
-    def heavier_below(x, u, p, m):
-        rates = list(phase.dynamics(x, u, p, m))
-        rates[1] = rates[1] - m.where(x.h < 0.5 * p.h, 0.2 * p.g, 0.0 * p.g)
+    def heavier_below(x, u, p, xp):
+        rates = list(phase.dynamics(x, u, p, xp))
+        rates[1] = rates[1] - xp.where(x.h < 0.5 * p.h, 0.2 * p.g, 0.0 * p.g)
         return rates
 
-    with pytest.raises(NotConvergedError, match=r"requested accuracy[\s\S]*descent choose \(m.where\)") as e:
+    with pytest.raises(NotConvergedError, match=r"requested accuracy[\s\S]*descent choose \(xp.where\)") as e:
         Pseudospectral(refine=1).run(replace(problem, phases=(replace(phase, dynamics=heavier_below),)))
     assert "H_u" not in str(e.value)
     with pytest.raises(NotConvergedError, match="H_u"):
@@ -327,9 +327,9 @@ def test_what_is_undefined_on_the_way_is_not_printed(capfd):
     problem = meditch()
     phase = problem.phases[0]
 
-    def rooted(x, u, p, m):
-        rates = list(phase.dynamics(x, u, p, m))
-        rates[1] = rates[1] + p.g - p.g * m.sqrt(x.h / p.h)  # NaN below the ground, where the search comes by
+    def rooted(x, u, p, xp):
+        rates = list(phase.dynamics(x, u, p, xp))
+        rates[1] = rates[1] + p.g - p.g * xp.sqrt(x.h / p.h)  # NaN below the ground, where the search comes by
         return rates
 
     with suppress(NotConvergedError):

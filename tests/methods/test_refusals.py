@@ -134,18 +134,18 @@ def hurried(most: float) -> Problem:
             Variable(name="e", unit="m^2/s^3"),
         ),
         controls=(Bounded(name="a", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.a, 0.5 * u.a * u.a),
+        dynamics=lambda x, u, p, xp: (x.v, u.a, 0.5 * u.a * u.a),
         duration="T",
-        end=lambda x, p, m: (x.x - p.far, x.v),
+        end=lambda x, p, xp: (x.x - p.far, x.v),
         end_conditions=(Variable(name="place", unit="m"), Variable(name="rest", unit="m/s")),
     )
     return Problem(
         name="hurried",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given={"far": Given(value=1.0, unit="m"), "T": Given(value=1.0, unit="s")},
         free=(),
-        objective=lambda x, p, m: x.e,
+        objective=lambda x, p, xp: x.e,
         objective_unit="m^2/s^3",
     )
 
@@ -262,17 +262,17 @@ def over_ground(height: Callable[[np.ndarray], np.ndarray], residual: float = 1e
         name="over",
         states=(pl.Variable(name="h", unit="m"),),
         controls=(pl.Bounded(name="climb", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (u.climb,),
+        dynamics=lambda x, u, p, xp: (u.climb,),
         duration="T",
-        path=lambda x, u, p, m: (x.h,),
+        path=lambda x, u, p, xp: (x.h,),
         path_conditions=(pl.Variable(name="ground", unit="m"),),
     )
     problem = pl.Problem(
         name="over",
         phases=(phase,),
-        start=lambda p, m: (p.h0,),
+        start=lambda p, xp: (p.h0,),
         given={"T": pl.Given(value=1.0, unit="s"), "h0": pl.Given(value=1.0, unit="m")},
-        objective=lambda x, p, m: x.h,
+        objective=lambda x, p, xp: x.h,
         objective_unit="m",
     )
     t = np.linspace(0.0, 1.0, 201)

@@ -145,18 +145,18 @@ def wells(tied: float) -> pl.Problem:
         name="way",
         states=(pl.Variable(name="x", unit="1"), pl.Variable(name="c", unit="1/s")),
         controls=(pl.Bounded(name="u", unit="1/s"),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.x - p.q,),
+        end=lambda x, p, xp: (x.x - p.q,),
         end_conditions=(pl.Variable(name="there", unit="1"),),
     )
     return pl.Problem(
         name="wells",
         phases=(phase,),
-        start=lambda p, m: (0.0 * p.one / p.T, 0.0 / p.T),
+        start=lambda p, xp: (0.0 * p.one / p.T, 0.0 / p.T),
         given={"T": pl.Given(value=1.0, unit="s"), "one": pl.Given(value=1.0, unit="s")},
         free=tuple(pl.Free(name=name, unit="1", lower=0.0, upper=1.0, typical=0.5) for name in "qr"),
-        objective=lambda x, p, m: p.one * x.c - 0.5 * p.q * p.q + price(p.q, p.r),
+        objective=lambda x, p, xp: p.one * x.c - 0.5 * p.q * p.q + price(p.q, p.r),
         objective_unit="1",
     )
 
@@ -189,7 +189,7 @@ def test_the_better_well_is_found_where_in_it_alone_the_flight_is_held_back() ->
         plain,
         free=(pl.Free(name="speed", unit="m/s", lower=0.6, upper=1.6, typical=0.65),),
         given={**given, **units},
-        objective=lambda x, p, m: plain.objective(x, p, m) + p.one * price(p.speed / p.pace),
+        objective=lambda x, p, xp: plain.objective(x, p, xp) + p.one * price(p.speed / p.pace),
     )
     v = np.linspace(1.3, 1.6, 30_001)  # the other well, at 0.7 m/s, is worse by 0.96
     truth = min(v**2 * np.array([bryson_denham_truth(0.2 / v) for v in v.tolist()]) + price(v))

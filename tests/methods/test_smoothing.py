@@ -84,7 +84,7 @@ def test_several_phases_hand_on_what_is_gained() -> None:
     problem = replace(
         whole,
         phases=(first, last),
-        links=(lambda x, p, m: (x.h, x.v, x.m, x.effort),),
+        links=(lambda x, p, xp: (x.h, x.v, x.m, x.effort),),
         given={**whole.given, "t_first": pl.Given(value=0.1, unit="s")},
     )
     both = smooth(problem)
@@ -111,7 +111,7 @@ def test_directions_that_turn_each_other_have_no_law() -> None:
     phase = replace(
         meditch().phases[0],
         controls=(pl.Direction(names=("a", "b")), pl.Direction(names=("c", "d"))),
-        dynamics=lambda x, u, p, m: (x.v, -p.g + p.g * (u.a * u.c + u.b * u.d), 0 * p.m_rate, 0 * p.g * x.m),
+        dynamics=lambda x, u, p, xp: (x.v, -p.g + p.g * (u.a * u.c + u.b * u.d), 0 * p.m_rate, 0 * p.g * x.m),
     )
     problem = replace(meditch(), phases=(phase,), given={**meditch().given, "m_rate": pl.Given(value=0.0, unit="kg/s")})
     with pytest.raises(PeriluneError, match="a direction that depends on another one"):

@@ -234,15 +234,15 @@ def at_the_maximum() -> Solution:
         name="go",
         states=(*variables_of_unit("m", "h"), *variables_of_unit("m^2/s", "c")),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (u.u, -0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (u.u, -0.5 * u.u * u.u),
         duration="T",
-        path=lambda x, u, p, m: (x.h,),
+        path=lambda x, u, p, xp: (x.h,),
         path_conditions=variables_of_unit("m", "above"),
     )
     problem = pl.Problem(
-        name="at_the_maximum", phases=(phase,), start=lambda p, m: (0 * p.T * p.v, 0 * p.T * p.v * p.v),
+        name="at_the_maximum", phases=(phase,), start=lambda p, xp: (0 * p.T * p.v, 0 * p.T * p.v * p.v),
         given={"T": pl.Given(value=1.0, unit="s"), "v": pl.Given(value=1.0, unit="m/s")},
-        objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+        objective=lambda x, p, xp: x.c, objective_unit="m^2/s",
     )  # fmt: skip
     time = np.array([0.0, 0.4, 0.4, 1.0])
     still = Curve(time=time, values=np.zeros((4, 2)), rates=np.zeros((4, 2)))

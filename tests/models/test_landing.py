@@ -179,7 +179,7 @@ def test_restart_from_a_midpoint(landing: Problem, ordinary: Solution) -> None:
     x = ordinary.trajectories[0].state(0.4 * total)
     rest = replace(
         fixed,
-        start=lambda p, m: tuple(getattr(p, name) for name in names),
+        start=lambda p, xp: tuple(getattr(p, name) for name in names),
         given={**fixed.given, **{n: Given(value=v, unit=u) for n, v, u in zip(names, x, units, strict=True)}},
     )
     solution = solve(rest, level=0)

@@ -361,7 +361,7 @@ def test_points_on_a_line_have_no_surface(made: LiuReproduction) -> None:
 @pytest.mark.parametrize(
     ("spoil", "claim"),
     [
-        (lambda m: {"flown": on_target(m)}, "printed costates lead"),
+        (lambda xp: {"flown": on_target(xp)}, "printed costates lead"),
         (lambda m: {"off_plane": replace(m.off_plane, reach=np.full(len(TABLE_2), 1.0))}, "within reach"),
     ],
 )

@@ -60,7 +60,7 @@ def test_numbers_and_titles_are_no_part_of_it() -> None:
 
 def test_physics_units_and_names_are() -> None:
     plain = slider()
-    faster = with_dynamics(lambda x, u, p, m: (x.v, 2 * p.push * u.along))
+    faster = with_dynamics(lambda x, u, p, xp: (x.v, 2 * p.push * u.along))
     more = slider(given={**plain.given, "spare": Given(value=1.0, unit="s")})
     assert len({plain.form.digest, faster.form.digest, more.form.digest}) == 3
 
@@ -73,13 +73,15 @@ def test_with_given_does_not_trace_again() -> None:
 # -- what is written down is what is computed -----------------------------------------------------------------------
 
 
-def physics(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
+def physics(x: Any, u: Any, p: Any, xp: Any) -> tuple[Any, ...]:
     """Every kind of operation, in one homogeneous pair of rates."""
     ratio = x.v / (p.push * p.time)
-    shape = m.sin(ratio) + m.cos(ratio) ** 3 - m.fabs(m.tanh(-ratio))
-    shape += m.exp(-(ratio**2)) / (1 + m.sqrt(1 + ratio * ratio))
-    shape += m.atan2(u.along, 1.5 + u.across) + m.fmin(ratio, 0.3) * m.fmax(0.1, ratio) + 2.5**ratio - m.log(3 + ratio)
-    shape += (ratio > 0.2) * 0.25 + m.asin(0.1 * ratio) + m.sinh(0.1 * ratio) + np.sqrt(2 + ratio)
+    shape = xp.sin(ratio) + xp.cos(ratio) ** 3 - xp.fabs(xp.tanh(-ratio))
+    shape += xp.exp(-(ratio**2)) / (1 + xp.sqrt(1 + ratio * ratio))
+    shape += (
+        xp.atan2(u.along, 1.5 + u.across) + xp.fmin(ratio, 0.3) * xp.fmax(0.1, ratio) + 2.5**ratio - xp.log(3 + ratio)
+    )
+    shape += (ratio > 0.2) * 0.25 + xp.asin(0.1 * ratio) + xp.sinh(0.1 * ratio) + np.sqrt(2 + ratio)
     return x.v * shape, p.push * u.along * shape - 3 * p.push * u.across
 
 
@@ -89,12 +91,12 @@ def test_an_expression_rounds_as_the_function_does() -> None:
     expressed = problem.expressed.phases[0]
     rng = np.random.default_rng(0)
     p = problem.parameters({"time": 4.0})
-    for m, x, u in (
+    for xp, x, u in (
         (NUMERIC, rng.normal(size=2).tolist(), rng.normal(size=2).tolist()),
         (NUMERIC, rng.normal(size=(2, 50)), rng.normal(size=(2, 50))),
         (COMPLEX, rng.normal(size=(2, 50)) + 1e-40j * rng.normal(size=(2, 50)), rng.normal(size=(2, 50))),
     ):
-        here, there = problem.phases[0].rates(x, u, p, m), expressed.rates(x, u, p, m)
+        here, there = problem.phases[0].rates(x, u, p, xp), expressed.rates(x, u, p, xp)
         for a, b in zip(here, there, strict=True):
             np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
 
@@ -148,7 +150,7 @@ def test_ranges_travel_by_name() -> None:
     plain = cho_landing()
     there = pickle.loads(pickle.dumps(plain))
     assert there.with_given(vehicle_mass=250.0).free == plain.with_given(vehicle_mass=250.0).free
-    unnamed = slider(ranges=lambda p, m: {"time": (0.0, 2 * p.distance / p.push, 1.0)})
+    unnamed = slider(ranges=lambda p, xp: {"time": (0.0, 2 * p.distance / p.push, 1.0)})
     assert pickle.loads(pickle.dumps(unnamed)).ranges is None
     assert pickle.loads(pickle.dumps(unnamed)).free == unnamed.free
 
@@ -159,29 +161,32 @@ def test_ranges_travel_by_name() -> None:
 @pytest.mark.parametrize(
     ("dynamics", "words"),
     [
-        (lambda x, u, p, m: (x.v, p.push * u.along if x.v > 0 else 0.0), r"it branches(.|\n)*m\.where"),
-        (lambda x, u, p, m: (x.v, max(p.push, p.push * u.along)), r"it branches(.|\n)*m\.fmax"),
-        (lambda x, u, p, m: (x.v, p.push * u.along * math.sin(u.across)), r"plain number(.|\n)*m\.sin"),
-        (lambda x, u, p, m: (x.v, p.push * np.interp(u.along, [0, 1], [0, 1])), r"np\.interp(.|\n)*m\.table"),
-        (lambda x, u, p, m: (x.v, np.where(u.along > 0, p.push, -p.push)), r"np\.where(.|\n)*m\.where"),
-        (lambda x, u, p, m: (abs(x.v), p.push * u.along), r"is no formula(.|\n)*abs, which has no deriv(.|\n)*m\.fabs"),
-        (lambda x, u, p, m: (np.abs(x.v), p.push * u.along), r"abs, which has no derivative(.|\n)*m\.fabs"),
-        (lambda x, u, p, m: (np.fabs(x.v), p.push * u.along), r"np\.abs, which has no derivative(.|\n)*m\.fabs"),
-        (lambda x, u, p, m: (x.v, p.push * np.arctan2(u.along, 2.0)), r"np\.arctan2, which has(.|\n)*m\.atan2"),
-        (lambda x, u, p, m: (x.v, p.psh * u.along), r"no parameter(.|\n)*p\.psh(.|\n)*did you mean 'push'"),
-        (lambda x, u, p, m: (x.vv, p.push * u.along), r"no state(.|\n)*x\.vv(.|\n)*did you mean 'v'"),
-        (lambda x, u, p, m: (x.v, p.push * u.alon), r"no control(.|\n)*did you mean 'along'"),
-        (lambda x, u, p, m: (x.v, p.push * m.arctan(u.along)), r"no function of m(.|\n)*did you mean 'atan"),
-        (lambda x, u, p, m: None, r"wrong number of values(.|\n)*None: is there a return"),
-        (lambda x, u, p, m: x.v, r"wrong number of values(.|\n)*2: x, v"),
-        (lambda x, u, p, m: (x.v, "fast"), r"returns what is no number(.|\n)*'fast'"),
+        (lambda x, u, p, xp: (x.v, p.push * u.along if x.v > 0 else 0.0), r"it branches(.|\n)*m\.where"),
+        (lambda x, u, p, xp: (x.v, max(p.push, p.push * u.along)), r"it branches(.|\n)*m\.fmax"),
+        (lambda x, u, p, xp: (x.v, p.push * u.along * math.sin(u.across)), r"plain number(.|\n)*m\.sin"),
+        (lambda x, u, p, xp: (x.v, p.push * np.interp(u.along, [0, 1], [0, 1])), r"np\.interp(.|\n)*m\.table"),
+        (lambda x, u, p, xp: (x.v, np.where(u.along > 0, p.push, -p.push)), r"np\.where(.|\n)*m\.where"),
         (
-            lambda x, u, p, m: np.array([x.v, p.push * u.along]),
+            lambda x, u, p, xp: (abs(x.v), p.push * u.along),
+            r"is no formula(.|\n)*abs, which has no deriv(.|\n)*m\.fabs",
+        ),
+        (lambda x, u, p, xp: (np.abs(x.v), p.push * u.along), r"abs, which has no derivative(.|\n)*m\.fabs"),
+        (lambda x, u, p, xp: (np.fabs(x.v), p.push * u.along), r"np\.abs, which has no derivative(.|\n)*m\.fabs"),
+        (lambda x, u, p, xp: (x.v, p.push * np.arctan2(u.along, 2.0)), r"np\.arctan2, which has(.|\n)*m\.atan2"),
+        (lambda x, u, p, xp: (x.v, p.psh * u.along), r"no parameter(.|\n)*p\.psh(.|\n)*did you mean 'push'"),
+        (lambda x, u, p, xp: (x.vv, p.push * u.along), r"no state(.|\n)*x\.vv(.|\n)*did you mean 'v'"),
+        (lambda x, u, p, xp: (x.v, p.push * u.alon), r"no control(.|\n)*did you mean 'along'"),
+        (lambda x, u, p, m: (x.v, p.push * m.arctan(u.along)), r"no function of m(.|\n)*did you mean 'atan"),
+        (lambda x, u, p, xp: None, r"wrong number of values(.|\n)*None: is there a return"),
+        (lambda x, u, p, xp: x.v, r"wrong number of values(.|\n)*2: x, v"),
+        (lambda x, u, p, xp: (x.v, "fast"), r"returns what is no number(.|\n)*'fast'"),
+        (
+            lambda x, u, p, xp: np.array([x.v, p.push * u.along]),
             r"array of NumPy(.|\n)*np\.array(.|\n)*a tuple or a list",
         ),
         (lambda x, u, p: (x.v, p.push), r"fails where it is tried(.|\n)*positional"),
-        (lambda x, u, p, m: (x.v, p.push * u.along / 0.0), r"fails where it is tried(.|\n)*ZeroDivisionError"),
-        (lambda x, u, p, m: (x.v, p.push * math.nan), r"dynamics of slide, v is not a number \(NaN\)"),
+        (lambda x, u, p, xp: (x.v, p.push * u.along / 0.0), r"fails where it is tried(.|\n)*ZeroDivisionError"),
+        (lambda x, u, p, xp: (x.v, p.push * math.nan), r"dynamics of slide, v is not a number \(NaN\)"),
     ],
 )
 def test_mistakes_in_the_physics_are_named(dynamics: Any, words: str) -> None:
@@ -191,14 +196,14 @@ def test_mistakes_in_the_physics_are_named(dynamics: Any, words: str) -> None:
 
 
 def test_a_size_has_its_derivative_where_one_is_taken_and_may_be_told_by_any_function() -> None:
-    """Outputs are never differentiated: there `abs` is as good as `m.fabs`, whose derivative is the sign."""
-    slope = with_dynamics(lambda x, u, p, m: (m.fabs(x.v), p.push * u.along)).phases[0]
+    """Outputs are never differentiated: there `abs` is as good as `xp.fabs`, whose derivative is the sign."""
+    slope = with_dynamics(lambda x, u, p, xp: (xp.fabs(x.v), p.push * u.along)).phases[0]
     z = np.array([[0.0 + 0j, 0.0], [3.0 + 1e-40j, -3.0 + 1e-40j]])
     at = (z, np.ones((2, 2)), slider().parameters({"time": 4.0}), COMPLEX)
     assert (np.imag(slope.rates(*at)[0]) / 1e-40).tolist() == [1.0, -1.0]
     told = replace(
         slider().phases[0],
-        outputs=lambda x, u, p, m: (abs(x.v),),
+        outputs=lambda x, u, p, xp: (abs(x.v),),
         output_variables=(Variable(name="pace", unit="m/s"),),
     )
     expression = slider(phases=(told,)).form.expressions[0, "outputs"]
@@ -208,12 +213,12 @@ def test_a_size_has_its_derivative_where_one_is_taken_and_may_be_told_by_any_fun
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"start": lambda p, m: (p.distanse, 0.0)}, r"start: (.|\n)*did you mean 'distance'"),
-        ({"objective": lambda x, p, m: x.tme}, r"objective: there is no state"),
-        ({"objective": lambda x, p, m: abs(p.time)}, r"objective is no formula(.|\n)*m\.fabs"),
-        ({"objective": lambda x, p, m: None}, r"objective returns what is no number"),
+        ({"start": lambda p, xp: (p.distanse, 0.0)}, r"start: (.|\n)*did you mean 'distance'"),
+        ({"objective": lambda x, p, xp: x.tme}, r"objective: there is no state"),
+        ({"objective": lambda x, p, xp: abs(p.time)}, r"objective is no formula(.|\n)*m\.fabs"),
+        ({"objective": lambda x, p, xp: None}, r"objective returns what is no number"),
         ({"phases": (replace(slider().phases[0], end=None),)}, r"end of slide is missing(.|\n)*2: distance, speed"),
-        ({"start": lambda p, m: 0.0}, r"start returns the wrong number of values"),
+        ({"start": lambda p, xp: 0.0}, r"start returns the wrong number of values"),
     ],
 )
 def test_mistakes_elsewhere_are_named(changes: dict[str, Any], words: str) -> None:

@@ -23,21 +23,21 @@ def refraction(slow: float = 0.5) -> pl.Problem:
         name="ray",
         states=variables(x="m", y="m"),
         controls=(pl.Direction(names=("cx", "cy")),),
-        dynamics=lambda x, u, p, m: (
-            m.where(x.y > p.border, p.fast, p.slow) * u.cx,
-            m.where(x.y > p.border, p.fast, p.slow) * u.cy,
+        dynamics=lambda x, u, p, xp: (
+            xp.where(x.y > p.border, p.fast, p.slow) * u.cx,
+            xp.where(x.y > p.border, p.fast, p.slow) * u.cy,
         ),
         duration="T",
-        end=lambda x, p, m: (x.x - p.far, x.y + p.far),
+        end=lambda x, p, xp: (x.x - p.far, x.y + p.far),
         end_conditions=variables(across="m", down="m"),
     )
     return pl.Problem(
         name="refraction",
         phases=(phase,),
-        start=lambda p, m: (0.0, p.far),
+        start=lambda p, xp: (0.0, p.far),
         given=given(fast=(1.0, "m/s"), slow=(slow, "m/s"), far=(1.0, "m"), border=(0.0, "m")),
         free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=3.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
 
@@ -68,19 +68,19 @@ def test_a_costate_that_only_one_side_moves_is_kept() -> None:
         name="sail",
         states=variables(x="m", y="m/s", cost="m^2/s^3"),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (
-            p.drift + m.where(x.x > p.border, x.y, 0.0 * p.drift), u.u, 0.5 * u.u * u.u,
+        dynamics=lambda x, u, p, xp: (
+            p.drift + xp.where(x.x > p.border, x.y, 0.0 * p.drift), u.u, 0.5 * u.u * u.u,
         ),
         duration="T",
-        end=lambda x, p, m: (x.x - p.far,),
+        end=lambda x, p, xp: (x.x - p.far,),
         end_conditions=variables(there="m"),
     )  # fmt: skip
     problem = pl.Problem(
         name="sail",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given=given(drift=(1.0, "m/s"), border=(1.0, "m"), far=(3.0, "m"), T=(2.0, "s")),
-        objective=lambda x, p, m: x.cost,
+        objective=lambda x, p, xp: x.cost,
         objective_unit="m^2/s^3",
     )
     solution = pl.solve(problem)
@@ -97,18 +97,18 @@ def flipped() -> pl.Problem:
         name="go",
         states=variables(x="m", v="m/s"),
         controls=(pl.Bounded(name="a", unit="m/s^2", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (x.v, m.where(x.x > p.border, -1.0, 1.0) * u.a),
+        dynamics=lambda x, u, p, xp: (x.v, xp.where(x.x > p.border, -1.0, 1.0) * u.a),
         duration="T",
-        end=lambda x, p, m: (x.x - p.far, x.v),
+        end=lambda x, p, xp: (x.x - p.far, x.v),
         end_conditions=variables(place="m", rest="m/s"),
     )
     return pl.Problem(
         name="flipped",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0),
         given=given(far=(1.0, "m"), border=(0.3, "m")),
         free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=3.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
 
@@ -133,21 +133,21 @@ def test_a_regime_behind_a_choice_is_that_of_the_costate_there(stream: float, en
         name="cross",
         states=variables(x="m", fuel="s"),
         controls=(pl.Bounded(name="u", lower=0.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (
-            m.where(x.x > p.border, p.stream + p.engine * u.u, p.near * (1 + u.u)), u.u,
+        dynamics=lambda x, u, p, xp: (
+            xp.where(x.x > p.border, p.stream + p.engine * u.u, p.near * (1 + u.u)), u.u,
         ),
         duration="T",
-        end=lambda x, p, m: (x.x - p.far,),
+        end=lambda x, p, xp: (x.x - p.far,),
         end_conditions=variables(there="m"),
     )  # fmt: skip
     problem = pl.Problem(
         name="ferry",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0),
         given=given(near=(1.0, "m/s"), stream=(stream, "m/s"), engine=(engine, "m/s"),
                     border=(1.0, "m"), far=(2.0, "m")),
         free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=2.0),),
-        objective=lambda x, p, m: x.fuel + 0.8 * p.T,
+        objective=lambda x, p, xp: x.fuel + 0.8 * p.T,
         objective_unit="s",
     )  # fmt: skip
     assert (0.8 / stream < 1.8 / (stream + engine)) == (runs == 0.0) == (1 - 0.8 * engine < 0)
@@ -160,13 +160,13 @@ def test_a_regime_behind_a_choice_is_that_of_the_costate_there(stream: float, en
 
 KNOTS = tuple(np.linspace(0.0, 1.0, 21))
 FORCES = {
-    "where": lambda x, p, m: m.where(x.x > p.start, x.x - p.start, 0.0 * p.start),
-    "fmax": lambda x, p, m: m.fmax(x.x - p.start, 0.0 * p.start),
-    "fmin": lambda x, p, m: -m.fmin(p.start - x.x, 0.0 * p.start),
-    "fabs": lambda x, p, m: 0.5 * (m.fabs(x.x - p.start) + x.x - p.start),
-    "table": lambda x, p, m: p.far * m.table(pl.Table((0.0, 0.3, 1.0), (0.0, 0.0, 0.7), "linear"), x.x / p.far),
-    "many": lambda x, p, m: (
-        p.far * m.table(pl.Table(KNOTS, tuple(np.fmax(np.array(KNOTS) - 0.3, 0.0)), "linear"), x.x / p.far)
+    "where": lambda x, p, xp: xp.where(x.x > p.start, x.x - p.start, 0.0 * p.start),
+    "fmax": lambda x, p, xp: xp.fmax(x.x - p.start, 0.0 * p.start),
+    "fmin": lambda x, p, xp: -xp.fmin(p.start - x.x, 0.0 * p.start),
+    "fabs": lambda x, p, xp: 0.5 * (xp.fabs(x.x - p.start) + x.x - p.start),
+    "table": lambda x, p, xp: p.far * xp.table(pl.Table((0.0, 0.3, 1.0), (0.0, 0.0, 0.7), "linear"), x.x / p.far),
+    "many": lambda x, p, xp: (
+        p.far * xp.table(pl.Table(KNOTS, tuple(np.fmax(np.array(KNOTS) - 0.3, 0.0)), "linear"), x.x / p.far)
     ),
 }
 
@@ -177,18 +177,18 @@ def transfer(force: str, speed: float = 0.0) -> pl.Problem:
         name="go",
         states=variables(x="m", v="m/s", e="m^2/s^3"),
         controls=(pl.Bounded(name="a", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.a - p.stiff * FORCES[force](x, p, m), u.a**2 / 2),
+        dynamics=lambda x, u, p, xp: (x.v, u.a - p.stiff * FORCES[force](x, p, xp), u.a**2 / 2),
         duration="T",
-        end=lambda x, p, m: (x.x - p.far, x.v),
+        end=lambda x, p, xp: (x.x - p.far, x.v),
         end_conditions=variables(place="m", rest="m/s"),
     )
     return pl.Problem(
         name="transfer",
         phases=(phase,),
-        start=lambda p, m: (0.0, p.speed, 0.0),
+        start=lambda p, xp: (0.0, p.speed, 0.0),
         given=given(far=(100.0, "m"), T=(20.0, "s"), stiff=(0.003, "1/s^2"), start=(30.0, "m"), speed=(speed, "m/s")),
         free=(),
-        objective=lambda x, p, m: x.e,
+        objective=lambda x, p, xp: x.e,
         objective_unit="m^2/s^3",
     )
 
@@ -229,24 +229,24 @@ def test_kinks_are_met_whatever_makes_them(speed: float) -> None:
 def layered(kind: str) -> pl.Problem:
     """A fall with drag through air of two layers, its density continuous; the landing speed is known by quadrature."""
 
-    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
+    def dynamics(x: Any, u: Any, p: Any, xp: Any) -> Any:
         if kind == "where":
-            density = m.where(x.h > p.H, 0.5 * m.exp(-(x.h - p.H) / p.H), 1.0 - 0.5 * x.h / p.H)
+            density = xp.where(x.h > p.H, 0.5 * xp.exp(-(x.h - p.H) / p.H), 1.0 - 0.5 * x.h / p.H)
         else:
-            density = m.table(AIR, x.h / p.H)
+            density = xp.table(AIR, x.h / p.H)
         return (x.v, -p.g + p.k * density * x.v * x.v)
 
     phase = pl.Phase(
         name="fall", states=variables(h="m", v="m/s"), dynamics=dynamics, duration="T",
-        end=lambda x, p, m: (x.h,), end_conditions=variables(ground="m"),
+        end=lambda x, p, xp: (x.h,), end_conditions=variables(ground="m"),
     )  # fmt: skip
     return pl.Problem(
         name="layers",
         phases=(phase,),
-        start=lambda p, m: (p.h0, 0.0),
+        start=lambda p, xp: (p.h0, 0.0),
         given=given(h0=(3.0, "m"), H=(1.0, "m"), g=(1.0, "m/s^2"), k=(0.4, "1/m")),
         free=(pl.Free(name="T", unit="s", lower=0.1, upper=20.0, typical=3.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
 
@@ -314,7 +314,7 @@ def test_choices_and_tables_travel() -> None:
 def test_a_choice_by_a_control_is_refused_by_the_indirect_method() -> None:
     base = refraction()
     by_control = replace(
-        base.phases[0], dynamics=lambda x, u, p, m: (m.where(u.cx > u.cy, p.fast, p.slow) * u.cx, p.fast * u.cy)
+        base.phases[0], dynamics=lambda x, u, p, xp: (xp.where(u.cx > u.cy, p.fast, p.slow) * u.cx, p.fast * u.cy)
     )
     with pytest.raises(PeriluneError, match="depends on a control"):
         pl.solve(replace(base, phases=(by_control,)), level=0)
@@ -323,16 +323,16 @@ def test_a_choice_by_a_control_is_refused_by_the_indirect_method() -> None:
 def reentry() -> pl.Problem:
     """The Apollo re-entry of Stoer and Bulirsch, 7.3.7, lengths in 1e5 ft taken for metres: least heating."""
 
-    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
-        density = p.rho0 * m.exp(-p.beta * x.h)
-        drag, lift = 1.174 - 0.9 * m.cos(u.u), 0.6 * m.sin(u.u)
+    def dynamics(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        density = p.rho0 * xp.exp(-p.beta * x.h)
+        drag, lift = 1.174 - 0.9 * xp.cos(u.u), 0.6 * xp.sin(u.u)
         far = 1 + x.h / p.R
         push = 0.5 * p.area_per_mass * density * x.v
         return (
-            -push * x.v * drag - p.g * m.sin(x.gamma) / (far * far),
-            push * lift + x.v * m.cos(x.gamma) / (p.R * far) - p.g * m.cos(x.gamma) / (x.v * far * far),
-            x.v * m.sin(x.gamma),
-            p.heating * x.v * x.v * x.v * m.sqrt(density),
+            -push * x.v * drag - p.g * xp.sin(x.gamma) / (far * far),
+            push * lift + x.v * xp.cos(x.gamma) / (p.R * far) - p.g * xp.cos(x.gamma) / (x.v * far * far),
+            x.v * xp.sin(x.gamma),
+            p.heating * x.v * x.v * x.v * xp.sqrt(density),
         )
 
     phase = pl.Phase(
@@ -341,21 +341,21 @@ def reentry() -> pl.Problem:
         controls=(pl.Bounded(name="u", unit="rad"),),
         dynamics=dynamics,
         duration="T",
-        end=lambda x, p, m: (x.v - p.v1, x.gamma, x.h - p.h1),
+        end=lambda x, p, xp: (x.v - p.v1, x.gamma, x.h - p.h1),
         end_conditions=variables(speed="m/s", level="rad", height="m"),
-        typical_end=lambda p, m: (p.v1, 0.0, p.h1, 0.03 * p.heating * p.v1 * p.v1 * p.v1 * m.sqrt(p.rho0) * p.T),
+        typical_end=lambda p, xp: (p.v1, 0.0, p.h1, 0.03 * p.heating * p.v1 * p.v1 * p.v1 * xp.sqrt(p.rho0) * p.T),
     )
     return pl.Problem(
         name="reentry",
         phases=(phase,),
-        start=lambda p, m: (p.v0, p.gamma0, p.h0, 0.0 * p.heating * p.v0**3 * m.sqrt(p.rho0) * p.T),
+        start=lambda p, xp: (p.v0, p.gamma0, p.h0, 0.0 * p.heating * p.v0**3 * xp.sqrt(p.rho0) * p.T),
         given=given(
             R=(209.0, "m"), beta=(4.26, "1/m"), rho0=(2.704e-3, "kg/m^3"), g=(3.2172e-4, "m/s^2"),
             area_per_mass=(53200.0, "m^2/kg"), heating=(10.0, "1/s"), v0=(0.36, "m/s"), v1=(0.27, "m/s"),
             gamma0=(math.radians(-8.1), "rad"), h0=(4.0, "m"), h1=(2.5, "m"),
         ),
         free=(pl.Free(name="T", unit="s", lower=100.0, upper=400.0, typical=135.0),),
-        objective=lambda x, p, m: x.J,
+        objective=lambda x, p, xp: x.J,
         objective_unit="kg^0.5*m^1.5/s^3",
         scales=pl.Scales(length=4.0, time=10.0, mass=1.0),
     )  # fmt: skip

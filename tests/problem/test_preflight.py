@@ -255,14 +255,14 @@ def test_a_problem_without_comparisons_has_none() -> None:
         name="p",
         states=(Variable(name="x"),),
         controls=(Direction(names=("a", "b")),),
-        dynamics=lambda x, u, p, m: (x.x / p.T,),
+        dynamics=lambda x, u, p, xp: (x.x / p.T,),
         duration="T",
     )
     other = Problem(
         name="other",
         phases=(phase,),
-        start=lambda p, m: (1.0,),
-        objective=lambda x, p, m: x.x,
+        start=lambda p, xp: (1.0,),
+        objective=lambda x, p, xp: x.x,
         given={"T": Given(value=1.0, unit="s")},
     )
     assert preflight(other) == ()

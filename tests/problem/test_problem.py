@@ -22,18 +22,18 @@ def slider(**changes: Any) -> Problem:
         name="slide",
         states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
         controls=(Direction(names=("along", "across")),),
-        dynamics=lambda x, u, p, m: (x.v, p.push * u.along),
+        dynamics=lambda x, u, p, xp: (x.v, p.push * u.along),
         duration="time",
-        end=lambda x, p, m: (x.x - p.distance, x.v),
+        end=lambda x, p, xp: (x.x - p.distance, x.v),
         end_conditions=(Variable(name="distance", unit="m"), Variable(name="speed", unit="m/s")),
     )
     settings: dict[str, Any] = {
         "name": "slider",
         "phases": (phase,),
-        "start": lambda p, m: (0.0, 0.0),
+        "start": lambda p, xp: (0.0, 0.0),
         "given": {"push": Given(value=2.0, unit="m/s^2"), "distance": Given(value=8.0, unit="m")},
         "free": (Free(name="time", unit="s", lower=0.0, typical=4.0),),
-        "objective": lambda x, p, m: p.time,
+        "objective": lambda x, p, xp: p.time,
         "objective_unit": "s",
     }
     return Problem(**{**settings, **changes})
@@ -52,13 +52,13 @@ def test_what_is_named_twice_is_refused() -> None:
     with pytest.raises(PeriluneError, match="two free parameters are called time"):
         slider(free=(time, replace(time, lower=1.0)))
     with pytest.raises(PeriluneError, match="two phases are called slide"):
-        slider(phases=(phase, phase), links=(lambda x, p, m: (x.x, x.v),))
-    slider(phases=(phase, replace(phase, name="glide")), links=(lambda x, p, m: (x.x, x.v),))
+        slider(phases=(phase, phase), links=(lambda x, p, xp: (x.x, x.v),))
+    slider(phases=(phase, replace(phase, name="glide")), links=(lambda x, p, xp: (x.x, x.v),))
 
 
 def test_a_hidden_constant_is_found() -> None:
     """A dimensional number typed into the physics would be wrong in canonical units."""
-    phase = replace(slider().phases[0], dynamics=lambda x, u, p, m: (x.v, p.push * u.along - 9.81))
+    phase = replace(slider().phases[0], dynamics=lambda x, u, p, xp: (x.v, p.push * u.along - 9.81))
     with pytest.raises(PeriluneError, match=r"not dimensionally homogeneous: dynamics of slide, v"):
         slider(phases=(phase,))
 
@@ -66,28 +66,28 @@ def test_a_hidden_constant_is_found() -> None:
 @pytest.mark.parametrize(
     ("rate", "got", "expected"),
     [
-        (lambda x, u, p, m: p.push * u.along - 9.81,
+        (lambda x, u, p, xp: p.push * u.along - 9.81,
          "p.push*u.along in m/s^2, beside 9.81 without a unit, in p.push*u.along - 9.81", "one unit of both"),
-        (lambda x, u, p, m: x.v, "x.v in m/s", "a quantity in m/s^2"),
-        (lambda x, u, p, m: p.push * m.exp(-x.x / 500.0), "(-x.x)/500 in m, in m.exp((-x.x)/500)",
+        (lambda x, u, p, xp: x.v, "x.v in m/s", "a quantity in m/s^2"),
+        (lambda x, u, p, xp: p.push * xp.exp(-x.x / 500.0), "(-x.x)/500 in m, in xp.exp((-x.x)/500)",
          "a number without a unit there"),
-        (lambda x, u, p, m: m.sqrt(p.push * x.x) + p.push, "m.sqrt(p.push*x.x) in m/s, beside p.push in m/s^2, in "
-         "m.sqrt(p.push*x.x) + p.push", "one unit of both"),
-        (lambda x, u, p, m: p.push * (x.x - x.v) / p.distance, "x.x in m, beside x.v in m/s, in x.x - x.v",
+        (lambda x, u, p, xp: xp.sqrt(p.push * x.x) + p.push, "xp.sqrt(p.push*x.x) in m/s, beside p.push in m/s^2, in "
+         "xp.sqrt(p.push*x.x) + p.push", "one unit of both"),
+        (lambda x, u, p, xp: p.push * (x.x - x.v) / p.distance, "x.x in m, beside x.v in m/s, in x.x - x.v",
          "one unit of both"),
-        (lambda x, u, p, m: p.push**2, "p.push**2 in m^2/s^4", "a quantity in m/s^2"),
-        (lambda x, u, p, m: 0.0 - x.v / 3.0, "0 - x.v/3 in m/s", "a quantity in m/s^2"),
-        (lambda x, u, p, m: x.v - (x.v - 2.0 * x.v), "x.v - (x.v - 2*x.v) in m/s", "a quantity in m/s^2"),
-        (lambda x, u, p, m: m.fmin(x.x / p.distance, math.inf) + x.x, "m.fmin(x.x/p.distance, inf) without a unit, "
-         "beside x.x in m, in m.fmin(x.x/p.distance, inf) + x.x", "one unit of both"),
-        (lambda x, u, p, m: m.sqrt(p.distance * p.distance) + p.distance + x.x + x.x + x.x,  # no dots: it is whole
-         "m.sqrt(p.distance*p.distance) + p.distance + x.x + x.x + x.x in m", "a quantity in m/s^2"),
-        (lambda x, u, p, m: p.push + m.atan2(x.x, x.v), "x.x in m, beside x.v in m/s, in m.atan2(x.x, x.v)",
+        (lambda x, u, p, xp: p.push**2, "p.push**2 in m^2/s^4", "a quantity in m/s^2"),
+        (lambda x, u, p, xp: 0.0 - x.v / 3.0, "0 - x.v/3 in m/s", "a quantity in m/s^2"),
+        (lambda x, u, p, xp: x.v - (x.v - 2.0 * x.v), "x.v - (x.v - 2*x.v) in m/s", "a quantity in m/s^2"),
+        (lambda x, u, p, xp: xp.fmin(x.x / p.distance, math.inf) + x.x, "xp.fmin(x.x/p.distance, inf) without a unit, "
+         "beside x.x in m, in xp.fmin(x.x/p.distance, inf) + x.x", "one unit of both"),
+        (lambda x, u, p, xp: xp.sqrt(p.distance * p.distance) + p.distance + x.x + x.x + x.x,  # no dots: it is whole
+         "xp.sqrt(p.distance*p.distance) + p.distance + x.x + x.x + x.x in m", "a quantity in m/s^2"),
+        (lambda x, u, p, xp: p.push + xp.atan2(x.x, x.v), "x.x in m, beside x.v in m/s, in xp.atan2(x.x, x.v)",
          "one unit of both"),
     ],
 )  # fmt: skip
 def test_units_that_clash_are_named_in_the_users_formula(rate: Any, got: str, expected: str) -> None:
-    phase = replace(slider().phases[0], dynamics=lambda x, u, p, m: (x.v, rate(x, u, p, m)))
+    phase = replace(slider().phases[0], dynamics=lambda x, u, p, xp: (x.v, rate(x, u, p, xp)))
     with pytest.raises(PeriluneError) as caught:
         slider(phases=(phase,))
     assert caught.value.what.endswith("dynamics of slide, v")
@@ -98,7 +98,7 @@ def test_units_that_clash_are_named_in_the_users_formula(rate: Any, got: str, ex
 def test_a_long_formula_is_cut_where_it_is_deep() -> None:
     """Each square holds the one before twice: 18 of them would be a million letters."""
 
-    def rate(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, Any]:
+    def rate(x: Any, u: Any, p: Any, xp: Any) -> tuple[Any, Any]:
         value = p.push
         for _ in range(18):
             value = value * value / p.push
@@ -112,7 +112,7 @@ def test_a_long_formula_is_cut_where_it_is_deep() -> None:
 def test_a_comparison_with_a_bare_number_is_refused() -> None:
     # No value shows it: both branches scale as they should.
     def changed(compared: Any) -> Problem:
-        rate = lambda x, u, p, m: (x.v, m.where(compared(x, p), p.push, 2 * p.push) * u.along)  # noqa: E731
+        rate = lambda x, u, p, xp: (x.v, xp.where(compared(x, p), p.push, 2 * p.push) * u.along)  # noqa: E731
         return slider(phases=(replace(slider().phases[0], dynamics=rate),))
 
     with pytest.raises(PeriluneError, match="dynamics of slide") as caught:
@@ -126,12 +126,12 @@ def test_units_that_clash_are_named_in_links_and_ends_too() -> None:
     one = slider()
     first = replace(one.phases[0], name="first", end=None, end_conditions=())
     with pytest.raises(PeriluneError, match=r"link to slide, v(.|\n)*got: x.x in m\n"):
-        slider(phases=(first, one.phases[0]), links=(lambda x, p, m: (x.x, x.x),))
-    ended = replace(one.phases[0], end=lambda x, p, m: (x.x - p.push, x.v))
+        slider(phases=(first, one.phases[0]), links=(lambda x, p, xp: (x.x, x.x),))
+    ended = replace(one.phases[0], end=lambda x, p, xp: (x.x - p.push, x.v))
     with pytest.raises(PeriluneError, match=r"end of slide, .*(.|\n)*x.x in m, beside p.push in m/s\^2"):
         slider(phases=(ended,))
     with pytest.raises(PeriluneError, match=r"objective, J(.|\n)*got: x.x in m\n"):
-        slider(objective=lambda x, p, m: x.x)
+        slider(objective=lambda x, p, xp: x.x)
 
 
 @pytest.mark.parametrize("size", [1e308, 1e-4, 1e-300])
@@ -139,8 +139,8 @@ def test_units_that_clash_are_named_in_links_and_ends_too() -> None:
 def test_absurd_values_are_tried_without_a_warning(name: str, size: float) -> None:
     """They overflow where the physics is tried; that is no fault of its text."""
 
-    def dynamics(x: Any, u: Any, p: Any, m: Any) -> Any:
-        return x.v, p.push * u.along + p.push * getattr(m, name)(x.x / p.distance)
+    def dynamics(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        return x.v, p.push * u.along + p.push * getattr(xp, name)(x.x / p.distance)
 
     phase = replace(slider().phases[0], dynamics=dynamics)
     values = {**slider().given, "distance": Given(value=size, unit="m")}
@@ -149,7 +149,7 @@ def test_absurd_values_are_tried_without_a_warning(name: str, size: float) -> No
 
 def test_wrong_number_of_rates() -> None:
     """Named, with what is expected."""
-    phase = replace(slider().phases[0], dynamics=lambda x, u, p, m: (x.v,))
+    phase = replace(slider().phases[0], dynamics=lambda x, u, p, xp: (x.v,))
     with pytest.raises(PeriluneError, match=r"dynamics of slide returns the wrong number(.|\n)*got: 1(.|\n)*2: x, v"):
         slider(phases=(phase,))
 
@@ -158,7 +158,7 @@ def test_wrong_number_of_rates() -> None:
     ("changes", "words"),
     [
         ({"phases": ()}, "at least one phase"),
-        ({"links": (lambda x, p, m: (),)}, "needs a link"),
+        ({"links": (lambda x, p, xp: (),)}, "needs a link"),
         (
             {"free": (Free(name="push", unit="m/s^2"), Free(name="time", unit="s"))},
             "given and free at once: *|got: push",
@@ -275,11 +275,11 @@ def test_a_phase_is_called_as_a_part_of_a_file_name_may_be(name: Any) -> None:
 def test_a_column_has_one_unit_in_all_phases() -> None:
     """The unit of the last phase stood above the numbers of all."""
     (first,) = slider().phases
-    told: Any = {"outputs": lambda x, u, p, m: (x.v,)}
+    told: Any = {"outputs": lambda x, u, p, xp: (x.v,)}
     one = replace(first, name="one", **told, output_variables=(Variable(name="q", unit="m/s"),))
     two = replace(first, name="two", **told, output_variables=(Variable(name="q", unit="m"),))
     with pytest.raises(PeriluneError, match=r"q has another unit in the phase two[\s\S]*got: m\n *expected: m/s"):
-        slider(phases=(one, two), links=(lambda x, p, m: tuple(x),))
+        slider(phases=(one, two), links=(lambda x, p, xp: tuple(x),))
 
 
 @pytest.mark.parametrize("changes", [{"name": 5}, {"title": None}])

@@ -30,9 +30,9 @@ AIR = pl.Table((0.0, 0.2, 0.5, 0.9, 1.2, 1.5, 2.0), (1.0, 0.8, 0.65, 0.3, 0.28, 
 KINDS: tuple[Any, ...] = ("smooth", "smoother", "monotone", "linear")
 
 
-def flow(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
+def flow(x: Any, u: Any, p: Any, xp: Any) -> tuple[Any, ...]:
     """Two coupled states, a control in the second only."""
-    return (m.sin(x.b) + p.k * x.a, x.a * x.b + u.w)
+    return (xp.sin(x.b) + p.k * x.a, x.a * x.b + u.w)
 
 
 def tape(function: Callable[..., Any], roles: tuple[str, ...] = ("x", "u", "p")) -> Expression:
@@ -59,23 +59,23 @@ def along(function: Callable[..., Any], a: float, b: float) -> float:
 
 
 UNARY = {
-    **{name: (lambda x, p, m, name=name: (getattr(m, name)(0.4 * x.a + x.b * p.k),)) for name in NUMPY_NAMES},
+    **{name: (lambda x, p, xp, name=name: (getattr(xp, name)(0.4 * x.a + x.b * p.k),)) for name in NUMPY_NAMES},
     **{
-        name: (lambda x, p, m, name=name: (getattr(m, name)(x.a * x.b, x.a - p.k),))
+        name: (lambda x, p, xp, name=name: (getattr(xp, name)(x.a * x.b, x.a - p.k),))
         for name in ("atan2", "fmin", "fmax")
     },
 }
 OTHERS: dict[str, Callable[..., Any]] = {
-    "sum": lambda x, p, m: (2.0 + x.a + x.b - p.k - x.a * 3.0,),
-    "left": lambda x, p, m: (p.k - x.a,),
-    "product": lambda x, p, m: (-x.a * x.b * p.k,),
-    "quotient": lambda x, p, m: (x.a / (1.0 + x.b) + p.k / x.a + x.b / p.k,),
-    "square": lambda x, p, m: (x.a**2 + x.b**3.5 + x.a**p.k,),
-    "exponent": lambda x, p, m: (p.k**x.a + x.a**x.b + 2.0**x.b,),
-    "below": lambda x, p, m: (m.where(x.a < x.b, x.a * x.b, p.k),),
-    "above": lambda x, p, m: (m.where(x.a > x.b, x.a * x.b, x.a),),
-    "minus": lambda x, p, m: (m.fabs(x.a - 5.0) + m.fabs(x.b),),
-    **{kind: (lambda x, p, m, kind=kind: (m.table(pl.Table(AIR.x, AIR.y, kind), x.a * x.b),)) for kind in KINDS},
+    "sum": lambda x, p, xp: (2.0 + x.a + x.b - p.k - x.a * 3.0,),
+    "left": lambda x, p, xp: (p.k - x.a,),
+    "product": lambda x, p, xp: (-x.a * x.b * p.k,),
+    "quotient": lambda x, p, xp: (x.a / (1.0 + x.b) + p.k / x.a + x.b / p.k,),
+    "square": lambda x, p, xp: (x.a**2 + x.b**3.5 + x.a**p.k,),
+    "exponent": lambda x, p, xp: (p.k**x.a + x.a**x.b + 2.0**x.b,),
+    "below": lambda x, p, xp: (xp.where(x.a < x.b, x.a * x.b, p.k),),
+    "above": lambda x, p, xp: (xp.where(x.a > x.b, x.a * x.b, x.a),),
+    "minus": lambda x, p, xp: (xp.fabs(x.a - 5.0) + xp.fabs(x.b),),
+    **{kind: (lambda x, p, xp, kind=kind: (xp.table(pl.Table(AIR.x, AIR.y, kind), x.a * x.b),)) for kind in KINDS},
 }
 
 
@@ -93,20 +93,20 @@ def test_rates_are_those_of_a_step_along_the_flow(name: str, a: float, b: float)
 
 def test_derivatives_end_where_a_control_appears() -> None:
     """a' = sin b + k a, a'' = cos(b) (a b + w) + k a'."""
-    S = tape(lambda x, p, m: (x.a,), ("x", "p"))
+    S = tape(lambda x, p, xp: (x.a,), ("x", "p"))
     found = derivatives_to_control(S, DYNAMICS, NAMES)
     assert [depends_on_control(f) for f in found] == [False, False, True]
     x = SimpleNamespace(a=0.4, b=1.1)
     first = np.sin(1.1) + 0.3 * 0.4
     assert found[1](x, U, P, NUMERIC) == pytest.approx([first])
     assert found[2](x, U, P, NUMERIC) == pytest.approx([np.cos(1.1) * (0.4 * 1.1 + 0.7) + 0.3 * first])
-    assert len(derivatives_to_control(tape(lambda x, p, m: (x.b * x.b,), ("x", "p")), DYNAMICS, NAMES)) == 2
+    assert len(derivatives_to_control(tape(lambda x, p, xp: (x.b * x.b,), ("x", "p")), DYNAMICS, NAMES)) == 2
 
 
 def test_what_does_not_change_shows_no_control() -> None:
     """A product with what is constant, a choice between constants, the speed of a state that stands."""
-    still = tape(lambda x, u, p, m: (0.0, u.w))
-    S = tape(lambda x, p, m: (m.where(x.b < p.k, 1.0, 2.0) * x.a + x.a**x.a * p.k, x.b * 0.0 + x.a), ("x", "p"))
+    still = tape(lambda x, u, p, xp: (0.0, u.w))
+    S = tape(lambda x, p, xp: (xp.where(x.b < p.k, 1.0, 2.0) * x.a + x.a**x.a * p.k, x.b * 0.0 + x.a), ("x", "p"))
     assert not depends_on_control(total_derivative(component(S, 0), still, NAMES))
     assert not any(depends_on_control(f) for f in derivatives_to_control(component(S, 0), still, NAMES))
 
@@ -147,7 +147,7 @@ def test_orders_of_a_lander() -> None:
 
 
 def test_expressions_are_gathered() -> None:
-    S = tape(lambda x, p, m: (x.a, x.b * p.k), ("x", "p"))
+    S = tape(lambda x, p, xp: (x.a, x.b * p.k), ("x", "p"))
     both = gather_expressions([component(S, 1), DYNAMICS], ("x", "u", "p"))
     x = SimpleNamespace(a=0.4, b=1.1)
     assert both(x, U, P, NUMERIC) == [1.1 * 0.3, *flow(x, U, P, NUMERIC)]

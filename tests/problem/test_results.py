@@ -138,7 +138,7 @@ def test_a_problem_that_asks_nothing_has_flight_time_and_objective() -> None:
 def test_phases_add_to_one_integral() -> None:
     """Constant acceleration spends a times t, in one phase or in two."""
     stated = tangent_steering(split=True)
-    spent = {"integrals": lambda x, u, p, m: (p.a,), "integral_variables": (Variable(name="spent", unit="m/s"),)}
+    spent = {"integrals": lambda x, u, p, xp: (p.a,), "integral_variables": (Variable(name="spent", unit="m/s"),)}
     solution = solve(replace(stated, phases=tuple(replace(phase, **spent) for phase in stated.phases)), level=0)
     whole = sum(trajectory.duration for trajectory in solution.trajectories)
     assert len(solution.trajectories) == 2
@@ -158,7 +158,7 @@ def test_a_result_of_another_dimension_is_refused(landing: Any) -> None:
     with pytest.raises(PeriluneError, match="results, landed_mass"):
         replace(
             landing,
-            results=lambda first, last, p, m: (last.m * last.r,),
+            results=lambda first, last, p, xp: (last.m * last.r,),
             result_variables=(Variable(name="landed_mass", unit="kg"),),
             views=Views(),
         )
@@ -167,9 +167,9 @@ def test_a_result_of_another_dimension_is_refused(landing: Any) -> None:
 def test_a_number_too_few_is_refused(landing: Any) -> None:
     """Results, integrals and views return what they name."""
     with pytest.raises(PeriluneError, match="results returns the wrong number of values"):
-        replace(landing, results=lambda first, last, p, m: (last.m,))
+        replace(landing, results=lambda first, last, p, xp: (last.m,))
     phase = landing.phases[0]
-    for wrong in ({"integrals": lambda x, u, p, m: ()}, {"inertial": lambda x, u, t, p, m: (x.r,)}):
+    for wrong in ({"integrals": lambda x, u, p, xp: ()}, {"inertial": lambda x, u, t, p, xp: (x.r,)}):
         with pytest.raises(PeriluneError, match="wrong number of values"):
             replace(landing, phases=(replace(phase, **wrong),))
 
@@ -242,9 +242,9 @@ def test_results_receive_the_records_that_all_physics_does(hybrid: Solution) -> 
     stated = hybrid.problem.results
     assert stated is not None
 
-    def asked(first: Any, last: Any, p: Any, m: Any) -> Any:
+    def asked(first: Any, last: Any, p: Any, xp: Any) -> Any:
         assert last._fields == hybrid.problem.phases[-1].state_names
-        return stated(first._replace(m=first.m), SimpleNamespace(**last._asdict()), p, m)
+        return stated(first._replace(m=first.m), SimpleNamespace(**last._asdict()), p, xp)
 
     by_record = replace(hybrid, problem=replace(hybrid.problem, results=asked))
     assert extremals_document(by_record) == extremals_document(hybrid)
@@ -295,16 +295,16 @@ def endless(time: float) -> pl.Problem:
         name="swing",
         states=tuple(pl.Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("e", "m^2/s^3"))),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
         duration="T",
-        end=lambda x, p, m: (x.x - p.L, x.v),
+        end=lambda x, p, xp: (x.x - p.L, x.v),
         end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="rest", unit="m/s")),
     )
     numbers = {"T": (time, "s"), "L": (1.0, "m"), "k": (1.0, "1/s^2")}
     return pl.Problem(
-        name="endless", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0),
+        name="endless", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0),
         given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in numbers.items()},
-        objective=lambda x, p, m: x.e, objective_unit="m^2/s^3",
+        objective=lambda x, p, xp: x.e, objective_unit="m^2/s^3",
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ def with_ends(problem: pl.Problem, factor: float | None) -> pl.Problem:
         for phase in problem.phases:
             rough = phase.typical_end
             assert rough is not None
-            wrong = None if factor is None else lambda p, m, rough=rough: tuple(factor * v for v in rough(p, m))
+            wrong = None if factor is None else lambda p, xp, rough=rough: tuple(factor * v for v in rough(p, xp))
             yield replace(phase, typical_end=wrong)
 
     return replace(problem, phases=tuple(phases()))

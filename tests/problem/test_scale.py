@@ -234,7 +234,7 @@ def test_a_scale_without_effect_is_refused() -> None:
     problem = KNOWN["least energy"].make()
     phase = replace(
         problem.phases[0],
-        outputs=lambda x, u, p, m: (x.x,),
+        outputs=lambda x, u, p, xp: (x.x,),
         output_variables=(pl.Variable(name="place", unit=problem.phases[0].states[0].unit, scale=2.0),),
     )
     with pytest.raises(PeriluneError, match="place has a scale"):

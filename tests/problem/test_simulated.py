@@ -74,18 +74,18 @@ def hop(**more: Any) -> pl.Problem:
     height, speed = pl.Variable(name="h", unit="m"), pl.Variable(name="v", unit="m/s")
     rise = pl.Phase(
         name="rise", states=(height, speed), controls=(pl.Bounded(name="throttle", lower=0.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (x.v, u.throttle * p.push - p.g), duration="t1",
+        dynamics=lambda x, u, p, xp: (x.v, u.throttle * p.push - p.g), duration="t1",
     )  # fmt: skip
     fall = pl.Phase(
-        name="fall", states=(height, speed), dynamics=lambda x, u, p, m: (x.v, -p.g), duration="t2",
-        end=lambda x, p, m: (x.h,), end_conditions=(pl.Variable(name="ground", unit="m"),),
+        name="fall", states=(height, speed), dynamics=lambda x, u, p, xp: (x.v, -p.g), duration="t2",
+        end=lambda x, p, xp: (x.h,), end_conditions=(pl.Variable(name="ground", unit="m"),),
     )  # fmt: skip
     times = tuple(pl.Free(name=name, unit="s", upper=100.0, typical=10.0) for name in ("t1", "t2"))
     push = pl.Free(name="push", unit="m/s^2", lower=2.0, upper=5.0, typical=3.0)
     return pl.Problem(**{
-        "name": "hop", "phases": (rise, fall), "start": lambda p, m: (0.0 * p.g * p.t1**2, 0.0 * p.g * p.t1),
-        "links": (lambda x, p, m: (x.h, x.v),), "given": {"g": pl.Given(value=1.62, unit="m/s^2")},
-        "free": (*times, push), "objective": lambda x, p, m: x.v, "objective_unit": "m/s", **more,
+        "name": "hop", "phases": (rise, fall), "start": lambda p, xp: (0.0 * p.g * p.t1**2, 0.0 * p.g * p.t1),
+        "links": (lambda x, p, xp: (x.h, x.v),), "given": {"g": pl.Given(value=1.62, unit="m/s^2")},
+        "free": (*times, push), "objective": lambda x, p, xp: x.v, "objective_unit": "m/s", **more,
     })  # fmt: skip
 
 

@@ -246,16 +246,16 @@ def turned(slip: float) -> Solution:
         name="turn",
         states=(pl.Variable(name="x", unit="rad"),),
         controls=(),
-        dynamics=lambda x, u, p, m: (p.rate,),
+        dynamics=lambda x, u, p, xp: (p.rate,),
         duration="T",
-        end=lambda x, p, m: (x.x - p.target,),
+        end=lambda x, p, xp: (x.x - p.target,),
         end_conditions=(pl.Variable(name="there", unit="rad"),),
     )
     problem = pl.Problem(
-        name="turn", phases=(phase,), start=lambda p, m: (0.0,),
+        name="turn", phases=(phase,), start=lambda p, xp: (0.0,),
         given={"rate": pl.Given(value=1e-6, unit="rad/s"), "T": pl.Given(value=1.0, unit="s"),
                "target": pl.Given(value=1e-6 + slip, unit="rad")},
-        objective=lambda x, p, m: x.x, objective_unit="rad",
+        objective=lambda x, p, xp: x.x, objective_unit="rad",
     )  # fmt: skip
     time, flat = np.array([0.0, 1.0]), np.zeros((2, 0))
     state = pl.Curve(time=time, values=1e-6 * time[:, None], rates=np.full((2, 1), 1e-6))

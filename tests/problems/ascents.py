@@ -33,19 +33,19 @@ def tangent_steering(split: bool = False) -> Problem:
             name=name,
             states=STATES,
             controls=(Direction(names=("cx", "cy")),),
-            dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx, p.a * u.cy),
+            dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx, p.a * u.cy),
             duration=duration,
-            end=(lambda x, p, m: (x.y - p.height, x.vx - p.speed, x.vy)) if last else None,
+            end=(lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy)) if last else None,
             end_conditions=END if last else (),
-            typical_end=lambda p, m: (p.height, p.speed, 0 * p.speed),
+            typical_end=lambda p, xp: (p.height, p.speed, 0 * p.speed),
         )
 
     first = Given(value=0.2, unit="s")
     return Problem(
         name="linear_tangent_steering",
         phases=(phase("first", "t1", False), phase("second", "t2", True)) if split else (phase("only", "t2", True),),
-        links=(lambda x, p, m: (x.y, x.vx, x.vy),) if split else (),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        links=(lambda x, p, xp: (x.y, x.vx, x.vy),) if split else (),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given={
             "a": Given(value=100.0, unit="m/s^2"),
             "height": Given(value=5.0, unit="m"),
@@ -53,7 +53,7 @@ def tangent_steering(split: bool = False) -> Problem:
             "t1": first,
         },
         free=(Free(name="t2", unit="s", lower=0.0, typical=0.6),),
-        objective=lambda x, p, m: p.t2 + p.t1 if split else p.t2,
+        objective=lambda x, p, xp: p.t2 + p.t1 if split else p.t2,
         objective_unit="s",
         scales=Scales(length=20.0, time=0.5),
     )
@@ -65,20 +65,20 @@ def lunar_ascent(acceleration: float, gravity: float, height: float, speed: floa
         name="ascent",
         states=STATES,
         controls=(Direction(names=("cx", "cy")),),
-        dynamics=lambda x, u, p, m: (x.vy, p.a * u.cx, p.a * u.cy - p.g),
+        dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx, p.a * u.cy - p.g),
         duration="time",
-        end=lambda x, p, m: (x.y - p.height, x.vx - p.speed, x.vy),
+        end=lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy),
         end_conditions=END,
-        typical_end=lambda p, m: (p.height, p.speed, 0 * p.speed),
+        typical_end=lambda p, xp: (p.height, p.speed, 0 * p.speed),
     )
     given = {"a": (acceleration, "m/s^2"), "g": (gravity, "m/s^2"), "height": (height, "m"), "speed": (speed, "m/s")}
     return Problem(
         name="lunar_ascent",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
         free=(Free(name="time", unit="s", lower=0.0, typical=300.0),),
-        objective=lambda x, p, m: p.time,
+        objective=lambda x, p, xp: p.time,
         objective_unit="s",
         scales=Scales(length=height, time=100.0),
     )
@@ -115,12 +115,12 @@ def staged_launch(stages: Sequence[Stage], height: float, speed: float) -> Probl
     duration = f"burn_{last}"
 
     def phase(k: int) -> Phase:
-        def rates(x, u, p, m):
+        def rates(x, u, p, xp):
             thrust = getattr(p, f"thrust_{k}")
             a = thrust / x.m
             return x.vy, a * u.cx, a * u.cy - p.g, -thrust / getattr(p, f"exhaust_speed_{k}")
 
-        def typical_end(p, m):
+        def typical_end(p, xp):
             share = (k + 1) / len(stages)
             return share * p.height, share * p.speed, 0 * p.speed, 0.7 * getattr(p, f"mass_{k}")
 
@@ -130,22 +130,22 @@ def staged_launch(stages: Sequence[Stage], height: float, speed: float) -> Probl
             controls=(Direction(names=("cx", "cy")),),
             dynamics=rates,
             duration=f"burn_{k}",
-            end=(lambda x, p, m: (x.y - p.height, x.vx - p.speed, x.vy)) if k == last else None,
+            end=(lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy)) if k == last else None,
             end_conditions=END if k == last else (),
             typical_end=typical_end,
         )
 
-    def dropped(k: int, x, p, m):
+    def dropped(k: int, x, p, xp):
         return x.y, x.vx, x.vy, getattr(p, f"mass_{k}")
 
     return Problem(
         name="launch",
         phases=tuple(phase(k) for k in range(len(stages))),
-        start=lambda p, m: (0.0, 0.0, 0.0, p.mass_0),
+        start=lambda p, xp: (0.0, 0.0, 0.0, p.mass_0),
         links=tuple(partial(dropped, k) for k in range(1, len(stages))),
         given=given,
         free=(Free(name=duration, unit="s", lower=0.0, typical=400.0),),
-        objective=lambda x, p, m: sum(getattr(p, f"burn_{k}") for k in range(len(stages))),
+        objective=lambda x, p, xp: sum(getattr(p, f"burn_{k}") for k in range(len(stages))),
         objective_unit="s",
         scales=Scales(length=height, time=300.0, mass=stages[0].mass),
     )

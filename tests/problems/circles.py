@@ -15,7 +15,7 @@ def to_circle(
         name="transfer",
         states=tuple(pl.Variable(name=n, unit=u) for n, u in zip(("x", "y", "vx", "vy", "m"), _UNITS, strict=True)),
         controls=(pl.Direction(names=("a", "b")), pl.Bounded(name="T", unit="N", lower=0.0, upper=thrust)),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             x.vx,
             x.vy,
             -p.mu * x.x / (x.x**2 + x.y**2) ** 1.5 + u.T / x.m * u.a,
@@ -23,7 +23,7 @@ def to_circle(
             -u.T / p.exhaust_speed,
         ),
         duration="time",
-        end=lambda x, p, m: (
+        end=lambda x, p, xp: (
             (x.vx**2 + x.vy**2) / 2 - p.mu / (2 * p.far),
             x.x * x.vx + x.y * x.vy,
             x.x**2 + x.y**2 - p.far**2,
@@ -31,7 +31,7 @@ def to_circle(
         end_conditions=tuple(
             pl.Variable(name=n, unit=u) for n, u in (("energy", "m^2/s^2"), ("radial", "m^2/s"), ("radius", "m^2"))
         ),
-        typical_end=lambda p, m: (p.far, 0 * p.far, 0 * p.speed, p.speed * m.sqrt(p.near / p.far), 0.75 * p.mass),
+        typical_end=lambda p, xp: (p.far, 0 * p.far, 0 * p.speed, p.speed * xp.sqrt(p.near / p.far), 0.75 * p.mass),
     )
     given = {
         "mu": (1.0, "m^3/s^2"), "near": (1.0, "m"), "far": (radius, "m"), "mass": (1.0, "kg"), "time": (time, "s"),
@@ -40,9 +40,9 @@ def to_circle(
     return pl.Problem(
         name="transfer",
         phases=(phase,),
-        start=lambda p, m: (p.near, 0.0, 0.0, p.speed, p.mass),
+        start=lambda p, xp: (p.near, 0.0, 0.0, p.speed, p.mass),
         given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        objective=lambda x, p, m: -x.m,
+        objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
     )
 
@@ -53,14 +53,14 @@ _UNITS = ("m", "m", "m/s", "m/s", "kg")
 def meeting(revolutions: int, thrust: float = 0.03, parameter: float = 2.0, f: float = 0.2) -> pl.Problem:
     """Most mass at a place on an ellipse after so many revolutions, from a circle; equinoctial elements p, f, g, L."""
 
-    def rates(x, u, p, m):
-        s, c = m.sin(x.L), m.cos(x.L)
-        q, root = 1 + x.f * c + x.g * s, m.sqrt(x.p / p.mu) * u.T / x.m
+    def rates(x, u, p, xp):
+        s, c = xp.sin(x.L), xp.cos(x.L)
+        q, root = 1 + x.f * c + x.g * s, xp.sqrt(x.p / p.mu) * u.T / x.m
         return (
             2 * x.p / q * root * u.t,
             root * (s * u.r + ((q + 1) * c + x.f) / q * u.t),
             root * (-c * u.r + ((q + 1) * s + x.g) / q * u.t),
-            m.sqrt(p.mu * x.p) * (q / x.p) ** 2,
+            xp.sqrt(p.mu * x.p) * (q / x.p) ** 2,
             -u.T / p.exhaust_speed,
         )
 
@@ -71,9 +71,9 @@ def meeting(revolutions: int, thrust: float = 0.03, parameter: float = 2.0, f: f
         controls=(pl.Direction(names=("r", "t")), pl.Bounded(name="T", unit="N", lower=0.0, upper=thrust)),
         dynamics=rates,
         duration="time",
-        end=lambda x, p, m: (x.p - p.far, x.f - p.f, x.g, x.L - p.angle),
+        end=lambda x, p, xp: (x.p - p.far, x.f - p.f, x.g, x.L - p.angle),
         end_conditions=tuple(pl.Variable(name=f"{n}_end", unit=u) for n, u in units.items()),
-        typical_end=lambda p, m: (p.far, p.f, 0 * p.f, p.angle, 0.8 * p.mass),
+        typical_end=lambda p, xp: (p.far, p.f, 0 * p.f, p.angle, 0.8 * p.mass),
     )
     time = revolutions * 2 * math.pi * ((1 + parameter / (1 - f**2)) / 2) ** 1.5
     given = {
@@ -83,8 +83,8 @@ def meeting(revolutions: int, thrust: float = 0.03, parameter: float = 2.0, f: f
     return pl.Problem(
         name="meeting",
         phases=(phase,),
-        start=lambda p, m: (p.near, 0.0, 0.0, 0.0, p.mass),
+        start=lambda p, xp: (p.near, 0.0, 0.0, 0.0, p.mass),
         given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        objective=lambda x, p, m: -x.m,
+        objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
     )

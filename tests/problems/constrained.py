@@ -33,19 +33,19 @@ def bryson_denham(ceiling: float, as_bound: bool = False) -> pl.Problem:
         name="swing",
         states=(x, *_variables(v="m/s", c="m^2/s^3")),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.x, x.v + p.speed),
+        end=lambda x, p, xp: (x.x, x.v + p.speed),
         end_conditions=_variables(back="m", turned="m/s"),
-        path=None if as_bound else lambda x, u, p, m: (p.ceiling - x.x,),
+        path=None if as_bound else lambda x, u, p, xp: (p.ceiling - x.x,),
         path_conditions=() if as_bound else _variables(room="m"),
     )
     return pl.Problem(
         name="bryson_denham",
         phases=(phase,),
-        start=lambda p, m: (0.0, p.speed, 0.0),
+        start=lambda p, xp: (0.0, p.speed, 0.0),
         given=_given(T=(1.0, "s"), speed=(1.0, "m/s"), ceiling=(ceiling, "m")),
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s^3",
     )
 
@@ -62,7 +62,7 @@ def timed_bryson_denham(ceiling: float, low: float, high: float, price: float = 
     w < 0 at its shortest where that rides, T >= 6 l.
     """
     whole = bryson_denham(ceiling)
-    swing = replace(whole.phases[0], dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u - p.w))
+    swing = replace(whole.phases[0], dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u - p.w))
     return replace(
         whole,
         phases=(swing,),
@@ -81,7 +81,7 @@ def weak_bryson_denham(ceiling: float, most: float) -> pl.Problem:
     whole = bryson_denham(ceiling)
     swing = replace(
         whole.phases[0],
-        path=lambda x, u, p, m: (p.ceiling - x.x, 1 - (u.u / p.most) ** 2),
+        path=lambda x, u, p, xp: (p.ceiling - x.x, 1 - (u.u / p.most) ** 2),
         path_conditions=_variables(room="m", strength="1"),
     )
     given = {**whole.given, **_given(most=(most, "m/s^2"))}
@@ -106,7 +106,7 @@ def parked(ceiling: float) -> pl.Problem:
     whole = bryson_denham(ceiling)
     swing = replace(
         whole.phases[0],
-        end=lambda x, p, m: (p.ceiling - x.x, 2 * x.v),
+        end=lambda x, p, xp: (p.ceiling - x.x, 2 * x.v),
         end_conditions=_variables(there="m", still="m/s"),
     )
     return replace(whole, name="parked", phases=(swing,))
@@ -127,11 +127,11 @@ def drawn_off() -> pl.Problem:
         name="flight",
         states=_variables(x="m", v="m/s", t="s", c="m^2/s^3"),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 1.0, 0.5 * (u.u - p.k * (x.t - p.turn) ** 3) ** 2),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 1.0, 0.5 * (u.u - p.k * (x.t - p.turn) ** 3) ** 2),
         duration="T",
-        end=lambda x, p, m: (x.x, x.v),
+        end=lambda x, p, xp: (x.x, x.v),
         end_conditions=_variables(down="m", still="m/s"),
-        path=lambda x, u, p, m: (x.x,),
+        path=lambda x, u, p, xp: (x.x,),
         path_conditions=_variables(height="m"),
     )
     bend, lag = 20.0 - 3.0 * (FROM - 2.0) ** 2, FROM - 2.0
@@ -140,9 +140,9 @@ def drawn_off() -> pl.Problem:
     return pl.Problem(
         name="drawn_off",
         phases=(phase,),
-        start=lambda p, m: (p.x0, p.v0, 0.0, 0.0),
+        start=lambda p, xp: (p.x0, p.v0, 0.0, 0.0),
         given=_given(T=(2.9, "s"), k=(1.0, "m/s^5"), turn=(2.0, "s"), x0=(x0, "m"), v0=(v0, "m/s")),
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s^3",
     )
 
@@ -161,11 +161,11 @@ def hopping() -> pl.Problem:
         name="flight",
         states=_variables(x="m", v="m/s", t="s", c="m^2/s^3"),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 1.0, 0.5 * (u.u - 0.5 * p.k * x.t**2) ** 2),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 1.0, 0.5 * (u.u - 0.5 * p.k * x.t**2) ** 2),
         duration="T",
-        end=lambda x, p, m: (x.x, x.v),
+        end=lambda x, p, xp: (x.x, x.v),
         end_conditions=_variables(down="m", still="m/s"),
-        path=lambda x, u, p, m: (x.x,),
+        path=lambda x, u, p, xp: (x.x,),
         path_conditions=_variables(height="m"),
     )
     r, bend = 0.5, HOP * 0.5**2 / 12
@@ -174,9 +174,9 @@ def hopping() -> pl.Problem:
     return pl.Problem(
         name="hopping",
         phases=(phase,),
-        start=lambda p, m: (p.x0, p.v0, 0.0, 0.0),
+        start=lambda p, xp: (p.x0, p.v0, 0.0, 0.0),
         given=_given(T=(1.0, "s"), k=(HOP, "m/s^4"), x0=(x0, "m"), v0=(v0, "m/s")),
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s^3",
     )
 
@@ -190,21 +190,21 @@ def brachistochrone() -> pl.Problem:
         name="slide",
         states=_variables(x="m", y="m", v="m/s"),
         controls=(pl.Direction(names=("c", "s")),),
-        dynamics=lambda x, u, p, m: (x.v * u.c, x.v * u.s, p.g * u.s),
+        dynamics=lambda x, u, p, xp: (x.v * u.c, x.v * u.s, p.g * u.s),
         duration="T",
-        end=lambda x, p, m: (x.x - p.far,),
+        end=lambda x, p, xp: (x.x - p.far,),
         end_conditions=_variables(across="m"),
-        path=lambda x, u, p, m: (p.slope * x.x + p.offset - x.y,),
+        path=lambda x, u, p, xp: (p.slope * x.x + p.offset - x.y,),
         path_conditions=_variables(above="m"),
-        typical_end=lambda p, m: (p.far, p.slope * p.far, m.sqrt(p.g * p.far)),
+        typical_end=lambda p, xp: (p.far, p.slope * p.far, xp.sqrt(p.g * p.far)),
     )
     return pl.Problem(
         name="brachistochrone",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given=_given(g=(1.0, "m/s^2"), far=(1.0, "m"), slope=(SLOPE, "1"), offset=(OFFSET, "m")),
         free=(pl.Free(name="T", unit="s", upper=10.0, lower=0.0, typical=1.8),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
 
@@ -235,18 +235,18 @@ def mars_glide_slope() -> pl.Problem:
             pl.Direction(names=("du", "dx")),
             pl.Bounded(name="T", unit="N", lower="least", upper="most"),
         ),
-        dynamics=lambda x, u, p, m: (x.vu, x.vx, u.T / x.m * u.du - p.g, u.T / x.m * u.dx, -u.T * p.alpha),
+        dynamics=lambda x, u, p, xp: (x.vu, x.vx, u.T / x.m * u.du - p.g, u.T / x.m * u.dx, -u.T * p.alpha),
         duration="flight_time",
-        end=lambda x, p, m: (x.up, x.x, x.vu, x.vx),
+        end=lambda x, p, xp: (x.up, x.x, x.vu, x.vx),
         end_conditions=_variables(down="m", there="m", sinking="m/s", drifting="m/s"),
-        path=lambda x, u, p, m: (x.up - p.slope * (m.sqrt(x.x * x.x + p.pad * p.pad) - p.pad),),
+        path=lambda x, u, p, xp: (x.up - p.slope * (xp.sqrt(x.x * x.x + p.pad * p.pad) - p.pad),),
         path_conditions=_variables(glide="m"),
-        typical_end=lambda p, m: (0.0, 0.0, 0.0, 0.0, 0.8 * p.m0),
+        typical_end=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.8 * p.m0),
     )
     return pl.Problem(
         name="mars_glide_slope",
         phases=(phase,),
-        start=lambda p, m: (p.h, p.d, -p.sinking, p.across, p.m0),
+        start=lambda p, xp: (p.h, p.d, -p.sinking, p.across, p.m0),
         given=_given(
             g=(3.7114, "m/s^2"), alpha=(1 / (225 * 9.807 * math.cos(cant)), "s/m"), m0=(1905.0, "kg"),
             h=(1500.0, "m"), d=(2000.0, "m"), sinking=(75.0, "m/s"), across=(100.0, "m/s"),
@@ -254,9 +254,9 @@ def mars_glide_slope() -> pl.Problem:
             slope=(math.tan(math.radians(4.0)), "1"), pad=(1.0, "m"),
         ),
         free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=200.0, typical=70.0),),
-        objective=lambda x, p, m: -x.m,
+        objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
-        results=lambda first, last, p, m: (first.m - last.m, p.flight_time),
+        results=lambda first, last, p, xp: (first.m - last.m, p.flight_time),
         result_variables=_variables(propellant="kg", time="s"),
         scales=pl.Scales(length=2000.0, time=40.0, mass=1905.0),
     )  # fmt: skip
@@ -268,22 +268,22 @@ def speed_limit(limit: float) -> pl.Problem:
         name="descent",
         states=_variables(h="m", v="m/s", m="kg"),
         controls=(pl.Bounded(name="T", unit="N", lower="least", upper="most"),),
-        dynamics=lambda x, u, p, m: (x.v, u.T / x.m - p.g, -u.T / p.c),
+        dynamics=lambda x, u, p, xp: (x.v, u.T / x.m - p.g, -u.T / p.c),
         duration="flight_time",
-        end=lambda x, p, m: (x.h, x.v),
+        end=lambda x, p, xp: (x.h, x.v),
         end_conditions=_variables(down="m", still="m/s"),
-        path=lambda x, u, p, m: (p.limit + x.v,),
+        path=lambda x, u, p, xp: (p.limit + x.v,),
         path_conditions=_variables(room="m/s"),
-        typical_end=lambda p, m: (0.0, 0.0, 0.8 * p.m0),
+        typical_end=lambda p, xp: (0.0, 0.0, 0.8 * p.m0),
     )
     return pl.Problem(
         name="speed_limit",
         phases=(phase,),
-        start=lambda p, m: (p.h0, p.v0, p.m0),
+        start=lambda p, xp: (p.h0, p.v0, p.m0),
         given=_given(h0=(2000.0, "m"), v0=(-20.0, "m/s"), m0=(1000.0, "kg"), g=(1.62, "m/s^2"), c=(3000.0, "m/s"),
                      least=(0.0, "N"), most=(4000.0, "N"), limit=(limit, "m/s")),
         free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=1000.0, typical=80.0),),
-        objective=lambda x, p, m: -x.m,
+        objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         scales=pl.Scales(length=2000.0, time=35.0, mass=1000.0),
     )  # fmt: skip
@@ -329,8 +329,8 @@ def deorbit(count: int = 2) -> pl.Problem:
     ahead = start / np.linalg.norm(start)
     site = _unit(math.radians(38.0), math.radians(-98.0))
 
-    def gravity(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
-        r = m.sqrt(x.x * x.x + x.y * x.y + x.z * x.z)
+    def gravity(x: Any, p: Any, xp: Any) -> tuple[Any, ...]:
+        r = xp.sqrt(x.x * x.x + x.y * x.y + x.z * x.z)
         k, f, g = 1.5 * p.j2 * (p.radius / r) ** 2, 5 * (x.z / r) ** 2, -p.mu / r**3
         turning = p.turns**2
         return (
@@ -340,20 +340,20 @@ def deorbit(count: int = 2) -> pl.Problem:
             r,
         )
 
-    def burning(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
-        ax, ay, az, _ = gravity(x, p, m)
+    def burning(x: Any, u: Any, p: Any, xp: Any) -> tuple[Any, ...]:
+        ax, ay, az, _ = gravity(x, p, xp)
         t = p.thrust / x.m
         return x.vx, x.vy, x.vz, ax + t * u.a, ay + t * u.b, az + t * u.c, -p.thrust / p.exhaust
 
-    def falling(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
-        ax, ay, az, r = gravity(x, p, m)
-        v = m.sqrt(x.vx**2 + x.vy**2 + x.vz**2)
-        drag = 0.5 * p.density * m.exp(-(r - p.radius) / p.height) * p.area / x.m * v
+    def falling(x: Any, u: Any, p: Any, xp: Any) -> tuple[Any, ...]:
+        ax, ay, az, r = gravity(x, p, xp)
+        v = xp.sqrt(x.vx**2 + x.vy**2 + x.vz**2)
+        drag = 0.5 * p.density * xp.exp(-(r - p.radius) / p.height) * p.area / x.m * v
         return x.vx, x.vy, x.vz, ax - drag * x.vx, ay - drag * x.vy, az - drag * x.vz, 0.0 * p.thrust / p.exhaust
 
-    def gate(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
-        r, v = m.sqrt(x.x**2 + x.y**2 + x.z**2), m.sqrt(x.vx**2 + x.vy**2 + x.vz**2)
-        return r - p.gate, v - p.speed, (x.x * x.vx + x.y * x.vy + x.z * x.vz) / (r * v) - m.sin(p.angle)
+    def gate(x: Any, p: Any, xp: Any) -> tuple[Any, ...]:
+        r, v = xp.sqrt(x.x**2 + x.y**2 + x.z**2), xp.sqrt(x.vx**2 + x.vy**2 + x.vz**2)
+        return r - p.gate, v - p.speed, (x.x * x.vx + x.y * x.vy + x.z * x.vz) / (r * v) - xp.sin(p.angle)
 
     def way(share: float) -> Any:
         turn, back = math.radians(275.0) * share, -TURNS * 4400.0 * share
@@ -361,7 +361,7 @@ def deorbit(count: int = 2) -> pl.Problem:
         spin = np.array([[math.cos(back), -math.sin(back), 0], [math.sin(back), math.cos(back), 0], [0, 0, 1]])
         out, on = spin @ out, spin @ np.cross(normal, out)
         mass = 1 - 0.3 * share
-        return lambda p, m: (
+        return lambda p, xp: (
             *((p.gate + (1 - share) * (p.orbit - p.gate)) * float(c) for c in out),
             *(p.speed * float(c) for c in on),
             mass * p.m0,
@@ -374,7 +374,7 @@ def deorbit(count: int = 2) -> pl.Problem:
             duration="leg", typical_end=way(j / count),
             end=gate if j == count else None,
             end_conditions=_variables(shell="m", entry_speed="m/s", entry_angle="1") if j == count else (),
-            path=lambda x, u, p, m: ((x.x * x.x + x.y * x.y + x.z * x.z) / p.gate**2 - 1,),
+            path=lambda x, u, p, xp: ((x.x * x.x + x.y * x.y + x.z * x.z) / p.gate**2 - 1,),
             path_conditions=_variables(above="1"),
         )
         for j in range(1, count + 1)
@@ -382,11 +382,11 @@ def deorbit(count: int = 2) -> pl.Problem:
     on = np.cross(normal, ahead)
     fall = pl.Phase(
         name="entry", states=states, dynamics=falling, duration="fall",
-        end=lambda x, p, m: tuple(
+        end=lambda x, p, xp: tuple(
             a - (p.radius + p.site) * float(c) for a, c in zip((x.x, x.y, x.z), site, strict=True)
         ),
         end_conditions=_variables(site_x="m", site_y="m", site_z="m"),
-        typical_end=lambda p, m: (
+        typical_end=lambda p, xp: (
             *((p.radius + p.site) * float(c) for c in site), *(0.1 * p.speed * float(c) for c in on), 0.7 * p.m0,
         ),
     )  # fmt: skip
@@ -395,8 +395,8 @@ def deorbit(count: int = 2) -> pl.Problem:
     return pl.Problem(
         name="deorbit",
         phases=(*legs, fall),
-        start=lambda p, m: (p.x0, p.y0, p.z0, p.vx0, p.vy0, p.vz0, p.m0),
-        links=(lambda x, p, m: tuple(x),) * count,
+        start=lambda p, xp: (p.x0, p.y0, p.z0, p.vx0, p.vy0, p.vz0, p.m0),
+        links=(lambda x, p, xp: tuple(x),) * count,
         given=_given(
             mu=(MU, "m^3/s^2"), radius=(RADIUS, "m"), turns=(TURNS, "rad/s"), j2=(1.08263e-3, "1"),
             thrust=(100.0, "N"), exhaust=(3000.0, "m/s"), m0=(500.0, "kg"), density=(1.225, "kg/m^3"),
@@ -407,7 +407,7 @@ def deorbit(count: int = 2) -> pl.Problem:
             pl.Free(name="leg", unit="s", lower=500.0 / count, upper=6000.0 / count, typical=4300.0 / count),
             pl.Free(name="fall", unit="s", lower=20.0, upper=900.0, typical=200.0),
         ),
-        objective=lambda x, p, m: count * p.leg + p.fall,
+        objective=lambda x, p, xp: count * p.leg + p.fall,
         objective_unit="s",
         scales=pl.Scales(length=RADIUS, time=math.sqrt(RADIUS**3 / MU), mass=500.0),
     )  # fmt: skip

@@ -36,21 +36,21 @@ def delta() -> pl.Problem:
     ahead, across, normal = _axes()
     momentum = math.sqrt(MU * AXIS * (1 - ECCENTRICITY**2))
 
-    def rates(stage: int, x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-        r = m.sqrt(x.x**2 + x.y**2 + x.z**2)
+    def rates(stage: int, x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
+        r = xp.sqrt(x.x**2 + x.y**2 + x.z**2)
         wind = x.vx + p.turns * x.y, x.vy - p.turns * x.x, x.vz
         # At rest in the air the speed has no slope; a hundredth of a metre a second is no drag.
-        speed = m.sqrt(sum(w * w for w in wind) + p.calm**2)
-        pull, drag = -p.mu / r**3, -0.5 * p.density * m.exp(-(r - p.radius) / p.decay) * p.area * p.drag * speed / x.m
+        speed = xp.sqrt(sum(w * w for w in wind) + p.calm**2)
+        pull, drag = -p.mu / r**3, -0.5 * p.density * xp.exp(-(r - p.radius) / p.decay) * p.area * p.drag * speed / x.m
         push = getattr(p, f"thrust{stage}") / x.m
         place, pointing = (x.x, x.y, x.z), (u.a, u.b, u.c)
         speeds = (pull * at + drag * w + push * d for at, w, d in zip(place, wind, pointing, strict=True))
         return x.vx, x.vy, x.vz, *speeds, -getattr(p, f"flow{stage}")
 
-    def orbit(x: Any, p: Any, m: Any) -> Sequence[Any]:
+    def orbit(x: Any, p: Any, xp: Any) -> Sequence[Any]:
         """Its momentum, and its eccentricity along and across the line of apsides: five elements in six numbers."""
         h = x.y * x.vz - x.z * x.vy, x.z * x.vx - x.x * x.vz, x.x * x.vy - x.y * x.vx
-        r = m.sqrt(x.x**2 + x.y**2 + x.z**2)
+        r = xp.sqrt(x.x**2 + x.y**2 + x.z**2)
         e = (
             (x.vy * h[2] - x.vz * h[1]) / p.mu - x.x / r,
             (x.vz * h[0] - x.vx * h[2]) / p.mu - x.y / r,
@@ -70,7 +70,7 @@ def delta() -> pl.Problem:
             duration=f"burn{stage}",
             end=orbit if last else None,
             end_conditions=ORBIT if last else (),
-            typical_end=lambda p, m: (*map(float, _typical(stage)), left),
+            typical_end=lambda p, xp: (*map(float, _typical(stage)), left),
         )
 
     place, speed = _launch()
@@ -88,11 +88,11 @@ def delta() -> pl.Problem:
     return pl.Problem(
         name="delta",
         phases=tuple(phase(stage) for stage in range(4)),
-        start=lambda p, m: (p.x0, p.y0, p.z0, p.vx0, p.vy0, p.vz0, p.mass0),
+        start=lambda p, xp: (p.x0, p.y0, p.z0, p.vx0, p.vy0, p.vz0, p.mass0),
         links=tuple(partial(_dropped, stage) for stage in (1, 2, 3)),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
         free=(pl.Free(name="burn3", unit="s", lower=100.0, upper=SECOND[3], typical=650.0),),
-        objective=lambda x, p, m: -x.m,
+        objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         scales=pl.Scales(length=RADIUS, time=math.sqrt(RADIUS**3 / MU), mass=3e4),
     )
@@ -109,7 +109,7 @@ ORBIT = (
 )
 
 
-def _dropped(stage: int, x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _dropped(stage: int, x: Any, p: Any, xp: Any) -> Sequence[Any]:
     return x.x, x.y, x.z, x.vx, x.vy, x.vz, getattr(p, f"mass{stage}")
 
 

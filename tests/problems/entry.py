@@ -13,30 +13,30 @@ from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
 
 
-def _rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Planar entry over a round planet at rest; stagnation heating after Sutton, Graves (1971)."""
-    density = p.density * m.exp(-x.h / p.scale_height)
+    density = p.density * xp.exp(-x.h / p.scale_height)
     r = p.radius + x.h
     push = 0.5 * density * x.v * x.v * p.area / p.mass
     gravity = p.mu / (r * r)
     return (
-        x.v * m.sin(x.gamma),
-        -push * (p.drag + p.polar * u.lift * u.lift) - gravity * m.sin(x.gamma),
-        push * u.lift / x.v + (x.v / r - gravity / x.v) * m.cos(x.gamma),
-        p.heating * m.sqrt(density / p.nose) * x.v**3,
+        x.v * xp.sin(x.gamma),
+        -push * (p.drag + p.polar * u.lift * u.lift) - gravity * xp.sin(x.gamma),
+        push * u.lift / x.v + (x.v / r - gravity / x.v) * xp.cos(x.gamma),
+        p.heating * xp.sqrt(density / p.nose) * x.v**3,
     )
 
 
 def limited_entry(load: float, rate: float) -> Problem:
     """`cool_entry` with no more than a load [m/s^2], in which the lift is, and a rate of heating [W/m^2]."""
 
-    def path(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-        density = p.density * m.exp(-x.h / p.scale_height)
+    def path(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
+        density = p.density * xp.exp(-x.h / p.scale_height)
         push = 0.5 * density * x.v * x.v * p.area / p.mass
         drag = p.drag + p.polar * u.lift * u.lift
         return (
-            1 - push * m.sqrt(drag * drag + u.lift * u.lift) / p.most_load,
-            1 - p.heating * m.sqrt(density / p.nose) * x.v**3 / p.most_rate,
+            1 - push * xp.sqrt(drag * drag + u.lift * u.lift) / p.most_load,
+            1 - p.heating * xp.sqrt(density / p.nose) * x.v**3 / p.most_rate,
         )
 
     free = cool_entry(heat=1e7)
@@ -60,9 +60,9 @@ def cool_entry(heat: float | None = None) -> Problem:
         controls=(Bounded(name="lift", lower=-1.0, upper=1.0),),
         dynamics=_rates,
         duration="time",
-        end=lambda x, p, m: (x.h - p.last_height, x.v - p.last_speed),
+        end=lambda x, p, xp: (x.h - p.last_height, x.v - p.last_speed),
         end_conditions=(Variable(name="height", unit="m"), Variable(name="speed", unit="m/s")),
-        typical_end=lambda p, m: (p.last_height, p.last_speed, -0.1, p.typical_heat),
+        typical_end=lambda p, xp: (p.last_height, p.last_speed, -0.1, p.typical_heat),
     )
     given = {
         "mu": (3.986e14, "m^3/s^2"), "radius": (6.371e6, "m"), "density": (1.225, "kg/m^3"),
@@ -74,10 +74,10 @@ def cool_entry(heat: float | None = None) -> Problem:
     return Problem(
         name="cool_entry",
         phases=(phase,),
-        start=lambda p, m: (p.height, p.speed, p.path_angle, 0.0 * p.typical_heat),
+        start=lambda p, xp: (p.height, p.speed, p.path_angle, 0.0 * p.typical_heat),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
         free=(Free(name="time", unit="s", lower=1.0, upper=2000.0, typical=60.0),),
-        objective=lambda x, p, m: x.Q,
+        objective=lambda x, p, xp: x.Q,
         objective_unit="J/m^2",
         objective_scale=heat,
         scales=Scales(length=1e5, time=100.0, mass=2000.0),

@@ -24,20 +24,20 @@ def cusp(a: float, b: float) -> pl.Problem:
         name="way",
         states=(Variable(name="x", unit="1"), Variable(name="c", unit="1/s")),
         controls=(pl.Bounded(name="u", unit="1/s"),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
     )
     return pl.Problem(
         name="cusp",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0),
         given={
             "T": Given(value=1.0, unit="s"),
             "a": Given(value=a, unit="1"),
             "b": Given(value=b, unit="1"),
             "rate": Given(value=1.0, unit="1/s"),
         },
-        objective=lambda x, p, m: x.c / p.rate + x.x**4 / 4 + (p.a - 1.0) * x.x**2 / 2 + p.b * x.x,
+        objective=lambda x, p, xp: x.c / p.rate + x.x**4 / 4 + (p.a - 1.0) * x.x**2 / 2 + p.b * x.x,
         objective_unit="1",
     )
 
@@ -64,15 +64,15 @@ def two_cusps(a: float, b: float) -> pl.Problem:
         name="way",
         states=(Variable(name="x", unit="1"), Variable(name="y", unit="1"), Variable(name="c", unit="1/s")),
         controls=(pl.Bounded(name="u", unit="1/s"), pl.Bounded(name="v", unit="1/s")),
-        dynamics=lambda x, u, p, m: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v)),
+        dynamics=lambda x, u, p, xp: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v)),
         duration="T",
     )
 
-    def objective(x: Any, p: Any, m: Any) -> Any:
+    def objective(x: Any, p: Any, xp: Any) -> Any:
         along = x.x**4 / 4 + (p.a - 1.3) * x.x**2 / 2 + p.b * x.x
         return x.c / p.rate + along + x.y**4 / 4 - (p.a + 1.0) * x.y**2 / 2 + (p.b + 0.1) * x.y
 
-    return replace(one, name="two_cusps", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0), objective=objective)
+    return replace(one, name="two_cusps", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0), objective=objective)
 
 
 def two_cusps_cost(a: float, b: float) -> float:

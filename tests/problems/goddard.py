@@ -28,20 +28,20 @@ def goddard() -> Problem:
             Variable(name="m", unit="kg", lower=1.0 * SLUG, upper=3.0 * SLUG),
         ),
         controls=(Bounded(name="thrust", unit="N", lower=0.0, upper=193.044 * POUND),),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             x.v,
-            (u.thrust - p.drag * x.v * x.v * m.exp(-x.h / p.scale_height)) / x.m - p.g,
+            (u.thrust - p.drag * x.v * x.v * xp.exp(-x.h / p.scale_height)) / x.m - p.g,
             -u.thrust / p.c,
         ),
         duration="t_f",
-        end=lambda x, p, m: (x.m - p.dry_mass,),
+        end=lambda x, p, xp: (x.m - p.dry_mass,),
         end_conditions=(Variable(name="dry", unit="kg"),),
-        typical_end=lambda p, m: (p.scale_height, 0 * p.c, p.dry_mass),
+        typical_end=lambda p, xp: (p.scale_height, 0 * p.c, p.dry_mass),
     )
     return Problem(
         name="goddard",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, p.mass),
+        start=lambda p, xp: (0.0, 0.0, p.mass),
         given={
             "g": Given(value=32.174 * FOOT, unit="m/s^2"),
             "c": Given(value=1580.9425279876559 * FOOT, unit="m/s"),
@@ -51,7 +51,7 @@ def goddard() -> Problem:
             "dry_mass": Given(value=1.0 * SLUG, unit="kg"),
         },
         free=(Free(name="t_f", unit="s", lower=0.0, upper=200.0, typical=40.0),),
-        objective=lambda x, p, m: -x.h,
+        objective=lambda x, p, xp: -x.h,
         objective_unit="m",
         scales=Scales(length=23800.0 * FOOT, time=25.0, mass=3.0 * SLUG),
     )

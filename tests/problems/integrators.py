@@ -27,18 +27,18 @@ def least_energy(ceiling: float = math.inf) -> Problem:
             Variable(name="cost", unit="m^2/s^3"),
         ),
         controls=(Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.x, x.v + p.v0),
+        end=lambda x, p, xp: (x.x, x.v + p.v0),
         end_conditions=(Variable(name="place", unit="m"), Variable(name="speed", unit="m/s")),
-        typical_end=lambda p, m: (0 * p.v0 * p.T, -p.v0, p.v0 * p.v0 / p.T),
+        typical_end=lambda p, xp: (0 * p.v0 * p.T, -p.v0, p.v0 * p.v0 / p.T),
     )
     return Problem(
         name="least_energy",
         phases=(phase,),
-        start=lambda p, m: (0.0, p.v0, 0.0),
+        start=lambda p, xp: (0.0, p.v0, 0.0),
         given={"T": Given(value=1.0, unit="s"), "v0": Given(value=1.0, unit="m/s")},
-        objective=lambda x, p, m: x.cost,
+        objective=lambda x, p, xp: x.cost,
         objective_unit="m^2/s^3",
     )
 
@@ -49,19 +49,19 @@ def least_time() -> Problem:
         name="move",
         states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
         controls=(Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (x.v, u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u),
         duration="t_f",
-        end=lambda x, p, m: (x.x - p.distance, x.v),
+        end=lambda x, p, xp: (x.x - p.distance, x.v),
         end_conditions=(Variable(name="place", unit="m"), Variable(name="speed", unit="m/s")),
-        typical_end=lambda p, m: (p.distance, 0 * p.distance),
+        typical_end=lambda p, xp: (p.distance, 0 * p.distance),
     )
     return Problem(
         name="least_time",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0),
         given={"distance": Given(value=1.0, unit="m")},
         free=(Free(name="t_f", unit="s", lower=0.0, typical=1.0),),
-        objective=lambda x, p, m: p.t_f,
+        objective=lambda x, p, xp: p.t_f,
         objective_unit="s",
     )
 

@@ -22,21 +22,21 @@ def orbit_raising() -> Problem:
             Variable(name="m", unit="kg", lower=0.0),
         ),
         controls=(Direction(names=("radial", "tangential")),),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             x.u,
             x.v * x.v / x.r - p.mu / (x.r * x.r) + p.thrust / x.m * u.radial,
             -x.u * x.v / x.r + p.thrust / x.m * u.tangential,
             -p.flow,
         ),
         duration="t_f",
-        end=lambda x, p, m: (x.u, x.v * x.v * x.r / p.mu - 1),
+        end=lambda x, p, xp: (x.u, x.v * x.v * x.r / p.mu - 1),
         end_conditions=(Variable(name="radial_speed", unit="m/s"), Variable(name="circular")),
-        typical_end=lambda p, m: (1.5 * p.r0, 0 * p.r0 / p.t_f, 0.8 * m.sqrt(p.mu / p.r0), p.m0 - p.flow * p.t_f),
+        typical_end=lambda p, xp: (1.5 * p.r0, 0 * p.r0 / p.t_f, 0.8 * xp.sqrt(p.mu / p.r0), p.m0 - p.flow * p.t_f),
     )
     return Problem(
         name="orbit_raising",
         phases=(phase,),
-        start=lambda p, m: (p.r0, 0.0, m.sqrt(p.mu / p.r0), p.m0),
+        start=lambda p, xp: (p.r0, 0.0, xp.sqrt(p.mu / p.r0), p.m0),
         given={
             "mu": Given(value=1.0, unit="m^3/s^2"),
             "r0": Given(value=1.0, unit="m"),
@@ -45,7 +45,7 @@ def orbit_raising() -> Problem:
             "flow": Given(value=0.0749, unit="kg/s"),
             "t_f": Given(value=3.32, unit="s"),
         },
-        objective=lambda x, p, m: -x.r,
+        objective=lambda x, p, xp: -x.r,
         objective_unit="m",
     )
 

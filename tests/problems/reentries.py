@@ -30,15 +30,15 @@ def apollo() -> pl.Problem:
     classical one for multiple shooting. Their unit of length, 1e5 ft, stands for the metre here.
     """
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-        density = p.density * m.exp(-p.decay * p.radius * x.xi)
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
+        density = p.density * xp.exp(-p.decay * p.radius * x.xi)
         push = 0.5 * p.area * density * x.v
         gravity = p.gravity / (1 + x.xi) ** 2
         return (
-            -push * x.v * (1.174 - 0.9 * u.c) - gravity * m.sin(x.gamma),
-            push * 0.6 * u.s + (x.v / (p.radius * (1 + x.xi)) - gravity / x.v) * m.cos(x.gamma),
-            x.v * m.sin(x.gamma) / p.radius,
-            p.heating * x.v**3 * m.sqrt(density),
+            -push * x.v * (1.174 - 0.9 * u.c) - gravity * xp.sin(x.gamma),
+            push * 0.6 * u.s + (x.v / (p.radius * (1 + x.xi)) - gravity / x.v) * xp.cos(x.gamma),
+            x.v * xp.sin(x.gamma) / p.radius,
+            p.heating * x.v**3 * xp.sqrt(density),
         )
 
     phase = pl.Phase(
@@ -47,14 +47,14 @@ def apollo() -> pl.Problem:
         controls=(pl.Direction(names=("c", "s")),),
         dynamics=rates,
         duration="time",
-        end=lambda x, p, m: (x.v - p.last_speed, x.gamma, x.xi - p.last_height),
+        end=lambda x, p, xp: (x.v - p.last_speed, x.gamma, x.xi - p.last_height),
         end_conditions=_variables(speed="m/s", angle="rad", height="1"),
-        typical_end=lambda p, m: (p.last_speed, 0.0 * p.height, p.last_height, 0.03 + 0.0 * p.height),
+        typical_end=lambda p, xp: (p.last_speed, 0.0 * p.height, p.last_height, 0.03 + 0.0 * p.height),
     )
     return pl.Problem(
         name="apollo",
         phases=(phase,),
-        start=lambda p, m: (p.speed, p.angle, p.height, 0.0 * p.height),
+        start=lambda p, xp: (p.speed, p.angle, p.height, 0.0 * p.height),
         given=_given(
             radius=(209.0, "m"), decay=(4.26, "1/m"), density=(2.704e-3, "kg/m^3"), gravity=(3.2172e-4, "m/s^2"),
             area=(53200.0, "m^2/kg"), heating=(10.0, "s^2/kg^0.5/m^1.5"), speed=(0.36, "m/s"),
@@ -62,7 +62,7 @@ def apollo() -> pl.Problem:
             last_height=(2.5 / 209, "1"),
         ),
         free=(pl.Free(name="time", unit="s", lower=0.0, upper=1000.0, typical=230.0),),
-        objective=lambda x, p, m: x.heat,
+        objective=lambda x, p, xp: x.heat,
         scales=pl.Scales(length=20.0, time=60.0, mass=1.0),
     )  # fmt: skip
 
@@ -73,25 +73,25 @@ def shuttle(hottest: float | None = None) -> pl.Problem:
     `hottest` is the most heat that the leading edge may take [BTU/ft^2/s]. The longitude follows from the rest.
     """
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
         attack = u.attack / DEGREE
         lift = -0.20704 + 0.029244 * attack
         drag = 0.07854 - 0.61592e-2 * attack + 0.621408e-3 * attack * attack
-        push = 0.5 * p.density * m.exp(-x.h / p.decay) * x.v * p.area / p.mass
+        push = 0.5 * p.density * xp.exp(-x.h / p.decay) * x.v * p.area / p.mass
         r = p.radius + x.h
-        gravity, level = p.mu / (r * r), m.cos(x.gamma)
+        gravity, level = p.mu / (r * r), xp.cos(x.gamma)
         return (
-            x.v * m.sin(x.gamma),
-            x.v / r * level * m.cos(x.heading),
-            -push * drag * x.v - gravity * m.sin(x.gamma),
-            push * lift * m.cos(u.bank) + level * (x.v / r - gravity / x.v),
-            push * lift * m.sin(u.bank) / level + x.v / r * level * m.sin(x.heading) * m.tan(x.latitude),
+            x.v * xp.sin(x.gamma),
+            x.v / r * level * xp.cos(x.heading),
+            -push * drag * x.v - gravity * xp.sin(x.gamma),
+            push * lift * xp.cos(u.bank) + level * (x.v / r - gravity / x.v),
+            push * lift * xp.sin(u.bank) / level + x.v / r * level * xp.sin(x.heading) * xp.tan(x.latitude),
         )
 
-    def cool(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+    def cool(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
         attack = u.attack / DEGREE
         edge = 1.0672181 - 0.19213774e-1 * attack + 0.21286289e-3 * attack**2 - 0.10117249e-5 * attack**3
-        thin = m.exp(-0.5 * x.h / p.decay)
+        thin = xp.exp(-0.5 * x.h / p.decay)
         return (1 - edge * p.heating * thin * (x.v / p.fast) ** 3.07 / p.hottest,)
 
     limited = {} if hottest is None else {"path": cool, "path_conditions": _variables(cool="1")}
@@ -107,9 +107,9 @@ def shuttle(hottest: float | None = None) -> pl.Problem:
         ),
         dynamics=rates,
         duration="time",
-        end=lambda x, p, m: (x.h - p.last_height, x.v - p.last_speed, x.gamma - p.last_angle),
+        end=lambda x, p, xp: (x.h - p.last_height, x.v - p.last_speed, x.gamma - p.last_angle),
         end_conditions=_variables(height="m", speed="m/s", angle="rad"),
-        typical_end=lambda p, m: (p.last_height, 0.5 - 0.0 * p.angle, p.last_speed, p.last_angle, 0.0 * p.angle),
+        typical_end=lambda p, xp: (p.last_height, 0.5 - 0.0 * p.angle, p.last_speed, p.last_angle, 0.0 * p.angle),
         **limited,
     )
     given = _given(
@@ -128,10 +128,10 @@ def shuttle(hottest: float | None = None) -> pl.Problem:
     return pl.Problem(
         name="shuttle",
         phases=(phase,),
-        start=lambda p, m: (p.height, 0.0 * p.angle, p.speed, p.angle, p.heading),
+        start=lambda p, xp: (p.height, 0.0 * p.angle, p.speed, p.angle, p.heading),
         given=given,
         free=(pl.Free(name="time", unit="s", lower=100.0, upper=5000.0, typical=2000.0),),
-        objective=lambda x, p, m: -x.latitude,
+        objective=lambda x, p, xp: -x.latitude,
         objective_unit="rad",
         scales=pl.Scales(length=20902900 * FOOT, time=20902900 / 25600, mass=9e4),
     )

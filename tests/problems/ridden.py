@@ -57,14 +57,14 @@ def string(
     problem = pl.Problem(
         name="string",
         phases=(phase,),
-        start=lambda p, m: (p.x0, 0.0),
+        start=lambda p, xp: (p.x0, 0.0),
         given=_given(k=(k, "1/s"), l=(l, "m"), x1=(x1, "m"), push=(push or 0.0, "m/s"), bait=(bait, "m/s"),
                      cost=(0.0 if bent is None else 0.5 * (k * l) ** 2, "m^2/s^2"), bent=(bent or 0.0, "m^2/s^3"),
                      T0=(total, "s"), **({} if start_is_free else {"x0": (x0, "m")}),
                      **({} if bent is not None else {"T": (total, "s")})),
         free=(*((pl.Free(name="x0", unit="m", lower=-5.0, upper=5.0, typical=1.0),) if start_is_free else ()),
               *(() if bent is None else (pl.Free(name="T", unit="s", lower=0.0, upper=99.0, typical=total),))),
-        objective=lambda x, p, m: x.c + p.push * x.x + p.bait * p.x0 + p.cost * p.T + 0.5 * p.bent * (p.T - p.T0) ** 2,
+        objective=lambda x, p, xp: x.c + p.push * x.x + p.bait * p.x0 + p.cost * p.T + 0.5 * p.bent * (p.T - p.T0) ** 2,
         objective_unit="m^2/s",
     )  # fmt: skip
     pieces = string_pieces(k, rise, ride, fall, push or 0.0)
@@ -93,11 +93,11 @@ def _string_phase(name: str, duration: str, end: bool = True) -> pl.Phase:
         name=name,
         states=_variables(x="m", c="m^2/s"),
         controls=(pl.Bounded(name="u", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
+        dynamics=lambda x, u, p, xp: (u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
         duration=duration,
-        end=(lambda x, p, m: (x.x - p.x1,)) if end else None,
+        end=(lambda x, p, xp: (x.x - p.x1,)) if end else None,
         end_conditions=_variables(there="m") if end else (),
-        path=lambda x, u, p, m: (p.l - x.x,),
+        path=lambda x, u, p, xp: (p.l - x.x,),
         path_conditions=_variables(room="m"),
     )
 
@@ -109,16 +109,16 @@ def string_in_two_phases(k: float, rise: float, ride: float, fall: float, share:
     """
     one = _string_phase("one", "T1", end=False)
     if stop:
-        one = replace(one, end=lambda x, p, m: (x.x - p.l,), end_conditions=_variables(stop="m"))
+        one = replace(one, end=lambda x, p, xp: (x.x - p.l,), end_conditions=_variables(stop="m"))
     joint, total = (rise + share * ride) / k, (rise + ride + fall) / k
     problem = pl.Problem(
         name="two_phases",
         phases=(one, _string_phase("two", "T2")),
-        start=lambda p, m: (p.x0, 0.0),
-        links=(lambda x, p, m: (x.x, x.c),),
+        start=lambda p, xp: (p.x0, 0.0),
+        links=(lambda x, p, xp: (x.x, x.c),),
         given=_given(T1=(joint, "s"), T2=(total - joint, "s"), k=(k, "1/s"), l=(1.0, "m"), x0=(math.cos(rise), "m"),
                      x1=(math.cos(fall), "m")),
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s",
     )  # fmt: skip
     pieces = parted(string_pieces(k, rise, ride, fall), [joint])
@@ -132,23 +132,23 @@ def two_strings(first: tuple[float, ...], second: tuple[float, ...]) -> Solution
         name="strings",
         states=_variables(x="m", y="m", c="m^2/s"),
         controls=(pl.Bounded(name="u", unit="m/s"), pl.Bounded(name="w", unit="m/s")),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             u.u, u.w, 0.5 * (u.u * u.u + u.w * u.w - p.k * p.k * x.x * x.x - p.h * p.h * x.y * x.y),
         ),
         duration="T",
-        end=lambda x, p, m: (x.x - p.x1, x.y - p.y1),
+        end=lambda x, p, xp: (x.x - p.x1, x.y - p.y1),
         end_conditions=_variables(there="m", beside="m"),
-        path=lambda x, u, p, m: (p.l - x.x, p.l - x.y),
+        path=lambda x, u, p, xp: (p.l - x.x, p.l - x.y),
         path_conditions=_variables(room="m", space="m"),
     )  # fmt: skip
     (k, *own), (h, *other) = first, second
     problem = pl.Problem(
         name="two_strings",
         phases=(phase,),
-        start=lambda p, m: (p.x0, p.y0, 0.0),
+        start=lambda p, xp: (p.x0, p.y0, 0.0),
         given=_given(T=(sum(own) / k, "s"), k=(k, "1/s"), h=(h, "1/s"), l=(1.0, "m"), x0=(math.cos(own[0]), "m"),
                      y0=(math.cos(other[0]), "m"), x1=(math.cos(own[2]), "m"), y1=(math.cos(other[2]), "m")),
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s",
     )  # fmt: skip
     of_each = [string_pieces(*first), string_pieces(*second)]
@@ -231,19 +231,19 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6, level: float 
         name="beam",
         states=_variables(x="m", v="m/s", c="m^2/s^3"),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * (u.u * u.u - p.k**4 * (x.x - p.level) ** 2)),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * (u.u * u.u - p.k**4 * (x.x - p.level) ** 2)),
         duration="T",
-        end=lambda x, p, m: (x.x - p.x0, x.v + p.v0),
+        end=lambda x, p, xp: (x.x - p.x0, x.v + p.v0),
         end_conditions=_variables(there="m", speed="m/s"),
-        path=lambda x, u, p, m: (p.l - x.x,),
+        path=lambda x, u, p, xp: (p.l - x.x,),
         path_conditions=_variables(room="m"),
     )
     problem = pl.Problem(
-        name="beam", phases=(phase,), start=lambda p, m: (p.x0, p.v0, 0.0),
+        name="beam", phases=(phase,), start=lambda p, xp: (p.x0, p.v0, 0.0),
         given=_given(T=(2 * t1 + w, "s"), k=(k, "1/s"), l=(l, "m"), level=(level, "m"),
                      x0=(level + float(shape(0)(rise)), "m"),
                      v0=(-k * float(shape(1)(rise)), "m/s")),
-        objective=lambda x, p, m: x.c, objective_unit="m^2/s^3",
+        objective=lambda x, p, xp: x.c, objective_unit="m^2/s^3",
     )  # fmt: skip
     third, up, load = -2 * bend * k**3, float(spent(rise)), k**4 * a  # of x, as it leaves
     ridden = Piece(
@@ -301,23 +301,23 @@ def floor(depth: float) -> Solution:
         name="floor",
         states=_variables(x="m", s="s", c="m^2/s"),
         controls=(pl.Bounded(name="u", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             u.u,
             p.T / p.T,
             0.5 * u.u * u.u + p.pull * (x.s * x.s / p.second**2 - p.depth) * x.x,
         ),
         duration="T",
-        end=lambda x, p, m: (x.x,),
+        end=lambda x, p, xp: (x.x,),
         end_conditions=_variables(there="m"),
-        path=lambda x, u, p, m: (x.x,),
+        path=lambda x, u, p, xp: (x.x,),
         path_conditions=_variables(above="m"),
     )
     problem = pl.Problem(
         name="floor",
         phases=(phase,),
-        start=lambda p, m: (0 * p.pull * p.second**2, -p.second, 0 * p.pull**2 * p.second**3),
+        start=lambda p, xp: (0 * p.pull * p.second**2, -p.second, 0 * p.pull**2 * p.second**3),
         given=_given(T=(2.0, "s"), second=(1.0, "s"), pull=(1.0, "m/s^2"), depth=(depth, "1")),
-        objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+        objective=lambda x, p, xp: x.c, objective_unit="m^2/s",
     )  # fmt: skip
     pieces = []
     for begin in (-1.0, 0.0):
@@ -343,18 +343,18 @@ def ditch(deep: float, wide: float, *, load: tuple[float, float] = (1.0, 0.0), p
         name="ditch",
         states=_variables(x="m", s="s", c="m*s"),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (u.u, p.T / p.T, (p.q + p.dip * x.s * x.s) * x.x),
+        dynamics=lambda x, u, p, xp: (u.u, p.T / p.T, (p.q + p.dip * x.s * x.s) * x.x),
         duration="T",
-        path=lambda x, u, p, m: (x.x - p.l,),
+        path=lambda x, u, p, xp: (x.x - p.l,),
         path_conditions=_variables(above="m"),
     )
     top = low + wide
     r = float(gone(ends[2]) - gone(1.0)) - pull * top  # lam(T) = -r - pull x(T), and lam(1) = 0
     problem = pl.Problem(
-        name="ditch", phases=(phase,), start=lambda p, m: (p.x0, p.begin, 0 * p.x0 * p.begin),
+        name="ditch", phases=(phase,), start=lambda p, xp: (p.x0, p.begin, 0 * p.x0 * p.begin),
         given=_given(T=(ends[2] - begin, "s"), q=(q, "1"), dip=(dip, "1/s^2"), l=(low, "m"), x0=(low + deep, "m"),
                      begin=(begin, "s"), r=(r, "s"), pull=(pull, "s/m")),
-        objective=lambda x, p, m: x.c - p.r * x.x - 0.5 * p.pull * x.x * x.x, objective_unit="m*s",
+        objective=lambda x, p, xp: x.c - p.r * x.x - 0.5 * p.pull * x.x * x.x, objective_unit="m*s",
     )  # fmt: skip
     pieces, spent, at = [], 0.0, begin
     for end, x, u in zip(ends, ([low - 1.0, -1.0], [low], [low - 1.0, 1.0]), (-1.0, 0.0, 1.0), strict=True):

@@ -26,17 +26,17 @@ def nearest_to_zero(end: float = 0.5, most: float = 1.0, way: float = 1.0) -> pl
         name="go",
         states=_variables(x="m", c="m^2*s"),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=most),),
-        dynamics=lambda x, u, p, m: (u.u, way * x.x * x.x),
+        dynamics=lambda x, u, p, xp: (u.u, way * x.x * x.x),
         duration="T",
-        end=lambda x, p, m: (x.x - p.end,),
+        end=lambda x, p, xp: (x.x - p.end,),
         end_conditions=_variables(there="m"),
     )
     return pl.Problem(
         name="nearest_to_zero",
         phases=(phase,),
-        start=lambda p, m: (p.start, 0.0),
+        start=lambda p, xp: (p.start, 0.0),
         given={"T": Given(value=2.0, unit="s"), "start": Given(value=1.0, unit="m"), "end": Given(value=end, unit="m")},
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2*s",
     )
 
@@ -50,19 +50,19 @@ def aly(duration: float = 5.0) -> pl.Problem:
         name="go",
         states=_variables(x="m", v="m/s", c="m^2*s"),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * (x.x * x.x + p.k * p.k * x.v * x.v)),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * (x.x * x.x + p.k * p.k * x.v * x.v)),
         duration="T",
     )
     return pl.Problem(
         name="aly",
         phases=(phase,),
-        start=lambda p, m: (0.0, p.speed, 0.0),
+        start=lambda p, xp: (0.0, p.speed, 0.0),
         given={
             "T": Given(value=duration, unit="s"),
             "k": Given(value=1.0, unit="s"),
             "speed": Given(value=1.0, unit="m/s"),
         },
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2*s",
     )
 
@@ -96,17 +96,17 @@ def fuller() -> pl.Problem:
         name="go",
         states=_variables(x="m", v="m/s", c="m^2*s"),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, x.x * x.x),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, x.x * x.x),
         duration="T",
-        end=lambda x, p, m: (x.x, x.v),
+        end=lambda x, p, xp: (x.x, x.v),
         end_conditions=_variables(there="m", still="m/s"),
     )
     return pl.Problem(
         name="fuller",
         phases=(phase,),
-        start=lambda p, m: (p.start, 0 * p.start / p.T, 0.0),
+        start=lambda p, xp: (p.start, 0 * p.start / p.T, 0.0),
         given={"T": Given(value=8.0, unit="s"), "start": Given(value=1.0, unit="m")},
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2*s",
     )
 
@@ -121,7 +121,7 @@ def swinging(duration: float, end: float | None = None, bent: float = 0.0) -> pl
     def place(x, p):
         return x.s - p.bent * x.x * x.x
 
-    def dynamics(x, u, p, m):
+    def dynamics(x, u, p, xp):
         s = place(x, p) / p.k
         return (x.x + 2.0 * p.bent * x.x * u.u, u.u, 0.5 * (x.x * x.x - s * s))
 
@@ -131,13 +131,13 @@ def swinging(duration: float, end: float | None = None, bent: float = 0.0) -> pl
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-4.0, upper=4.0),),
         dynamics=dynamics,
         duration="T",
-        end=lambda x, p, m: (x.x - p.slow, *(() if end is None else (place(x, p) - p.end,))),
+        end=lambda x, p, xp: (x.x - p.slow, *(() if end is None else (place(x, p) - p.end,))),
         end_conditions=_variables(slow="m/s", **({} if end is None else {"there": "m"})),
     )
     return pl.Problem(
         name="swinging",
         phases=(phase,),
-        start=lambda p, m: (p.bent * p.fast * p.fast, p.fast, 0.0),
+        start=lambda p, xp: (p.bent * p.fast * p.fast, p.fast, 0.0),
         given={
             "T": Given(value=duration, unit="s"),
             "k": Given(value=1.0, unit="s"),
@@ -146,7 +146,7 @@ def swinging(duration: float, end: float | None = None, bent: float = 0.0) -> pl
             "slow": Given(value=0.3, unit="m/s"),
             "end": Given(value=0.0 if end is None else end, unit="m"),
         },
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s",
     )
 
@@ -171,15 +171,15 @@ def following() -> pl.Problem:
         name="go",
         states=_variables(x="m", phi="1", c="m^2*s"),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (u.u, p.w, (x.x - p.a * m.sin(x.phi)) ** 2),
+        dynamics=lambda x, u, p, xp: (u.u, p.w, (x.x - p.a * xp.sin(x.phi)) ** 2),
         duration="T",
-        end=lambda x, p, m: (x.x - p.end,),
+        end=lambda x, p, xp: (x.x - p.end,),
         end_conditions=_variables(there="m"),
     )
     return pl.Problem(
         name="following",
         phases=(phase,),
-        start=lambda p, m: (p.start, 0 * p.w * p.T, 0.0),
+        start=lambda p, xp: (p.start, 0 * p.w * p.T, 0.0),
         given={
             "T": Given(value=6.0, unit="s"),
             "a": Given(value=1.0, unit="m"),
@@ -187,7 +187,7 @@ def following() -> pl.Problem:
             "start": Given(value=0.8, unit="m"),
             "end": Given(value=1.2, unit="m"),
         },
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2*s",
     )
 
@@ -199,8 +199,8 @@ def planar_goddard(down: float = 2500.0) -> pl.Problem:
     """
     upright = goddard()
 
-    def dynamics(x, u, p, m):
-        drag = p.drag * m.sqrt(x.across * x.across + x.up * x.up) * m.exp(-x.h / p.scale_height)
+    def dynamics(x, u, p, xp):
+        drag = p.drag * xp.sqrt(x.across * x.across + x.up * x.up) * xp.exp(-x.h / p.scale_height)
         return (
             x.across,
             x.up,
@@ -215,14 +215,14 @@ def planar_goddard(down: float = 2500.0) -> pl.Problem:
         controls=(*upright.phases[0].controls, pl.Direction(names=("sideways", "upwards"))),
         dynamics=dynamics,
         duration="t_f",
-        end=lambda x, p, m: (x.s - p.down, x.across - p.across, x.m - p.dry_mass),
+        end=lambda x, p, xp: (x.s - p.down, x.across - p.across, x.m - p.dry_mass),
         end_conditions=_variables(down="m", as_before="m/s", dry="kg"),
-        typical_end=lambda p, m: (p.down, p.scale_height, 0 * p.c, 0 * p.c, p.dry_mass),
+        typical_end=lambda p, xp: (p.down, p.scale_height, 0 * p.c, 0 * p.c, p.dry_mass),
     )
     return pl.Problem(
         name="planar_goddard",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, p.across, p.up, p.mass),
+        start=lambda p, xp: (0.0, 0.0, p.across, p.up, p.mass),
         given={
             **upright.given,
             "down": Given(value=down, unit="m"),
@@ -230,7 +230,7 @@ def planar_goddard(down: float = 2500.0) -> pl.Problem:
             "up": Given(value=40.0, unit="m/s"),
         },
         free=upright.free,
-        objective=lambda x, p, m: -x.h,
+        objective=lambda x, p, xp: -x.h,
         objective_unit="m",
         scales=upright.scales,
     )

@@ -20,16 +20,16 @@ def staged_burns() -> Problem:
         return Phase(
             name=name,
             states=(Variable(name="v", unit="m/s"), Variable(name="m", unit="kg", lower=floor)),
-            dynamics=lambda x, u, p, m: (getattr(p, thrust) / x.m, -getattr(p, thrust) / p.c),
+            dynamics=lambda x, u, p, xp: (getattr(p, thrust) / x.m, -getattr(p, thrust) / p.c),
             duration=duration,
-            typical_end=lambda p, m: (p.c, 0.5 * p.mass),
+            typical_end=lambda p, xp: (p.c, 0.5 * p.mass),
         )
 
     return Problem(
         name="staged_burns",
         phases=(burn("first", "t_1", "F_1", 60.0), burn("second", "t_2", "F_2", 15.0)),
-        start=lambda p, m: (0.0, p.mass),
-        links=(lambda x, p, m: (x.v, p.second_mass),),
+        start=lambda p, xp: (0.0, p.mass),
+        links=(lambda x, p, xp: (x.v, p.second_mass),),
         given={
             "c": Given(value=3000.0, unit="m/s"),
             "F_1": Given(value=2000.0, unit="N"),
@@ -41,7 +41,7 @@ def staged_burns() -> Problem:
             Free(name="t_1", unit="s", lower=0.0, upper=1000.0, typical=40.0),
             Free(name="t_2", unit="s", lower=0.0, upper=1000.0, typical=100.0),
         ),
-        objective=lambda x, p, m: -x.v,
+        objective=lambda x, p, xp: -x.v,
         objective_unit="m/s",
         scales=Scales(length=3e5, time=100.0, mass=100.0),
     )

@@ -24,29 +24,29 @@ def thrown(ceiling: float) -> pl.Problem:
         name="push",
         states=states,
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
     )
     throw = pl.Phase(
         name="throw",
         states=states,
         controls=(),
-        dynamics=lambda x, u, p, m: (x.v, -p.g, -p.late),
+        dynamics=lambda x, u, p, xp: (x.v, -p.g, -p.late),
         duration="air_time",
-        end=lambda x, p, m: (x.h,),
+        end=lambda x, p, xp: (x.h,),
         end_conditions=of(down="m"),
-        path=lambda x, u, p, m: (p.ceiling - x.h,),
+        path=lambda x, u, p, xp: (p.ceiling - x.h,),
         path_conditions=of(room="m"),
     )
     given = {"T": (1.0, "s"), "g": (1.0, "m/s^2"), "late": (LATE, "m^2/s^4"), "ceiling": (ceiling, "m")}
     return pl.Problem(
         name="thrown",
         phases=(push, throw),
-        links=(lambda x, p, m: (x.h, x.v, x.c),),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        links=(lambda x, p, xp: (x.h, x.v, x.c),),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
         free=(pl.Free(name="air_time", unit="s", typical=3.0),),
-        objective=lambda x, p, m: x.c,
+        objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s^3",
     )
 

@@ -18,9 +18,9 @@ def dionysus() -> pl.Problem:
     The elements of the two bodies, 4000 kg and 3000 s as in Taheri, Kolmanovsky, Atkins 2016.
     """
 
-    def rates(x, u, p, m):
-        s, c = m.sin(x.L), m.cos(x.L)
-        q, tilt, root, push = 1 + x.f * c + x.g * s, 1 + x.h**2 + x.k**2, m.sqrt(x.p / p.mu), u.thrust / x.m
+    def rates(x, u, p, xp):
+        s, c = xp.sin(x.L), xp.cos(x.L)
+        q, tilt, root, push = 1 + x.f * c + x.g * s, 1 + x.h**2 + x.k**2, xp.sqrt(x.p / p.mu), u.thrust / x.m
         across = (x.h * s - x.k * c) / q * root * push * u.n
         return (
             2 * x.p / q * root * push * u.t,
@@ -28,7 +28,7 @@ def dionysus() -> pl.Problem:
             root * push * (-c * u.r + ((q + 1) * s + x.g) / q * u.t) + x.f * across,
             root * tilt * c / (2 * q) * push * u.n,
             root * tilt * s / (2 * q) * push * u.n,
-            m.sqrt(p.mu * x.p) * (q / x.p) ** 2 + across,
+            xp.sqrt(p.mu * x.p) * (q / x.p) ** 2 + across,
             -u.thrust / p.ve,
         )
 
@@ -42,9 +42,9 @@ def dionysus() -> pl.Problem:
         ),
         dynamics=rates,
         duration="flight_time",
-        end=lambda x, p, m: (x.p - p.p_end, *(getattr(x, name) - DIONYSUS[i + 1] for i, name in enumerate("fghkL"))),
+        end=lambda x, p, xp: (x.p - p.p_end, *(getattr(x, name) - DIONYSUS[i + 1] for i, name in enumerate("fghkL"))),
         end_conditions=tuple(pl.Variable(name=f"{name}_end", unit=unit) for name, unit in units.items()),
-        typical_end=lambda p, m: (p.p_end, *DIONYSUS[1:], 0.7 * p.mass),
+        typical_end=lambda p, xp: (p.p_end, *DIONYSUS[1:], 0.7 * p.mass),
     )
     given = {
         "mu": (GRAVITY, "m^3/s^2"), "p_start": (EARTH[0] * UNIT, "m"), "p_end": (DIONYSUS[0] * UNIT, "m"),
@@ -53,9 +53,9 @@ def dionysus() -> pl.Problem:
     return pl.Problem(
         name="dionysus",
         phases=(cruise,),
-        start=lambda p, m: (p.p_start, *EARTH[1:], p.mass),
+        start=lambda p, xp: (p.p_start, *EARTH[1:], p.mass),
         given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        objective=lambda x, p, m: -x.m,
+        objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         scales=pl.Scales(length=UNIT, time=math.sqrt(UNIT**3 / GRAVITY), mass=4000.0),
     )

@@ -302,20 +302,20 @@ def oscillator(duration: float) -> Solution:
         name="arc",
         states=(Variable(name="x"), Variable(name="action")),
         controls=(Bounded(name="rate"),),
-        dynamics=lambda x, u, p, m: (u.rate / p.second, (u.rate * u.rate - x.x * x.x) / (2 * p.second)),
+        dynamics=lambda x, u, p, xp: (u.rate / p.second, (u.rate * u.rate - x.x * x.x) / (2 * p.second)),
         duration="duration",
-        end=lambda x, p, m: (x.x,),
+        end=lambda x, p, xp: (x.x,),
         end_conditions=(Variable(name="at_origin"),),
     )
     problem = Problem(
         name="oscillator",
         phases=(phase,),
-        start=lambda p, m: (p.x0, 0.0),
+        start=lambda p, xp: (p.x0, 0.0),
         given={
             "duration": Given(value=duration, unit="s"), "x0": Given(value=1.0),
             "second": Given(value=1.0, unit="s"),
         },
-        objective=lambda x, p, m: x.action,
+        objective=lambda x, p, xp: x.action,
     )  # fmt: skip
     t = np.linspace(0.0, duration, 1201)
     b = -math.cos(duration) / math.sin(duration)
@@ -350,17 +350,17 @@ def test_two_oscillators_have_a_double_conjugate_point() -> None:
         name="arc",
         states=(Variable(name="x"), Variable(name="y"), Variable(name="action")),
         controls=(Bounded(name="a"), Bounded(name="b")),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             u.a / p.second, u.b / p.second, (u.a * u.a + u.b * u.b - x.x * x.x - x.y * x.y) / (2 * p.second),
         ),
         duration="duration",
-        end=lambda x, p, m: (x.x, x.y),
+        end=lambda x, p, xp: (x.x, x.y),
         end_conditions=(Variable(name="x_end"), Variable(name="y_end")),
     )  # fmt: skip
     for duration, good in ((3.0, True), (3.3, False)):
         problem = Problem(
-            name="two", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0),
-            objective=lambda x, p, m: x.action,
+            name="two", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0),
+            objective=lambda x, p, xp: x.action,
             given={"duration": Given(value=duration, unit="s"), "second": Given(value=1.0, unit="s")},
         )  # fmt: skip
         rest = curves(np.linspace(0, duration, 11), (0, 0, 0), (0, 0, 0), (0, 0, 1), (0, 0, 0), (0, 0), (0, 0))
@@ -388,23 +388,23 @@ def double_integrator(sign: float = 1.0) -> Solution:
             name=name,
             states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
             controls=(Bounded(name="a", unit="m/s^2", lower=-1.0, upper=1.0),),
-            dynamics=lambda x, u, p, m: (x.v, u.a),
+            dynamics=lambda x, u, p, xp: (x.v, u.a),
             duration=f"{name}_time",
-            end=(lambda x, p, m: (x.x, x.v)) if end else None,
+            end=(lambda x, p, xp: (x.x, x.v)) if end else None,
             end_conditions=conditions if end else (),
         )
 
     problem = Problem(
         name="double_integrator",
         phases=(phase("speeding", False), phase("braking", True)),
-        start=lambda p, m: (p.x0, p.v0),
-        links=(lambda x, p, m: (x.x, x.v),),
+        start=lambda p, xp: (p.x0, p.v0),
+        links=(lambda x, p, xp: (x.x, x.v),),
         given={"x0": Given(value=1.0, unit="m"), "v0": Given(value=0.0, unit="m/s")},
         free=(
             Free(name="speeding_time", unit="s", lower=0.0),
             Free(name="braking_time", unit="s", lower=0.0),
         ),
-        objective=lambda x, p, m: p.speeding_time + p.braking_time,
+        objective=lambda x, p, xp: p.speeding_time + p.braking_time,
         objective_unit="s",
     )
     t = np.linspace(0.0, 1.0, 11)
@@ -454,9 +454,9 @@ def linear_tangent(bend: float = 0.0) -> Solution:
         name="arc",
         states=tuple(Variable(name=n, unit=u) for n, u in (("y", "m"), ("vx", "m/s"), ("vy", "m/s"))),
         controls=(Direction(names=("along", "up")),),
-        dynamics=lambda x, u, p, m: (x.vy, p.thrust * u.along, p.thrust * u.up),
+        dynamics=lambda x, u, p, xp: (x.vy, p.thrust * u.along, p.thrust * u.up),
         duration="duration",
-        end=lambda x, p, m: (x.y - p.height,),
+        end=lambda x, p, xp: (x.y - p.height,),
         end_conditions=(Variable(name="height", unit="m"),),
     )
     duration, n, count = 2.0, -0.4, 2001
@@ -472,13 +472,13 @@ def linear_tangent(bend: float = 0.0) -> Solution:
     problem = Problem(
         name="linear_tangent",
         phases=(phase,),
-        start=lambda p, m: (p.y0, p.v0, p.v0),
+        start=lambda p, xp: (p.y0, p.v0, p.v0),
         given={
             "thrust": Given(value=1.0, unit="m/s^2"), "height": Given(value=float(y[-1]), unit="m"),
             "duration": Given(value=duration, unit="s"), "y0": Given(value=0.0, unit="m"),
             "v0": Given(value=0.0, unit="m/s"),
         },
-        objective=lambda x, p, m: -x.vx,
+        objective=lambda x, p, xp: -x.vx,
         objective_unit="m/s",
     )  # fmt: skip
     flown = curves(t, (y, vx, vy), (vy, *u), (n, -1, n * (duration - t)), (0, 0, -n), u, du)
@@ -565,15 +565,15 @@ def sailing(along: float, space: int) -> Solution:
         name="sail",
         states=(Variable(name="x", unit="m"),),
         controls=(Direction(names=names),),
-        dynamics=lambda x, u, p, m: (p.v * (u.a * u.a + 0.3 * u.a),),
+        dynamics=lambda x, u, p, xp: (p.v * (u.a * u.a + 0.3 * u.a),),
         duration="T",
     )
     problem = Problem(
         name="sailing",
         phases=(phase,),
-        start=lambda p, m: (0.0 * p.v * p.T,),
+        start=lambda p, xp: (0.0 * p.v * p.T,),
         given={"v": Given(value=1.0, unit="m/s"), "T": Given(value=1.0, unit="s")},
-        objective=lambda x, p, m: -x.x,
+        objective=lambda x, p, xp: -x.x,
         objective_unit="m",
     )
     t, speed = np.linspace(0.0, 1.0, 5), 1.0 + 0.3 * along

@@ -122,11 +122,11 @@ def cone_problem(aside: float, lift: float, tilt: float, *, chosen: bool = False
         states=tuple(Variable(name=n, unit=u) for n, u in
                      (("z", "m"), ("y", "m"), ("vx", "m/s"), ("vz", "m/s"), ("vy", "m/s"))),
         controls=(Direction(names=("along", "aside", "up")),),
-        dynamics=lambda x, u, p, m: (x.vz, x.vy, p.thrust * u.along, p.thrust * u.aside, p.thrust * u.up),
+        dynamics=lambda x, u, p, xp: (x.vz, x.vy, p.thrust * u.along, p.thrust * u.aside, p.thrust * u.up),
         duration="duration",
-        end=lambda x, p, m: (x.z - p.side, x.y - p.height),
+        end=lambda x, p, xp: (x.z - p.side, x.y - p.height),
         end_conditions=(Variable(name="side", unit="m"), Variable(name="height", unit="m")),
-        path=lambda x, u, p, m: (x.y + p.depth, u.up - m.cos(p.tilt)),
+        path=lambda x, u, p, xp: (x.y + p.depth, u.up - xp.cos(p.tilt)),
         path_conditions=(Variable(name="above", unit="m"), Variable(name="upright")),
     )  # fmt: skip
     _, side, height = reached(aside, lift, tilt)
@@ -140,9 +140,9 @@ def cone_problem(aside: float, lift: float, tilt: float, *, chosen: bool = False
     if not chosen:
         given["tilt"] = Given(value=tilt, unit="rad")
     return Problem(
-        name="cone", phases=(phase,), start=lambda p, m: (p.z0, p.y0, p.vx0, p.vz0, p.vy0),
+        name="cone", phases=(phase,), start=lambda p, xp: (p.z0, p.y0, p.vx0, p.vz0, p.vy0),
         given=given, free=(Free(name="tilt", unit="rad", lower=0.1, upper=1.5),) if chosen else (),
-        objective=lambda x, p, m: p.price * p.tilt - x.vx, objective_unit="m/s",
+        objective=lambda x, p, xp: p.price * p.tilt - x.vx, objective_unit="m/s",
     )  # fmt: skip
 
 
@@ -258,12 +258,12 @@ def on_the_cone(turn: float, aside: float = ASIDE, *, held: bool = False) -> Sol
     (phase,) = tilted.problem.phases
     both = replace(
         phase,
-        path=lambda x, u, p, m: (u.up - m.cos(p.tilt), m.cos(p.tilt) - u.up),
+        path=lambda x, u, p, xp: (u.up - xp.cos(p.tilt), xp.cos(p.tilt) - u.up),
         path_conditions=(Variable(name="upright"), Variable(name="leaning")),
     )
     if held:
         both = replace(
-            phase, path=None, path_conditions=(), held=lambda x, u, p, m: (u.up - m.cos(p.tilt),),
+            phase, path=None, path_conditions=(), held=lambda x, u, p, xp: (u.up - xp.cos(p.tilt),),
             held_conditions=(Variable(name="leaning"),),
         )  # fmt: skip
     end = tilted.trajectories[0].state.values[-1]
@@ -287,10 +287,10 @@ def with_engine(share: float = 1.0) -> Solution:
     (phase,) = solution.problem.phases
     engine = replace(
         phase, controls=(*phase.controls, Bounded(name="share", lower=0.0, upper=1.0)),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             x.vz, x.vy, p.thrust * u.share * u.along, p.thrust * u.share * u.aside, p.thrust * u.share * u.up,
         ),
-        path=lambda x, u, p, m: (x.y + p.depth, u.share * u.up - m.cos(p.tilt)),
+        path=lambda x, u, p, xp: (x.y + p.depth, u.share * u.up - xp.cos(p.tilt)),
     )  # fmt: skip
     full = replace(solution, problem=replace(solution.problem, phases=(engine,)))
 
@@ -331,22 +331,22 @@ def limited_problem() -> Problem:
         name="arc",
         states=tuple(Variable(name=n, unit=u) for n, u in (("y", "m"), ("vx", "m/s"), ("vy", "m/s"))),
         controls=(Direction(names=("along", "up")),),
-        dynamics=lambda x, u, p, m: (x.vy, p.thrust * u.along, p.thrust * u.up),
+        dynamics=lambda x, u, p, xp: (x.vy, p.thrust * u.along, p.thrust * u.up),
         duration="duration",
-        end=lambda x, p, m: (x.y - p.height,),
+        end=lambda x, p, xp: (x.y - p.height,),
         end_conditions=(Variable(name="height", unit="m"),),
-        path=lambda x, u, p, m: (p.low + p.rise * x.y / p.L - u.up,),
+        path=lambda x, u, p, xp: (p.low + p.rise * x.y / p.L - u.up,),
         path_conditions=(Variable(name="shallow"),),
     )
     metres = {"L": 1.0, "height": TOP, "y0": 0.0}
     return Problem(
-        name="limited", phases=(phase,), start=lambda p, m: (p.y0, p.v0, p.v0),
+        name="limited", phases=(phase,), start=lambda p, xp: (p.y0, p.v0, p.v0),
         given={
             **{name: Given(value=value, unit="m") for name, value in metres.items()},
             "thrust": Given(value=1.0, unit="m/s^2"), "duration": Given(value=TIME, unit="s"),
             "v0": Given(value=0.0, unit="m/s"), "low": Given(value=LOW), "rise": Given(value=RISE),
         },
-        objective=lambda x, p, m: -x.vx, objective_unit="m/s",
+        objective=lambda x, p, xp: -x.vx, objective_unit="m/s",
     )  # fmt: skip
 
 
@@ -544,13 +544,13 @@ def leash_problem(
         name="arc",
         states=(Variable(name="x"), Variable(name="action")),
         controls=(Bounded(name="a"), Bounded(name="b")),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             u.a / p.second, (u.a * u.a - x.x * x.x + (u.b + p.q) ** 2) / (2 * p.second),
         ),
         duration="duration",
-        end=lambda x, p, m: (x.x - p.x_end,),
+        end=lambda x, p, xp: (x.x - p.x_end,),
         end_conditions=(Variable(name="at_end"),),
-        path=lambda x, u, p, m: (u.b**power - (p.beta * x.x + p.gamma * u.a + p.s) ** power,),
+        path=lambda x, u, p, xp: (u.b**power - (p.beta * x.x + p.gamma * u.a + p.s) ** power,),
         path_conditions=(Variable(name="taut"),),
     )  # fmt: skip
     numbers = {"q": q, "beta": BETA, "gamma": gamma, "x0": ends[0], "x_end": ends[1], "price": price, "w": w or 0.0}
@@ -558,13 +558,13 @@ def leash_problem(
         numbers["s"] = 0.0
     seconds = {"duration": duration, "second": 1.0}
     return Problem(
-        name="leash", phases=(phase,), start=lambda p, m: (p.x0, 0.0),
+        name="leash", phases=(phase,), start=lambda p, xp: (p.x0, 0.0),
         given={
             **{name: Given(value=value) for name, value in numbers.items()},
             **{name: Given(value=value, unit="s") for name, value in seconds.items()},
         },
         free=(Free(name="s", lower=-1.0, upper=1.0),) if w is not None else (),
-        objective=lambda x, p, m: x.action + p.price * p.s + 0.5 * p.w * p.s * p.s,
+        objective=lambda x, p, xp: x.action + p.price * p.s + 0.5 * p.w * p.s * p.s,
     )  # fmt: skip
 
 

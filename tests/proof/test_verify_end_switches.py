@@ -34,7 +34,7 @@ def tugged(where: str, pull: float, power: int = 1, weight: float = 1.0) -> Prob
         name="arc",
         states=tuple(Variable(name=n) for n in ("clock", "y", "cost")),
         controls=(Bounded(name="u", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             1 / p.second, u.u / p.second, p.weight * (x.clock - p.at) ** power * u.u / p.second
         ),
         duration="duration",
@@ -42,13 +42,13 @@ def tugged(where: str, pull: float, power: int = 1, weight: float = 1.0) -> Prob
     return Problem(
         name="tugged",
         phases=(phase,),
-        start=lambda p, m: (0.0, p.begun, 0.0),
+        start=lambda p, xp: (0.0, p.begun, 0.0),
         given={
             "duration": Given(value=LENGTH, unit="s"), "second": Given(value=1.0, unit="s"), "pull": Given(value=pull),
             "weight": Given(value=weight), "at": Given(value=ENDS[where]),
             "begun": Given(value=LENGTH if where == "begin" else -LENGTH),
         },
-        objective=lambda x, p, m: x.cost - 0.5 * p.pull * x.y * x.y,
+        objective=lambda x, p, xp: x.cost - 0.5 * p.pull * x.y * x.y,
     )  # fmt: skip
 
 

@@ -22,21 +22,21 @@ from test_control_law import given, variables
 from test_language import layered, refraction
 
 
-def _built_up(x: Any, p: Any, m: Any) -> Any:
+def _built_up(x: Any, p: Any, xp: Any) -> Any:
     above = p.k * x.x / p.L
     above -= p.k * p.xs / p.L
-    return m.fmax(above, 0 * p.k)
+    return xp.fmax(above, 0 * p.k)
 
 
 STEP = pl.Table((0.0, 0.3, 1.0), (0.0, 0.0, 0.7), "linear")
 # The same kink at x = 30 m of a slope that rises from there, in five ways of writing it, and a jump.
 SLOPES: dict[str, Any] = {
-    "jump": lambda x, p, m: m.where(x.x > p.xs, p.k, 0 * p.k),
-    "where": lambda x, p, m: m.where(x.x > p.xs, p.k * (x.x - p.xs) / p.L, 0 * p.k),
-    "fmax": lambda x, p, m: m.fmax(p.k * (x.x - p.xs) / p.L, 0 * p.k),
+    "jump": lambda x, p, xp: xp.where(x.x > p.xs, p.k, 0 * p.k),
+    "where": lambda x, p, xp: xp.where(x.x > p.xs, p.k * (x.x - p.xs) / p.L, 0 * p.k),
+    "fmax": lambda x, p, xp: xp.fmax(p.k * (x.x - p.xs) / p.L, 0 * p.k),
     "built up": _built_up,
-    "fabs": lambda x, p, m: 0.5 * p.k * (x.x - p.xs + m.fabs(x.x - p.xs)) / p.L,
-    "linear": lambda x, p, m: p.k * m.table(STEP, x.x / p.L),
+    "fabs": lambda x, p, xp: 0.5 * p.k * (x.x - p.xs + xp.fabs(x.x - p.xs)) / p.L,
+    "linear": lambda x, p, xp: p.k * xp.table(STEP, x.x / p.L),
 }
 
 
@@ -46,16 +46,16 @@ def push(slope: Any, **numbers: tuple[float, str]) -> pl.Problem:
         name="push",
         states=variables(x="m", v="m/s", e="m^2/s^3"),
         controls=(pl.Bounded(name="a", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.a - slope(x, p, m), u.a**2 / 2),
+        dynamics=lambda x, u, p, xp: (x.v, u.a - slope(x, p, xp), u.a**2 / 2),
         duration="T",
-        end=lambda x, p, m: (x.x - p.L, x.v),
+        end=lambda x, p, xp: (x.x - p.L, x.v),
         end_conditions=variables(place="m", stop="m/s"),
-        typical_end=lambda p, m: (p.L, 0.0, 1.0),
+        typical_end=lambda p, xp: (p.L, 0.0, 1.0),
     )
     return pl.Problem(
-        name="push", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0),
+        name="push", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0),
         given=given(T=(20.0, "s"), L=(100.0, "m"), xs=(30.0, "m"), k=(0.3, "m/s^2"), **numbers),
-        objective=lambda x, p, m: x.e, objective_unit="m^2/s^3", scales=pl.Scales(length=100.0, time=10.0, mass=1.0),
+        objective=lambda x, p, xp: x.e, objective_unit="m^2/s^3", scales=pl.Scales(length=100.0, time=10.0, mass=1.0),
     )  # fmt: skip
 
 
@@ -187,9 +187,9 @@ def test_watched_tables_and_functions_are_what_they_are_unwatched(kind: Any) -> 
     table = pl.Table((0.0, 1.0, 2.0, 4.0), (1.0, 3.0, 3.5, 3.6), kind)
     phase = pl.Phase(
         name="a", states=variables(x="1", y="1"), duration="T",
-        dynamics=lambda x, u, p, m: (
-            m.table(table, x.x) + m.atan2(x.y, 2.0 + x.x) * m.fmin(x.x, x.y) - abs(x.y) ** 2 / m.fabs(x.y - 3.0),
-            2.0 * m.where(p.c <= x.x, m.sin(x.x), -x.y) - m.fmax(1.0, x.x),
+        dynamics=lambda x, u, p, xp: (
+            xp.table(table, x.x) + xp.atan2(x.y, 2.0 + x.x) * xp.fmin(x.x, x.y) - abs(x.y) ** 2 / xp.fabs(x.y - 3.0),
+            2.0 * xp.where(p.c <= x.x, xp.sin(x.x), -x.y) - xp.fmax(1.0, x.x),
         ),
     )  # fmt: skip
     p = type("P", (), {"c": 1.5})
@@ -206,10 +206,10 @@ def test_a_short_dip_across_a_guard_is_two_crossings(at: float) -> None:
     depth = 1e-6
     phase = pl.Phase(
         name="dive", states=variables(y="m", w="m/s"), duration="T",
-        dynamics=lambda x, u, p, m: (x.w, m.where(x.y > p.ground, p.g, 2 * p.g)),
+        dynamics=lambda x, u, p, xp: (x.w, xp.where(x.y > p.ground, p.g, 2 * p.g)),
     )  # fmt: skip
     problem = pl.Problem(
-        name="dive", phases=(phase,), start=lambda p, m: (p.ground, p.w0), objective=lambda x, p, m: x.y,
+        name="dive", phases=(phase,), start=lambda p, xp: (p.ground, p.w0), objective=lambda x, p, xp: x.y,
         objective_unit="m", given=given(g=(2.0, "m/s^2"), T=(1.0, "s"), ground=(0.0, "m"), w0=(-1.0, "m/s")),
     )  # fmt: skip
     t = np.array([0.0, 1.0])
@@ -229,11 +229,11 @@ def test_a_short_dip_across_a_guard_is_two_crossings(at: float) -> None:
 
 
 STRIPS: dict[str, Any] = {
-    "square": lambda x, p, m: (x.x - p.xs) ** 2 < p.half**2,
+    "square": lambda x, p, xp: (x.x - p.xs) ** 2 < p.half**2,
     "built up": _built_up,
-    "fabs": lambda x, p, m: m.fabs(x.x - p.xs) < p.half,
-    "power": lambda x, p, m: p.L**6 * p.half**2 > (x.x - p.xs) ** 4 * (x.x + p.xs) ** 2 * x.x**2,
-    "sine": lambda x, p, m: m.sin(20 * (x.x - p.xs) / p.L) ** 2 < (p.half / p.L) ** 2,
+    "fabs": lambda x, p, xp: xp.fabs(x.x - p.xs) < p.half,
+    "power": lambda x, p, xp: p.L**6 * p.half**2 > (x.x - p.xs) ** 4 * (x.x + p.xs) ** 2 * x.x**2,
+    "sine": lambda x, p, xp: xp.sin(20 * (x.x - p.xs) / p.L) ** 2 < (p.half / p.L) ** 2,
 }
 
 
@@ -241,9 +241,9 @@ STRIPS: dict[str, Any] = {
 @pytest.mark.parametrize("half", [1.0, 1e-2, 1e-4, 1e-6])
 def test_a_narrow_strip_that_nobody_saw_is_found(half: float, form: str) -> None:
     """The best flight on the flat, claimed to be one where a strip around 43.21 m slows it, however narrow that is."""
-    problem = push(lambda x, p, m: m.where(STRIPS[form](x, p, m), p.k, 0 * p.k), half=(half, "m"))
+    problem = push(lambda x, p, xp: xp.where(STRIPS[form](x, p, xp), p.k, 0 * p.k), half=(half, "m"))
     problem = problem.with_given(xs=43.21, k=0.1 / half)
-    flat = pl.solve(push(lambda x, p, m: 0 * p.k), level=0)
+    flat = pl.solve(push(lambda x, p, xp: 0 * p.k), level=0)
     missed = pl.verify(replace(flat, problem=problem), level=1)
     assert {"place", "stop", "state_x", "state_v"} <= {c.name for c in missed.failed}
     meaning = next(c.meaning for c in missed.failed if c.name == "state_x")
@@ -288,18 +288,18 @@ def lens(radius: float) -> Solution:
         name="ray",
         states=variables(x="m", y="m"),
         controls=(pl.Direction(names=("cx", "cy")),),
-        dynamics=lambda x, u, p, m: tuple(
-            m.where(x.x > 0.5 * x.y * x.y / p.R, p.slow, p.fast) * c for c in (u.cx, u.cy)
+        dynamics=lambda x, u, p, xp: tuple(
+            xp.where(x.x > 0.5 * x.y * x.y / p.R, p.slow, p.fast) * c for c in (u.cx, u.cy)
         ),
         duration="T",
-        end=lambda x, p, m: (x.x - p.far, x.y),
+        end=lambda x, p, xp: (x.x - p.far, x.y),
         end_conditions=variables(across="m", height="m"),
     )
     problem = pl.Problem(
-        name="lens", phases=(phase,), start=lambda p, m: (-p.far, 0.0),
+        name="lens", phases=(phase,), start=lambda p, xp: (-p.far, 0.0),
         given=given(fast=(1.0, "m/s"), slow=(0.5, "m/s"), far=(1.0, "m"), R=(radius, "m")),
         free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=3.0),),
-        objective=lambda x, p, m: p.T, objective_unit="s",
+        objective=lambda x, p, xp: p.T, objective_unit="s",
     )  # fmt: skip
     t = np.array([0.0, 0.5, 1.0, 1.0, 2.0, 3.0])
     after = np.arange(6) > 2
@@ -327,10 +327,10 @@ def slide(start: float) -> Solution:
     """x' = -sign(x): from `start` to 0, and then along it, claimed to stay there with x = 0."""
     phase = pl.Phase(
         name="slide", states=variables(x="m"), duration="T",
-        dynamics=lambda x, u, p, m: (m.where(x.x > 0 * p.one, -p.rate, p.rate),),
+        dynamics=lambda x, u, p, xp: (xp.where(x.x > 0 * p.one, -p.rate, p.rate),),
     )  # fmt: skip
     problem = pl.Problem(
-        name="slide", phases=(phase,), start=lambda p, m: (p.x0,), objective=lambda x, p, m: x.x, objective_unit="m",
+        name="slide", phases=(phase,), start=lambda p, xp: (p.x0,), objective=lambda x, p, xp: x.x, objective_unit="m",
         given=given(T=(2.0, "s"), one=(1.0, "m"), rate=(1.0, "m/s"), x0=(start, "m")),
     )  # fmt: skip
     t, x = np.array([0.0, 1.0, 1.0, 2.0]), np.array([start, start - 1.0, start - 1.0, start - 2.0])
@@ -358,7 +358,7 @@ def crossing_two(
         controls=() if control is None else (pl.Bounded(name="a", unit="m"),),
     )  # fmt: skip
     problem = pl.Problem(
-        name="go", phases=(phase,), start=lambda p, m: (p.x0, p.y0), objective=lambda x, p, m: x.x,
+        name="go", phases=(phase,), start=lambda p, xp: (p.x0, p.y0), objective=lambda x, p, xp: x.x,
         objective_unit="m", given=given(T=(float(t[-1]), "s"), x0=(float(xy[0, 0]), "m"), y0=(float(xy[0, 1]), "m"),
                                         v=(1.0, "m/s"), L=(1.0, "m"), zero=(0.0, "m")),
     )  # fmt: skip
@@ -376,8 +376,8 @@ def crossing_two(
 def test_at_a_corner_of_two_jumps_nothing_is_known_of_neighbours(apart: float) -> None:
     """Which of the two a neighbour crosses first decides where it goes; one after the other they are understood."""
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
-        return m.where(x.y > p.zero, p.v, 2 * p.v), m.where(x.x > p.zero, 2 * p.v, p.v)
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        return xp.where(x.y > p.zero, p.v, 2 * p.v), xp.where(x.x > p.zero, 2 * p.v, p.v)
 
     # x meets its border at 0.5 s; y goes twice as fast from there, and meets its own `apart` s later.
     meets = 0.5 + apart
@@ -396,8 +396,8 @@ def test_at_a_corner_of_two_jumps_nothing_is_known_of_neighbours(apart: float) -
 def test_a_corner_of_two_kinks_without_a_jump_is_passed() -> None:
     """x' = v (1 + |x|/L), and y likewise: from -1 both reach 0 at log 2 s, by 1 - 2 e^-t, then e^(t - log 2) - 1."""
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
-        return p.v * (1 + m.fabs(x.x) / p.L), p.v * (1 + m.fabs(x.y) / p.L)
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        return p.v * (1 + xp.fabs(x.x) / p.L), p.v * (1 + xp.fabs(x.y) / p.L)
 
     t = np.linspace(0.0, 2 * math.log(2), 801)
     x = np.where(t <= math.log(2), 1 - 2 * np.exp(-t), 0.5 * np.exp(t) - 1)
@@ -408,8 +408,8 @@ def test_a_corner_of_two_kinks_without_a_jump_is_passed() -> None:
 def test_a_kink_that_a_control_moves_without_a_jump_is_passed() -> None:
     """y' = v |x + a|/L: what is zero there but for rounding is no jump."""
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
-        return p.v, p.v * m.fabs(x.x + u.a) / p.L
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        return p.v, p.v * xp.fabs(x.x + u.a) / p.L
 
     t = np.array([0.0, 0.5, 1.0])
     xy = np.column_stack([t - 0.6, np.sign(t - 0.5) * (t - 0.5) ** 2 / 2])
@@ -420,8 +420,8 @@ def test_a_kink_that_a_control_moves_without_a_jump_is_passed() -> None:
 def test_rounding_at_a_kink_is_no_jump() -> None:
     """The same where the place of the kink is only known to 1e-13, being a difference of large numbers."""
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
-        return p.v, p.v * m.fabs((1000 * p.L + x.x) + u.a - 1000 * p.L) / p.L
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        return p.v, p.v * xp.fabs((1000 * p.L + x.x) + u.a - 1000 * p.L) / p.L
 
     t = np.array([0.0, 0.5, 1.0])
     xy = np.column_stack([t - 0.6, np.sign(t - 0.5) * (t - 0.5) ** 2 / 2])
@@ -433,8 +433,8 @@ def test_rounding_at_a_kink_is_no_jump() -> None:
 def test_a_small_jump_is_one(share: float) -> None:
     """y' = v behind x = 0, and more by a share of it."""
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
-        return p.v, m.where(x.x > p.zero, (1 + share) * p.v, p.v)
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        return p.v, xp.where(x.x > p.zero, (1 + share) * p.v, p.v)
 
     t = np.array([0.0, 0.5, 0.5, 1.0])
     faster = np.where(np.arange(4) > 1, 1 + share, 1.0)
@@ -448,8 +448,8 @@ def test_a_small_jump_is_one(share: float) -> None:
 def test_a_jump_that_a_control_moves_is_not_understood() -> None:
     """Where neighbours cross depends on what the control does there."""
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
-        return p.v, m.where(x.x + u.a > p.zero, 2 * p.v, p.v)
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
+        return p.v, xp.where(x.x + u.a > p.zero, 2 * p.v, p.v)
 
     t = np.array([0.0, 0.5, 0.5, 1.0])
     x, y = t - 0.6, np.where(t <= 0.5, t, 2 * t - 0.5)
@@ -463,7 +463,7 @@ def test_a_jump_that_a_control_moves_is_not_understood() -> None:
 def test_a_control_that_jumps_across_a_guard_has_no_zero_of_it(before: float, after: float, zeros: list[float]) -> None:
     """A break at which the guard stays on its side hides none behind it: there u = t - 3."""
     phase = push(SLOPES["jump"]).phases[0]
-    phase = replace(phase, dynamics=lambda x, u, p, m: (x.v, m.where(u.a > 0 * p.k, u.a, 2 * u.a), 0 * u.a**2))
+    phase = replace(phase, dynamics=lambda x, u, p, xp: (x.v, xp.where(u.a > 0 * p.k, u.a, 2 * u.a), 0 * u.a**2))
     t = np.array([0.0, 2.0, 2.0, 4.0])
     u, rate = np.array([before, before, after, after + 2.0 * bool(zeros)]), np.array([0.0, 0.0, 1.0, 1.0]) * bool(zeros)
     flown = Trajectory(

@@ -133,11 +133,13 @@ def test_a_lander_with_a_speed_limit_is_locally_optimal(limit: float) -> None:
 def test_a_condition_may_hold_the_duration_that_is_free() -> None:
     """The line falls by 1 cm for each second that the slide takes: the least time is that of the line as it is then."""
     fixed = brachistochrone()
-    phase = replace(fixed.phases[0], path=lambda x, u, p, m: (p.slope * x.x + p.offset + p.falls * (p.T - p.T0) - x.y,))
+    phase = replace(
+        fixed.phases[0], path=lambda x, u, p, xp: (p.slope * x.x + p.offset + p.falls * (p.T - p.T0) - x.y,)
+    )
     falls = {"falls": pl.Given(value=0.01, unit="m/s"), "T0": pl.Given(value=1.8, unit="s")}
     problem = pl.Problem(
         name="falling", phases=(phase,), start=fixed.start, given={**fixed.given, **falls}, free=fixed.free,
-        objective=lambda x, p, m: p.T, objective_unit="s",
+        objective=lambda x, p, xp: p.T, objective_unit="s",
     )  # fmt: skip
     solution = pl.solve(problem)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3

@@ -79,15 +79,15 @@ def standing(sign: float) -> Solution:
         name="stand",
         states=(Variable(name="x", unit="m"), Variable(name="c", unit="m^2*s")),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (u.u, sign * x.x * x.x),
+        dynamics=lambda x, u, p, xp: (u.u, sign * x.x * x.x),
         duration="T",
-        end=lambda x, p, m: (x.x,),
+        end=lambda x, p, xp: (x.x,),
         end_conditions=(Variable(name="there", unit="m"),),
     )
     problem = pl.Problem(
-        name="standing", phases=(phase,), start=lambda p, m: (0 * p.far, 0 * p.far * p.far * p.T),
+        name="standing", phases=(phase,), start=lambda p, xp: (0 * p.far, 0 * p.far * p.far * p.T),
         given={"T": Given(value=1.0, unit="s"), "far": Given(value=1.0, unit="m")},
-        objective=lambda x, p, m: x.c, objective_unit="m^2*s",
+        objective=lambda x, p, xp: x.c, objective_unit="m^2*s",
     )  # fmt: skip
     time = np.array([0.0, 1.0])
     still = Curve(time=time, values=np.zeros((2, 2)), rates=np.zeros((2, 2)))

@@ -37,22 +37,22 @@ def runaway(rate: float) -> pl.Problem:
         name="hold",
         states=(pl.Variable(name="x", unit="m"), pl.Variable(name="e", unit="m^2/s")),
         controls=(pl.Bounded(name="u", unit="m/s"),),
-        dynamics=lambda x, u, p, m: (p.rate * x.x + u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (p.rate * x.x + u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.x,),
+        end=lambda x, p, xp: (x.x,),
         end_conditions=(pl.Variable(name="rest", unit="m"),),
     )
     return pl.Problem(
         name="runaway",
         phases=(phase,),
-        start=lambda p, m: (p.x0, 0.0),
+        start=lambda p, xp: (p.x0, 0.0),
         given={
             "rate": pl.Given(value=rate, unit="1/s"),
             "x0": pl.Given(value=1.0, unit="m"),
             "T": pl.Given(value=1.0, unit="s"),
         },
         free=(),
-        objective=lambda x, p, m: x.e,
+        objective=lambda x, p, xp: x.e,
         objective_unit="m^2/s",
     )
 
@@ -72,7 +72,7 @@ def test_a_phase_inherits_the_growth_of_those_before() -> None:
     problem = replace(
         whole,
         phases=(first, replace(whole.phases[0], name="second")),
-        links=(lambda x, p, m: (x.x, x.e),),
+        links=(lambda x, p, xp: (x.x, x.e),),
         given={**whole.given, "T": pl.Given(value=0.5, unit="s")},
     )
     (_, early), (_, late) = reintegrate(pl.solve(problem, level=0))
@@ -115,22 +115,22 @@ def arrival(clock: float) -> pl.Problem:
             pl.Variable(name=name, unit=unit) for name, unit in (("x", "m"), ("v", "m/s"), ("t", "s"), ("e", "m^2/s^3"))
         ),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, 1.0, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 1.0, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.x - p.distance, x.v),
+        end=lambda x, p, xp: (x.x - p.distance, x.v),
         end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="rest", unit="m/s")),
     )
     return pl.Problem(
         name="arrival",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, p.clock, 0.0),
+        start=lambda p, xp: (0.0, 0.0, p.clock, 0.0),
         given={
             "distance": pl.Given(value=10.0, unit="m"),
             "clock": pl.Given(value=clock, unit="s"),
             "worth": pl.Given(value=1.0, unit="s^4/m^2"),
         },
         free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=5.0),),
-        objective=lambda x, p, m: x.t + p.worth * x.e,
+        objective=lambda x, p, xp: x.t + p.worth * x.e,
         objective_unit="s",
         scales=pl.Scales(length=10.0, time=5.0),
     )
@@ -183,9 +183,9 @@ def far(origin: float, length: float, gravity: float = 0.0) -> pl.Problem:
         name="rise",
         states=tuple(pl.Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("e", "m^2/s^3"))),
         controls=(pl.Bounded(name="u", unit="m/s^2"),),
-        dynamics=lambda x, u, p, m: (x.v, u.u - p.g * (p.x0 + p.R) ** 2 / (x.x + p.R) ** 2, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u - p.g * (p.x0 + p.R) ** 2 / (x.x + p.R) ** 2, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, m: (x.x - p.x1, x.v),
+        end=lambda x, p, xp: (x.x - p.x1, x.v),
         end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="rest", unit="m/s")),
     )
     numbers = {"x0": (origin, "m"), "x1": (origin + 10.0, "m"), "R": (1.7e6 - origin, "m"), "T": (5.0, "s")}
@@ -193,9 +193,9 @@ def far(origin: float, length: float, gravity: float = 0.0) -> pl.Problem:
     return pl.Problem(
         name="far",
         phases=(phase,),
-        start=lambda p, m: (p.x0, 0.0, 0.0),
+        start=lambda p, xp: (p.x0, 0.0, 0.0),
         given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in numbers.items()},
-        objective=lambda x, p, m: x.e,
+        objective=lambda x, p, xp: x.e,
         objective_unit="m^2/s^3",
         scales=pl.Scales(length=length, time=5.0),
     )
@@ -217,23 +217,27 @@ def fall_after_an_instant() -> pl.Problem:
     states = tuple(pl.Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("e", "m^2/s^3")))
     push = pl.Phase(
         name="push", states=states, controls=(pl.Bounded(name="u", unit="m/s^2"),), duration="T",
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
     )  # fmt: skip
-    instant = replace(push, name="instant", controls=(), duration="moment", dynamics=lambda x, u, p, m: (x.v, 0, 0))
+    instant = replace(push, name="instant", controls=(), duration="moment", dynamics=lambda x, u, p, xp: (x.v, 0, 0))
     fall = pl.Phase(
-        name="fall", states=states, duration="falls", end=lambda x, p, m: (x.x,),
-        dynamics=lambda x, u, p, m: (x.v, (2 * x.x / p.T - x.v) / p.T, 0), end_conditions=states[:1],
+        name="fall", states=states, duration="falls", end=lambda x, p, xp: (x.x,),
+        dynamics=lambda x, u, p, xp: (x.v, (2 * x.x / p.T - x.v) / p.T, 0), end_conditions=states[:1],
     )  # fmt: skip
 
-    def link(x, p, m):
+    def link(x, p, xp):
         return x.x, x.v, x.e
 
     given = {"T": (1.0, "s"), "moment": (1e-6, "s"), "falls": (5.0, "s"), "far": (1.0, "m")}
     return pl.Problem(
-        name="fall_after_an_instant", phases=(push, instant, fall), links=(link, link),
-        start=lambda p, m: (p.far, 0.0, 0.0), given={n: pl.Given(value=v, unit=unit) for n, (v, unit) in given.items()},
-        objective=lambda x, p, m: x.e, objective_unit="m^2/s^3",
-    )  # fmt: skip
+        name="fall_after_an_instant",
+        phases=(push, instant, fall),
+        links=(link, link),
+        start=lambda p, xp: (p.far, 0.0, 0.0),
+        given={n: pl.Given(value=v, unit=unit) for n, (v, unit) in given.items()},
+        objective=lambda x, p, xp: x.e,
+        objective_unit="m^2/s^3",
+    )
 
 
 @pytest.mark.parametrize(("error", "passes"), [(1e-10, True), (1e-8, False)])

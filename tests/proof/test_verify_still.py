@@ -53,8 +53,8 @@ def for_a_second(
         dynamics=dynamics, duration="T",
     )  # fmt: skip
     return pl.Problem(
-        name=name, phases=(phase,), start=lambda p, m: (0.0 * p.L, 0.0)[-len(states) :], given=GIVEN, free=free,
-        objective=lambda x, p, m: x.c, objective_unit="m^2/s",
+        name=name, phases=(phase,), start=lambda p, xp: (0.0 * p.L, 0.0)[-len(states) :], given=GIVEN, free=free,
+        objective=lambda x, p, xp: x.c, objective_unit="m^2/s",
     )  # fmt: skip
 
 
@@ -62,7 +62,7 @@ def idle(bound: float = np.inf) -> pl.Problem:
     """The control alone tells: J = int (u^2/2 - a u + k), least at u = a."""
     return for_a_second(
         "idle", variables(w="m", c="m^2/s"),
-        lambda x, u, p, m: (p.a, 0.5 * u.u * u.u - p.a * u.u + p.k), bound=bound,
+        lambda x, u, p, xp: (p.a, 0.5 * u.u * u.u - p.a * u.u + p.k), bound=bound,
     )  # fmt: skip
 
 
@@ -70,7 +70,7 @@ def resting() -> pl.Problem:
     """The state tells: x' = u, J = int (u^2/2 - g x + k), least at u = g (T - t)."""
     return for_a_second(
         "resting", variables(x="m", c="m^2/s"),
-        lambda x, u, p, m: (u.u, 0.5 * u.u * u.u - p.g * x.x + p.k),
+        lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u - p.g * x.x + p.k),
     )  # fmt: skip
 
 
@@ -78,7 +78,7 @@ def chosen() -> pl.Problem:
     """A free parameter tells: J = int (q^2/2 - a q + k + (u - a)^2/2), least at q = a."""
     return for_a_second(
         "chosen", variables(c="m^2/s"),
-        lambda x, u, p, m: (0.5 * p.q * p.q - p.a * p.q + p.k + 0.5 * (u.u - p.a) ** 2,),
+        lambda x, u, p, xp: (0.5 * p.q * p.q - p.a * p.q + p.k + 0.5 * (u.u - p.a) ** 2,),
         free=(pl.Free(name="q", unit="m/s", typical=1.0),),
     )  # fmt: skip
 
@@ -111,12 +111,12 @@ def test_a_state_that_nearly_rests_has_a_costate(drift: float, costate: str) -> 
 
 def paid_at_the_end(rests: bool) -> pl.Problem:
     """J = int (u^2/2 + k) - a x at the end, least at u = a; where it `rests`, after another second in which x stays."""
-    phase = for_a_second("go", variables(x="m", c="m^2/s"), lambda x, u, p, m: (u.u, 0.5 * u.u * u.u + p.k)).phases[0]
-    rest = replace(phase, name="rest", controls=(), duration="rests", dynamics=lambda x, u, p, m: (0.0 * p.a, p.k))
+    phase = for_a_second("go", variables(x="m", c="m^2/s"), lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u + p.k)).phases[0]
+    rest = replace(phase, name="rest", controls=(), duration="rests", dynamics=lambda x, u, p, xp: (0.0 * p.a, p.k))
     return pl.Problem(
-        name="paid_at_the_end", phases=(phase, rest) if rests else (phase,), start=lambda p, m: (0.0 * p.a * p.T, 0.0),
-        links=(lambda x, p, m: (x.x, x.c),) if rests else (), given=GIVEN | {"rests": GIVEN["T"]},
-        objective=lambda x, p, m: x.c - p.a * x.x, objective_unit="m^2/s",
+        name="paid_at_the_end", phases=(phase, rest) if rests else (phase,), start=lambda p, xp: (0.0 * p.a * p.T, 0.0),
+        links=(lambda x, p, xp: (x.x, x.c),) if rests else (), given=GIVEN | {"rests": GIVEN["T"]},
+        objective=lambda x, p, xp: x.c - p.a * x.x, objective_unit="m^2/s",
     )  # fmt: skip
 
 
@@ -201,19 +201,23 @@ def late_stop(turns: float) -> pl.Problem:
     """A spring swings for about so many radians, and is stopped in its middle within a second by the least effort."""
     states = variables(x="m", v="m/s", c="m^2/s^3")
     wait = pl.Phase(
-        name="wait", states=states, dynamics=lambda x, u, p, m: (x.v, -p.stiff * x.x, 0.0), duration="waits"
+        name="wait", states=states, dynamics=lambda x, u, p, xp: (x.v, -p.stiff * x.x, 0.0), duration="waits"
     )
     stop = pl.Phase(
         name="stop", states=states, controls=(pl.Bounded(name="u", unit="m/s^2"),), duration="T",
-        dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
-        end=lambda x, p, m: (x.x, x.v), end_conditions=variables(there="m", still="m/s"),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
+        end=lambda x, p, xp: (x.x, x.v), end_conditions=variables(there="m", still="m/s"),
     )  # fmt: skip
     return pl.Problem(
-        name="late_stop", phases=(wait, stop), links=(lambda x, p, m: (x.x, x.v, x.c),),
-        start=lambda p, m: (p.L, 0.0, 0.0), given={n: GIVEN[n] for n in "TL"} | {"stiff": Given(value=1, unit="1/s^2")},
+        name="late_stop",
+        phases=(wait, stop),
+        links=(lambda x, p, xp: (x.x, x.v, x.c),),
+        start=lambda p, xp: (p.L, 0.0, 0.0),
+        given={n: GIVEN[n] for n in "TL"} | {"stiff": Given(value=1, unit="1/s^2")},
         free=(pl.Free(name="waits", unit="s", lower=0.0, typical=turns),),
-        objective=lambda x, p, m: x.c, objective_unit="m^2/s^3",
-    )  # fmt: skip
+        objective=lambda x, p, xp: x.c,
+        objective_unit="m^2/s^3",
+    )
 
 
 def test_many_swings_of_what_nothing_steers_are_no_gain() -> None:
@@ -229,17 +233,20 @@ def two_ways(mass: float, aside: float) -> pl.Problem:
         name="go",
         states=variables(x="m", y="m", vx="m/s", vy="m/s", c="m^2/s^3"),
         controls=(pl.Bounded(name="force", unit="N"), pl.Bounded(name="w", unit="m/s^2")),
-        dynamics=lambda x, u, p, m: (x.vx, x.vy, u.force / p.m, u.w, 0.5 * ((u.force / p.m) ** 2 + u.w * u.w)),
+        dynamics=lambda x, u, p, xp: (x.vx, x.vy, u.force / p.m, u.w, 0.5 * ((u.force / p.m) ** 2 + u.w * u.w)),
         duration="T",
-        end=lambda x, p, m: (x.x - p.L, x.y - p.aside, x.vx, x.vy),
+        end=lambda x, p, xp: (x.x - p.L, x.y - p.aside, x.vx, x.vy),
         end_conditions=variables(ahead="m", beside="m", still="m/s", steady="m/s"),
     )
     given = {"T": GIVEN["T"], "L": GIVEN["L"], "m": Given(value=mass, unit="kg"), "aside": Given(value=aside, unit="m")}
     return pl.Problem(
-        name="two_ways", phases=(phase,), given=given,
-        start=lambda p, m: (0.0 * p.L, 0.0 * p.L, 0.0 * p.L / p.T, 0.0 * p.L / p.T, 0.0),
-        objective=lambda x, p, m: x.c, objective_unit="m^2/s^3",
-    )  # fmt: skip
+        name="two_ways",
+        phases=(phase,),
+        given=given,
+        start=lambda p, xp: (0.0 * p.L, 0.0 * p.L, 0.0 * p.L / p.T, 0.0 * p.L / p.T, 0.0),
+        objective=lambda x, p, xp: x.c,
+        objective_unit="m^2/s^3",
+    )
 
 
 @pytest.mark.parametrize(("mass", "aside"), [(1e-4, 1.0), (100.0, 1e-13), (1e4, 1e-6)])

@@ -49,25 +49,25 @@ def tug(pull: float, power: int = 1, switch: float = MIDDLE, swing: float = 1.0)
         name="arc",
         states=tuple(Variable(name=n) for n in ("clock", "y", "cost", "x")),
         controls=(Bounded(name="u", lower=-1.0, upper=1.0), Bounded(name="w")),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             1 / p.second,
             u.u / p.second,
             ((x.clock - MIDDLE) ** power * u.u + 0.5 * (u.w * u.w - x.x * x.x)) / p.second,
             u.w / p.second,
         ),
         duration="duration",
-        end=lambda x, p, m: (x.x,),
+        end=lambda x, p, xp: (x.x,),
         end_conditions=(Variable(name="at_origin"),),
     )
     problem = Problem(
         name="tug",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0, p.swing),
+        start=lambda p, xp: (0.0, 0.0, 0.0, p.swing),
         given={
             "duration": Given(value=END, unit="s"), "second": Given(value=1.0, unit="s"), "pull": Given(value=pull),
             "swing": Given(value=swing),
         },
-        objective=lambda x, p, m: x.cost - 0.5 * p.pull * x.y * x.y,
+        objective=lambda x, p, xp: x.cost - 0.5 * p.pull * x.y * x.y,
     )  # fmt: skip
     pieces = [_tug_piece(np.linspace(a, b, 1201), u, pull, power, switch, swing) for a, b, u in
               ((0.0, switch, 1.0), (switch, END, -1.0)) if b > a]  # fmt: skip
@@ -156,7 +156,7 @@ def test_a_condition_that_is_called_as_a_control_excuses_no_weak_switch_of_that(
     """Both checks are called strict_u, and only the multiplier of a condition need not be strict."""
     solution = tug(0.0, power=2, switch=0.0)
     (phase,) = solution.problem.phases
-    far = replace(phase, path=lambda x, u, p, m: (2 - u.u,), path_conditions=(Variable(name="u"),))
+    far = replace(phase, path=lambda x, u, p, xp: (2 - u.u,), path_conditions=(Variable(name="u"),))
     solution = replace(solution, problem=replace(solution.problem, phases=(far,)))
     assert "strict_u" in failed(verify(solution, resolve=lambda problem, guess: guess))
 
@@ -310,7 +310,7 @@ def test_a_bound_that_is_reached_at_the_end_has_a_multiplier_with_a_sign() -> No
     assert failed(verify(further, level=2)) & ends == {"first_transversality"}
     flown = (replace(t, costate=opposite(t.costate)) for t in solution.trajectories)
     slowest = replace(
-        solution, problem=replace(problem, objective=lambda x, p, m: x.v), objective=-solution.objective,
+        solution, problem=replace(problem, objective=lambda x, p, xp: x.v), objective=-solution.objective,
         trajectories=tuple(flown),
     )  # fmt: skip
     assert failed(verify(slowest, level=2)) == ends
@@ -322,14 +322,14 @@ def test_where_a_bound_holds_the_end_free_parameters_have_the_ranges_that_they_h
     phase = Phase(
         name="go", states=(Variable(name="x", unit="m", upper=ceiling), Variable(name="c", unit="m^2/s")),
         controls=(Bounded(name="u", unit="m/s"),), duration="T",
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
     )  # fmt: skip
     problem = Problem(
-        name="ranged", phases=(phase,), start=lambda p, m: (0.0, 0.0), objective_unit="m^2/s",
-        objective=lambda x, p, m: x.c - p.k * x.x + p.k * (p.q - 2 * p.l) ** 2 / p.l,
+        name="ranged", phases=(phase,), start=lambda p, xp: (0.0, 0.0), objective_unit="m^2/s",
+        objective=lambda x, p, xp: x.c - p.k * x.x + p.k * (p.q - 2 * p.l) ** 2 / p.l,
         given={"T": Given(value=1.0, unit="s"), "k": Given(value=1.0, unit="m/s"), "l": Given(value=1.0, unit="m")},
         free=(Free(name="q", unit="m", lower=-1.0, upper=1.0, typical=0.5),),
-        ranges=lambda p, m: {"q": (-p.l, p.l, 0.5)},
+        ranges=lambda p, xp: {"q": (-p.l, p.l, 0.5)},
     )  # fmt: skip
     solution = Pseudospectral(nlp_tolerance=1e-13).run(problem)
     assert verify(solution).level == 3
@@ -349,9 +349,9 @@ def test_no_control_is_compared_with_one_of_which_nothing_is_known(lander: Solut
     """At thrusts about 0.5 N, which are admissible, the rate is no number: where H is least nobody can say."""
     problem, phase = lander.problem, lander.problem.phases[0]
 
-    def blind(x, u, p, m):
-        nothing = m.sqrt((u.thrust - p.gap) ** 2 - (0.1 * p.gap) ** 2)
-        return (*phase.dynamics(x, u, p, m)[:3], u.thrust + 0.0 * nothing)
+    def blind(x, u, p, xp):
+        nothing = xp.sqrt((u.thrust - p.gap) ** 2 - (0.1 * p.gap) ** 2)
+        return (*phase.dynamics(x, u, p, xp)[:3], u.thrust + 0.0 * nothing)
 
     given = {**problem.given, "gap": Given(value=0.5, unit="N")}
     stated = replace(problem, phases=(replace(phase, dynamics=blind),), given=given)

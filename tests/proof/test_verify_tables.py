@@ -201,12 +201,12 @@ def test_an_impulse_in_a_piece_of_a_picosecond_fails(way: float) -> None:
     phase = Phase(
         name="push", states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s"),
                              Variable(name="e", unit="m^2/s^3")),
-        controls=(Bounded(name="a", unit="m/s^2"),), dynamics=lambda x, u, p, m: (x.v, u.a, 0.5 * u.a * u.a),
-        duration="T", end=lambda x, p, m: (x.x - p.far, x.v),
+        controls=(Bounded(name="a", unit="m/s^2"),), dynamics=lambda x, u, p, xp: (x.v, u.a, 0.5 * u.a * u.a),
+        duration="T", end=lambda x, p, xp: (x.x - p.far, x.v),
         end_conditions=(Variable(name="place", unit="m"), Variable(name="rest", unit="m/s")),
     )  # fmt: skip
     problem = Problem(
-        name="push", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0), objective=lambda x, p, m: x.e,
+        name="push", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0), objective=lambda x, p, xp: x.e,
         objective_unit="m^2/s^3",
         given={"T": Given(value=1.0, unit="s"), "far": Given(value=1.0, unit="m")},
     )  # fmt: skip
@@ -343,15 +343,15 @@ def test_a_dip_below_the_ground_between_the_points_is_found() -> None:
     """y = (t - c)^2 - d with c anywhere: the least value, -d, is found to first order wherever it lies."""
     phase = Phase(
         name="dive", states=(Variable(name="y", unit="m"), Variable(name="w", unit="m/s")),
-        dynamics=lambda x, u, p, m: (x.w, p.g), duration="T",
-        path=lambda x, u, p, m: (x.y,), path_conditions=(Variable(name="height", unit="m"),),
+        dynamics=lambda x, u, p, xp: (x.w, p.g), duration="T",
+        path=lambda x, u, p, xp: (x.y,), path_conditions=(Variable(name="height", unit="m"),),
     )  # fmt: skip
     for c in np.linspace(0.11, 0.87, 14):
         depth = 1e-7
         given = {"g": Given(value=2.0, unit="m/s^2"), "T": Given(value=1.0, unit="s"),
                  "y0": Given(value=c * c - depth, unit="m"), "w0": Given(value=-2 * c, unit="m/s")}  # fmt: skip
         problem = Problem(
-            name="dive", phases=(phase,), start=lambda p, m: (p.y0, p.w0), objective=lambda x, p, m: x.y,
+            name="dive", phases=(phase,), start=lambda p, xp: (p.y0, p.w0), objective=lambda x, p, xp: x.y,
             objective_unit="m", given=given,
         )  # fmt: skip
         t = np.linspace(0.0, 1.0, 4)
@@ -373,10 +373,10 @@ def drift(rate: Any, cost: float) -> Solution:
     """y' = rate(t) of which a table of one cubic says that y = 0; a clock is the other state."""
     phase = Phase(
         name="drift", states=(Variable(name="clock"), Variable(name="y")), duration="T",
-        dynamics=lambda x, u, p, m: (1 / p.second, rate(x.clock, m) / p.second),
+        dynamics=lambda x, u, p, xp: (1 / p.second, rate(x.clock, xp) / p.second),
     )  # fmt: skip
     problem = Problem(
-        name="drift", phases=(phase,), start=lambda p, m: (0.0, 0.0), objective=lambda x, p, m: x.y,
+        name="drift", phases=(phase,), start=lambda p, xp: (0.0, 0.0), objective=lambda x, p, xp: x.y,
         given={"T": Given(value=1.0, unit="s"), "second": Given(value=1.0, unit="s")},
     )  # fmt: skip
     t = np.array([0.0, 1.0])
@@ -399,7 +399,7 @@ def test_a_rate_that_vanishes_at_the_points_of_a_piece_is_found_by_its_halves() 
 
 
 def test_what_quadrature_leaves_open_counts() -> None:
-    arc = PhaseData(solution=drift(lambda c, m: 1e-3 * m.sin(1e9 * c), 0.0), index=0)
+    arc = PhaseData(solution=drift(lambda c, xp: 1e-3 * xp.sin(1e9 * c), 0.0), index=0)
     still = arc.looked_at[2][1]
     found = state_deviation(arc, np.zeros(2))
     assert still > STATE_LIMIT
@@ -411,7 +411,7 @@ def test_ripples_between_the_nodes_of_a_right_table_are_looked_at_until_nothing_
 
     Left as they are, the pieces would leave 1e-11 open each, and all of them more than the limit.
     """
-    solution = drift(lambda c, m: 5e-8 * m.cos(4 * np.pi * 1000 * c), 0.0)
+    solution = drift(lambda c, xp: 5e-8 * xp.cos(4 * np.pi * 1000 * c), 0.0)
     t = np.linspace(0.0, 1.0, 1001)
     ripple = 5e-8 * np.cos(4 * np.pi * 1000 * t)
     flown = solution.trajectories[0]

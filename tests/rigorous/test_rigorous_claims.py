@@ -26,7 +26,7 @@ def problem(
     phase: pl.Phase, objective: Any, given: dict[str, tuple[float, str]], unit: str = "m", **options: Any
 ) -> pl.Problem:
     return pl.Problem(
-        name="claimed", phases=(phase,), start=lambda p, m: (0.0,) * len(phase.states),
+        name="claimed", phases=(phase,), start=lambda p, xp: (0.0,) * len(phase.states),
         given={name: pl.Given(value=value, unit=own) for name, (value, own) in given.items()},
         objective=objective, objective_unit=unit, **options,
     )  # fmt: skip
@@ -53,9 +53,9 @@ def test_a_corner_that_each_control_alone_would_keep_is_no_minimum() -> None:
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"),),
         controls=tuple(pl.Bounded(name=name, lower=-1.0, upper=1.0) for name in "uv"),
-        dynamics=lambda x, u, p, m: (p.w * (-u.u - u.v - 3 * u.u * u.v),), duration="T",
+        dynamics=lambda x, u, p, xp: (p.w * (-u.u - u.v - 3 * u.u * u.v),), duration="T",
     )  # fmt: skip
-    stated = problem(phase, lambda x, p, m: x.x, {"T": (1.0, "s"), "w": (1.0, "m/s")})
+    stated = problem(phase, lambda x, p, xp: x.x, {"T": (1.0, "s"), "w": (1.0, "m/s")})
     for side, sign in (("lower", -1), ("upper", 1)):
         _, missing = proved(stated, {"u": side, "v": side}, [1.0])
         assert not missing if sign > 0 else any("(u, v) is the only minimum of H" in words for words in missing)
@@ -66,22 +66,22 @@ def test_controls_without_a_formula_are_states_and_the_only_minimum() -> None:
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="y", unit="m")),
         controls=(pl.Bounded(name="a", unit="rad", lower=-1.5, upper=1.5),),
-        dynamics=lambda x, u, p, m: (p.w * m.cos(u.a), p.w * m.sin(u.a)), duration="T",
-        end=lambda x, p, m: (x.x - 3 * p.l, x.y - 4 * p.l),
+        dynamics=lambda x, u, p, xp: (p.w * xp.cos(u.a), p.w * xp.sin(u.a)), duration="T",
+        end=lambda x, p, xp: (x.x - 3 * p.l, x.y - 4 * p.l),
         end_conditions=(pl.Variable(name="along", unit="m"), pl.Variable(name="up", unit="m")),
     )  # fmt: skip
     free = (pl.Free(name="T", unit="s", lower=0.0, upper=50.0, typical=5.0),)
-    stated = problem(phase, lambda x, p, m: p.w * p.T, {"w": (1.0, "m/s"), "l": (1.0, "m")}, free=free)
+    stated = problem(phase, lambda x, p, xp: p.w * p.T, {"w": (1.0, "m/s"), "l": (1.0, "m")}, free=free)
     root, missing = proved(stated, {"a": "interior"}, [-0.6, -0.8, 5.0, -0.6, -0.8, 0.9])
     assert not missing and root.y[2].overlaps(arb(5)) and root.y[5].overlaps(arb.atan2(arb(4), arb(3)))
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
         controls=tuple(pl.Bounded(name=name, unit="m/s", lower=-9.0, upper=9.0) for name in "uv"),
-        dynamics=lambda x, u, p, m: (u.u + u.v, u.u * u.u + u.v * u.v + u.u * u.v), duration="T",
-        end=lambda x, p, m: (x.x - p.l,), end_conditions=(pl.Variable(name="along", unit="m"),),
+        dynamics=lambda x, u, p, xp: (u.u + u.v, u.u * u.u + u.v * u.v + u.u * u.v), duration="T",
+        end=lambda x, p, xp: (x.x - p.l,), end_conditions=(pl.Variable(name="along", unit="m"),),
     )  # fmt: skip
     stated = problem(
-        phase, lambda x, p, m: x.c, {"T": (1.0, "s"), "l": (1.0, "m")}, unit="m^2/s",
+        phase, lambda x, p, xp: x.c, {"T": (1.0, "s"), "l": (1.0, "m")}, unit="m^2/s",
     )  # fmt: skip
     root, missing = proved(stated, {"u": "interior", "v": "interior"}, [-1.5, 1.0, -1.5, 0.5, 0.5])
     assert not missing and all(w.overlaps(arb(0.5)) and w.rad() < 1e-20 for w in root.y[3:])
@@ -99,10 +99,10 @@ def test_another_minimum_of_h_that_is_lower_at_any_time_is_seen(
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="s"), pl.Variable(name="c")),
         controls=(pl.Bounded(name="u", lower=-2.0, upper=2.5),), duration="T",
-        dynamics=lambda x, u, p, m: (1 / p.T, ((u.u**2 - 1) ** 2 + (p.tilt + p.drift * x.s) * u.u) / p.T),
+        dynamics=lambda x, u, p, xp: (1 / p.T, ((u.u**2 - 1) ** 2 + (p.tilt + p.drift * x.s) * u.u) / p.T),
     )  # fmt: skip
     given = {"T": (1.0, "s"), "tilt": (tilt, "1"), "drift": (drift, "1")}
-    root, missing = proved(problem(phase, lambda x, p, m: x.c, given, unit="1"), {"u": "interior"}, [0.0, 1.0, start])
+    root, missing = proved(problem(phase, lambda x, p, xp: x.c, given, unit="1"), {"u": "interior"}, [0.0, 1.0, start])
     u = root.flight.ends[-1][-1]
     assert (4 * u * (u * u - 1) + arb(tilt) + arb(drift)).contains(arb(0)) and u.rad() < 1e-9
     assert missing == [] if only else missing == ["(u) is the only minimum of H (go)"]
@@ -113,10 +113,10 @@ def test_an_arc_begins_with_no_control_of_the_one_before_but_by_a_formula() -> N
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="s"), pl.Variable(name="c")),
         controls=tuple(pl.Bounded(name=name, lower=-1.0, upper=1.0) for name in "ab"), duration="T",
-        dynamics=lambda x, u, p, m: (1 / p.T, ((u.a - x.s) ** 2 + u.a**4 * u.b**4 + u.b**2) / p.T),
+        dynamics=lambda x, u, p, xp: (1 / p.T, ((u.a - x.s) ** 2 + u.a**4 * u.b**4 + u.b**2) / p.T),
     )  # fmt: skip
     stated, one = (
-        problem(phase, lambda x, p, m: x.c, {"T": (2.0, "s")}, unit="1"),
+        problem(phase, lambda x, p, xp: x.c, {"T": (2.0, "s")}, unit="1"),
         room("boundary_value_problem").ArcPiece,
     )
     pieces = [one(phase=0, regimes={"a": "interior", "b": "interior"}, switched="a"),
@@ -137,10 +137,10 @@ def test_a_parameter_that_is_a_bound_is_chosen_for_what_it_bounds() -> None:
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"),),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-10.0, upper="q"),),
-        dynamics=lambda x, u, p, m: (u.u,), duration="T",
+        dynamics=lambda x, u, p, xp: (u.u,), duration="T",
     )  # fmt: skip
     free = (pl.Free(name="q", unit="m/s", lower=-5.0, upper=5.0, typical=1.0),)
-    stated = problem(phase, lambda x, p, m: (p.q * p.T) ** 2 / (2 * p.l) - x.x, {"T": (1.0, "s"), "l": (1.0, "m")},
+    stated = problem(phase, lambda x, p, xp: (p.q * p.T) ** 2 / (2 * p.l) - x.x, {"T": (1.0, "s"), "l": (1.0, "m")},
                      free=free)  # fmt: skip
     root, missing = proved(stated, {"u": "upper"}, [-1.0, 0.0, 0.5])
     assert root.y[-1].overlaps(arb(1)) and not missing
@@ -152,9 +152,9 @@ def test_a_control_on_the_wrong_bound_is_seen_however_small_its_effect(scale: fl
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="v", unit="m/s")),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (x.v, u.u), duration="T",
+        dynamics=lambda x, u, p, xp: (x.v, u.u), duration="T",
     )  # fmt: skip
-    stated = problem(phase, lambda x, p, m: p.s * (0.3 * p.T * x.v - x.x), {"T": (1.0, "s"), "s": (scale, "1")})
+    stated = problem(phase, lambda x, p, xp: p.s * (0.3 * p.T * x.v - x.x), {"T": (1.0, "s"), "s": (scale, "1")})
     _, missing = proved(stated, {"u": "upper"}, [-scale, -0.7 * scale])
     assert missing == ["H is least with u at its upper bound (go)"]
 
@@ -176,15 +176,15 @@ def test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond(
     def missing(range_: tuple[float, float], bound: float | None) -> list[str]:
         phase = pl.Phase(
             name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
-            controls=(pl.Bounded(name="u", unit="m/s"),), dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
-            duration="T", end=lambda x, p, m: (x.x,),
+            controls=(pl.Bounded(name="u", unit="m/s"),), dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
+            duration="T", end=lambda x, p, xp: (x.x,),
             end_conditions=(pl.Variable(name="place", unit="m", lower=range_[0], upper=range_[1]),),
         )  # fmt: skip
         at = {} if bound is None else {side: bound}
         stated = pl.Problem(
-            name="ranged", phases=(phase,), start=lambda p, m: (p.q, 0.0), objective_unit="m",
+            name="ranged", phases=(phase,), start=lambda p, xp: (p.q, 0.0), objective_unit="m",
             given={"T": pl.Given(value=1.0, unit="s"), "w": pl.Given(value=1.0, unit="s/m")},
-            objective=lambda x, p, m: p.w * (x.c + (p.q - p.T / p.w) ** 2 / p.T),
+            objective=lambda x, p, xp: p.w * (x.c + (p.q - p.T / p.w) ** 2 / p.T),
             free=(pl.Free(name="q", unit="m", typical=1.0, **{"lower": -5.0, "upper": 5.0, **at}),),
         )  # fmt: skip
         sides = room("boundary_value_problem").Sides(
@@ -202,9 +202,9 @@ def approaching(side: str, gain: float, named: bool) -> pl.Problem:
     bounds: dict[str, Any] = {side: "end" if named else float(sign)}
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m", **bounds),), duration="T",
-        dynamics=lambda x, u, p, m: (sign * p.w,),
+        dynamics=lambda x, u, p, xp: (sign * p.w,),
     )  # fmt: skip
-    return problem(phase, lambda x, p, m: -gain * p.w * p.T, {"w": (1.0, "m/s"), "end": (sign, "m")},
+    return problem(phase, lambda x, p, xp: -gain * p.w * p.T, {"w": (1.0, "m/s"), "end": (sign, "m")},
                    free=(pl.Free(name="T", unit="s", lower=0.0, upper=9.0, typical=1.0),))  # fmt: skip
 
 
@@ -236,9 +236,9 @@ def test_a_bound_that_holds_an_end_keeps_a_local_optimum(gain: float, J: float, 
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m", upper=0.5), pl.Variable(name="c", unit="m^2/s")),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-9.0, upper=9.0),), duration="T",
-        dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
+        dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
     )  # fmt: skip
-    stated = problem(phase, lambda x, p, m: x.c - p.k * x.x, {"T": (1.0, "s"), "k": (gain, "m/s")}, unit="m^2/s")
+    stated = problem(phase, lambda x, p, xp: x.c - p.k * x.x, {"T": (1.0, "s"), "k": (gain, "m/s")}, unit="m^2/s")
     found = room("theorem").attempt_proof(pl.solve(stated, pl.Pseudospectral(), level=0), lambda _: None).proved
     assert found.boundary.sides.states == sides and not found.missing and found.optimum.proved
     assert found.objective.contains(J) and found.objective.rad() < 1e-25
@@ -248,10 +248,10 @@ def test_a_bound_that_is_touched_and_not_crossed_is_not_seen_to_be_kept() -> Non
     """x = q + (t - 1)^2 - 1 comes to 0 with q = 1 and a rate of 0, which no equation says."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="t", unit="s")),
-        dynamics=lambda x, u, p, m: (2 * p.a * (x.t - p.T), 1.0), duration="T",
+        dynamics=lambda x, u, p, xp: (2 * p.a * (x.t - p.T), 1.0), duration="T",
     )  # fmt: skip
     stated = pl.Problem(
-        name="touching", phases=(phase,), start=lambda p, m: (p.q, 0.0), objective=lambda x, p, m: p.q,
+        name="touching", phases=(phase,), start=lambda p, xp: (p.q, 0.0), objective=lambda x, p, xp: p.q,
         given={"T": pl.Given(value=1.0, unit="s"), "a": pl.Given(value=1.0, unit="m/s^2")}, objective_unit="m",
         free=(pl.Free(name="q", unit="m", lower=-9.0, upper=9.0, typical=1.0),),
     )  # fmt: skip
@@ -283,14 +283,14 @@ def test_a_limit_that_is_touched_at_the_end_is_not_broken_before() -> None:
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="v", unit="m/s"),
                            pl.Variable(name="cost", unit="m^2/s^3")),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),), dynamics=lambda x, u, p, m: (x.v, u.u, 0.5 * u.u * u.u),
-        duration="T", end=lambda x, p, m: (m.sin(x.x / p.l), x.v - 3 * p.l / p.T),
+        controls=(pl.Bounded(name="u", unit="m/s^2"),), dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
+        duration="T", end=lambda x, p, xp: (xp.sin(x.x / p.l), x.v - 3 * p.l / p.T),
         end_conditions=(pl.Variable(name="place"), pl.Variable(name="speed", unit="m/s")),
     )  # fmt: skip
     stated = pl.Problem(
-        name="dipping", phases=(phase,), start=lambda p, m: (p.l, -6 * p.l / p.T, 0.0), objective_unit="m^2/s^3",
+        name="dipping", phases=(phase,), start=lambda p, xp: (p.l, -6 * p.l / p.T, 0.0), objective_unit="m^2/s^3",
         given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")},
-        objective=lambda x, p, m: x.cost,
+        objective=lambda x, p, xp: x.cost,
     )  # fmt: skip
     _, missing = proved(stated, {"u": "interior"}, [-6.0, -12.0, 1.0, -6.0, -6.0])
     assert missing == ["x > 0.0 (go)"]
@@ -301,11 +301,11 @@ def test_a_limit_that_is_missed_at_the_end_is_named(by: float, missing: list[str
     """x = 1 - (1 + by) t."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="c", unit="m^2/s")),
-        controls=(pl.Bounded(name="u", unit="m/s"),), dynamics=lambda x, u, p, m: (u.u, 0.5 * u.u * u.u),
-        duration="T", end=lambda x, p, m: (m.sin(x.x / p.l + by),), end_conditions=(pl.Variable(name="place"),),
+        controls=(pl.Bounded(name="u", unit="m/s"),), dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
+        duration="T", end=lambda x, p, xp: (xp.sin(x.x / p.l + by),), end_conditions=(pl.Variable(name="place"),),
     )  # fmt: skip
     stated = pl.Problem(
-        name="falling", phases=(phase,), start=lambda p, m: (p.l, 0.0), objective=lambda x, p, m: x.c,
+        name="falling", phases=(phase,), start=lambda p, xp: (p.l, 0.0), objective=lambda x, p, xp: x.c,
         given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")}, objective_unit="m^2/s",
     )  # fmt: skip
     assert proved(stated, {"u": "interior"}, [1.0, 1.0, 1.0])[1] == missing
@@ -316,13 +316,13 @@ def test_every_limit_that_is_broken_is_named_and_no_other() -> None:
     states = (pl.Variable(name="x", unit="m", lower=0.2, upper=0.8), pl.Variable(name="c", unit="m^2/s", lower=-3.0))
     phase = pl.Phase(
         name="go", states=states, controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=0.5),),
-        dynamics=lambda x, u, p, m: (u.u, -0.5 * u.u * u.u), duration="T",
-        end=lambda x, p, m: (x.x - p.l,), end_conditions=(pl.Variable(name="place", unit="m"),),
-        path=lambda x, u, p, m: (x.x - 0.9 * p.l, 2 * p.l - x.x),
+        dynamics=lambda x, u, p, xp: (u.u, -0.5 * u.u * u.u), duration="T",
+        end=lambda x, p, xp: (x.x - p.l,), end_conditions=(pl.Variable(name="place", unit="m"),),
+        path=lambda x, u, p, xp: (x.x - 0.9 * p.l, 2 * p.l - x.x),
         path_conditions=(pl.Variable(name="high", unit="m"), pl.Variable(name="low", unit="m")),
     )  # fmt: skip
     free = (pl.Free(name="q", unit="m", lower=-5.0, upper=1.0, typical=1.0),)
-    stated = problem(phase, lambda x, p, m: x.c / (p.l / p.T) + (p.q - 2 * p.l) ** 2 / p.l,
+    stated = problem(phase, lambda x, p, xp: x.c / (p.l / p.T) + (p.q - 2 * p.l) ** 2 / p.l,
                      {"T": (1.0, "s"), "l": (1.0, "m")}, free=free)  # fmt: skip
     _, missing = proved(stated, {"u": "interior"}, [1.0, 1.0, 2.0, 1.0])
     broken = ["x > 0.2", "x < 0.8", "high > 0", "H is strictly convex in u", "u is inside its upper bound"]
@@ -334,11 +334,11 @@ def test_an_arc_of_negative_length_is_seen() -> None:
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="v", unit="m/s")),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (x.v + p.w, u.u), duration="t_f",
-        end=lambda x, p, m: (x.x - p.d, x.v + p.w),
+        dynamics=lambda x, u, p, xp: (x.v + p.w, u.u), duration="t_f",
+        end=lambda x, p, xp: (x.x - p.d, x.v + p.w),
         end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="speed", unit="m/s")),
     )  # fmt: skip
-    stated = problem(phase, lambda x, p, m: p.w * p.t_f, {"w": (1.0, "m/s"), "d": (0.0625, "m")},
+    stated = problem(phase, lambda x, p, xp: p.w * p.t_f, {"w": (1.0, "m/s"), "d": (0.0625, "m")},
                      free=(pl.Free(name="t_f", unit="s", lower=0.0, upper=10.0, typical=1.0),))  # fmt: skip
     one = room("boundary_value_problem").ArcPiece
     pieces = [one(phase=0, regimes={"u": "upper"}, switched="u"), one(phase=0, regimes={"u": "lower"})]
@@ -354,9 +354,9 @@ def test_a_control_on_a_bound_is_the_least_where_h_is_convex_in_it(
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
         controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (u.u, sign * 0.5 * u.u * u.u), duration="T",
+        dynamics=lambda x, u, p, xp: (u.u, sign * 0.5 * u.u * u.u), duration="T",
     )  # fmt: skip
-    stated = problem(phase, lambda x, p, m: p.k * x.c - weight * x.x, {"T": (1.0, "s"), "k": (1.0, "s/m")})
+    stated = problem(phase, lambda x, p, xp: p.k * x.c - weight * x.x, {"T": (1.0, "s"), "k": (1.0, "s/m")})
     found = proved(stated, {"u": "upper"}, [-weight, 1.0])[1]
     assert len(found) == len(missing) and all(word in told for word, told in zip(missing, found, strict=True))
 
@@ -374,14 +374,14 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
     phase = pl.Phase(
         name="go", states=tuple(pl.Variable(name=n, unit=u) for n, u in (("x", "m"), ("y", "m"), ("c", "m^2/s"))),
         controls=(pl.Bounded(name="u", unit="m/s"), pl.Bounded(name="v", unit="m/s")),
-        dynamics=lambda x, u, p, m: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v + p.x * p.x)), duration="T",
-        end=(lambda x, p, m: (x.x - inside(p)[0], x.y)) if at_start else (
-            lambda x, p, m: ((x.x * x.x + x.y * x.y) / p.l - p.l,)),
+        dynamics=lambda x, u, p, xp: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v + p.x * p.x)), duration="T",
+        end=(lambda x, p, xp: (x.x - inside(p)[0], x.y)) if at_start else (
+            lambda x, p, xp: ((x.x * x.x + x.y * x.y) / p.l - p.l,)),
         end_conditions=tuple(pl.Variable(name=n, unit="m") for n in ("one", "two")[: 2 if at_start else 1]),
     )  # fmt: skip
     stated = pl.Problem(
-        name="circle", phases=(phase,), objective=lambda x, p, m: x.c, objective_unit="m^2/s",
-        start=lambda p, m: (p.l * m.cos(p.q), p.l * m.sin(p.q), 0.0) if at_start else (*inside(p), 0.0),
+        name="circle", phases=(phase,), objective=lambda x, p, xp: x.c, objective_unit="m^2/s",
+        start=lambda p, xp: (p.l * xp.cos(p.q), p.l * xp.sin(p.q), 0.0) if at_start else (*inside(p), 0.0),
         given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")},
         free=(pl.Free(name="x", unit="m/s"), *([pl.Free(name="q", typical=1.0)] if at_start else [])),
     )  # fmt: skip
@@ -404,11 +404,11 @@ def test_conditions_that_are_called_alike_do_not_hide_one_another() -> None:
     phase = pl.Phase(
         name="go", states=tuple(pl.Variable(name=name) for name in "xyc"), duration="T",
         controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
-        dynamics=lambda x, u, p, m: (u.u / p.T, u.v / p.T, 0.5 * (u.u * u.u + u.v * u.v) / p.T),
-        end=lambda x, p, m: (x.x, x.y), end_conditions=2 * (pl.Variable(name="same", upper=1.0),),
+        dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u * u.u + u.v * u.v) / p.T),
+        end=lambda x, p, xp: (x.x, x.y), end_conditions=2 * (pl.Variable(name="same", upper=1.0),),
     )  # fmt: skip
     stated = pl.Problem(
-        name="alike", phases=(phase,), start=lambda p, m: (0.0, 0.0, 0.0), objective=lambda x, p, m: x.c - 3 * x.y,
+        name="alike", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0), objective=lambda x, p, xp: x.c - 3 * x.y,
         given={"T": pl.Given(value=1.0, unit="s")},
     )  # fmt: skip
     sides = room("boundary_value_problem").Sides(ranges={("go", "same"): "upper"})
@@ -421,12 +421,12 @@ def test_a_free_parameter_that_is_called_as_another_unknown_is_not_taken_for_it(
     name = "go.nu_there"
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x"), pl.Variable(name="c")), duration="T",
-        controls=(pl.Bounded(name="u"),), dynamics=lambda x, u, p, m: (u.u / p.T, 0.5 * u.u * u.u / p.T),
-        end=lambda x, p, m: (x.x - p.e,), end_conditions=(pl.Variable(name="there"),),
+        controls=(pl.Bounded(name="u"),), dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u * u.u / p.T),
+        end=lambda x, p, xp: (x.x - p.e,), end_conditions=(pl.Variable(name="there"),),
     )  # fmt: skip
     stated = pl.Problem(
-        name="named", phases=(phase,), start=lambda p, m: (0.0, 0.0),
-        objective=lambda x, p, m: x.c + getattr(p, name) ** 3 - 3 * getattr(p, name),
+        name="named", phases=(phase,), start=lambda p, xp: (0.0, 0.0),
+        objective=lambda x, p, xp: x.c + getattr(p, name) ** 3 - 3 * getattr(p, name),
         given={"T": pl.Given(value=1.0, unit="s"), "e": pl.Given(value=-1.0)},
         free=(pl.Free(name=name, lower=-0.5, upper=2.0),),
     )  # fmt: skip

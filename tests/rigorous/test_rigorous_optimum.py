@@ -77,12 +77,12 @@ def given(**values: float) -> dict[str, Given]:
 
 
 def phases(name: str, *phase: pl.Phase, links: Sequence[Any] = (), free: Sequence[pl.Free] = (), start: Any,
-           objective: Any = lambda x, p, m: x.c, **numbers: float) -> pl.Problem:  # fmt: skip
+           objective: Any = lambda x, p, xp: x.c, **numbers: float) -> pl.Problem:  # fmt: skip
     return pl.Problem(name=name, phases=phase, links=tuple(links), start=start, objective=objective, free=tuple(free),
                       given=given(**numbers))  # fmt: skip
 
 
-def same(x: Any, p: Any, m: Any) -> Any:
+def same(x: Any, p: Any, xp: Any) -> Any:
     return tuple(x)
 
 
@@ -97,7 +97,7 @@ def swung(angle: float, stretch: float = 0.0, end: str = "held", joint: bool = F
     """
 
     def phase(k: int, part: float) -> pl.Phase:
-        def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+        def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
             by = part / p.T
             cost = 2 / 3 * (u.u**2 + u.v**2 + u.u * u.v) if joint else 0.5 * u.u**2
             scale = p.stretch**2 if k else 1
@@ -108,21 +108,21 @@ def swung(angle: float, stretch: float = 0.0, end: str = "held", joint: bool = F
         return pl.Phase(
             name=f"go{k}", states=variables("x", "c"), duration="T", dynamics=rates,
             controls=tuple(pl.Bounded(name=name, lower=-9.0, upper=9.0) for name in ("uv" if joint else "u")),
-            end=(lambda x, p, m: ((x.x / p.stretch if k else x.x) - p.e,)) if last and end != "free" else None,
+            end=(lambda x, p, xp: ((x.x / p.stretch if k else x.x) - p.e,)) if last and end != "free" else None,
             end_conditions=(place,) if last and end != "free" else (),
         )  # fmt: skip
 
     at = 0.0 if end in ("range", "free") else 1.0
     parts = [angle / 3, 2 * angle / 3] if stretch else [angle]
     stated = phases(
-        "swung", *(phase(k, part) for k, part in enumerate(parts)), start=lambda p, m: (0.0, 0.0),
-        links=[lambda x, p, m: (p.stretch * x.x, x.c)] if stretch else [], stretch=stretch or 1.0,
+        "swung", *(phase(k, part) for k, part in enumerate(parts)), start=lambda p, xp: (0.0, 0.0),
+        links=[lambda x, p, xp: (p.stretch * x.x, x.c)] if stretch else [], stretch=stretch or 1.0,
         e=0.0 if end == "range" else 1.0,
     )  # fmt: skip
     if end == "bound":
         last = stated.phases[-1]
         place = Variable(name="place", upper=1.0)
-        held = replace(last, end=lambda x, p, m: (x.x / p.stretch,), end_conditions=(place,))
+        held = replace(last, end=lambda x, p, xp: (x.x / p.stretch,), end_conditions=(place,))
         stated = stated.changed(phases=(*stated.phases[:-1], held), form=None)
     slope = at / math.sin(angle)
     costates = [value for k in range(len(parts)) for value in (-slope * math.cos(k * angle / 3), 1.0)]
@@ -160,12 +160,12 @@ def pulled(stiffness: float) -> Any:
     phase = pl.Phase(
         name="go", states=variables("x", "y", "c"), duration="T",
         controls=(pl.Direction(names=("a", "b")), pl.Bounded(name="s", lower=0.0, upper=3.0)),
-        dynamics=lambda x, u, p, m: (
+        dynamics=lambda x, u, p, xp: (
             u.s * u.a / p.T, u.s * u.b / p.T, (u.s**2 - p.k * (x.y - 0.001 * x.x) ** 2) / 2 / p.T,
         ),
-        end=lambda x, p, m: (x.x - p.e, x.y), end_conditions=variables("there", "beside"),
+        end=lambda x, p, xp: (x.x - p.e, x.y), end_conditions=variables("there", "beside"),
     )  # fmt: skip
-    stated = phases("pulled", phase, start=lambda p, m: (0.0, 0.0, 0.0), e=1.0, k=stiffness)
+    stated = phases("pulled", phase, start=lambda p, xp: (0.0, 0.0, 0.0), e=1.0, k=stiffness)
     return optimum(stated, [(0, {"s": "interior"}, "")], [-1.0, 0.0, 1.0, 1.0, 0.0])
 
 
@@ -175,7 +175,7 @@ def spun(angle: float, turn: float, skew: float) -> Any:
     Its second coordinate is in the first, `skew` times.
     """
 
-    def rates(x: Any, u: Any, p: Any, m: Any) -> Any:
+    def rates(x: Any, u: Any, p: Any, xp: Any) -> Any:
         first = x.x - skew * x.y
         along, across = angle * u.u + turn * x.y, angle * u.v - turn * first
         cost = 0.5 * (u.u**2 + u.v**2 - first**2 - x.y**2)
@@ -184,9 +184,9 @@ def spun(angle: float, turn: float, skew: float) -> Any:
     phase = pl.Phase(
         name="go", states=variables("x", "y", "c"), duration="T", dynamics=rates,
         controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
-        end=lambda x, p, m: (x.x - p.e, x.y), end_conditions=variables("there", "too"),
+        end=lambda x, p, xp: (x.x - p.e, x.y), end_conditions=variables("there", "too"),
     )  # fmt: skip
-    stated = phases("spun", phase, start=lambda p, m: (0.0, 0.0, 0.0), e=1.0)
+    stated = phases("spun", phase, start=lambda p, xp: (0.0, 0.0, 0.0), e=1.0)
     slope = -1 / math.sin(angle)
     first, last = slope * math.cos(turn), slope * math.cos(angle)
     guess = [first, slope * math.sin(turn) - skew * first, 1.0, last, -skew * last]
@@ -208,17 +208,17 @@ def turned(weight: float) -> Any:
     """
     turn = pl.Phase(
         name="turn", states=variables("angle", "c"), duration="T", controls=(pl.Bounded(name="u"),),
-        dynamics=lambda x, u, p, m: (u.u / p.T, p.weight * 0.5 * u.u**2 / p.T),
+        dynamics=lambda x, u, p, xp: (u.u / p.T, p.weight * 0.5 * u.u**2 / p.T),
     )  # fmt: skip
     go = pl.Phase(
         name="go", states=variables("x", "y", "c"), duration="T",
         controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
-        dynamics=lambda x, u, p, m: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
-        end=lambda x, p, m: (x.x - p.half, x.y), end_conditions=variables("there", "too"),
+        dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
+        end=lambda x, p, xp: (x.x - p.half, x.y), end_conditions=variables("there", "too"),
     )  # fmt: skip
     stated = phases(
-        "turned", turn, go, links=[lambda x, p, m: (-m.cos(x.angle), m.sin(x.angle), x.c)],
-        start=lambda p, m: (0.0, 0.0), weight=weight, half=0.5,
+        "turned", turn, go, links=[lambda x, p, xp: (-xp.cos(x.angle), xp.sin(x.angle), x.c)],
+        start=lambda p, xp: (0.0, 0.0), weight=weight, half=0.5,
     )  # fmt: skip
     return optimum(
         stated, [(0, FREE, ""), (1, {"u": "interior", "v": "interior"}, "")], [0.0, 1.0, -1.5, 0.0, 1.0, -1.5, 0.0]
@@ -238,18 +238,18 @@ def passed_by(side: int, dropped: bool) -> Any:
     go = pl.Phase(
         name="go", states=variables("x", "y", "c"), duration="T",
         controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
-        dynamics=lambda x, u, p, m: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
-        end=lambda x, p, m: (x.x**2 + x.y**2 - 1,), end_conditions=variables("circle"),
+        dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
+        end=lambda x, p, xp: (x.x**2 + x.y**2 - 1,), end_conditions=variables("circle"),
     )  # fmt: skip
     more = pl.Phase(
         name="more", states=variables("c") if dropped else variables("x", "y", "c"), duration="T",
         controls=(pl.Bounded(name="u"),),
-        dynamics=lambda x, u, p, m: (0.5 * u.u**2 / p.T,) if dropped else (u.u / p.T, 0 * p.half / p.T,
+        dynamics=lambda x, u, p, xp: (0.5 * u.u**2 / p.T,) if dropped else (u.u / p.T, 0 * p.half / p.T,
                                                                              0.5 * u.u**2 / p.T),
     )  # fmt: skip
     stated = phases(
-        "passed", go, more, links=[(lambda x, p, m: (x.c,)) if dropped else same],
-        start=lambda p, m: (p.half, 0.0, 0.0), half=0.5,
+        "passed", go, more, links=[(lambda x, p, xp: (x.c,)) if dropped else same],
+        start=lambda p, xp: (p.half, 0.0, 0.0), half=0.5,
     )  # fmt: skip
     speed = side - 0.5
     later = [1.0] if dropped else [0.0, 0.0, 1.0]
@@ -270,10 +270,10 @@ def test_end_conditions_that_are_called_alike_have_multipliers_of_their_own() ->
     go = pl.Phase(
         name="go", states=variables("x", "y", "z", "c"), duration="T",
         controls=(pl.Bounded(name="u"), pl.Bounded(name="v"), pl.Bounded(name="w")),
-        dynamics=lambda x, u, p, m: (*(own / p.T for own in u), sum(0.5 * own**2 / p.T for own in u)),
-        end=lambda x, p, m: (x.x**2 + x.y**2 - 1, x.z + 1), end_conditions=variables("same", "same"),
+        dynamics=lambda x, u, p, xp: (*(own / p.T for own in u), sum(0.5 * own**2 / p.T for own in u)),
+        end=lambda x, p, xp: (x.x**2 + x.y**2 - 1, x.z + 1), end_conditions=variables("same", "same"),
     )  # fmt: skip
-    stated = phases("alike", go, start=lambda p, m: (p.half, 0.0, 0.0, 0.0), half=0.5)
+    stated = phases("alike", go, start=lambda p, xp: (p.half, 0.0, 0.0, 0.0), half=0.5)
     for side in (1, -1):
         speed, regimes = side - 0.5, dict.fromkeys("uvw", "interior")
         found = optimum(stated, [(0, regimes, "")], [-speed, 0.0, 1.0, 1.0, -speed / (2 * side), 1.0])
@@ -294,15 +294,15 @@ def switched(curve: float, gain: float, split: float = 0.0) -> Any:
         return pl.Phase(
             name=f"go{k}", states=variables("x", "s", "c"), duration="T",
             controls=(pl.Bounded(name="v", lower=-1.0, upper=1.0), pl.Bounded(name="u")),
-            dynamics=lambda x, u, p, m: (part / p.T * (p.gain * u.u + u.v), part / p.T,
+            dynamics=lambda x, u, p, xp: (part / p.T * (p.gain * u.u + u.v), part / p.T,
                                          part / p.T * (0.5 * u.u**2 + x.s * u.v)),
         )  # fmt: skip
 
     parts = [split, 2.0 - split] if split else [2.0]
     last = len(parts) - 1
     stated = phases(
-        "switched", *(phase(k, part) for k, part in enumerate(parts)), start=lambda p, m: (0.0, -1.0, 0.0),
-        links=[same] * last, objective=lambda x, p, m: x.c + p.curve * 0.5 * x.x**2, curve=curve, gain=gain,
+        "switched", *(phase(k, part) for k, part in enumerate(parts)), start=lambda p, xp: (0.0, -1.0, 0.0),
+        links=[same] * last, objective=lambda x, p, xp: x.c + p.curve * 0.5 * x.x**2, curve=curve, gain=gain,
     )  # fmt: skip
     pieces = [(k, UP, "") for k in range(last)] + [(last, UP, "v"), (last, DOWN, "")]
     costates = [value for k in range(len(parts)) for value in (0.0, 2.0 if k == 0 else 2.0 - 1.0 * split, 1.0)]
@@ -326,13 +326,13 @@ def twice(curve: float) -> Any:
     phase = pl.Phase(
         name="one", states=variables("x", "v", "s", "c"), duration="T",
         controls=(pl.Bounded(name="u", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (x.v / p.T, (u.u - p.drag * x.v**2) / p.T, 1 / p.T,
+        dynamics=lambda x, u, p, xp: (x.v / p.T, (u.u - p.drag * x.v**2) / p.T, 1 / p.T,
                                      (3 * (x.s - p.a) * (x.s - p.b) * u.u + 0.1 * x.x**2) / p.T),
     )  # fmt: skip
     stated = phases(
-        "twice", phase, replace(phase, name="two"), start=lambda p, m: (0.2, 0.5, 0.0, 0.0),
-        links=[lambda x, p, m: (x.x + 0.2 * x.v**2, x.v * (1 + 0.3 * x.x), x.s, x.c)],
-        objective=lambda x, p, m: x.c + 0.3 * x.x - 0.2 * x.v + p.curve * 0.5 * (x.x - p.end) ** 2,
+        "twice", phase, replace(phase, name="two"), start=lambda p, xp: (0.2, 0.5, 0.0, 0.0),
+        links=[lambda x, p, xp: (x.x + 0.2 * x.v**2, x.v * (1 + 0.3 * x.x), x.s, x.c)],
+        objective=lambda x, p, xp: x.c + 0.3 * x.x - 0.2 * x.v + p.curve * 0.5 * (x.x - p.end) ** 2,
         drag=0.4, a=0.6, b=1.3, end=0.25452149, curve=curve,
     )  # fmt: skip
     low, high = {"u": "lower"}, {"u": "upper"}
@@ -350,10 +350,10 @@ def crossing(power: int) -> Any:
     phase = pl.Phase(
         name="go", states=variables("x", "s", "c"), duration="T",
         controls=(pl.Bounded(name="u", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (2 * u.u / p.T, 2 / p.T, 2 * x.s**power * u.u / p.T),
-        end=lambda x, p, m: (x.x,), end_conditions=variables("back"),
+        dynamics=lambda x, u, p, xp: (2 * u.u / p.T, 2 / p.T, 2 * x.s**power * u.u / p.T),
+        end=lambda x, p, xp: (x.x,), end_conditions=variables("back"),
     )  # fmt: skip
-    stated = phases("crossing", phase, start=lambda p, m: (0.0, -1.0, 0.0))
+    stated = phases("crossing", phase, start=lambda p, xp: (0.0, -1.0, 0.0))
     return optimum(stated, [(0, {"u": "upper"}, "u"), (0, {"u": "lower"}, "")], [0.0, 2.0, 1.0, 0.0, 0.5])
 
 
@@ -366,10 +366,10 @@ def ending(at: float) -> Any:
     """Least integral of s u, |u| <= 1, s from -1 to `at` in any time: dH/du = s."""
     phase = pl.Phase(
         name="go", states=variables("s", "c"), duration="t", controls=(pl.Bounded(name="u", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, m: (1 / p.T, x.s * u.u / p.T), end=lambda x, p, m: (x.s - p.at,),
+        dynamics=lambda x, u, p, xp: (1 / p.T, x.s * u.u / p.T), end=lambda x, p, xp: (x.s - p.at,),
         end_conditions=variables("there"),
     )  # fmt: skip
-    stated = phases("ending", phase, start=lambda p, m: (-1.0, 0.0), at=at,
+    stated = phases("ending", phase, start=lambda p, xp: (-1.0, 0.0), at=at,
                     free=[pl.Free(name="t", unit="s", lower=0.0, upper=9.0, typical=1.0)])  # fmt: skip
     return optimum(stated, [(0, {"u": "upper"}, "")], [1.0, 1.0, 1.0 + at, -at])
 
@@ -383,18 +383,18 @@ def test_what_is_not_covered_is_named() -> None:
     """A control that comes to its bound; two that switch at once; a direction that nothing multiplies."""
     phase = pl.Phase(
         name="go", states=variables("s", "c"), duration="T", controls=(pl.Bounded(name="u", upper=1.0),),
-        dynamics=lambda x, u, p, m: (2 / p.T, (u.u - x.s) ** 2 / p.T),
+        dynamics=lambda x, u, p, xp: (2 / p.T, (u.u - x.s) ** 2 / p.T),
     )  # fmt: skip
-    stated = phases("rising", phase, start=lambda p, m: (0.0, 0.0))
+    stated = phases("rising", phase, start=lambda p, xp: (0.0, 0.0))
     found = optimum(stated, [(0, FREE, "u"), (0, {"u": "upper"}, "")], [0.5, 1.0, 0.5])
     assert "not affine in u" in found.where
     phase = pl.Phase(
         name="go", states=variables("s", "c"), duration="T",
         controls=(pl.Direction(names=("a", "b")), pl.Bounded(name="u", lower=0.0, upper=1.0),
                   pl.Bounded(name="v", lower=-1.0, upper=1.0)),
-        dynamics=lambda x, u, p, m: (u.u * u.a / p.T, (u.u * u.b + x.s * u.v) / p.T),
+        dynamics=lambda x, u, p, xp: (u.u * u.a / p.T, (u.u * u.b + x.s * u.v) / p.T),
     )  # fmt: skip
-    stated = phases("idle", phase, start=lambda p, m: (0.0, 0.0))
+    stated = phases("idle", phase, start=lambda p, xp: (0.0, 0.0))
     for begin, end, word in (("lower", "upper", "nothing may multiply"), ("upper", "lower", "v does not switch alone")):
         one = room("boundary_value_problem").ArcPiece
         pieces = [one(phase=0, regimes={"u": begin, "v": "upper"}, switched="v"),
@@ -410,10 +410,10 @@ def test_a_parameter_on_its_bound_is_not_moved() -> None:
     """J = c - q^2 with q <= 1 is least at q = 1, though it is curved the other way; at q = 0 it is no minimum."""
     phase = pl.Phase(
         name="go", states=variables("x", "c"), duration="T", controls=(pl.Bounded(name="u"),),
-        dynamics=lambda x, u, p, m: (u.u / p.T, 0.5 * u.u**2 / p.T), end=lambda x, p, m: (x.x - p.e,),
+        dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u**2 / p.T), end=lambda x, p, xp: (x.x - p.e,),
         end_conditions=variables("there"),
     )  # fmt: skip
-    stated = phases("bounded", phase, start=lambda p, m: (0.0, 0.0), objective=lambda x, p, m: x.c - p.q**2, e=1.0,
+    stated = phases("bounded", phase, start=lambda p, xp: (0.0, 0.0), objective=lambda x, p, xp: x.c - p.q**2, e=1.0,
                     free=[pl.Free(name="q", lower=-2.0, upper=1.0)])  # fmt: skip
     assert optimum(
         stated, [(0, FREE, "")], [-1.0, 1.0, 1.0, 1.0], room("boundary_value_problem").Sides(free={"q": "upper"})
@@ -425,9 +425,9 @@ def test_a_state_that_its_bound_holds_at_the_end_is_not_moved() -> None:
     """J = c - 2 x(1)^2 with x <= 1 is least at x = 1, though it is curved the other way; to stay at 0 is no minimum."""
     phase = pl.Phase(
         name="go", states=(Variable(name="x", upper=1.0), Variable(name="c")), duration="T",
-        controls=(pl.Bounded(name="u"),), dynamics=lambda x, u, p, m: (u.u / p.T, 0.5 * u.u**2 / p.T),
+        controls=(pl.Bounded(name="u"),), dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u**2 / p.T),
     )  # fmt: skip
-    stated = phases("bounded", phase, start=lambda p, m: (0.0, 0.0), objective=lambda x, p, m: x.c - 2 * x.x**2)
+    stated = phases("bounded", phase, start=lambda p, xp: (0.0, 0.0), objective=lambda x, p, xp: x.c - 2 * x.x**2)
     held = room("boundary_value_problem").Sides(states={("go", "x"): "upper"})
     assert optimum(stated, [(0, FREE, "")], [-1.0, 1.0, 3.0], held).proved
     assert not optimum(stated, [(0, FREE, "")], [0.0, 1.0]).proved

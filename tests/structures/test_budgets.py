@@ -28,24 +28,24 @@ def cart(
     used = pl.Variable(name="E", unit=unit, upper=limit if stated == "bound" else math.inf)
     path: dict[str, Any] = {}
     if stated == "path":
-        path = {"path": lambda x, u, p, m: (p.budget - x.E,), "path_conditions": variables(left=unit)}
+        path = {"path": lambda x, u, p, xp: (p.budget - x.E,), "path_conditions": variables(left=unit)}
     phase = pl.Phase(
         name="run",
         states=(*variables(s="m", v="m/s"), used),
         controls=(pl.Bounded(name="u", unit="m/s^2", lower=-most, upper=most),),
-        dynamics=lambda x, u, p, m: (x.v, u.u, rate(u.u)),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, rate(u.u)),
         duration="T",
-        end=lambda x, p, m: (x.s - p.L, x.v),
+        end=lambda x, p, xp: (x.s - p.L, x.v),
         end_conditions=variables(place="m", speed="m/s"),
         **path,
     )
     return pl.Problem(
         name="budget",
         phases=(phase,),
-        start=lambda p, m: (0.0, 0.0, 0.0),
+        start=lambda p, xp: (0.0, 0.0, 0.0),
         given=given(L=(10.0, "m"), **({"budget": (limit, unit)} if stated == "path" else {})),
         free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
-        objective=lambda x, p, m: p.T,
+        objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=pl.Scales(length=1.0, time=1.0, mass=1.0),
     )
@@ -56,14 +56,14 @@ def thrusters(budget: float, stated: str) -> pl.Problem:
     used = pl.Variable(name="gain", unit=SPEED, upper=budget if stated == "bound" else math.inf)
     path: dict[str, Any] = {}
     if stated == "path":
-        path = {"path": lambda x, u, p, m: (p.budget - x.gain,), "path_conditions": variables(left=SPEED)}
+        path = {"path": lambda x, u, p, xp: (p.budget - x.gain,), "path_conditions": variables(left=SPEED)}
     phase = pl.Phase(
         name="run",
         states=(*variables(s="m", v="m/s"), used),
         controls=tuple(pl.Bounded(name=name, unit="m/s^2", lower=0.0, upper=1.1) for name in ("ahead", "astern")),
-        dynamics=lambda x, u, p, m: (x.v, u.ahead - u.astern, u.ahead + u.astern),
+        dynamics=lambda x, u, p, xp: (x.v, u.ahead - u.astern, u.ahead + u.astern),
         duration="T",
-        end=lambda x, p, m: (x.s - p.L, x.v),
+        end=lambda x, p, xp: (x.s - p.L, x.v),
         end_conditions=variables(place="m", speed="m/s"),
         **path,
     )
@@ -140,7 +140,7 @@ def test_what_is_no_budget_stays_as_it_is() -> None:
     linear = thrusters(4.0, "bound")
     assert with_budgets(linear, linear=False) is linear
     assert with_budgets(linear, linear=True).phases[0].end_conditions[-1].name == "gain_at_end"
-    least = cart(5.0).changed(objective=lambda x, p, m: x.E, objective_unit=ENERGY, form=None)
+    least = cart(5.0).changed(objective=lambda x, p, xp: x.E, objective_unit=ENERGY, form=None)
     assert with_budgets(least, linear=True) is least
     told = with_budgets(cart(5.0), linear=False)
     assert with_budgets(told, linear=False) is told
@@ -155,26 +155,26 @@ def stages(first: float, last: float, *, anew: bool = False, coast: bool = False
     def phase(name: str, **more: Any) -> pl.Phase:
         return pl.Phase(
             name=name, states=variables(s="m", v="m/s", E=ENERGY), duration=f"T_{name}",
-            path=lambda x, u, p, m: (size * (getattr(p, name) - x.E),), path_conditions=variables(left=ENERGY), **more,
+            path=lambda x, u, p, xp: (size * (getattr(p, name) - x.E),), path_conditions=variables(left=ENERGY), **more,
         )  # fmt: skip
 
     steered: Any = {
         "controls": (pl.Bounded(name="u", unit="m/s^2"),),
-        "dynamics": lambda x, u, p, m: (x.v, u.u, u.u * u.u),
+        "dynamics": lambda x, u, p, xp: (x.v, u.u, u.u * u.u),
     }
-    half: Any = {"end": lambda x, p, m: (x.s - 0.5 * p.L,), "end_conditions": variables(place="m"), **steered}
-    rest: Any = {"end": lambda x, p, m: (x.s - p.L, x.v - p.vT), "end_conditions": variables(place="m", speed="m/s")}
-    still: Any = {"dynamics": lambda x, u, p, m: (x.v, 0 * p.a, 0 * p.a * p.a)}
+    half: Any = {"end": lambda x, p, xp: (x.s - 0.5 * p.L,), "end_conditions": variables(place="m"), **steered}
+    rest: Any = {"end": lambda x, p, xp: (x.s - p.L, x.v - p.vT), "end_conditions": variables(place="m", speed="m/s")}
+    still: Any = {"dynamics": lambda x, u, p, xp: (x.v, 0 * p.a, 0 * p.a * p.a)}
     one, two = (phase("one", **rest, **steered), phase("two", **still)) if coast else (
         phase("one", **half), phase("two", **rest, **steered))  # fmt: skip
     names = ("T_one",) if coast else ("T_one", "T_two")
     own = {"one": (first, ENERGY), "two": (last, ENERGY), "L": (10.0, "m"), "vT": (2.0 if coast else 0.0, "m/s")}
     return cart(5.0).changed(
         name="stages", phases=(one, two), form=None,
-        links=(lambda x, p, m: (x.s, x.v, 0 * x.E if anew else x.E),),
+        links=(lambda x, p, xp: (x.s, x.v, 0 * x.E if anew else x.E),),
         given=given(**own, **({"T_two": (3.0, "s"), "a": (1.0, "m/s^2")} if coast else {})),
         free=tuple(pl.Free(name=name, unit="s", lower=0.1, upper=100.0, typical=4.0) for name in names),
-        objective=lambda x, p, m: (p.T_one if coast else p.T_one + p.T_two) / size,
+        objective=lambda x, p, xp: (p.T_one if coast else p.T_one + p.T_two) / size,
     )  # fmt: skip
 
 

@@ -12,6 +12,6 @@ Vector = NDArray[Any]  # (n,)
 Matrix = NDArray[Any]  # (m, n)
 Batch = NDArray[Any]  # (lanes, ...)
 
-# A user's physics: dynamics(x, u, p, m) and its like. The same text runs on floats, arrays and symbols, so its
+# A user's physics: dynamics(x, u, p, xp) and its like. The same text runs on floats, arrays and symbols, so its
 # arguments are records of whatever the caller computes with.
 Physics = Callable[..., Any]

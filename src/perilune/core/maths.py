@@ -1,10 +1,10 @@
-"""The maths namespace `m` that is passed to the user's physics: one text for floats, arrays and symbols.
+"""The maths namespace `xp` that is passed to the user's physics: one text for floats, arrays and symbols.
 
-``dynamics(x, u, p, m)`` uses ``m.sin``, ``m.sqrt``, ... and never imports a maths library itself, so that the same
+``dynamics(x, u, p, xp)`` uses ``xp.sin``, ``xp.sqrt``, ... and never imports a maths library itself, so that the same
 text flies in the verifier (numpy, real or complex) and is traced into symbols by `perilune.problem.casadi_trace`.
 
-``m.where(a < b, value, otherwise)`` chooses; where the choice changes in flight an arc ends and another begins.
-``m.table(table, x)`` reads a `Table`.
+``xp.where(a < b, value, otherwise)`` chooses; where the choice changes in flight an arc ends and another begins.
+``xp.table(table, x)`` reads a `Table`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from perilune.core.errors import PeriluneError
 from perilune.core.units import format_value_range
 from perilune.core.validation import check_call, wrong_type_error
 
-# name in `m`: name in numpy. The symbolic twin takes the same keys.
+# name in `xp`: name in numpy. The symbolic twin takes the same keys.
 NUMPY_NAMES = {
     "sqrt": "sqrt",
     "sin": "sin",
@@ -68,8 +68,8 @@ def _knots(name: str, values: Any) -> tuple[float, ...]:
 class Table:
     """Tabulated data as a function of one number without a dimension.
 
-    Divide by given parameters: ``p.rho0 * m.table(density, x.h / p.H)``. Beyond its ends a table goes on along its last
-    slope.
+    Divide by given parameters: ``p.rho0 * xp.table(density, x.h / p.H)``. Beyond its ends a table goes on along its
+    last slope.
 
     Parameters
     ----------

@@ -110,7 +110,7 @@ def relaxed_problem(problem: Problem, limit: ElasticLimit, at_end: Sequence[str]
         phases = (*phases[:-1], _with_end(phases[-1], limit))
     new = (Free(name=name, unit=limit.bounded.unit, lower=0.0, typical=size) for name in slacks)
 
-    def least(x: Any, p: Any, m: Any) -> Any:
+    def least(x: Any, p: Any, xp: Any) -> Any:
         return sum(getattr(p, name) for name in slacks)
 
     return problem.changed(
@@ -139,8 +139,8 @@ def _with_end(phase: Phase, limit: ElasticLimit) -> Phase:
     """Return the last phase with the relaxed bound of a free parameter as a condition of its end."""
     (name,), sign = limit.names, 1 if limit.side == "lower" else -1
 
-    def end(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
-        own = () if phase.end is None else phase.end(x, p, m)
+    def end(x: Any, p: Any, xp: Any) -> tuple[Any, ...]:
+        own = () if phase.end is None else phase.end(x, p, xp)
         return *own, sign * (getattr(p, name) - getattr(p, _STATED)) + getattr(p, _SLACK)
 
     room = Variable(name=f"room_of_{name}", unit=limit.bounded.unit, lower=0.0)
@@ -178,12 +178,12 @@ def _bound_as_condition(phase: Phase, limit: ElasticLimit, bounded: Any) -> Phas
         at = getattr(p, bound if isinstance(bound, str) else _STATED)
         return sign * (getattr(values, bounded.name) - at) + getattr(p, _SLACK)
 
-    def path(x: Any, u: Any, p: Any, m: Any) -> tuple[Any, ...]:
-        own = () if phase.path is None else phase.path(x, u, p, m)
+    def path(x: Any, u: Any, p: Any, xp: Any) -> tuple[Any, ...]:
+        own = () if phase.path is None else phase.path(x, u, p, xp)
         return *own, left(x if limit.kind == "state" else u, p)
 
-    def end(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
-        return *(() if phase.end is None else phase.end(x, p, m)), left(x, p)
+    def end(x: Any, p: Any, xp: Any) -> tuple[Any, ...]:
+        return *(() if phase.end is None else phase.end(x, p, xp)), left(x, p)
 
     loose = replace(bounded, **{side: free})
     kept = {"path": path, "path_conditions": (*phase.path_conditions, room)}

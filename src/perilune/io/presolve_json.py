@@ -27,14 +27,14 @@ _TEXTS = tuple(f.name for f in fields(Finding) if f.name not in (*_NUMBERS, *_FL
 
 @dataclass(frozen=True)
 class Comparisons:
-    """Saved comparisons, called as ``preflight(p, m)``."""
+    """Saved comparisons, called as ``preflight(p, xp)``."""
 
     found: tuple[Finding, ...]
     expression: Expression
 
-    def __call__(self, p: Any, m: Any) -> tuple[Finding, ...]:
+    def __call__(self, p: Any, xp: Any) -> tuple[Finding, ...]:
         """Evaluate all of them at values of the parameters."""
-        values = iter(self.expression(p, m))
+        values = iter(self.expression(p, xp))
         return tuple(replace(f, value=next(values), limit=next(values)) for f in self.found)
 
 
@@ -67,7 +67,7 @@ def comparisons_document(problem: Problem, places: Places) -> dict[str, Any]:
     PeriluneError
         If they are no formulas, or their words tell values.
     """
-    ask, recorder = problem.preflight or (lambda p, m: ()), Recorder()
+    ask, recorder = problem.preflight or (lambda p, xp: ()), Recorder()
     try:
         found = tuple(ask(SimpleNamespace(**{n: recorder.input("p", n) for n in problem.given}), recorder.namespace))
         tape = recorder.tape([getattr(f, name) for f in found for name in _NUMBERS])

@@ -105,7 +105,7 @@ def trace_rates(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> ca.SX:
     return column(phase.rates(elements(x), elements(u), p, SYMBOLIC))
 
 
-MOST_CONDITIONS = 4  # in the m.where of one phase
+MOST_CONDITIONS = 4  # in the xp.where of one phase
 MOST_SIDES = 64  # sides of tables and the like; each multiplies the modes
 
 
@@ -151,7 +151,7 @@ class Kinked:
 
 
 def trace_sides(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> Kinked:
-    """Trace the phase's dynamics on each side of each ``m.where``, kink and end of a smooth table.
+    """Trace the phase's dynamics on each side of each ``xp.where``, kink and end of a smooth table.
 
     What depends on a control, or would make too many sides, stays a choice inside the rates.
 
@@ -163,7 +163,7 @@ def trace_sides(phase: Phase, x: ca.SX, u: ca.SX, p: SimpleNamespace) -> Kinked:
     Raises
     ------
     PeriluneError
-        If the condition of an ``m.where`` depends on a control, compares for equality, or there are too many.
+        If the condition of an ``xp.where`` depends on a control, compares for equality, or there are too many.
     """
     choices = list[Choice]()
     most = 1  # the jumps first, so that they find room
@@ -196,8 +196,8 @@ def _on_side(
         if sum(not choice.steady for choice in choices) > MOST_CONDITIONS:
             raise PeriluneError(
                 f"too many choices in the dynamics of {phase.name}",
-                got=f"more than {MOST_CONDITIONS} different conditions in m.where",
-                advice="m.table for tabulated data; phases of their own for what follows in a known order",
+                got=f"more than {MOST_CONDITIONS} different conditions in xp.where",
+                advice="xp.table for tabulated data; phases of their own for what follows in a known order",
             )
         return yes if held else no
 
@@ -234,15 +234,15 @@ def _place_of_choice(new: Choice, choices: list[Choice], most: int) -> int | Non
 
 
 def _margin(phase: Phase, condition: Any, u: ca.SX) -> ca.SX:
-    """Return an expression that is positive where the condition of an ``m.where`` holds."""
+    """Return an expression that is positive where the condition of an ``xp.where`` holds."""
     condition = ca.SX(condition)
     order = condition.is_op(ca.OP_LT) or condition.is_op(ca.OP_LE)
     if ca.depends_on(condition, u) or not order:
         raise PeriluneError(
-            f"m.where in the dynamics of {phase.name} takes a condition that cannot be met in flight",
+            f"xp.where in the dynamics of {phase.name} takes a condition that cannot be met in flight",
             got="one that depends on a control" if order else "a condition that is no < or >",
             expected="a comparison by < or > of functions of the states and parameters",
-            advice="m.where(x.h > p.h1, above, below); what depends on a control belongs into its bounds",
+            advice="xp.where(x.h > p.h1, above, below); what depends on a control belongs into its bounds",
         )
     return condition.dep(1) - condition.dep(0)
 

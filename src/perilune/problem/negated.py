@@ -46,5 +46,5 @@ def opposite(problem: Problem) -> Problem:
     )
 
 
-def _negated_objective(x: Any, p: Any, m: Any, *, of: Physics) -> Any:
-    return -of(x, p, m)
+def _negated_objective(x: Any, p: Any, xp: Any, *, of: Physics) -> Any:
+    return -of(x, p, xp)

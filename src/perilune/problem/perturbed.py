@@ -36,9 +36,9 @@ class MovedStart:
         """Names of the offsets."""
         return tuple(map(offset_of, self.problem.phases[0].state_names))
 
-    def __call__(self, p: Any, m: Any) -> Sequence[Any]:
+    def __call__(self, p: Any, xp: Any) -> Sequence[Any]:
         """Return the initial state [SI]."""
-        return tuple(a + getattr(p, name) for a, name in zip(self.problem.start(p, m), self.names, strict=True))
+        return tuple(a + getattr(p, name) for a, name in zip(self.problem.start(p, xp), self.names, strict=True))
 
 
 def with_start_offsets(problem: Problem) -> Problem:

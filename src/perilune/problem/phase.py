@@ -35,32 +35,32 @@ class Phase(ShownPhase):
     states, controls
         Components of x and u in order.
     dynamics
-        ``dynamics(x, u, p, m)`` returns the rates of all states.
+        ``dynamics(x, u, p, xp)`` returns the rates of all states.
     duration
         Name of the parameter (given or free) that is the length of the phase in seconds.
     end, end_conditions
-        ``end(x, p, m)`` returns residuals that vanish at the end of the phase, one for each named condition; one whose
+        ``end(x, p, xp)`` returns residuals that vanish at the end of the phase, one for each named condition; one whose
         condition has bounds has to lie between them instead.
     path, path_conditions
-        ``path(x, u, p, m)`` returns values that must not be negative on the phase.
+        ``path(x, u, p, xp)`` returns values that must not be negative on the phase.
     held, held_conditions
-        ``held(x, u, p, m)`` returns values that vanish all along the phase: they say what the control does there, such
+        ``held(x, u, p, xp)`` returns values that vanish all along the phase: they say what the control does there, such
         as to follow a glide slope. As many components of the control as there are values have to act in them.
     outputs, output_variables
-        ``outputs(x, u, p, m)`` returns further quantities of interest (altitude, steering angle) for tables.
+        ``outputs(x, u, p, xp)`` returns further quantities of interest (altitude, steering angle) for tables.
     integrals, integral_variables
-        ``integrals(x, u, p, m)`` returns rates; their integrals along the flight are results, named with the unit of
+        ``integrals(x, u, p, xp)`` returns rates; their integrals along the flight are results, named with the unit of
         the integral (delta-v spent, gravity loss). Phases that name the same one add to it.
     marks, mark_variables
-        ``marks(x, p, m)`` of the end state of the phase returns further results (speed where the air begins).
+        ``marks(x, p, xp)`` of the end state of the phase returns further results (speed where the air begins).
     inertial
-        ``inertial(x, u, t, p, m)`` returns nine values in inertial axes with the body at their origin, t seconds after
+        ``inertial(x, u, t, p, xp)`` returns nine values in inertial axes with the body at their origin, t seconds after
         the begin of the flight: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
     track
-        ``track(x, p, m)`` returns how far the flight has come along its way, how far to the left of it, how high, and
+        ``track(x, p, xp)`` returns how far the flight has come along its way, how far to the left of it, how high, and
         where `Views.floor` names one, the least height there [m].
     typical_end
-        ``typical_end(p, m)`` returns a rough end state; only its order matters (a direct method starts there).
+        ``typical_end(p, xp)`` returns a rough end state; only its order matters (a direct method starts there).
     """
 
     name: str
@@ -117,11 +117,11 @@ class Phase(ShownPhase):
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # record types are created again on arrival
 
-    def rates(self, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+    def rates(self, x: Any, u: Any, p: Any, xp: Any = NUMERIC) -> Sequence[Any]:
         """Return the rates of the states for plain sequences x and u (each component may itself be an array)."""
-        return self.dynamics(self.state_record(*x), self.control_record(*u), p, m)
+        return self.dynamics(self.state_record(*x), self.control_record(*u), p, xp)
 
-    def evaluate(self, function: str, x: Any, u: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+    def evaluate(self, function: str, x: Any, u: Any, p: Any, xp: Any = NUMERIC) -> Sequence[Any]:
         """Evaluate ``path``, ``held``, ``outputs``, ``integrals``; without control ``end``, ``marks``, ``track``.
 
         Empty where the phase has none.
@@ -130,7 +130,7 @@ class Phase(ShownPhase):
         if physics is None:
             return ()
         control = () if function in ("end", "marks", "track") else (self.control_record(*u),)
-        return physics(self.state_record(*x), *control, p, m)
+        return physics(self.state_record(*x), *control, p, xp)
 
     def path_along(self, x: Any, u: Any, p: Any) -> Iterator[tuple[Variable, Vector]]:
         """Yield each condition of the path with its values [SI] along x, (states, n), and u, (components, n)."""
@@ -138,8 +138,8 @@ class Phase(ShownPhase):
         for condition, along in zip(self.path_conditions, values, strict=True):
             yield condition, np.broadcast_to(np.asarray(along, dtype=float), np.shape(x)[1:])
 
-    def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, m: Any = NUMERIC) -> Sequence[Any]:
+    def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, xp: Any = NUMERIC) -> Sequence[Any]:
         """Return the values of ``inertial``; empty where the phase has none."""
         if self.inertial is None:
             return ()
-        return self.inertial(self.state_record(*x), self.control_record(*u), t, p, m)
+        return self.inertial(self.state_record(*x), self.control_record(*u), t, p, xp)

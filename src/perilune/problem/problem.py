@@ -13,7 +13,7 @@ phase. Running costs are states of their own. Every number that may be varied is
 so a sweep, a continuation and a table are the same walk.
 
 All functions take records with attribute access (``x.r``, ``p.thrust``) that also unpack in order, and the maths
-namespace ``m`` of `perilune.core.maths`. Numbers with a dimension belong into parameters, not into the functions: the
+namespace ``xp`` of `perilune.core.maths`. Numbers with a dimension belong into parameters, not into the functions: the
 problem is solved in canonical units, and construction tests that the physics is dimensionally homogeneous.
 """
 
@@ -72,25 +72,25 @@ class Problem(ShownProblem, SimulatedProblem):
     phases
         In order of flight.
     start
-        ``start(p, m)`` returns the first phase's initial state.
+        ``start(p, xp)`` returns the first phase's initial state.
     links
-        One ``link(x, p, m)`` for each later phase: its initial state from the end state of the phase before.
+        One ``link(x, p, xp)`` for each later phase: its initial state from the end state of the phase before.
     given
         Parameters with values.
     free
         Parameters to be chosen, the durations among them.
     objective, objective_unit, objective_scale
-        ``objective(x, p, m)`` of the last end state, minimised, its unit, and its size in SI where that is not the size
-        of its unit in `scales`.
+        ``objective(x, p, xp)`` of the last end state, minimised, its unit, and its size in SI where that is not the
+        size of its unit in `scales`.
     results, result_variables
-        ``results(first, last, p, m)`` of the first phase's initial and the last phase's end state returns what is asked
-        of a solution (landed mass, flight time), in addition to the phases' `integrals`.
+        ``results(first, last, p, xp)`` of the first phase's initial and the last phase's end state returns what is
+        asked of a solution (landed mass, flight time), in addition to the phases' `integrals`.
     maximised
         Name of the result that J is the negative of, or "".
     minimised
         Name of the result that J is but for a constant, or "": in its words the objective is shown.
     ranges
-        ``ranges(p, m)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
+        ``ranges(p, xp)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
         range depends on what is given; it replaces what `free` says. What is typical may be a function
         without arguments, where that takes long: an atlas asks for bounds only, at thousands of values. It raises
         `PeriluneError` for given values that make no sense together.
@@ -98,7 +98,7 @@ class Problem(ShownProblem, SimulatedProblem):
         Records (`perilune.core.fields`) that the problem was made of, whose numbers are parameters; each checks new
         values too, whoever gave them. With them `perilune.save` writes what a model is made of again.
     preflight
-        ``preflight(p, m)`` of the given parameters returns what physics says before anything is solved, as
+        ``preflight(p, xp)`` of the given parameters returns what physics says before anything is solved, as
         `perilune.problem.presolve.Finding`. Which comparisons there are may depend on which parameters `p` has,
         but not on their values, which may be arrays or symbols; ``inf`` is no limit.
     bookkeeping

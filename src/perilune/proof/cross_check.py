@@ -124,7 +124,7 @@ def _without_conditions(phase: Phase, names: Collection[str]) -> Phase:
     if path is None:
         return phase
     kept = tuple(phase.path_conditions[i] for i in rows)
-    some = (lambda x, u, p, m: tuple(path(x, u, p, m)[i] for i in rows)) if rows else None
+    some = (lambda x, u, p, xp: tuple(path(x, u, p, xp)[i] for i in rows)) if rows else None
     return replace(phase, path=some, path_conditions=kept)
 
 

@@ -60,8 +60,8 @@ def read_tape(graph: Graph, taped: Taped, values: Mapping[tuple[str, str], Any])
 
 
 _TOLD = {
-    **dict.fromkeys(("where", "lt", "le", "eq", "ne"), "a choice (m.where), at which a Taylor series would end"),
-    **dict.fromkeys(("fabs", "fmin", "fmax"), "a kink (m.fabs, m.fmin, m.fmax), at which a Taylor series would end"),
+    **dict.fromkeys(("where", "lt", "le", "eq", "ne"), "a choice (xp.where), at which a Taylor series would end"),
+    **dict.fromkeys(("fabs", "fmin", "fmax"), "a kink (xp.fabs, xp.fmin, xp.fmax), at which a Taylor series would end"),
     "table": "a table, whose knots end a Taylor series",
 }
 

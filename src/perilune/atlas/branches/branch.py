@@ -167,21 +167,21 @@ class Borders:
             return None
         return compile_map(ca.Function("bounds", [point, given], [lower.T, upper.T]))
 
-    def _state(self, p: Any, lower: Any, upper: Any, m: Any = NUMERIC) -> None:
+    def _state(self, p: Any, lower: Any, upper: Any, xp: Any = NUMERIC) -> None:
         """Fill in the bounds that parameters state, for one lane or all."""
         for k, condition in enumerate(self._ranged, self.chart.shooting.plan.free):
             size = self.chart.problem.size_of(condition)
             lower[:, k], upper[:, k] = (bound / size for bound in condition.limits(p))
-        for i, low, high in self._ranges(p, m):
+        for i, low, high in self._ranges(p, xp):
             upper[:, i] = high
             if low is not None:
                 lower[:, i] = low
 
-    def _ranges(self, p: Any, m: Any = NUMERIC) -> list[tuple[int, Any, Any]]:
+    def _ranges(self, p: Any, xp: Any = NUMERIC) -> list[tuple[int, Any, Any]]:
         """Return bounds of free parameters that follow from given ones, canonical; None for an absent one."""
         if (problem := self.chart.problem).ranges is None:
             return []
-        found = problem.ranges(p, m)
+        found = problem.ranges(p, xp)
         told = ((i, *found[name][:2], size, bounded) for i, name, size, bounded in self._chosen if name in found)
         return [(i, low / size if bounded else None, high / size) for i, low, high, size, bounded in told]
 

@@ -155,7 +155,7 @@ class _MeshRefinement(Run):
         cause = "an arc whose control H_u leaves open may need its own phase"
         if jumps:
             cause = (
-                f"the dynamics of {', '.join(jumps)} choose (m.where), and no polynomial follows a jump: give each "
+                f"the dynamics of {', '.join(jumps)} choose (xp.where), and no polynomial follows a jump: give each "
                 "side a phase of its own, or let the indirect method find where it changes"
             )
         raise NotConvergedError(

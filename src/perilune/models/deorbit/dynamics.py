@@ -52,15 +52,15 @@ def velocity_vector(x: Any) -> Triple:
     return x.vx, x.vy, x.vz
 
 
-def relative_speed(x: Any, m: Any) -> Any:
+def relative_speed(x: Any, xp: Any) -> Any:
     """Speed relative to the body [m/s]."""
-    return m.sqrt(scalar_product(velocity_vector(x), velocity_vector(x)))
+    return xp.sqrt(scalar_product(velocity_vector(x), velocity_vector(x)))
 
 
-def path_angle(x: Any, m: Any) -> Any:
+def path_angle(x: Any, xp: Any) -> Any:
     """Angle of the velocity above the horizon [rad]."""
     r, v = position_vector(x), velocity_vector(x)
-    return m.asin(scalar_product(r, v) / m.sqrt(scalar_product(r, r) * scalar_product(v, v)))
+    return xp.asin(scalar_product(r, v) / xp.sqrt(scalar_product(r, r) * scalar_product(v, v)))
 
 
 def engine_thrust(u: Any, p: Any) -> Any:
@@ -68,42 +68,42 @@ def engine_thrust(u: Any, p: Any) -> Any:
     return p.vehicle_thrust * getattr(u, "throttle", 1.0)
 
 
-def coast_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def coast_rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Rates without thrust, above the air."""
-    return *velocity_vector(x), *free_acceleration(position_vector(x), velocity_vector(x), AXIS, p, m), 0.0
+    return *velocity_vector(x), *free_acceleration(position_vector(x), velocity_vector(x), AXIS, p, xp), 0.0
 
 
-def burn_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def burn_rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Rates with the engine on."""
     push = combine(
-        (1, free_acceleration(position_vector(x), velocity_vector(x), AXIS, p, m)),
+        (1, free_acceleration(position_vector(x), velocity_vector(x), AXIS, p, xp)),
         (engine_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)),
     )
     return *velocity_vector(x), *push, -engine_thrust(u, p) / engine_exhaust_speed(p)
 
 
-def entry_rates(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def entry_rates(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
     """Rates in the air: x, y, z, vx, vy, vz, m, and the heat load and the whole mass where they are states."""
     r, v = position_vector(x), velocity_vector(x)
-    density = air.density(ellipsoid.altitude(r, p, m), p, m)
-    felt = aerodynamics.drag(density, v, x.m, p, m)
+    density = air.density(ellipsoid.altitude(r, p, xp), p, xp)
+    felt = aerodynamics.drag(density, v, x.m, p, xp)
     if hasattr(p, "vehicle_lift_to_drag"):
-        upward, right = aerodynamics.lift_axes(r, v, m)
-        lift = p.vehicle_lift_to_drag * aerodynamics.drag_acceleration(density, v, x.m, p, m)
+        upward, right = aerodynamics.lift_axes(r, v, xp)
+        lift = p.vehicle_lift_to_drag * aerodynamics.drag_acceleration(density, v, x.m, p, xp)
         felt = combine((1, felt), (lift * u.lift_up, upward), (lift * getattr(u, "lift_right", 0.0), right))
-    heat = (aerodynamics.heat_rate(density, v, p, m),) if hasattr(x, "heat") else ()
-    rates = *v, *combine((1, free_acceleration(r, v, AXIS, p, m)), (1, felt)), 0.0, *heat
+    heat = (aerodynamics.heat_rate(density, v, p, xp),) if hasattr(x, "heat") else ()
+    rates = *v, *combine((1, free_acceleration(r, v, AXIS, p, xp)), (1, felt)), 0.0, *heat
     return *rates, *((0.0,) if hasattr(x, "whole") else ())
 
 
-def limit_margins(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def limit_margins(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
     """Return the margin to each stated limit: load [m/s^2], heat rate [W/m^2], dynamic pressure [Pa]."""
-    density, v = air.density(ellipsoid.altitude(position_vector(x), p, m), p, m), velocity_vector(x)
+    density, v = air.density(ellipsoid.altitude(position_vector(x), p, xp), p, xp), velocity_vector(x)
     left = []
     if hasattr(p, "limits_load"):
-        left.append(p.limits_load - aerodynamics.aerodynamic_load(density, v, x.m, p, m))
+        left.append(p.limits_load - aerodynamics.aerodynamic_load(density, v, x.m, p, xp))
     if hasattr(p, "limits_heat_rate"):
-        left.append(p.limits_heat_rate - aerodynamics.heat_rate(density, v, p, m))
+        left.append(p.limits_heat_rate - aerodynamics.heat_rate(density, v, p, xp))
     if hasattr(p, "limits_dynamic_pressure"):
         left.append(p.limits_dynamic_pressure - aerodynamics.dynamic_pressure(density, v))
     return left
@@ -112,25 +112,25 @@ def limit_margins(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
 LIMITED = {"load": "m/s^2", "heat_rate": "W/m^2", "dynamic_pressure": "Pa"}
 
 
-def height_above_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def height_above_interface(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Height above the interface [m], below which there is air."""
-    return (ellipsoid.altitude(position_vector(x), p, m) - p.interface_altitude,)
+    return (ellipsoid.altitude(position_vector(x), p, xp) - p.interface_altitude,)
 
 
-def depth_below_interface(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def depth_below_interface(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Depth below the interface [m]: an entry that comes above it again has left the air."""
-    return (p.interface_altitude - ellipsoid.altitude(position_vector(x), p, m),)
+    return (p.interface_altitude - ellipsoid.altitude(position_vector(x), p, xp),)
 
 
-def entry_path_margins(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def entry_path_margins(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
     """Return the path conditions of an entry: depth below the interface, and the margins to the limits."""
-    return *depth_below_interface(x, u, p, m), *limit_margins(x, u, p, m, air=air)
+    return *depth_below_interface(x, u, p, xp), *limit_margins(x, u, p, xp, air=air)
 
 
-def interface_end_values(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def interface_end_values(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Return what ends the transition: altitude, speed and path angle where stated, mass where no time gives it."""
-    ends = [ellipsoid.altitude(position_vector(x), p, m) - p.interface_altitude]
-    for name, value in (("speed", relative_speed(x, m)), ("angle", path_angle(x, m))):
+    ends = [ellipsoid.altitude(position_vector(x), p, xp) - p.interface_altitude]
+    for name, value in (("speed", relative_speed(x, xp)), ("angle", path_angle(x, xp))):
         if hasattr(p, f"interface_{name}"):
             ends.append(value - getattr(p, f"interface_{name}"))
         elif hasattr(p, f"interface_{name}_lower") or hasattr(p, f"interface_{name}_upper"):
@@ -138,20 +138,20 @@ def interface_end_values(x: Any, p: Any, m: Any) -> Sequence[Any]:
     return [*ends, *((x.m,) if throttled(p) and is_something_left(p) else ())]
 
 
-def offset_from_site(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def offset_from_site(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """End of the flight, `SITE` [m]: the height above the site, and how far north and east of a place."""
     if not hasattr(p, "site_longitude"):
-        return (ellipsoid.altitude(position_vector(x), p, m) - p.site_altitude,)
-    site = ellipsoid.geodetic_position(p.site_longitude, p.site_latitude, p.site_altitude, p, m)
+        return (ellipsoid.altitude(position_vector(x), p, xp) - p.site_altitude,)
+    site = ellipsoid.geodetic_position(p.site_longitude, p.site_latitude, p.site_altitude, p, xp)
     away = combine((1, position_vector(x)), (-1, site))
-    return tuple(scalar_product(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, m))
+    return tuple(scalar_product(away, axis) for axis in local_axes(p.site_longitude, p.site_latitude, xp))
 
 
-def site_arrival(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def site_arrival(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Return the same with the speed."""
-    return *offset_from_site(x, p, m), relative_speed(x, m)
+    return *offset_from_site(x, p, xp), relative_speed(x, xp)
 
 
-def parachute_opening_end(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def parachute_opening_end(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """End of the entry where a parachute opens: the height above that altitude, and the speed."""
-    return ellipsoid.altitude(position_vector(x), p, m) - p.parachute_altitude, relative_speed(x, m)
+    return ellipsoid.altitude(position_vector(x), p, xp) - p.parachute_altitude, relative_speed(x, xp)

@@ -35,9 +35,9 @@ _NOTHING = 1e-9  # of full thrust
 _STEEP = 20.0  # -ln c of a path that is as good as vertical
 
 
-def oblateness_height_shift(p: Any, m: Any) -> Any:
+def oblateness_height_shift(p: Any, xp: Any) -> Any:
     """Return how far [m] oblateness and the ellipsoid move the height of a flight within a turn."""
-    return m.fmax(_OBLATE * m.fabs(p.body_j2) * p.body_radius, _LEAST_SLACK)
+    return xp.fmax(_OBLATE * xp.fabs(p.body_j2) * p.body_radius, _LEAST_SLACK)
 
 
 def gate_radius(p: Any) -> Any:
@@ -45,62 +45,63 @@ def gate_radius(p: Any) -> Any:
     return p.body_radius * (1 - getattr(p, "body_flattening", 0.0)) + p.interface_altitude
 
 
-def interface_speeds(p: Any, m: Any) -> tuple[Any, Any]:
+def interface_speeds(p: Any, xp: Any) -> tuple[Any, Any]:
     """Return the least and the greatest speed [m/s] relative to the body at the interface."""
-    gate, change = gate_radius(p), total_velocity_change(p, m)
-    speed, turning = _orbital_speed_at(p, m, gate), p.body_rotation_rate * gate
+    gate, change = gate_radius(p), total_velocity_change(p, xp)
+    speed, turning = _orbital_speed_at(p, xp, gate), p.body_rotation_rate * gate
     # The body turns below the plane of the orbit, which the velocity change tilts.
-    beside, size = speed - turning * m.cos(p.orbit_inclination), m.fabs(turning)
-    tilt = size * (m.fmin(largest_plane_turn(p, change, m), 2.0) + size / speed) + _TILTS * m.fabs(p.body_j2) * speed
+    beside, size = speed - turning * xp.cos(p.orbit_inclination), xp.fabs(turning)
+    tilt = size * (xp.fmin(largest_plane_turn(p, change, xp), 2.0) + size / speed) + _TILTS * xp.fabs(p.body_j2) * speed
     # With the height that is not known to better than the slack goes a speed.
-    loose = tilt + p.body_gravitational_parameter * oblateness_height_shift(p, m) / (gate * gate * speed)
-    return m.fmax(beside - change - loose, 0.0), beside + change + loose
+    loose = tilt + p.body_gravitational_parameter * oblateness_height_shift(p, xp) / (gate * gate * speed)
+    return xp.fmax(beside - change - loose, 0.0), beside + change + loose
 
 
-def steepest_angle(p: Any, m: Any) -> Any:
+def steepest_angle(p: Any, xp: Any) -> Any:
     """Return the steepest path angle [rad] relative to the body at the interface, positive below the horizon."""
     low, high = apsis_radii(p)
     mu, gate, change = (
         p.body_gravitational_parameter,
-        gate_radius(p) - oblateness_height_shift(p, m),
-        total_velocity_change(p, m),
+        gate_radius(p) - oblateness_height_shift(p, xp),
+        total_velocity_change(p, xp),
     )
-    speed = _orbital_speed_at(p, m, gate)
-    flat = m.log(speed * gate / m.sqrt(2 * mu * low * high / (low + high)))  # -ln c
+    speed = _orbital_speed_at(p, xp, gate)
+    flat = xp.log(speed * gate / xp.sqrt(2 * mu * low * high / (low + high)))  # -ln c
     step = change / _STEPS
     for k in range(1, _STEPS + 1):
-        slow, fast = m.fmax(speed - k * step, _LEAST * speed), speed + k * step
-        far = oblateness_height_shift(p, m) + m.fmin(
-            high + largest_altitude_change(p, m, k * step), mu / m.fmax(mu / gate - fast * fast / 2, _LEAST * mu / gate)
+        slow, fast = xp.fmax(speed - k * step, _LEAST * speed), speed + k * step
+        far = oblateness_height_shift(p, xp) + xp.fmin(
+            high + largest_altitude_change(p, xp, k * step),
+            mu / xp.fmax(mu / gate - fast * fast / 2, _LEAST * mu / gate),
         )
         gained = 2 * mu * (1 / gate - 1 / far)
         ahead = flat
         for _ in range(2):  # the gradient at the end of a step is the greatest of it
-            grown = m.exp(2 * m.fmin(ahead, _STEEP)) * (far / gate) * (far / gate) - 1 - gained / (fast * fast)
-            ahead = flat + step / slow * m.sqrt(m.fmax(grown, 0.0))
+            grown = xp.exp(2 * xp.fmin(ahead, _STEEP)) * (far / gate) * (far / gate) - 1 - gained / (fast * fast)
+            ahead = flat + step / slow * xp.sqrt(xp.fmax(grown, 0.0))
         flat = ahead
-    cosine = m.exp(-m.fmin(m.fmax(flat, 0.0), _STEEP))
-    level = m.fmax(speed - change, _LEAST * speed)
-    carried = m.fabs(p.body_rotation_rate) * gate
-    down = level * m.sqrt(m.fmax(1 - cosine * cosine, 0.0))
-    tilt = m.fabs(p.body_j2) * _TILTS
-    return m.atan2(down, m.fmax(level * cosine - carried, _LEAST * level * cosine)) + tilt
+    cosine = xp.exp(-xp.fmin(xp.fmax(flat, 0.0), _STEEP))
+    level = xp.fmax(speed - change, _LEAST * speed)
+    carried = xp.fabs(p.body_rotation_rate) * gate
+    down = level * xp.sqrt(xp.fmax(1 - cosine * cosine, 0.0))
+    tilt = xp.fabs(p.body_j2) * _TILTS
+    return xp.atan2(down, xp.fmax(level * cosine - carried, _LEAST * level * cosine)) + tilt
 
 
-def largest_altitude_change(p: Any, m: Any, change: Any) -> Any:
+def largest_altitude_change(p: Any, xp: Any, change: Any) -> Any:
     """Return the most [m] that a burn of a velocity change [m/s] raises or lowers the vehicle by its end.
 
     A burn lasts longest at its least thrust, without bound where that is zero.
     """
     low, _ = apsis_radii(p)
-    least = p.vehicle_thrust * m.fmax(getattr(p, "throttle_lower", 1.0), _NOTHING)
-    ratio = m.exp(change / engine_exhaust_speed(p))
+    least = p.vehicle_thrust * xp.fmax(getattr(p, "throttle_lower", 1.0), _NOTHING)
+    ratio = xp.exp(change / engine_exhaust_speed(p))
     lasts = p.vehicle_mass * (1 - 1 / ratio) * engine_exhaust_speed(p) / least
-    straight = engine_exhaust_speed(p) * lasts * (1 - m.log(ratio) / (ratio - 1))
-    return _SURELY * straight * (1 + lasts * m.sqrt(p.body_gravitational_parameter / (low * low * low)))
+    straight = engine_exhaust_speed(p) * lasts * (1 - xp.log(ratio) / (ratio - 1))
+    return _SURELY * straight * (1 + lasts * xp.sqrt(p.body_gravitational_parameter / (low * low * low)))
 
 
-def _orbital_speed_at(p: Any, m: Any, gate: Any) -> Any:
+def _orbital_speed_at(p: Any, xp: Any, gate: Any) -> Any:
     """Inertial speed [m/s] of the orbit's energy at a distance."""
     low, high = apsis_radii(p)
-    return m.sqrt(2 * p.body_gravitational_parameter * (1 / gate - 1 / (low + high)))
+    return xp.sqrt(2 * p.body_gravitational_parameter * (1 / gate - 1 / (low + high)))

@@ -80,7 +80,7 @@ def return_result_variables(names: Sequence[str]) -> tuple[Variable, ...]:
     )
 
 
-def return_results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str]) -> Sequence[Any]:
+def return_results(first: Any, last: Any, p: Any, xp: Any, *, names: Sequence[str]) -> Sequence[Any]:
     """Values of `return_result_variables`."""
     lengths = {name: getattr(p, f"{name}_time") for name in names}
     to_interface = sum(lengths.get(name, 0.0) for name in ("burn", "drift"))
@@ -90,74 +90,74 @@ def return_results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str
     burnt = p.vehicle_mass - getattr(last, "whole", last.m)
     if not throttled(p):
         burnt = p.vehicle_thrust / engine_exhaust_speed(p) * p.burn_time
-    change = engine_exhaust_speed(p) * m.log(p.vehicle_mass / (p.vehicle_mass - burnt))
-    landed = (relative_speed(last, m), *_subpoint(last, p, m)) if "entry" in names else ()
+    change = engine_exhaust_speed(p) * xp.log(p.vehicle_mass / (p.vehicle_mass - burnt))
+    landed = (relative_speed(last, xp), *_subpoint(last, p, xp)) if "entry" in names else ()
     return *(times[name] for name in _TIMES if name in times), burnt, change, *landed
 
 
-def _subpoint(x: Any, p: Any, m: Any) -> tuple[Any, Any]:
-    return m.atan2(x.y, x.x), ellipsoid.latitude(position_vector(x), p, m)
+def _subpoint(x: Any, p: Any, xp: Any) -> tuple[Any, Any]:
+    return xp.atan2(x.y, x.x), ellipsoid.latitude(position_vector(x), p, xp)
 
 
-def position_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def position_outputs(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Values of `PLACED`."""
-    return ellipsoid.altitude(position_vector(x), p, m), *_subpoint(x, p, m), relative_speed(x, m), path_angle(x, m)
+    return ellipsoid.altitude(position_vector(x), p, xp), *_subpoint(x, p, xp), relative_speed(x, xp), path_angle(x, xp)
 
 
-def opening_outputs(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def opening_outputs(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Value of `AT_OPENING`."""
-    return (relative_speed(x, m),)
+    return (relative_speed(x, xp),)
 
 
-def burn_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def burn_outputs(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Values of `PLACED`, and the acceleration by thrust."""
-    return *position_outputs(x, u, p, m), engine_thrust(u, p) / x.m
+    return *position_outputs(x, u, p, xp), engine_thrust(u, p) / x.m
 
 
-def entry_outputs(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def entry_outputs(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
     """Values of `PLACED` and `FELT`, and of the heat rate of a vehicle with a nose radius."""
-    density, v = air.density(ellipsoid.altitude(position_vector(x), p, m), p, m), velocity_vector(x)
-    load = aerodynamics.aerodynamic_load(density, v, x.m, p, m) / p.standard_gravity
-    heat = (aerodynamics.heat_rate(density, v, p, m),) if hasattr(p, "vehicle_nose_radius") else ()
-    return *position_outputs(x, u, p, m), aerodynamics.dynamic_pressure(density, v), load, *heat
+    density, v = air.density(ellipsoid.altitude(position_vector(x), p, xp), p, xp), velocity_vector(x)
+    load = aerodynamics.aerodynamic_load(density, v, x.m, p, xp) / p.standard_gravity
+    heat = (aerodynamics.heat_rate(density, v, p, xp),) if hasattr(p, "vehicle_nose_radius") else ()
+    return *position_outputs(x, u, p, xp), aerodynamics.dynamic_pressure(density, v), load, *heat
 
 
-def heat_load_rate(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def heat_load_rate(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
     """Rate of the heat load."""
-    density = air.density(ellipsoid.altitude(position_vector(x), p, m), p, m)
-    return (aerodynamics.heat_rate(density, velocity_vector(x), p, m),)
+    density = air.density(ellipsoid.altitude(position_vector(x), p, xp), p, xp)
+    return (aerodynamics.heat_rate(density, velocity_vector(x), p, xp),)
 
 
-def interface_outputs(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def interface_outputs(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Values of `AT_INTERFACE`."""
     r, v = position_vector(x), _inertial_velocity(x, p)
-    fast = m.sqrt(scalar_product(v, v))
-    steep = m.asin(scalar_product(r, v) / (m.sqrt(scalar_product(r, r)) * fast))
-    return relative_speed(x, m), path_angle(x, m), fast, steep, *_subpoint(x, p, m), x.m
+    fast = xp.sqrt(scalar_product(v, v))
+    steep = xp.asin(scalar_product(r, v) / (xp.sqrt(scalar_product(r, r)) * fast))
+    return relative_speed(x, xp), path_angle(x, xp), fast, steep, *_subpoint(x, p, xp), x.m
 
 
 def _inertial_velocity(x: Any, p: Any) -> Triple:
     return combine((1, velocity_vector(x)), (p.body_rotation_rate, cross_product(AXIS, position_vector(x))))
 
 
-def burn_loss_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def burn_loss_rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Rates of the velocity losses of a burn, from the inertial velocity."""
-    pull = zonal_gravity(position_vector(x), AXIS, p, m)
+    pull = zonal_gravity(position_vector(x), AXIS, p, xp)
     return velocity_loss_rates(
-        _inertial_velocity(x, p), engine_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, m
+        _inertial_velocity(x, p), engine_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, xp
     )
 
 
-def inertial_burn(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+def inertial_burn(x: Any, u: Any, t: Any, p: Any, xp: Any) -> Sequence[Any]:
     """`perilune.problem.phase.Phase.inertial` of a burn."""
     push = combine((engine_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)))
-    return inertial_triples(position_vector(x), velocity_vector(x), push, t, p, m)
+    return inertial_triples(position_vector(x), velocity_vector(x), push, t, p, xp)
 
 
-def inertial_without_thrust(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+def inertial_without_thrust(x: Any, u: Any, t: Any, p: Any, xp: Any) -> Sequence[Any]:
     """`perilune.problem.phase.Phase.inertial` of a coast or an entry."""
     none = 0.0 * p.vehicle_thrust / x.m
-    return inertial_triples(position_vector(x), velocity_vector(x), (none, none, none), t, p, m)
+    return inertial_triples(position_vector(x), velocity_vector(x), (none, none, none), t, p, xp)
 
 
 # Of each way to state a drag, the percent that its parameters change by where drag and lift grow by one percent.

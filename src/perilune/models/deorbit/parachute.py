@@ -29,42 +29,42 @@ from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable
 
 
-def sinking_velocity(x: Any, p: Any, m: Any, *, air: Air) -> Triple:
+def sinking_velocity(x: Any, p: Any, xp: Any, *, air: Air) -> Triple:
     """Steady velocity [m/s] relative to the turning body."""
-    pull = apparent_gravity(flight.position_vector(x), AXIS, p, m)
-    density = air.density(ellipsoid.altitude(flight.position_vector(x), p, m), p, m)
-    return combine((m.sqrt(2 * x.m / (density * p.parachute_drag_area * m.sqrt(scalar_product(pull, pull)))), pull))
+    pull = apparent_gravity(flight.position_vector(x), AXIS, p, xp)
+    density = air.density(ellipsoid.altitude(flight.position_vector(x), p, xp), p, xp)
+    return combine((xp.sqrt(2 * x.m / (density * p.parachute_drag_area * xp.sqrt(scalar_product(pull, pull)))), pull))
 
 
-def with_steady_velocity(x: Any, p: Any, m: Any, *, air: Air) -> Any:
+def with_steady_velocity(x: Any, p: Any, xp: Any, *, air: Air) -> Any:
     """The state with its velocity."""
-    vx, vy, vz = sinking_velocity(x, p, m, air=air)
+    vx, vy, vz = sinking_velocity(x, p, xp, air=air)
     return SimpleNamespace(**x._asdict(), vx=vx, vy=vy, vz=vz)
 
 
-def sinking_rates(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def sinking_rates(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
     """Rates: x, y, z, m, and the heat load and the whole mass where they are states."""
-    return *sinking_velocity(x, p, m, air=air), *(0.0 for _ in x._fields[3:])
+    return *sinking_velocity(x, p, xp, air=air), *(0.0 for _ in x._fields[3:])
 
 
-def parachute_link(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def parachute_link(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Link from the entry: all but the velocity."""
     return tuple(value for name, value in zip(x._fields, x, strict=True) if name not in ("vx", "vy", "vz"))
 
 
-def parachute_outputs(x: Any, u: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def parachute_outputs(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
     """Values of `told.PLACED` without the path angle, which is nearly straight down."""
-    return told.position_outputs(with_steady_velocity(x, p, m, air=air), u, p, m)[:-1]
+    return told.position_outputs(with_steady_velocity(x, p, xp, air=air), u, p, xp)[:-1]
 
 
-def inertial_descent(x: Any, u: Any, t: Any, p: Any, m: Any, *, air: Air) -> Sequence[Any]:
+def inertial_descent(x: Any, u: Any, t: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
     """`perilune.problem.phase.Phase.inertial`."""
-    return told.inertial_without_thrust(with_steady_velocity(x, p, m, air=air), u, t, p, m)
+    return told.inertial_without_thrust(with_steady_velocity(x, p, xp, air=air), u, t, p, xp)
 
 
-def parachute_results(first: Any, last: Any, p: Any, m: Any, *, names: Sequence[str], air: Air) -> Sequence[Any]:
+def parachute_results(first: Any, last: Any, p: Any, xp: Any, *, names: Sequence[str], air: Air) -> Sequence[Any]:
     """`told.return_results` of a flight that ends below a parachute."""
-    return told.return_results(first, with_steady_velocity(last, p, m, air=air), p, m, names=names)
+    return told.return_results(first, with_steady_velocity(last, p, xp, air=air), p, xp, names=names)
 
 
 def parachute_phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> Phase:

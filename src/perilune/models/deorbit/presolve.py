@@ -82,7 +82,7 @@ _OTHER_AIR = 10.0  # times a density
 
 
 def compare_return(
-    p: Any, m: Any, *, angles: Physics, air: Air | None, drifts: bool, standard: bool
+    p: Any, xp: Any, *, angles: Physics, air: Air | None, drifts: bool, standard: bool
 ) -> tuple[Finding, ...]:
     """Return every comparison of a return, for `Problem.preflight`.
 
@@ -100,14 +100,14 @@ def compare_return(
         True if the U.S. Standard Atmosphere, 1976, is the body's.
     """
     low, high = apsis_radii(p)
-    found = _compare_lowest_altitude(p, m, low, angles)
+    found = _compare_lowest_altitude(p, xp, low, angles)
     enters = all(np.all(f.passed) for f in found if f.binding)  # what is within the air already falls from no interface
     if air is not None and air.said and standard:
         found += _compare_with_standard_air(air)
     if is_something_left(p):
-        found += [_compare_deorbit_change(p, m, low, high), *_compare_interface_values(p, m)]
+        found += [_compare_deorbit_change(p, xp, low, high), *_compare_interface_values(p, xp)]
         if not hasattr(p, "transition_longest_coast"):
-            found.append(_compare_burn_descent(p, m, low))
+            found.append(_compare_burn_descent(p, xp, low))
     if _is_single_problem(p, low) and low > p.body_radius and enters:
         found += _compare_burn_with_turn(p, low, high)
     if air is not None and _is_single_problem(p, low) and low > p.body_radius and enters:
@@ -140,14 +140,14 @@ def _compare_with_standard_air(air: Air) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _compare_lowest_altitude(p: Any, m: Any, low: Any, angles: Physics) -> list[Finding]:
+def _compare_lowest_altitude(p: Any, xp: Any, low: Any, angles: Physics) -> list[Finding]:
     """Compare perigee and ignition with the interface: a burn from high up may leave the ellipse before its perigee."""
     leaves = not hasattr(p, "orbit_radius") and not hasattr(p, "orbit_longest_coast")
     heights = {"perigee": (low - p.body_radius, not leaves)}
     if leaves:
-        angle, node = angles(p, m)
-        position, _ = orbit_state(angle, node, p, m)
-        heights["ignition"] = ellipsoid.altitude(position, p, m), True
+        angle, node = angles(p, xp)
+        position, _ = orbit_state(angle, node, p, xp)
+        heights["ignition"] = ellipsoid.altitude(position, p, xp), True
     return [
         Finding(
             name=f"{name} above the interface", value=(height - p.interface_altitude) / 1e3, limit=0.0, at_least=True,
@@ -159,17 +159,17 @@ def _compare_lowest_altitude(p: Any, m: Any, low: Any, angles: Physics) -> list[
     ]  # fmt: skip
 
 
-def _least_change(p: Any, m: Any, low: Any, high: Any, gate: Any) -> Any:
+def _least_change(p: Any, xp: Any, low: Any, high: Any, gate: Any) -> Any:
     """Least velocity change [m/s] from the orbit to a perigee at a distance."""
-    left = m.sqrt(low / (low + high)) - m.sqrt(gate / (gate + high))
-    return m.sqrt(2 * p.body_gravitational_parameter / high) * m.fmax(left, 0.0)
+    left = xp.sqrt(low / (low + high)) - xp.sqrt(gate / (gate + high))
+    return xp.sqrt(2 * p.body_gravitational_parameter / high) * xp.fmax(left, 0.0)
 
 
-def _compare_deorbit_change(p: Any, m: Any, low: Any, high: Any) -> Finding:
+def _compare_deorbit_change(p: Any, xp: Any, low: Any, high: Any) -> Finding:
     return Finding(
         name="velocity change that comes down to the interface",
-        value=_least_change(p, m, low, high, p.body_radius + p.interface_altitude + oblateness_height_shift(p, m)),
-        limit=total_velocity_change(p, m),
+        value=_least_change(p, xp, low, high, p.body_radius + p.interface_altitude + oblateness_height_shift(p, xp)),
+        limit=total_velocity_change(p, xp),
         at_least=False,
         unit="m/s",
         binding=True,
@@ -197,11 +197,11 @@ def _compare_burn_with_turn(p: Any, low: float, high: float) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _compare_burn_descent(p: Any, m: Any, low: Any) -> Finding:
+def _compare_burn_descent(p: Any, xp: Any, low: Any) -> Finding:
     return Finding(
         name="way down to the interface",
-        value=(low - p.body_radius - p.interface_altitude - oblateness_height_shift(p, m)) / 1e3,
-        limit=largest_altitude_change(p, m, total_velocity_change(p, m)) / 1e3,
+        value=(low - p.body_radius - p.interface_altitude - oblateness_height_shift(p, xp)) / 1e3,
+        limit=largest_altitude_change(p, xp, total_velocity_change(p, xp)) / 1e3,
         at_least=False,
         unit="km",
         binding=True,
@@ -210,10 +210,10 @@ def _compare_burn_descent(p: Any, m: Any, low: Any) -> Finding:
     )
 
 
-def _compare_interface_values(p: Any, m: Any) -> list[Finding]:
+def _compare_interface_values(p: Any, xp: Any) -> list[Finding]:
     """Compare stated speed and angle at the interface with the range that the velocity change allows."""
     found = list[Finding]()
-    slowest, fastest = interface_speeds(p, m)
+    slowest, fastest = interface_speeds(p, xp)
     for ending, limit, at_least in (("upper", slowest, True), ("lower", fastest, False)):
         stated = getattr(p, "interface_speed", getattr(p, f"interface_speed_{ending}", None))
         if stated is not None:
@@ -230,7 +230,7 @@ def _compare_interface_values(p: Any, m: Any) -> list[Finding]:
         found.append(
             Finding(
                 name="path angle at the interface below the horizon", value=-stated * _DEGREE,
-                limit=steepest_angle(p, m) * _DEGREE, at_least=False, unit="deg", binding=True,
+                limit=steepest_angle(p, xp) * _DEGREE, at_least=False, unit="deg", binding=True,
                 meaning="the velocity change of all propellant gives no flight so steep at the interface",
                 advice="a flatter interface angle, or more propellant (a lower vehicle.dry_mass or separation.mass)",
             )

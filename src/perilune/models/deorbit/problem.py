@@ -69,16 +69,16 @@ _DURATIONS = {
 _CONDITIONS = {"altitude": "m", "speed": "m/s", "angle": "rad"}
 
 
-def _total_time(x: Any, p: Any, m: Any) -> Any:
+def _total_time(x: Any, p: Any, xp: Any) -> Any:
     names = ("burn_time", "drift_time", "entry_time", "parachute_time")
     return sum(getattr(p, name) for name in names if hasattr(p, name))
 
 
-def _transition_time(x: Any, p: Any, m: Any) -> Any:
+def _transition_time(x: Any, p: Any, xp: Any) -> Any:
     return sum(getattr(p, name) for name in ("burn_time", "drift_time") if hasattr(p, name))
 
 
-def _minus_mass(x: Any, p: Any, m: Any) -> Any:
+def _minus_mass(x: Any, p: Any, xp: Any) -> Any:
     """Return minus the mass left of the whole vehicle, of which another part may go on into the air."""
     if hasattr(x, "whole"):
         return -x.whole
@@ -87,7 +87,7 @@ def _minus_mass(x: Any, p: Any, m: Any) -> Any:
     return -x.m
 
 
-def _heat_load(x: Any, p: Any, m: Any) -> Any:
+def _heat_load(x: Any, p: Any, xp: Any) -> Any:
     return x.heat
 
 
@@ -97,18 +97,18 @@ _OBJECTIVES = {
 }  # fmt: skip
 
 
-def _return_start(p: Any, m: Any, *, angles: Physics) -> Sequence[Any]:
-    angle, node = angles(p, m)
-    position, velocity = orbit.orbit_state(angle, node, p, m)
+def _return_start(p: Any, xp: Any, *, angles: Physics) -> Sequence[Any]:
+    angle, node = angles(p, xp)
+    position, velocity = orbit.orbit_state(angle, node, p, xp)
     return *position, *velocity, p.vehicle_mass
 
 
-def _next_phase_link(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _next_phase_link(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """The next phase begins where one ends."""
     return tuple(x)
 
 
-def _entry_link(x: Any, p: Any, m: Any, *, heat: bool, weighed: bool) -> Sequence[Any]:
+def _entry_link(x: Any, p: Any, xp: Any, *, heat: bool, weighed: bool) -> Sequence[Any]:
     """Return the link into the air: the entering mass, and if counted a heat load of 0 and the whole vehicle's mass."""
     entering = *tuple(x)[:-1], getattr(p, "separation_mass", x.m)
     return *entering, *((0.0,) if heat else ()), *((x.m,) if weighed else ())
@@ -201,13 +201,13 @@ def _limit_variable(name: str, limits: Limits) -> Variable:
 
 
 def _return_ranges(
-    p: Any, m: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
+    p: Any, xp: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
 ) -> dict[str, tuple[float, float, Callable[[], float]]]:
     """Bounds and orders of magnitude of the times; refuses a manoeuvre where the orbit never comes."""
     checks.refuse_below_centre(p.interface_altitude if air is None else entry_end_altitude(p), p.body_radius)
     highest = math.asin(math.sin(p.orbit_inclination))
     low, _ = apsis_radii(p)
-    low = m.fmax(low, p.body_radius)  # what is lower is refused as such
+    low = xp.fmax(low, p.body_radius)  # what is lower is refused as such
     if hasattr(p, "manoeuvre_latitude") and not highest > _LEVEL:
         raise PeriluneError(
             "an orbit above the equator has no ascending and no descending side", got="orbit.inclination = "
@@ -216,9 +216,9 @@ def _return_ranges(
             advice="or another orbit.inclination",
         )  # fmt: skip
     reaches = not hasattr(p, "manoeuvre_latitude")
-    if not reaches and abs(ellipsoid.geocentric(p.manoeuvre_latitude, low, p, m)) < highest:
+    if not reaches and abs(ellipsoid.geocentric(p.manoeuvre_latitude, low, p, xp)) < highest:
         with np.errstate(invalid="ignore"):  # higher up on an ellipse it may be beyond after all
-            reaches = bool(np.isfinite(angles(p, m)[0]))
+            reaches = bool(np.isfinite(angles(p, xp)[0]))
     if not reaches:
         raise PeriluneError(
             "the orbit never comes to the latitude of the manoeuvre",

@@ -341,11 +341,11 @@ def engine_exhaust_speed(p: Any) -> Any:
     return p.vehicle_specific_impulse * p.standard_gravity
 
 
-def total_velocity_change(p: Any, m: Any = NUMERIC) -> Any:
+def total_velocity_change(p: Any, xp: Any = NUMERIC) -> Any:
     """Velocity change [m/s] of all that may be burnt; infinite where nothing is said to be left."""
     if not is_something_left(p):
         return math.inf
-    return engine_exhaust_speed(p) * m.log(p.vehicle_mass / least_mass_left(p, m))
+    return engine_exhaust_speed(p) * xp.log(p.vehicle_mass / least_mass_left(p, xp))
 
 
 def is_something_left(p: Any) -> bool:
@@ -353,6 +353,6 @@ def is_something_left(p: Any) -> bool:
     return hasattr(p, "vehicle_dry_mass") or hasattr(p, "separation_mass")
 
 
-def least_mass_left(p: Any, m: Any = NUMERIC) -> Any:
+def least_mass_left(p: Any, xp: Any = NUMERIC) -> Any:
     """Return the mass [kg] that the burn must leave: the larger of dry mass and entering mass; 0 without both."""
-    return m.fmax(getattr(p, "vehicle_dry_mass", 0.0), getattr(p, "separation_mass", 0.0))
+    return xp.fmax(getattr(p, "vehicle_dry_mass", 0.0), getattr(p, "separation_mass", 0.0))

@@ -156,16 +156,16 @@ def least_burnout_mass(p: Any) -> Any:
     return least_mass_left(p) if is_something_left(p) else _LEFT * p.vehicle_mass
 
 
-def largest_plane_turn(p: Any, change: Any, m: Any = NUMERIC) -> Any:
+def largest_plane_turn(p: Any, change: Any, xp: Any = NUMERIC) -> Any:
     """Angle [rad] by which a velocity change [m/s] turns the plane of the orbit at most, its apogee raised before."""
-    share = change / _apogee_speed(p, m)
-    return m.where(3 * share < 1, m.asin(m.fmin(3 * share, 1.0)) / 3, math.pi)
+    share = change / _apogee_speed(p, xp)
+    return xp.where(3 * share < 1, xp.asin(xp.fmin(3 * share, 1.0)) / 3, math.pi)
 
 
-def _apogee_speed(p: Any, m: Any) -> Any:
+def _apogee_speed(p: Any, xp: Any) -> Any:
     """Speed [m/s] at the apogee."""
     low, high = apsis_radii(p)
-    return m.sqrt(2 * p.body_gravitational_parameter * low / (high * (low + high)))
+    return xp.sqrt(2 * p.body_gravitational_parameter * low / (high * (low + high)))
 
 
 def nearest_approach_to_plane(

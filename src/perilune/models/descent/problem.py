@@ -173,49 +173,49 @@ class Steering:
     )  # fmt: skip
 
 
-def _propellant_objective(x: Any, p: Any, m: Any) -> Any:
+def _propellant_objective(x: Any, p: Any, xp: Any) -> Any:
     """Peng et al. (29): H = 0 along the optimum."""
     return -x.m
 
 
-def _time_objective(x: Any, p: Any, m: Any) -> Any:
+def _time_objective(x: Any, p: Any, xp: Any) -> Any:
     """Peng et al. (19): H = -1 along the optimum."""
     return p.flight_time
 
 
 def _compare_descent(
-    p: Any, m: Any, *, to_site: bool, waits: bool = False, burns_once: bool = False, body: Body = MOON
+    p: Any, xp: Any, *, to_site: bool, waits: bool = False, burns_once: bool = False, body: Body = MOON
 ) -> tuple[Finding, ...]:
     """Bounds of `perilune.models.physics.delta_v_bounds`, and how far the propellant reaches."""
     r_site = p.body_radius + p.site_altitude
-    position, velocity = CARTESIAN.start(p, m)[:3], CARTESIAN.start(p, m)[3:6]
+    position, velocity = CARTESIAN.start(p, xp)[:3], CARTESIAN.start(p, xp)[3:6]
     found = [compare_start_height(p.start_altitude, p.site_altitude), compare_thrust_and_weight(r_site, p)]
-    found += compare_dry_mass(largest_mass_stopped(r_site, p, m), p)
-    found.append(compare_stopping_distance(position, velocity, AXIS, r_site, p, m))
+    found += compare_dry_mass(largest_mass_stopped(r_site, p, xp), p)
+    found.append(compare_stopping_distance(position, velocity, AXIS, r_site, p, xp))
     if hasattr(p, "vehicle_dry_mass"):
-        found.append(compare_propellant(position, velocity, AXIS, r_site, p, m))
+        found.append(compare_propellant(position, velocity, AXIS, r_site, p, xp))
         if to_site and not hasattr(p, "throttle_lower") and not hasattr(p, "start_longest_coast"):
-            found.append(_compare_reach(position, velocity, r_site, p, m))
+            found.append(_compare_reach(position, velocity, r_site, p, xp))
     if waits:
-        found.append(compare_late_ignition(position, velocity, p, m))
+        found.append(compare_late_ignition(position, velocity, p, xp))
     if burns_once:
-        found.append(one_burn_wastes(position, velocity, AXIS, r_site, p, m))
+        found.append(one_burn_wastes(position, velocity, AXIS, r_site, p, xp))
     return (*found, *compare_neglected_air(body))
 
 
-def _compare_reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) -> Finding:
+def _compare_reach(position: Any, velocity: Any, r_site: Any, p: Any, xp: Any) -> Finding:
     """Compare the distance to the site with that of a burn at full thrust, which ends with the propellant.
 
     The speed w of `perilune.models.physics.delta_v_bounds` gains and loses at most the velocity change B that all
     propellant gives, and ends at the speed of the ground, so that it never exceeds (w(0) + w(t_f) + B)/2; the ground
     moves as well.
     """
-    start, site = (local_axes(*where, m)[0] for where in (
+    start, site = (local_axes(*where, xp)[0] for where in (
         (p.start_longitude, p.start_latitude), (p.site_longitude, p.site_latitude)
     ))  # fmt: skip
-    way = r_site * m.acos(m.fmin(1.0, m.fmax(-1.0, scalar_product(start, site))))
-    to_lose, ground = speed_to_lose(position, velocity, AXIS, r_site, p, m), speed_of_ground(r_site, p, m)
-    fastest = 0.5 * (to_lose + 2 * ground + velocity_change(p, m)) + ground
+    way = r_site * xp.acos(xp.fmin(1.0, xp.fmax(-1.0, scalar_product(start, site))))
+    to_lose, ground = speed_to_lose(position, velocity, AXIS, r_site, p, xp), speed_of_ground(r_site, p, xp)
+    fastest = 0.5 * (to_lose + 2 * ground + velocity_change(p, xp)) + ground
     return Finding(
         name="way to the site",
         value=way / 1e3,
@@ -228,18 +228,18 @@ def _compare_reach(position: Any, velocity: Any, r_site: Any, p: Any, m: Any) ->
     )
 
 
-def _descent_ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+def _descent_ranges(p: Any, xp: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the times; refuses given values that make no sense together."""
-    if comparison_fails(m.fmin(p.site_altitude, p.start_altitude) > -p.body_radius):
+    if comparison_fails(xp.fmin(p.site_altitude, p.start_altitude) > -p.body_radius):
         raise PeriluneError(
             "an altitude lies below the centre of the body", expected=f"above {np.max(-p.body_radius):g} m"
         )
-    speed = m.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2 + p.start_vertical_speed**2)
+    speed = xp.sqrt(p.start_forward_speed**2 + p.start_sideways_speed**2 + p.start_vertical_speed**2)
     # To stop the whole speed (rocket equation), and part of the time to drop the height by burns down and up.
-    _, stop = braking_distance_and_time(speed, p, m)
-    drop = m.sqrt(m.fabs(p.start_altitude - p.site_altitude) * p.vehicle_mass / p.vehicle_thrust)
+    _, stop = braking_distance_and_time(speed, p, xp)
+    drop = xp.sqrt(xp.fabs(p.start_altitude - p.site_altitude) * p.vehicle_mass / p.vehicle_thrust)
     longest = math.inf if hasattr(p, "throttle_lower") else longest_burn(p)
-    ranges = {"flight_time": (0.0, longest, m.fmin(stop + drop, 0.9 * longest_burn(p)))}
+    ranges = {"flight_time": (0.0, longest, xp.fmin(stop + drop, 0.9 * longest_burn(p)))}
     if hasattr(p, "start_longest_coast"):
         ranges[FREE.name] = coast_range(p.start_longest_coast)
     return ranges

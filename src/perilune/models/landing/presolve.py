@@ -28,16 +28,21 @@ from perilune.problem.presolve import Finding
 LEAST_LANDED_SHARE = 0.1
 
 
-def perilune_speed(p: Any, m: Any) -> Any:
+def perilune_speed(p: Any, xp: Any) -> Any:
     """Inertial speed at the perilune of the Hohmann transfer, Cho et al. (7). `p` as in `hybrid_landing`."""
     r0 = p.body_radius + p.orbit_perilune_altitude
     r_parking = p.body_radius + p.orbit_parking_altitude
-    return m.sqrt(p.body_gravitational_parameter * (2 / r0 - 2 / (r0 + r_parking)))
+    return xp.sqrt(p.body_gravitational_parameter * (2 / r0 - 2 / (r0 + r_parking)))
 
 
-def compare_landing(p: Any, m: Any, body: Body = MOON) -> tuple[Finding, ...]:
+def compare_landing(p: Any, xp: Any, body: Body = MOON) -> tuple[Finding, ...]:
     """Return every comparison of a landing from perilune, for `Problem.preflight`."""
-    return (*_compare_altitudes(p), *_compare_burns(p, m), *_compare_unusual_values(p, m), *compare_neglected_air(body))
+    return (
+        *_compare_altitudes(p),
+        *_compare_burns(p, xp),
+        *_compare_unusual_values(p, xp),
+        *compare_neglected_air(body),
+    )
 
 
 def _compare_altitudes(p: Any) -> tuple[Finding, ...]:
@@ -67,9 +72,9 @@ def _compare_altitudes(p: Any) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-def _compare_burns(p: Any, m: Any) -> tuple[Finding, ...]:
+def _compare_burns(p: Any, xp: Any) -> tuple[Finding, ...]:
     """Comparisons of velocity changes and masses, binding but for those with an assumed mass."""
-    speed, stated = perilune_speed(p, m), hasattr(p, "vehicle_dry_mass")
+    speed, stated = perilune_speed(p, xp), hasattr(p, "vehicle_dry_mass")
     least, said = p.vehicle_dry_mass if stated else LEAST_LANDED_SHARE * p.vehicle_mass, "vehicle.dry_mass"
     if not stated:
         said = f"{LEAST_LANDED_SHARE:.0%} of vehicle.mass (assumed: no vehicle.dry_mass is stated)"
@@ -79,7 +84,7 @@ def _compare_burns(p: Any, m: Any) -> tuple[Finding, ...]:
         # Whatever follows, the impulsive burn alone must leave the least mass.
         for limit, meaning, binding in (
             (speed, "the retro burn exceeds the speed at the perilune: the lander would fly backwards", True),
-            (impulsive * m.log(p.vehicle_mass / least),
+            (impulsive * xp.log(p.vehicle_mass / least),
              f"the retro burn needs more propellant than there is above {said}", stated),
         ):  # fmt: skip
             found.append(
@@ -97,12 +102,12 @@ def _compare_burns(p: Any, m: Any) -> tuple[Finding, ...]:
             )
     for name, value, meaning, advice in (
         (
-            "landed mass that the thrust can hold", largest_mass_stopped(p.body_radius + p.landing_altitude, p, m),
+            "landed mass that the thrust can hold", largest_mass_stopped(p.body_radius + p.landing_altitude, p, xp),
             f"the lander is too weak: its thrust cannot carry {said} at touchdown",
             "raise vehicle.thrust, lower vehicle.mass, or state what must land as vehicle.dry_mass",
         ),
         (
-            "landed mass by the rocket equation", _mass_by_rocket_equation(p, m, speed),
+            "landed mass by the rocket equation", _mass_by_rocket_equation(p, xp, speed),
             f"there is not enough propellant: even an ideal landing leaves less than {said}",
             "raise the specific impulse, or state what must land as vehicle.dry_mass",
         ),
@@ -123,19 +128,19 @@ def _compare_burns(p: Any, m: Any) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _mass_by_rocket_equation(p: Any, m: Any, speed: Any) -> Any:
+def _mass_by_rocket_equation(p: Any, xp: Any, speed: Any) -> Any:
     """Upper bound of the landed mass [kg] from the least ideal velocity change."""
     r_site, r_start = p.body_radius + p.landing_altitude, p.body_radius + p.orbit_perilune_altitude
-    ground = speed_of_ground(r_site, p, m)
+    ground = speed_of_ground(r_site, p, xp)
     main, impulsive = exhaust_speed(p), p.retro_specific_impulse * p.vehicle_standard_gravity
     if not hasattr(p, "retro_delta_v"):
-        change = m.fmax(speed_with_fall(speed, r_start, r_site, p, m) - ground, 0.0)
-        return p.vehicle_mass * m.exp(-change / m.fmax(main, impulsive))
-    rest = m.fmax(speed_with_fall(speed - p.retro_delta_v, r_start, r_site, p, m) - ground, 0.0)
-    return p.vehicle_mass * m.exp(-p.retro_delta_v / impulsive - rest / main)
+        change = xp.fmax(speed_with_fall(speed, r_start, r_site, p, xp) - ground, 0.0)
+        return p.vehicle_mass * xp.exp(-change / xp.fmax(main, impulsive))
+    rest = xp.fmax(speed_with_fall(speed - p.retro_delta_v, r_start, r_site, p, xp) - ground, 0.0)
+    return p.vehicle_mass * xp.exp(-p.retro_delta_v / impulsive - rest / main)
 
 
-def _compare_unusual_values(p: Any, m: Any) -> tuple[Finding, ...]:
+def _compare_unusual_values(p: Any, xp: Any) -> tuple[Finding, ...]:
     """Comparisons that make a landing hard or look like a slip, none binding."""
 
     def at_most(name: str, unit: str, value: Any, limit: Any, meaning: str, advice: str) -> Finding:
@@ -150,8 +155,8 @@ def _compare_unusual_values(p: Any, m: Any) -> tuple[Finding, ...]:
         at_most(
             "mass when braking has taken the speed",
             "kg",
-            _mass_by_rocket_equation(p, m, perilune_speed(p, m)),
-            largest_mass_stopped(r, p, m),
+            _mass_by_rocket_equation(p, xp, perilune_speed(p, xp)),
+            largest_mass_stopped(r, p, xp),
             "braking alone leaves the lander heavier than its thrust can hold: the rest has to be burnt before it can"
             " come down, and the best flight may run along the ground, which is hard to solve",
             "lower vehicle.mass, raise vehicle.thrust",
@@ -159,7 +164,7 @@ def _compare_unusual_values(p: Any, m: Any) -> tuple[Finding, ...]:
         at_most(
             "braking distance without gravity",
             "km",
-            braking_distance_and_time(perilune_speed(p, m), p, m)[0] / 1e3,
+            braking_distance_and_time(perilune_speed(p, xp), p, xp)[0] / 1e3,
             math.pi * p.body_radius / 1e3,
             "braking takes more than half a revolution: expect a long spiral that is hard to solve",
             "raise vehicle.thrust",
@@ -167,8 +172,8 @@ def _compare_unusual_values(p: Any, m: Any) -> tuple[Finding, ...]:
         at_most(
             "speed of the ground",
             "m/s",
-            speed_of_ground(r, p, m),
-            0.1 * m.sqrt(p.body_gravitational_parameter / r),
+            speed_of_ground(r, p, xp),
+            0.1 * xp.sqrt(p.body_gravitational_parameter / r),
             "the ground moves at more than a tenth of orbital speed",
             "check that body.rotation_rate is in rad/s and not in deg/s",
         ),
@@ -182,8 +187,8 @@ def _compare_unusual_values(p: Any, m: Any) -> tuple[Finding, ...]:
         ),
         Finding(
             name="velocity change of two impulses",
-            value=two_impulse_velocity_change(p, m),
-            limit=one_burn_velocity_change(p, m) / SPENDS,
+            value=two_impulse_velocity_change(p, xp),
+            limit=one_burn_velocity_change(p, xp) / SPENDS,
             at_least=True,
             unit="m/s",
             binding=False,
@@ -194,7 +199,7 @@ def _compare_unusual_values(p: Any, m: Any) -> tuple[Finding, ...]:
     )
 
 
-def one_burn_velocity_change(p: Any, m: Any) -> Any:
+def one_burn_velocity_change(p: Any, xp: Any) -> Any:
     """Return roughly the velocity change [m/s] of full thrust from the perilune to rest on the ground.
 
     Parameters
@@ -202,11 +207,11 @@ def one_burn_velocity_change(p: Any, m: Any) -> Any:
     p, m
         As in `hybrid_landing`, and the maths namespace.
     """
-    speed = m.fmax(perilune_speed(p, m) - getattr(p, "retro_delta_v", 0.0), 1.0)
-    return full_burn(speed, 0.0, p.orbit_perilune_altitude - p.landing_altitude, p, m)
+    speed = xp.fmax(perilune_speed(p, xp) - getattr(p, "retro_delta_v", 0.0), 1.0)
+    return full_burn(speed, 0.0, p.orbit_perilune_altitude - p.landing_altitude, p, xp)
 
 
-def two_impulse_velocity_change(p: Any, m: Any) -> Any:
+def two_impulse_velocity_change(p: Any, xp: Any) -> Any:
     """Return the velocity change [m/s] of two impulses from the orbit of the perilune.
 
     The first where it is highest, so that the fall grazes the ground half a turn later; the second stops there.
@@ -218,5 +223,7 @@ def two_impulse_velocity_change(p: Any, m: Any) -> Any:
     """
     mu, ground = p.body_gravitational_parameter, p.body_radius + p.landing_altitude
     high, low = p.body_radius + p.orbit_parking_altitude, p.body_radius + p.orbit_perilune_altitude
-    before, after = (m.sqrt(mu * m.fmax(2 / high - 2 / (high + r), 0.0)) for r in (low, ground))
-    return before - after + m.sqrt(mu * m.fmax(2 / ground - 2 / (high + ground), 0.0)) - speed_of_ground(ground, p, m)
+    before, after = (xp.sqrt(mu * xp.fmax(2 / high - 2 / (high + r), 0.0)) for r in (low, ground))
+    return (
+        before - after + xp.sqrt(mu * xp.fmax(2 / ground - 2 / (high + ground), 0.0)) - speed_of_ground(ground, p, xp)
+    )

@@ -64,7 +64,7 @@ class LandingSite:
     altitude: float = quantity("m", "0 km", default=0.0, about="of the landing site, above the body's radius")
 
 
-def _planar_dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_dynamics(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Cho et al. (1)-(5)."""
     acceleration = p.vehicle_thrust / x.m
     return (
@@ -76,50 +76,50 @@ def _planar_dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
     )
 
 
-def _perilune_state(p: Any, m: Any) -> Sequence[Any]:
+def _perilune_state(p: Any, xp: Any) -> Sequence[Any]:
     """Cho et al. (8) and (9) with u0 = V0 - delta_v."""
     exhaust_speed = p.retro_specific_impulse * p.vehicle_standard_gravity
     return (
         p.body_radius + p.orbit_perilune_altitude,
         math.pi,
-        perilune_speed(p, m) - p.retro_delta_v,
+        perilune_speed(p, xp) - p.retro_delta_v,
         0.0,
-        p.vehicle_mass * m.exp(-p.retro_delta_v / exhaust_speed),
+        p.vehicle_mass * xp.exp(-p.retro_delta_v / exhaust_speed),
     )
 
 
-def _planar_touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_touchdown(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Rest on the rotating ground, Cho et al. (10)."""
     r_ground = p.body_radius + p.landing_altitude
     return (x.r - r_ground, x.u - r_ground * p.body_rotation_rate, x.v)
 
 
-def _planar_altitude(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_altitude(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     return (x.r - p.body_radius - p.landing_altitude,)
 
 
-def _planar_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_outputs(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     # beta in [0, 2 pi) would jump at 0; measured from straight retro (180 deg) it jumps only for pro-grade thrust.
     return (
         x.r - p.body_radius,
-        m.atan2(-u.radial, -u.transverse) + math.pi,
+        xp.atan2(-u.radial, -u.transverse) + math.pi,
         p.vehicle_thrust / x.m,
     )
 
 
-def _hybrid_results(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
-    return last.m, p.vehicle_mass - last.m, p.retro_delta_v, p.flight_time, perilune_speed(p, m)
+def _hybrid_results(first: Any, last: Any, p: Any, xp: Any) -> Sequence[Any]:
+    return last.m, p.vehicle_mass - last.m, p.retro_delta_v, p.flight_time, perilune_speed(p, xp)
 
 
-def _planar_loss_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _planar_loss_rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     omega = p.body_rotation_rate
     over_ground = (x.u - omega * x.r, x.v, 0.0)
     pull = (0.0, omega * omega * x.r - p.body_gravitational_parameter / (x.r * x.r), 0.0)
-    return velocity_loss_rates(over_ground, p.vehicle_thrust / x.m, (u.transverse, u.radial, 0.0), pull, m)
+    return velocity_loss_rates(over_ground, p.vehicle_thrust / x.m, (u.transverse, u.radial, 0.0), pull, xp)
 
 
-def _planar_inertial(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
-    sine, cosine, push = m.sin(x.phi), m.cos(x.phi), p.vehicle_thrust / x.m
+def _planar_inertial(x: Any, u: Any, t: Any, p: Any, xp: Any) -> Sequence[Any]:
+    sine, cosine, push = xp.sin(x.phi), xp.cos(x.phi), p.vehicle_thrust / x.m
     vectors = ((0.0, x.r), (x.u, x.v), (push * u.transverse, push * u.radial))
     return tuple(
         value
@@ -153,7 +153,7 @@ _SPACE = Space(
 )
 
 
-def _hybrid_objective(x: Any, p: Any, m: Any) -> Any:
+def _hybrid_objective(x: Any, p: Any, xp: Any) -> Any:
     """Cho et al. (6)."""
     return -x.m
 
@@ -164,27 +164,27 @@ def mass_state(dry: bool) -> Variable:
     return Variable(name="m", unit="kg", lower=lower, description="mass", label="mass")
 
 
-def _hybrid_typical_end(p: Any, m: Any) -> Sequence[Any]:
+def _hybrid_typical_end(p: Any, xp: Any) -> Sequence[Any]:
     r_ground = p.body_radius + p.landing_altitude
     return (r_ground, math.pi + 0.3, r_ground * p.body_rotation_rate, 0.0, 0.5 * p.vehicle_mass)
 
 
-def _hybrid_ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+def _hybrid_ranges(p: Any, xp: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the free parameters; refuses given values that make no sense together."""
-    lowest = m.fmin(m.fmin(p.landing_altitude, p.orbit_perilune_altitude), p.orbit_parking_altitude)
+    lowest = xp.fmin(xp.fmin(p.landing_altitude, p.orbit_perilune_altitude), p.orbit_parking_altitude)
     if comparison_fails(lowest > -p.body_radius):
         raise PeriluneError(
             "an altitude lies below the centre of the body", expected=f"above {np.max(-p.body_radius):g} m"
         )
-    speed = perilune_speed(p, m)
+    speed = perilune_speed(p, xp)
     exhausted = p.vehicle_mass * exhaust_speed(p) / p.vehicle_thrust  # all mass gone: the longest burn there can be
     # To stop the whole speed (rocket equation), and to drop the height by a burn down and a burn up.
-    _, stop = braking_distance_and_time(m.fmax(speed - getattr(p, "retro_delta_v", 0.0), 0.0), p, m)
-    height = m.fmax(p.orbit_perilune_altitude - p.landing_altitude, 0.0)
-    drop = 2 * m.sqrt(height * p.vehicle_mass / p.vehicle_thrust)
+    _, stop = braking_distance_and_time(xp.fmax(speed - getattr(p, "retro_delta_v", 0.0), 0.0), p, xp)
+    height = xp.fmax(p.orbit_perilune_altitude - p.landing_altitude, 0.0)
+    drop = 2 * xp.sqrt(height * p.vehicle_mass / p.vehicle_thrust)
     return {
         "retro_delta_v": (0.0, speed, 0.5 * speed),
-        "flight_time": (0.0, exhausted, m.fmin(stop + drop, 0.9 * exhausted)),
+        "flight_time": (0.0, exhausted, xp.fmin(stop + drop, 0.9 * exhausted)),
     }
 
 

@@ -33,7 +33,7 @@ def dynamic_pressure(density: Any, velocity: Sequence[Any]) -> Any:
     return 0.5 * density * scalar_product(velocity, velocity)
 
 
-def drag_acceleration(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Any:
+def drag_acceleration(density: Any, velocity: Sequence[Any], mass: Any, p: Any, xp: Any) -> Any:
     """Size of the drag [m/s^2], of the vehicle's ballistic coefficient, drag area or sphere-cone.
 
     Parameters
@@ -49,10 +49,10 @@ def drag_acceleration(density: Any, velocity: Sequence[Any], mass: Any, p: Any, 
     if hasattr(p, "vehicle_drag_area"):
         return pressure * p.vehicle_drag_area / mass
     nose = getattr(p, "vehicle_nose_radius", 0.0 * p.vehicle_base_radius)
-    return pressure * sphere_cone_drag_area(nose, p.vehicle_base_radius, p.vehicle_cone_angle, m) / mass
+    return pressure * sphere_cone_drag_area(nose, p.vehicle_base_radius, p.vehicle_cone_angle, xp) / mass
 
 
-def drag(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Triple:
+def drag(density: Any, velocity: Sequence[Any], mass: Any, p: Any, xp: Any) -> Triple:
     """Acceleration by drag [m/s^2].
 
     Parameters
@@ -67,11 +67,11 @@ def drag(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Tr
     Triple
         Acceleration against the velocity [m/s^2], (3,).
     """
-    strength = drag_acceleration(density, velocity, mass, p, m) / m.sqrt(scalar_product(velocity, velocity))
+    strength = drag_acceleration(density, velocity, mass, p, xp) / xp.sqrt(scalar_product(velocity, velocity))
     return combine((-strength, velocity))
 
 
-def lift_axes(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> tuple[Triple, Triple]:
+def lift_axes(position: Sequence[Any], velocity: Sequence[Any], xp: Any) -> tuple[Triple, Triple]:
     """Unit vectors across the velocity: in its vertical plane, upwards, and level to the right of it.
 
     There are none straight up or down.
@@ -84,11 +84,11 @@ def lift_axes(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> tuple
         Maths namespace.
     """
     across = cross_product(velocity, position)
-    level = combine((1 / m.sqrt(scalar_product(across, across)), across))
-    return combine((1 / m.sqrt(scalar_product(velocity, velocity)), cross_product(level, velocity))), level
+    level = combine((1 / xp.sqrt(scalar_product(across, across)), across))
+    return combine((1 / xp.sqrt(scalar_product(velocity, velocity)), cross_product(level, velocity))), level
 
 
-def aerodynamic_load(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m: Any) -> Any:
+def aerodynamic_load(density: Any, velocity: Sequence[Any], mass: Any, p: Any, xp: Any) -> Any:
     """Load [m/s^2]: with lift (``vehicle_lift_to_drag``) where there is one.
 
     Parameters
@@ -98,13 +98,13 @@ def aerodynamic_load(density: Any, velocity: Sequence[Any], mass: Any, p: Any, m
     p, m
         Parameters [SI] and maths namespace.
     """
-    found = drag_acceleration(density, velocity, mass, p, m)
+    found = drag_acceleration(density, velocity, mass, p, xp)
     if hasattr(p, "vehicle_lift_to_drag"):
-        return found * m.sqrt(1 + p.vehicle_lift_to_drag * p.vehicle_lift_to_drag)
+        return found * xp.sqrt(1 + p.vehicle_lift_to_drag * p.vehicle_lift_to_drag)
     return found
 
 
-def heat_rate(density: Any, velocity: Sequence[Any], p: Any, m: Any) -> Any:
+def heat_rate(density: Any, velocity: Sequence[Any], p: Any, xp: Any) -> Any:
     """Heat rate [W/m^2] at the stagnation point of ``vehicle_nose_radius``, with ``heating_constant``.
 
     Parameters
@@ -115,10 +115,10 @@ def heat_rate(density: Any, velocity: Sequence[Any], p: Any, m: Any) -> Any:
         Parameters [SI] and maths namespace.
     """
     squared = scalar_product(velocity, velocity)
-    return p.heating_constant * m.sqrt(density / p.vehicle_nose_radius) * squared * m.sqrt(squared)
+    return p.heating_constant * xp.sqrt(density / p.vehicle_nose_radius) * squared * xp.sqrt(squared)
 
 
-def sphere_cone_drag_area(nose_radius: Any, base_radius: Any, half_angle: Any, m: Any) -> Any:
+def sphere_cone_drag_area(nose_radius: Any, base_radius: Any, half_angle: Any, xp: Any) -> Any:
     """Drag coefficient times area [m^2] of a sphere-cone in Newtonian flow, without an angle of attack.
 
     Parameters
@@ -130,7 +130,7 @@ def sphere_cone_drag_area(nose_radius: Any, base_radius: Any, half_angle: Any, m
     m
         Maths namespace.
     """
-    sine, cosine = m.sin(half_angle), m.cos(half_angle)
+    sine, cosine = xp.sin(half_angle), xp.cos(half_angle)
     squared, nose = sine * sine, nose_radius * nose_radius
     return math.pi * (
         nose * (1 - squared * squared) + 2 * squared * (base_radius * base_radius - nose * cosine * cosine)

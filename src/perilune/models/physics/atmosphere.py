@@ -1,6 +1,6 @@
 """Air: density against altitude, as smooth functions that every part of the library flies.
 
-Exponential air is a formula. All other air is a table of the logarithm of the density (`m.table`, six times
+Exponential air is a formula. All other air is a table of the logarithm of the density (`xp.table`, six times
 differentiable), so that there is no layer at whose boundary a flight would have to stop:
 
     rho = rho_ref exp(table(h/h_ref))
@@ -68,11 +68,11 @@ class Air:
     near: float = 0.0
     said: str = ""
 
-    def density(self, altitude: Any, p: Any, m: Any) -> Any:
+    def density(self, altitude: Any, p: Any, xp: Any) -> Any:
         """Density [kg/m^3] at an altitude [m], from the parameters of the problem."""
         density, height = (getattr(p, name) for name in self.given)
         share = altitude / height
-        return density * m.exp(-share if self.table is None else m.table(self.table, share))
+        return density * xp.exp(-share if self.table is None else xp.table(self.table, share))
 
 
 def exponential(density: float, scale_height: float) -> Air:

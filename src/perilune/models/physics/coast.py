@@ -71,16 +71,16 @@ def with_coast(burn: Phase, path: Physics, kept: Mapping[str, tuple[str, ...]]) 
     return fall, burn
 
 
-def at_ignition(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def at_ignition(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """The burn begins where the fall ends."""
     return tuple(x)
 
 
 def _engine_off(x: Any, u: Any, *rest: Any, function: Physics, names: Sequence[str]) -> Sequence[Any]:
-    """A function of (x, u, p, m) or (x, u, t, p, m) with the engine off."""
+    """A function of (x, u, p, xp) or (x, u, t, p, xp) with the engine off."""
     return function(x, SimpleNamespace(**{**dict.fromkeys(names, 0.0), "throttle": 0.0}), *rest)
 
 
-def _select_values(x: Any, u: Any, p: Any, m: Any, *, function: Any, places: Sequence[int]) -> Sequence[Any]:
-    values = function(x, u, p, m)
+def _select_values(x: Any, u: Any, p: Any, xp: Any, *, function: Any, places: Sequence[int]) -> Sequence[Any]:
+    values = function(x, u, p, xp)
     return [values[k] for k in places]

@@ -51,12 +51,12 @@ def gravity_at(r: Any, p: Any) -> Any:
     return p.body_gravity if is_flat(p) else p.body_gravitational_parameter / (r * r)
 
 
-def _pull_of_j2(r_site: Any, p: Any, m: Any) -> Any:
+def _pull_of_j2(r_site: Any, p: Any, xp: Any) -> Any:
     """Return the most [m/s^2] that oblateness pulls above the site."""
     if not hasattr(p, "body_j2"):
         return 0.0
     r_ratio = p.body_radius / r_site
-    return 3 * m.fabs(p.body_j2) * gravity_at(r_site, p) * r_ratio * r_ratio
+    return 3 * xp.fabs(p.body_j2) * gravity_at(r_site, p) * r_ratio * r_ratio
 
 
 def _centrifugal(speed: Any, r: Any, p: Any) -> Any:
@@ -74,28 +74,28 @@ def exhaust_speed(p: Any) -> Any:
     return p.vehicle_specific_impulse * p.vehicle_standard_gravity
 
 
-def inertial_speed(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
+def inertial_speed(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, xp: Any) -> Any:
     """Speed [m/s] in inertial axes, of a position from the centre and a velocity relative to the turning body."""
     seen = velocity if is_flat(p) else combine((1, velocity), (p.body_rotation_rate, cross_product(axis, position)))
-    return m.sqrt(scalar_product(seen, seen))
+    return xp.sqrt(scalar_product(seen, seen))
 
 
-def speed_with_fall(speed: Any, r_start: Any, r_site: Any, p: Any, m: Any) -> Any:
+def speed_with_fall(speed: Any, r_start: Any, r_site: Any, p: Any, xp: Any) -> Any:
     """The speed w of the head of this file [m/s], which only thrust changes."""
     drop = r_start - r_site
     fall = p.body_gravity * drop if is_flat(p) else p.body_gravitational_parameter * (1 / r_site - 1 / r_start)
-    return m.sqrt(speed * speed + 2 * fall)
+    return xp.sqrt(speed * speed + 2 * fall)
 
 
-def speed_of_ground(r_site: Any, p: Any, m: Any) -> Any:
+def speed_of_ground(r_site: Any, p: Any, xp: Any) -> Any:
     """Greatest inertial speed [m/s] of a place at rest on the ground."""
-    return 0.0 if is_flat(p) else m.fabs(p.body_rotation_rate) * r_site
+    return 0.0 if is_flat(p) else xp.fabs(p.body_rotation_rate) * r_site
 
 
-def largest_mass_stopped(r_site: Any, p: Any, m: Any) -> Any:
+def largest_mass_stopped(r_site: Any, p: Any, xp: Any) -> Any:
     """Largest mass [kg] that can come to rest on the ground from above, anywhere at this radius."""
-    lifted = _centrifugal(speed_of_ground(r_site, p, m), r_site, p)
-    return greatest_thrust(p) / m.fmax(gravity_at(r_site, p) - _pull_of_j2(r_site, p, m) - lifted, 0.0)
+    lifted = _centrifugal(speed_of_ground(r_site, p, xp), r_site, p)
+    return greatest_thrust(p) / xp.fmax(gravity_at(r_site, p) - _pull_of_j2(r_site, p, xp) - lifted, 0.0)
 
 
 def compare_thrust_and_weight(r_site: Any, p: Any) -> Finding:
@@ -162,11 +162,11 @@ def compare_neglected_air(body: Body) -> tuple[Finding, ...]:
     )
 
 
-def braking_distance_and_time(speed: Any, p: Any, m: Any, lever: Any = 1.0) -> tuple[Any, Any]:
+def braking_distance_and_time(speed: Any, p: Any, xp: Any, lever: Any = 1.0) -> tuple[Any, Any]:
     """Distance [m] and time [s] to stop from `speed` by full thrust in free space, each push times a lever."""
     tau = p.vehicle_mass * exhaust_speed(p) / greatest_thrust(p)
     exhaust = lever * exhaust_speed(p)
-    time = tau * (1 - m.exp(-speed / exhaust))
+    time = tau * (1 - xp.exp(-speed / exhaust))
     return speed * tau - exhaust * time, time
 
 
@@ -175,28 +175,28 @@ def longest_burn(p: Any) -> Any:
     return (p.vehicle_mass - getattr(p, "vehicle_dry_mass", 0.0)) * exhaust_speed(p) / greatest_thrust(p)
 
 
-def velocity_change(p: Any, m: Any) -> Any:
+def velocity_change(p: Any, xp: Any) -> Any:
     """Velocity change [m/s] that all propellant above the dry mass gives, by the rocket equation."""
-    return exhaust_speed(p) * m.log(p.vehicle_mass / p.vehicle_dry_mass)
+    return exhaust_speed(p) * xp.log(p.vehicle_mass / p.vehicle_dry_mass)
 
 
 def speed_to_lose(
-    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, xp: Any
 ) -> Any:
     """Return the least ideal velocity change [m/s] from a start to rest; arguments as `compare_stopping_distance`."""
-    r = m.sqrt(scalar_product(position, position))
-    speed = inertial_speed(position, velocity, axis, p, m)
-    return speed_with_fall(speed, r, r_site, p, m) - speed_of_ground(r_site, p, m)
+    r = xp.sqrt(scalar_product(position, position))
+    speed = inertial_speed(position, velocity, axis, p, xp)
+    return speed_with_fall(speed, r, r_site, p, xp) - speed_of_ground(r_site, p, xp)
 
 
 def compare_propellant(
-    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, xp: Any, left: Any = 0.0
 ) -> Finding:
     """Compare the speed to lose with what the propellant gives; arguments as `compare_stopping_distance`."""
     return Finding(
         name="speed to lose",
-        value=speed_to_lose(position, velocity, axis, r_site, p, m) - left,
-        limit=SLACK * velocity_change(p, m),
+        value=speed_to_lose(position, velocity, axis, r_site, p, xp) - left,
+        limit=SLACK * velocity_change(p, xp),
         at_least=False,
         unit="m/s",
         binding=True,
@@ -206,7 +206,7 @@ def compare_propellant(
 
 
 def compare_stopping_distance(
-    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any, left: Any = 0.0
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, xp: Any, left: Any = 0.0
 ) -> Finding:
     """Compare the least stopping distance with the height above the site: the proof is at the head of this file.
 
@@ -222,11 +222,11 @@ def compare_stopping_distance(
     left
         Speed [m/s] straight down that may be left on the ground.
     """
-    r = m.sqrt(scalar_product(position, position))
-    down = m.fmax(-scalar_product(position, velocity) / r - left, 0.0)
-    distance, time = braking_distance_and_time(down, p, m)
-    oblate = _pull_of_j2(r_site, p, m)
-    fastest = inertial_speed(position, velocity, axis, p, m) + down + (gravity_at(r_site, p) + oblate) * time
+    r = xp.sqrt(scalar_product(position, position))
+    down = xp.fmax(-scalar_product(position, velocity) / r - left, 0.0)
+    distance, time = braking_distance_and_time(down, p, xp)
+    oblate = _pull_of_j2(r_site, p, xp)
+    fastest = inertial_speed(position, velocity, axis, p, xp) + down + (gravity_at(r_site, p) + oblate) * time
     pull = gravity_at(r, p) - oblate - _centrifugal(fastest, r_site, p)
     return Finding(
         name="fall before full thrust can stop it",
@@ -240,7 +240,7 @@ def compare_stopping_distance(
     )
 
 
-def compare_late_ignition(position: Any, velocity: Any, p: Any, m: Any) -> Finding:
+def compare_late_ignition(position: Any, velocity: Any, p: Any, xp: Any) -> Finding:
     """Compare what the place and the time of the first burn change with nothing, for a landing anywhere.
 
     On a circular orbit over a sphere that does not turn every place is as good as every other, so that a flight that
@@ -259,15 +259,15 @@ def compare_late_ignition(position: Any, velocity: Any, p: Any, m: Any) -> Findi
         The eccentricity, the speed of the ground over that of the orbit, and the least throttle, added up.
     """
     mu, square = p.body_gravitational_parameter, scalar_product(velocity, velocity)
-    r, rising = m.sqrt(scalar_product(position, position)), scalar_product(position, velocity)
+    r, rising = xp.sqrt(scalar_product(position, position)), scalar_product(position, velocity)
     apse = [((square - mu / r) * place - rising * rate) / mu for place, rate in zip(position, velocity, strict=True)]
-    ground = m.fabs(p.body_rotation_rate) * r / m.sqrt(mu / r)
+    ground = xp.fabs(p.body_rotation_rate) * r / xp.sqrt(mu / r)
     return Finding(
         name="cost of a later ignition",
-        value=m.sqrt(scalar_product(apse, apse))
+        value=xp.sqrt(scalar_product(apse, apse))
         + ground
-        + m.fabs(p.throttle_lower)
-        + m.fabs(getattr(p, "body_j2", 0.0)),
+        + xp.fabs(p.throttle_lower)
+        + xp.fabs(getattr(p, "body_j2", 0.0)),
         limit=_SAME_ORBIT,
         at_least=True,
         unit="1",

@@ -40,7 +40,7 @@ SPENT = (
 )
 
 
-def landing_results(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
+def landing_results(first: Any, last: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Values of `LANDING`, and of the times of a free fall before ignition and of the parts of a burn with a gate.
 
     Parameters
@@ -56,7 +56,7 @@ def landing_results(first: Any, last: Any, p: Any, m: Any) -> Sequence[Any]:
 
 
 def velocity_loss_rates(
-    velocity: Sequence[Any], push: Any, direction: Sequence[Any], pull: Sequence[Any], m: Any
+    velocity: Sequence[Any], push: Any, direction: Sequence[Any], pull: Sequence[Any], xp: Any
 ) -> Sequence[Any]:
     """Rates of `SPENT` [m/s^2].
 
@@ -69,5 +69,5 @@ def velocity_loss_rates(
     pull
         Gravity and centrifugal acceleration [m/s^2].
     """
-    speed = m.fmax(m.sqrt(scalar_product(velocity, velocity)), _REST)
+    speed = xp.fmax(xp.sqrt(scalar_product(velocity, velocity)), _REST)
     return push, scalar_product(pull, velocity) / speed, push * (1 + scalar_product(direction, velocity) / speed)

@@ -37,7 +37,7 @@ class FlightPath:
     latitude: Any
 
 
-def flight_path(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> FlightPath:
+def flight_path(position: Sequence[Any], velocity: Sequence[Any], xp: Any) -> FlightPath:
     """Return the flight-path coordinates of a position and a velocity relative to the body.
 
     Parameters
@@ -47,17 +47,21 @@ def flight_path(position: Sequence[Any], velocity: Sequence[Any], m: Any) -> Fli
     m
         Maths namespace.
     """
-    distance, longitude, latitude = spherical_coordinates(position, m)
-    up, north, east = local_axes(longitude, latitude, m)
+    distance, longitude, latitude = spherical_coordinates(position, xp)
+    up, north, east = local_axes(longitude, latitude, xp)
     rise, to_north, to_east = (scalar_product(velocity, axis) for axis in (up, north, east))
-    level = m.sqrt(to_north * to_north + to_east * to_east)
+    level = xp.sqrt(to_north * to_north + to_east * to_east)
     return FlightPath(
-        speed=m.sqrt(scalar_product(velocity, velocity)), angle=m.atan2(rise, level), course=m.atan2(to_north, to_east),
-        distance=distance, longitude=longitude, latitude=latitude,
-    )  # fmt: skip
+        speed=xp.sqrt(scalar_product(velocity, velocity)),
+        angle=xp.atan2(rise, level),
+        course=xp.atan2(to_north, to_east),
+        distance=distance,
+        longitude=longitude,
+        latitude=latitude,
+    )
 
 
-def to_cartesian(path: FlightPath, m: Any) -> tuple[Triple, Triple]:
+def to_cartesian(path: FlightPath, xp: Any) -> tuple[Triple, Triple]:
     """Return position [m] and velocity [m/s] of flight-path coordinates.
 
     Parameters
@@ -67,21 +71,21 @@ def to_cartesian(path: FlightPath, m: Any) -> tuple[Triple, Triple]:
     m
         Maths namespace.
     """
-    up, _, _ = local_axes(path.longitude, path.latitude, m)
-    forward, _, _ = path_axes(path, m)
+    up, _, _ = local_axes(path.longitude, path.latitude, xp)
+    forward, _, _ = path_axes(path, xp)
     return combine((path.distance, up)), combine((path.speed, forward))
 
 
-def path_axes(path: FlightPath, m: Any) -> tuple[Triple, Triple, Triple]:
+def path_axes(path: FlightPath, xp: Any) -> tuple[Triple, Triple, Triple]:
     """Unit vectors along the velocity, across it upwards, and level to the left, towards greater psi."""
-    up, north, east = local_axes(path.longitude, path.latitude, m)
-    sine, cosine = m.sin(path.angle), m.cos(path.angle)
-    level = combine((m.cos(path.course), east), (m.sin(path.course), north))
-    left = combine((-m.sin(path.course), east), (m.cos(path.course), north))
+    up, north, east = local_axes(path.longitude, path.latitude, xp)
+    sine, cosine = xp.sin(path.angle), xp.cos(path.angle)
+    level = combine((xp.cos(path.course), east), (xp.sin(path.course), north))
+    left = combine((-xp.sin(path.course), east), (xp.cos(path.course), north))
     return combine((cosine, level), (sine, up)), combine((-sine, level), (cosine, up)), left
 
 
-def gravity_components(distance: Any, latitude: Any, p: Any, m: Any) -> tuple[Any, Any]:
+def gravity_components(distance: Any, latitude: Any, p: Any, xp: Any) -> tuple[Any, Any]:
     """g_r, downwards, and g_Phi, towards the equator [m/s^2]; Liu et al. (2).
 
     Parameters
@@ -93,11 +97,11 @@ def gravity_components(distance: Any, latitude: Any, p: Any, m: Any) -> tuple[An
     """
     strength = p.body_gravitational_parameter / (distance * distance)
     oblate = 1.5 * p.body_j2 * (p.body_radius / distance) ** 2
-    sine = m.sin(latitude)
-    return strength * (1 - oblate * (3 * sine * sine - 1)), strength * oblate * m.sin(2 * latitude)
+    sine = xp.sin(latitude)
+    return strength * (1 - oblate * (3 * sine * sine - 1)), strength * oblate * xp.sin(2 * latitude)
 
 
-def flight_path_rates(path: FlightPath, pushed: Sequence[Any], p: Any, m: Any) -> tuple[Any, ...]:
+def flight_path_rates(path: FlightPath, pushed: Sequence[Any], p: Any, xp: Any) -> tuple[Any, ...]:
     """Rates of the six coordinates; `pushed` is all acceleration but gravity along `path_axes` [m/s^2].
 
     Parameters
@@ -115,9 +119,9 @@ def flight_path_rates(path: FlightPath, pushed: Sequence[Any], p: Any, m: Any) -
         Rates of speed, path angle, course, distance, longitude and latitude, per second.
     """
     forward, upward, leftward = pushed
-    g_r, g_f = gravity_components(path.distance, path.latitude, p, m)
-    sin_g, cos_g, sin_c, cos_c = m.sin(path.angle), m.cos(path.angle), m.sin(path.course), m.cos(path.course)
-    sin_f, cos_f = m.sin(path.latitude), m.cos(path.latitude)
+    g_r, g_f = gravity_components(path.distance, path.latitude, p, xp)
+    sin_g, cos_g, sin_c, cos_c = xp.sin(path.angle), xp.cos(path.angle), xp.sin(path.course), xp.cos(path.course)
+    sin_f, cos_f = xp.sin(path.latitude), xp.cos(path.latitude)
     r, v, omega = path.distance, path.speed, p.body_rotation_rate
     turning = omega * omega * r
     return (

@@ -18,7 +18,7 @@ SPENDS = 1.5  # times the velocity change of impulses: more of one burn is worth
 _ROUNDS = 12  # of the mean acceleration
 
 
-def full_burn(speed: Any, sinking: Any, height: Any, p: Any, m: Any) -> Any:
+def full_burn(speed: Any, sinking: Any, height: Any, p: Any, xp: Any) -> Any:
     """Return roughly the velocity change [m/s] of full thrust all the way to rest on the ground.
 
     Thrust acceleration a takes away the speed v evenly in the time t, gravity apart, and what it pushes up and down, b,
@@ -33,17 +33,17 @@ def full_burn(speed: Any, sinking: Any, height: Any, p: Any, m: Any) -> Any:
         Parameters with a vehicle, and the maths namespace.
     """
     exhaust = exhaust_speed(p)
-    spent = m.sqrt(speed * speed + sinking * sinking) + 1.0
+    spent = xp.sqrt(speed * speed + sinking * sinking) + 1.0
     for _ in range(_ROUNDS):
-        t = p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - m.exp(-spent / exhaust))
+        t = p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - xp.exp(-spent / exhaust))
         half = 2 * height / t - sinking
-        upwards = half + m.sqrt(half * half + sinking * sinking)
-        spent = m.sqrt(spent * m.sqrt(speed * speed + upwards * upwards))
+        upwards = half + xp.sqrt(half * half + sinking * sinking)
+        spent = xp.sqrt(spent * xp.sqrt(speed * speed + upwards * upwards))
     return spent
 
 
 def one_burn_wastes(
-    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, m: Any
+    position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, xp: Any
 ) -> Finding:
     """Compare full thrust all the way with coasting first, to a place anywhere.
 
@@ -54,20 +54,20 @@ def one_burn_wastes(
     p, m
         Parameters of a descent, and the maths namespace.
     """
-    mu, r = p.body_gravitational_parameter, m.sqrt(scalar_product(position, position))
+    mu, r = p.body_gravitational_parameter, xp.sqrt(scalar_product(position, position))
     inertial = combine((1.0, velocity), (p.body_rotation_rate, cross_product(axis, position)))
     square, rising = scalar_product(inertial, inertial), scalar_product(inertial, position) / r
-    speed = m.sqrt(m.fmax(square - rising * rising, 0.0))
-    semi, momentum = 1 / m.fmax(2 / r - square / mu, 1e-9 / r), r * speed
-    eccentricity = m.sqrt(m.fmax(1 - momentum * momentum / (mu * semi), 0.0))
+    speed = xp.sqrt(xp.fmax(square - rising * rising, 0.0))
+    semi, momentum = 1 / xp.fmax(2 / r - square / mu, 1e-9 / r), r * speed
+    eccentricity = xp.sqrt(xp.fmax(1 - momentum * momentum / (mu * semi), 0.0))
     high, low = semi * (1 + eccentricity), semi * (1 - eccentricity)
-    before, after = (m.sqrt(mu * m.fmax(2 / high - 2 / (high + q), 0.0)) for q in (low, r_site))
-    clear = m.fabs(before - after) + m.sqrt(mu * m.fmax(2 / r_site - 2 / (high + r_site), 0.0))
-    fallen = m.sqrt(square + 2 * mu * m.fmax(1 / r_site - 1 / r, 0.0))
-    ground = speed_of_ground(r_site, p, m)  # whichever way it moves
+    before, after = (xp.sqrt(mu * xp.fmax(2 / high - 2 / (high + q), 0.0)) for q in (low, r_site))
+    clear = xp.fabs(before - after) + xp.sqrt(mu * xp.fmax(2 / r_site - 2 / (high + r_site), 0.0))
+    fallen = xp.sqrt(square + 2 * mu * xp.fmax(1 / r_site - 1 / r, 0.0))
+    ground = speed_of_ground(r_site, p, xp)  # whichever way it moves
     return Finding(
-        name="velocity change of impulses", value=m.where(low > r_site, clear, fallen) + ground,
-        limit=full_burn(speed, m.fmax(-rising, 0.0), r - r_site, p, m) / SPENDS,
+        name="velocity change of impulses", value=xp.where(low > r_site, clear, fallen) + ground,
+        limit=full_burn(speed, xp.fmax(-rising, 0.0), r - r_site, p, xp) / SPENDS,
         at_least=True, unit="m/s", binding=False,
         meaning="coasting first, until the fall meets or grazes the ground, would need so little: full throttle all the"
         f" way down is one burn and spends more than {SPENDS:g} times as much",

@@ -35,7 +35,7 @@ def combine(*terms: tuple[Any, Sequence[Any]]) -> Triple:
     return x, y, z
 
 
-def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Any:
+def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, xp: Any) -> Any:
     """Gravity potential U [m^2/s^2]; `p` holds the body's gravitational_parameter, radius, j2, perhaps j3, j4.
 
     Parameters
@@ -45,7 +45,7 @@ def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> A
     p, m
         Parameters [SI] and maths namespace.
     """
-    r = m.sqrt(scalar_product(position, position))
+    r = xp.sqrt(scalar_product(position, position))
     s = scalar_product(position, axis) / r
     ratio = p.body_radius / r
     zonal = p.body_j2 * ratio**2 * (3 * s * s - 1) / 2
@@ -56,7 +56,7 @@ def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> A
     return -p.body_gravitational_parameter / r * (1 - zonal)
 
 
-def zonal_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
+def zonal_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, xp: Any) -> Triple:
     """-grad U: along the position with J_n (R/r)^n P'_n+1, and along the axis with -P'_n.
 
     Parameters
@@ -71,7 +71,7 @@ def zonal_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) 
     Triple
         Acceleration [m/s^2], (3,).
     """
-    r = m.sqrt(scalar_product(position, position))
+    r = xp.sqrt(scalar_product(position, position))
     s = scalar_product(position, axis) / r
     ratio = p.body_radius / r
     oblate = 1.5 * p.body_j2 * ratio**2
@@ -87,7 +87,7 @@ def zonal_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) 
     return combine((strength * inward / r, position), (strength * along, axis))
 
 
-def free_acceleration(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
+def free_acceleration(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, xp: Any) -> Triple:
     """Return the acceleration without thrust in the rotating frame: gravity, Coriolis, centrifugal [m/s^2].
 
     Parameters
@@ -101,13 +101,13 @@ def free_acceleration(position: Sequence[Any], velocity: Sequence[Any], axis: Se
     """
     omega = p.body_rotation_rate
     return combine(
-        (1, zonal_gravity(position, axis, p, m)),
+        (1, zonal_gravity(position, axis, p, xp)),
         (-2 * omega, cross_product(axis, velocity)),
         (-omega * omega, cross_product(axis, cross_product(axis, position))),
     )
 
 
-def local_axes(longitude: Any, latitude: Any, m: Any) -> tuple[Triple, Triple, Triple]:
+def local_axes(longitude: Any, latitude: Any, xp: Any) -> tuple[Triple, Triple, Triple]:
     """Return the unit vectors up, north, east at a place, in the frame whose z is the rotation axis.
 
     At a pole, north and east are those of the meridian `longitude`, by continuity.
@@ -119,13 +119,13 @@ def local_axes(longitude: Any, latitude: Any, m: Any) -> tuple[Triple, Triple, T
     m
         Maths namespace.
     """
-    sin_lon, cos_lon, sin_lat, cos_lat = m.sin(longitude), m.cos(longitude), m.sin(latitude), m.cos(latitude)
+    sin_lon, cos_lon, sin_lat, cos_lat = xp.sin(longitude), xp.cos(longitude), xp.sin(latitude), xp.cos(latitude)
     up = (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat)
     north = (-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat)
     return up, north, (-sin_lon, cos_lon, 0.0)
 
 
-def heading_axes(longitude: Any, latitude: Any, heading: Any, m: Any) -> tuple[Triple, Triple, Triple]:
+def heading_axes(longitude: Any, latitude: Any, heading: Any, xp: Any) -> tuple[Triple, Triple, Triple]:
     """Return Peng et al.'s orbit frame: ox up, oy at `heading` from north towards east, oz = ox x oy.
 
     Parameters
@@ -135,12 +135,12 @@ def heading_axes(longitude: Any, latitude: Any, heading: Any, m: Any) -> tuple[T
     m
         Maths namespace.
     """
-    up, north, east = local_axes(longitude, latitude, m)
-    sine, cosine = m.sin(heading), m.cos(heading)
+    up, north, east = local_axes(longitude, latitude, xp)
+    sine, cosine = xp.sin(heading), xp.cos(heading)
     return up, combine((cosine, north), (sine, east)), combine((sine, north), (-cosine, east))
 
 
-def spherical_coordinates(position: Sequence[Any], m: Any) -> tuple[Any, Any, Any]:
+def spherical_coordinates(position: Sequence[Any], xp: Any) -> tuple[Any, Any, Any]:
     """Distance, longitude and latitude of a position in the frame whose z is the rotation axis.
 
     Parameters
@@ -156,11 +156,11 @@ def spherical_coordinates(position: Sequence[Any], m: Any) -> tuple[Any, Any, An
         Distance [m], longitude and latitude [rad].
     """
     x, y, z = position
-    across = m.sqrt(x * x + y * y)
-    return m.sqrt(scalar_product(position, position)), m.atan2(y, x), m.atan2(z, across)
+    across = xp.sqrt(x * x + y * y)
+    return xp.sqrt(scalar_product(position, position)), xp.atan2(y, x), xp.atan2(z, across)
 
 
-def apparent_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: Any) -> Triple:
+def apparent_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, xp: Any) -> Triple:
     """Return gravity at rest in the rotating frame, with the centrifugal acceleration [m/s^2].
 
     Parameters
@@ -170,7 +170,7 @@ def apparent_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, m: An
     p, m
         Parameters [SI] and maths namespace.
     """
-    return free_acceleration(position, (0.0, 0.0, 0.0), axis, p, m)
+    return free_acceleration(position, (0.0, 0.0, 0.0), axis, p, xp)
 
 
 INERTIAL_AXES = (
@@ -179,7 +179,7 @@ INERTIAL_AXES = (
 
 
 def inertial_triples(
-    position: Sequence[Any], velocity: Sequence[Any], push: Sequence[Any], t: Any, p: Any, m: Any
+    position: Sequence[Any], velocity: Sequence[Any], push: Sequence[Any], t: Any, p: Any, xp: Any
 ) -> tuple[Any, ...]:
     """Position, velocity and a third vector in `INERTIAL_AXES` as nine values, t seconds after the begin of the flight.
 
@@ -195,7 +195,7 @@ def inertial_triples(
         Parameters [SI] and maths namespace.
     """
     omega = p.body_rotation_rate
-    sine, cosine = m.sin(omega * t), m.cos(omega * t)
+    sine, cosine = xp.sin(omega * t), xp.cos(omega * t)
     carried = combine((1, velocity), (omega, cross_product((0.0, 0.0, 1.0), position)))
     return tuple(
         value for x, y, z in (position, carried, push) for value in (cosine * x - sine * y, sine * x + cosine * y, z)

@@ -91,7 +91,7 @@ def with_final_descent(burn: Phase, corridor: Corridor) -> tuple[Phase, Phase]:
 _STATES = ("up", "v_up", "m")
 
 
-def at_gate(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def at_gate(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """The vertical descent begins where the flight to the gate ends."""
     return tuple(getattr(x, name) for name in _STATES)
 
@@ -104,23 +104,23 @@ def final_ranges(p: Any, typical_time: float) -> dict[str, tuple[float, float, f
     return {GATE_TIME.name: (0.0, math.inf, typical_time), FINAL_TIME.name: (0.0, math.inf, down)}
 
 
-def _gate(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _gate(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     return x.east, x.north, x.up - p.final_height, x.v_east, x.v_north
 
 
-def _typical_gate(p: Any, m: Any) -> Sequence[Any]:
+def _typical_gate(p: Any, xp: Any) -> Sequence[Any]:
     return 0.0, 0.0, p.final_height, 0.0, 0.0, 0.0, 0.8 * p.vehicle_mass
 
 
-def _vertical_touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _vertical_touchdown(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     return x.up, x.v_up + p.final_touchdown_speed
 
 
-def _typical_touchdown(p: Any, m: Any) -> Sequence[Any]:
+def _typical_touchdown(p: Any, xp: Any) -> Sequence[Any]:
     return 0.0, -p.final_touchdown_speed, 0.8 * p.vehicle_mass
 
 
-def _vertical_height(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _vertical_height(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     return (x.up,)
 
 
@@ -135,14 +135,14 @@ def _expand_controls(u: Any) -> Any:
 
 
 def _on_the_vertical(x: Any, u: Any, *rest: Any, function: Physics) -> Sequence[Any]:
-    """A function of (x, u, p, m) or (x, u, t, p, m) of the burn."""
+    """A function of (x, u, p, xp) or (x, u, t, p, xp) of the burn."""
     return function(_expand_states(x), _expand_controls(u), *rest)
 
 
-def _vertical_rates(x: Any, u: Any, p: Any, m: Any, *, function: Physics, kept: Sequence[int]) -> Sequence[Any]:
-    rates = function(_expand_states(x), _expand_controls(u), p, m)
+def _vertical_rates(x: Any, u: Any, p: Any, xp: Any, *, function: Physics, kept: Sequence[int]) -> Sequence[Any]:
+    rates = function(_expand_states(x), _expand_controls(u), p, xp)
     return [rates[k] for k in kept]
 
 
-def _vertical_track(x: Any, p: Any, m: Any, *, function: Physics) -> Sequence[Any]:
-    return function(_expand_states(x), p, m)
+def _vertical_track(x: Any, p: Any, xp: Any, *, function: Physics) -> Sequence[Any]:
+    return function(_expand_states(x), p, xp)

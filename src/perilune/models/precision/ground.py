@@ -21,28 +21,28 @@ def position_from_centre(x: Any, p: Any) -> Triple:
     return x.east, x.north, x.up + p.body_radius + p.site_altitude
 
 
-def axis(p: Any, m: Any) -> Triple:
+def axis(p: Any, xp: Any) -> Triple:
     """Unit vector of the rotation of a round body."""
-    return 0.0, m.cos(p.site_latitude), m.sin(p.site_latitude)
+    return 0.0, xp.cos(p.site_latitude), xp.sin(p.site_latitude)
 
 
-def ground_free_acceleration(x: Any, velocity: Sequence[Any], p: Any, m: Any) -> Triple:
+def ground_free_acceleration(x: Any, velocity: Sequence[Any], p: Any, xp: Any) -> Triple:
     """Return the acceleration [m/s^2] of a free fall relative to the ground."""
     if is_flat(p):
         return 0.0, 0.0, -p.body_gravity
-    return free_acceleration(position_from_centre(x, p), velocity, axis(p, m), p, m)
+    return free_acceleration(position_from_centre(x, p), velocity, axis(p, xp), p, xp)
 
 
-def over_ground(x: Any, p: Any, m: Any) -> tuple[Triple, Triple, Any]:
+def over_ground(x: Any, p: Any, xp: Any) -> tuple[Triple, Triple, Any]:
     """Return the place in the form of `delta_v_bounds`: position, axis of the rotation, radius of the site."""
     if is_flat(p):
         return (0.0, 0.0, x.up), (0.0, 0.0, 0.0), 0.0
-    return position_from_centre(x, p), axis(p, m), p.body_radius + p.site_altitude
+    return position_from_centre(x, p), axis(p, xp), p.body_radius + p.site_altitude
 
 
-def inertial_over_round_body(x: Any, u: Any, t: Any, p: Any, m: Any) -> Sequence[Any]:
+def inertial_over_round_body(x: Any, u: Any, t: Any, p: Any, xp: Any) -> Sequence[Any]:
     """`perilune.problem.phase.Phase.inertial` over a round body."""
-    up, north, east = local_axes(p.site_longitude, p.site_latitude, m)
+    up, north, east = local_axes(p.site_longitude, p.site_latitude, xp)
     vectors = (position_from_centre(x, p), (x.v_east, x.v_north, x.v_up), (u.toward_east, u.toward_north, u.toward_up))
     position, velocity, direction = (combine((a, east), (b, north), (c, up)) for a, b, c in vectors)
-    return inertial_triples(position, velocity, combine((descent_thrust(u, p) / x.m, direction)), t, p, m)
+    return inertial_triples(position, velocity, combine((descent_thrust(u, p) / x.m, direction)), t, p, xp)

@@ -50,20 +50,20 @@ def corridor_conditions(corridor: Corridor, *, to_gate: bool = False) -> tuple[V
     )
 
 
-def above_slope(x: Any, p: Any, m: Any) -> Any:
+def above_slope(x: Any, p: Any, xp: Any) -> Any:
     """Height [m] above the glide slope."""
     a = p.corridor_pad_radius
-    return x.up - m.tan(p.corridor_slope) * (m.sqrt(x.east * x.east + x.north * x.north + a * a) - a)
+    return x.up - xp.tan(p.corridor_slope) * (xp.sqrt(x.east * x.east + x.north * x.north + a * a) - a)
 
 
-def corridor_margins(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def corridor_margins(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Values of `corridor_conditions` where the engine burns."""
-    pointing = (u.toward_up - m.cos(p.corridor_tilt),) if hasattr(p, "corridor_tilt") else ()
-    return *height_margins(x, u, p, m), *pointing
+    pointing = (u.toward_up - xp.cos(p.corridor_tilt),) if hasattr(p, "corridor_tilt") else ()
+    return *height_margins(x, u, p, xp), *pointing
 
 
-def height_margins(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def height_margins(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Values of `corridor_conditions` that mean something without thrust: the heights."""
-    slope = (above_slope(x, p, m),) if hasattr(p, "corridor_slope") else ()
+    slope = (above_slope(x, p, xp),) if hasattr(p, "corridor_slope") else ()
     gate = (x.up - p.final_height,) if hasattr(p, "final_height") else ()
     return (*slope, *gate) or (x.up,)

@@ -70,40 +70,40 @@ class Approach:
     longest_coast: float | None = LONGEST
 
 
-def _precision_dynamics(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
+def _precision_dynamics(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     velocity = (x.v_east, x.v_north, x.v_up)
     acceleration = combine(
-        (1, ground_free_acceleration(x, velocity, p, m)),
+        (1, ground_free_acceleration(x, velocity, p, xp)),
         (descent_thrust(u, p) / x.m, (u.toward_east, u.toward_north, u.toward_up)),
     )
     return (*velocity, *acceleration, mass_rate(u, p))
 
 
-def _approach_state(p: Any, m: Any) -> Sequence[Any]:
+def _approach_state(p: Any, xp: Any) -> Sequence[Any]:
     position = (p.approach_east, p.approach_north, p.approach_up)
     return (*position, p.approach_east_speed, p.approach_north_speed, p.approach_up_speed, p.vehicle_mass)
 
 
-def _site_touchdown(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _site_touchdown(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     return x.east, x.north, x.up, x.v_east, x.v_north, x.v_up
 
 
-def _precision_loss_rates(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    pull = ground_free_acceleration(x, (0.0, 0.0, 0.0), p, m)
+def _precision_loss_rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
+    pull = ground_free_acceleration(x, (0.0, 0.0, 0.0), p, xp)
     direction = (u.toward_east, u.toward_north, u.toward_up)
-    return velocity_loss_rates((x.v_east, x.v_north, x.v_up), descent_thrust(u, p) / x.m, direction, pull, m)
+    return velocity_loss_rates((x.v_east, x.v_north, x.v_up), descent_thrust(u, p) / x.m, direction, pull, xp)
 
 
-def _approach_track(x: Any, p: Any, m: Any) -> Sequence[Any]:
+def _approach_track(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Return the distances along the line from start to site and left of it, height, and the glide slope's height.
 
     From straight above the site the line is to the east. Without a glide slope there is no least height.
     """
     none = 1e-300  # m: below any distance
-    away = m.sqrt(p.approach_east * p.approach_east + p.approach_north * p.approach_north)
-    east = -p.approach_east / m.fmax(away, none) + (1 - m.fmin(away / none, 1.0))
-    north = -p.approach_north / m.fmax(away, none)
-    floor = (x.up - above_slope(x, p, m),) if hasattr(p, "corridor_slope") else ()
+    away = xp.sqrt(p.approach_east * p.approach_east + p.approach_north * p.approach_north)
+    east = -p.approach_east / xp.fmax(away, none) + (1 - xp.fmin(away / none, 1.0))
+    north = -p.approach_north / xp.fmax(away, none)
+    floor = (x.up - above_slope(x, p, xp),) if hasattr(p, "corridor_slope") else ()
     return east * x.east + north * x.north, east * x.north - north * x.east, x.up, *floor
 
 
@@ -124,20 +124,20 @@ _WITHOUT_THRUST = {
 }
 
 
-def _precision_outputs(x: Any, u: Any, p: Any, m: Any) -> Sequence[Any]:
-    horizontal = m.sqrt(u.toward_east * u.toward_east + u.toward_north * u.toward_north)
-    return m.atan2(horizontal, u.toward_up), descent_thrust(u, p) / x.m
+def _precision_outputs(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
+    horizontal = xp.sqrt(u.toward_east * u.toward_east + u.toward_north * u.toward_north)
+    return xp.atan2(horizontal, u.toward_up), descent_thrust(u, p) / x.m
 
 
-def _precision_objective(x: Any, p: Any, m: Any) -> Any:
+def _precision_objective(x: Any, p: Any, xp: Any) -> Any:
     return -x.m
 
 
-def _precision_typical_end(p: Any, m: Any) -> Sequence[Any]:
+def _precision_typical_end(p: Any, xp: Any) -> Sequence[Any]:
     return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.8 * p.vehicle_mass
 
 
-def _precision_ranges(p: Any, m: Any) -> dict[str, tuple[float, float, float]]:
+def _precision_ranges(p: Any, xp: Any) -> dict[str, tuple[float, float, float]]:
     """Bounds and orders of magnitude of the times."""
     ranges = {_FLIGHT_TIME.name: (0.0, math.inf, _typical_approach_time(p))}
     if hasattr(p, "final_height"):

@@ -55,7 +55,7 @@ def clash(expression: Expression, output: int, unit_of: Callable[[str, str], str
 
 
 def mixed_comparison(expression: Expression, unit_of: Callable[[str, str], str]) -> Clash | None:
-    """Find the first comparison of two units. Other operations may mix them: ``m.fmax(distance, 1e-300)`` is fine."""
+    """Find the first comparison of two units. Other operations may mix them: ``xp.fmax(distance, 1e-300)`` is fine."""
     instructions = expression.tape.instructions
     if not any(op[0] in _COMPARISONS for op in instructions):
         return None
@@ -136,7 +136,7 @@ class _DimensionWalk:
             return "..."
         parts = [self._formula(i, depth - 1) for i in operands(self.tape.instructions[place])]
         if name not in _INFIX and name != "neg":
-            return f"m.{name}({', '.join(parts)})"
+            return f"xp.{name}({', '.join(parts)})"
         inner = [self.tape.instructions[i][0] for i in operands(self.tape.instructions[place])]
         binds = _BINDING.get(name, 0)
         parts = [

@@ -34,20 +34,20 @@ Inputs = Mapping[tuple[str, str], Any]  # by (role, component)
 
 # Data of a rate: the value of the operation, its operands and their rates (None where they do not change).
 _UNARY: dict[str, Callable[[Any, Any, Any, Any], Any]] = {
-    "neg": lambda m, v, a, da: -da,
-    "sqrt": lambda m, v, a, da: da / (2.0 * v),
-    "sin": lambda m, v, a, da: m.cos(a) * da,
-    "cos": lambda m, v, a, da: -(m.sin(a) * da),
-    "tan": lambda m, v, a, da: (1.0 + v * v) * da,
-    "asin": lambda m, v, a, da: da / m.sqrt(1.0 - a * a),
-    "acos": lambda m, v, a, da: -(da / m.sqrt(1.0 - a * a)),
-    "atan": lambda m, v, a, da: da / (1.0 + a * a),
-    "sinh": lambda m, v, a, da: m.cosh(a) * da,
-    "cosh": lambda m, v, a, da: m.sinh(a) * da,
-    "tanh": lambda m, v, a, da: (1.0 - v * v) * da,
-    "exp": lambda m, v, a, da: v * da,
-    "log": lambda m, v, a, da: da / a,
-    "fabs": lambda m, v, a, da: m.where(a < 0.0, -da, da),
+    "neg": lambda xp, v, a, da: -da,
+    "sqrt": lambda xp, v, a, da: da / (2.0 * v),
+    "sin": lambda xp, v, a, da: xp.cos(a) * da,
+    "cos": lambda xp, v, a, da: -(xp.sin(a) * da),
+    "tan": lambda xp, v, a, da: (1.0 + v * v) * da,
+    "asin": lambda xp, v, a, da: da / xp.sqrt(1.0 - a * a),
+    "acos": lambda xp, v, a, da: -(da / xp.sqrt(1.0 - a * a)),
+    "atan": lambda xp, v, a, da: da / (1.0 + a * a),
+    "sinh": lambda xp, v, a, da: xp.cosh(a) * da,
+    "cosh": lambda xp, v, a, da: xp.sinh(a) * da,
+    "tanh": lambda xp, v, a, da: (1.0 - v * v) * da,
+    "exp": lambda xp, v, a, da: v * da,
+    "log": lambda xp, v, a, da: da / a,
+    "fabs": lambda xp, v, a, da: xp.where(a < 0.0, -da, da),
 }
 
 
@@ -63,43 +63,43 @@ def _scale_rate(one: Any, factor: Any) -> Any:
     return None if one is None else one * factor
 
 
-def _power_rate(m: Any, v: Any, a: Any, b: Any, da: Any, db: Any) -> Any:
+def _power_rate(xp: Any, v: Any, a: Any, b: Any, da: Any, db: Any) -> Any:
     """Return d(a^b) = b a^(b-1) da + a^b log(a) db; of no term that does not change is a logarithm taken."""
     first = None
     if da is not None:
         first = 2.0 * a * da if isinstance(b, float) and b == 2.0 else b * a ** (b - 1.0) * da
-    return first if db is None else _add_rates(first, v * m.log(a) * db)
+    return first if db is None else _add_rates(first, v * xp.log(a) * db)
 
 
-def _select_rate(m: Any, condition: Any, da: Any, db: Any) -> Any:
-    return m.where(condition, 0.0 if da is None else da, 0.0 if db is None else db)
+def _select_rate(xp: Any, condition: Any, da: Any, db: Any) -> Any:
+    return xp.where(condition, 0.0 if da is None else da, 0.0 if db is None else db)
 
 
 _BINARY: dict[str, Callable[[Any, Any, Any, Any, Any, Any], Any]] = {
-    "add": lambda m, v, a, b, da, db: _add_rates(da, db),
-    "sub": lambda m, v, a, b, da, db: _negate_rate(db) if da is None else da if db is None else da - db,
-    "mul": lambda m, v, a, b, da, db: _add_rates(_scale_rate(da, b), _scale_rate(db, a)),
-    "div": lambda m, v, a, b, da, db: (da if db is None else _add_rates(da, -(v * db))) / b,
+    "add": lambda xp, v, a, b, da, db: _add_rates(da, db),
+    "sub": lambda xp, v, a, b, da, db: _negate_rate(db) if da is None else da if db is None else da - db,
+    "mul": lambda xp, v, a, b, da, db: _add_rates(_scale_rate(da, b), _scale_rate(db, a)),
+    "div": lambda xp, v, a, b, da, db: (da if db is None else _add_rates(da, -(v * db))) / b,
     "pow": _power_rate,
-    "atan2": lambda m, v, a, b, da, db: (
+    "atan2": lambda xp, v, a, b, da, db: (
         _add_rates(_scale_rate(da, b), _negate_rate(_scale_rate(db, a))) / (a * a + b * b)
     ),
-    "fmin": lambda m, v, a, b, da, db: _select_rate(m, a <= b, da, db),
-    "fmax": lambda m, v, a, b, da, db: _select_rate(m, a >= b, da, db),
+    "fmin": lambda xp, v, a, b, da, db: _select_rate(xp, a <= b, da, db),
+    "fmax": lambda xp, v, a, b, da, db: _select_rate(xp, a >= b, da, db),
 }
 
 
-def _rate_of(m: Any, name: str, value: Any, of: Sequence[Any], rates: Sequence[Any], table: Any) -> Any:
+def _rate_of(xp: Any, name: str, value: Any, of: Sequence[Any], rates: Sequence[Any], table: Any) -> Any:
     """Return the rate of one operation; a comparison has none, and a choice that of the side taken."""
     if all(rate is None for rate in rates) or name in ("lt", "le", "eq", "ne"):
         return None
     if name == "where":
-        return None if rates[1] is None and rates[2] is None else _select_rate(m, of[0], *rates[1:])
+        return None if rates[1] is None and rates[2] is None else _select_rate(xp, of[0], *rates[1:])
     if name == "table":
-        return table.slope(of[0], m.where) * rates[0]
+        return table.slope(of[0], xp.where) * rates[0]
     if name in _UNARY:
-        return _UNARY[name](m, value, of[0], rates[0])
-    return _BINARY[name](m, value, *of, *rates)
+        return _UNARY[name](xp, value, of[0], rates[0])
+    return _BINARY[name](xp, value, *of, *rates)
 
 
 def run_expression(expression: Expression, recorder: Recorder, inputs: Inputs | None = None) -> list[Any]:
@@ -181,7 +181,7 @@ def total_derivative(function: Expression, dynamics: Expression, states: Sequenc
         Names of the states, in the order of the rates.
     """
     recorder = Recorder()
-    m = recorder.namespace
+    xp = recorder.namespace
     rates = dict(zip(states, run_expression(dynamics, recorder), strict=True))
     tables = {table.digest: table for table in function.tape.tables}
     values, found = list[Any](), list[Any]()
@@ -197,9 +197,9 @@ def total_derivative(function: Expression, dynamics: Expression, states: Sequenc
         else:
             of = [values[i] for i in at]
             table = tables[rest[1]] if name == "table" else None
-            value = m.table(table, of[0]) if table is not None else recorder.do(name, *of)
+            value = xp.table(table, of[0]) if table is not None else recorder.do(name, *of)
             values.append(value)
-            found.append(_rate_of(m, name, value, of, [found[i] for i in at], table))
+            found.append(_rate_of(xp, name, value, of, [found[i] for i in at], table))
     outputs = [0.0 if found[k] is None else found[k] for k in function.tape.outputs]
     return Expression(recorder.tape(outputs), ("x", "u", "p"), origin=function.origin)
 

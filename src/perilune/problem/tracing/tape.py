@@ -2,7 +2,7 @@
 
 The user's function is called once with *symbols*, and every operation on them is noted, in its order and with its own
 rounding: nothing is rewritten, but equal operations on equal values are one value. A `Tape` so made runs over any maths
-namespace `m` (NumPy floats and arrays, complex steps, CasADi symbols) exactly as the function would. It is data: it is
+namespace `xp` (NumPy floats and arrays, complex steps, CasADi symbols) exactly as the function would. It is data: it is
 compared, pickled and written as JSON; `perilune.io.tape_json` reads it from a file.
 
 Source of value numbering: Cocke & Schwartz, *Programming Languages and Their Compilers*, 1970.
@@ -22,7 +22,7 @@ import numpy as np
 
 from perilune.core.maths import NUMPY_NAMES, Table
 
-# Operations that Python writes with a sign, and those of the namespace `m`, each with its number of operands.
+# Operations that Python writes with a sign, and those of the namespace `xp`, each with its number of operands.
 _SIGNS: dict[str, Callable[..., Any]] = {
     "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "pow": operator.pow,
     "neg": operator.neg, "lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne,
@@ -32,7 +32,7 @@ ARITY = {
     **{name: 2 for name in _SIGNS}, "neg": 1, "where": 3, "table": 1,
     **{name: 2 if name in _BINARY else 1 for name in NUMPY_NAMES},
 }  # fmt: skip
-_REAL_ELSEWHERE = {"fabs", "atan2"}  # only those of `m` carry a complex step
+_REAL_ELSEWHERE = {"fabs", "atan2"}  # only those of `xp` carry a complex step
 # Arguments of the physics: states, controls, parameters, the time from the begin of the flight, first and last state.
 ROLES = ("x", "u", "p", "t", "first", "last")
 
@@ -71,13 +71,13 @@ class Symbol:
     def __bool__(self) -> bool:
         raise NotAFormula(
             "it branches (if, and, or, min, max, np.minimum, np.where) on a value that is known only in flight",
-            "m.where(condition, value, otherwise), m.fmin or m.fmax",
+            "xp.where(condition, value, otherwise), xp.fmin or xp.fmax",
         )
 
     def __float__(self) -> float:
         raise NotAFormula(
             "it makes a plain number (float, math.sin, np.interp) of a value that is known only in flight",
-            "the functions of m: m.sin, m.sqrt, ...; m.table for tabulated data",
+            "the functions of xp: xp.sin, xp.sqrt, ...; xp.table for tabulated data",
         )
 
     __int__: Any = __float__
@@ -87,7 +87,7 @@ class Symbol:
     def __array_function__(self, function: Any, types: Any, arguments: Any, keywords: Any) -> Any:
         raise NotAFormula(
             f"it calls np.{function.__name__} on a value that is known only in flight",
-            "the functions of m: m.where for np.where, m.table for np.interp, m.sin for np.sin",
+            "the functions of xp: xp.where for np.where, xp.table for np.interp, xp.sin for np.sin",
         )
 
     def __pos__(self) -> Symbol:
@@ -137,15 +137,15 @@ class Recorder:
     def by_another(self, called: str, ours: str, *operands: Any) -> Symbol:
         """Apply our operation in place of a function of Python or NumPy; refuse where that loses a derivative."""
         if self.differentiated and ours in _REAL_ELSEWHERE:
-            raise NotAFormula(f"it calls {called}, which has no derivative for the proof", f"m.{ours}, which has one")
+            raise NotAFormula(f"it calls {called}, which has no derivative for the proof", f"xp.{ours}, which has one")
         return self.namespace.__dict__[ours](*operands)
 
     def _function(self, name: str) -> Callable[..., Symbol]:
         def function(*operands: Any) -> Symbol:
             if len(operands) != ARITY[name] or not all(_is_scalar_number(o) for o in operands):
                 raise NotAFormula(
-                    f"m.{name} gets {', '.join(type(o).__name__ for o in operands) or 'nothing'}",
-                    f"m.{name} of {ARITY[name]} single value{'s' if ARITY[name] > 1 else ''}",
+                    f"xp.{name} gets {', '.join(type(o).__name__ for o in operands) or 'nothing'}",
+                    f"xp.{name} of {ARITY[name]} single value{'s' if ARITY[name] > 1 else ''}",
                 )
             return self.do(name, *operands)
 
@@ -154,8 +154,8 @@ class Recorder:
     def _table(self, table: Any, value: Any) -> Any:
         if not isinstance(table, Table) or not _is_scalar_number(value):
             raise NotAFormula(
-                f"m.table gets {type(table).__name__} and {type(value).__name__}",
-                "m.table(table, value) with a perilune.Table and a single value",
+                f"xp.table gets {type(table).__name__} and {type(value).__name__}",
+                "xp.table(table, value) with a perilune.Table and a single value",
             )
         if not isinstance(value, Symbol):
             return float(table(float(value)))
@@ -241,14 +241,14 @@ class Tape:
 
 @dataclass(frozen=True)
 class Expression:
-    """A user's function as a tape: called as the function would be, ``f(x, u, p, m)``.
+    """A user's function as a tape: called as the function would be, ``f(x, u, p, xp)``.
 
     Attributes
     ----------
     tape
         Its operations.
     roles
-        Which records it takes before `m`, of `ROLES`.
+        Which records it takes before `xp`, of `ROLES`.
     scalar
         Whether it returns one value instead of a sequence.
     origin
@@ -262,12 +262,12 @@ class Expression:
 
     def __call__(self, *arguments: Any) -> Any:
         """Compute the values with the maths namespace that is the last argument."""
-        *records, m = arguments
+        *records, xp = arguments
         inputs, constants, operations, outputs, size = self._plan
         values = [getattr(records[k], name) if name else records[k] for k, name in inputs]
         values += constants
         values += [None] * (size - len(values))
-        for arity, function, i, j, k, at in self._bound(m, operations):
+        for arity, function, i, j, k, at in self._bound(xp, operations):
             if arity == 2:
                 values[at] = function(values[i], values[j])
             elif arity == 1:
@@ -338,19 +338,20 @@ class Expression:
     def _steps(self) -> dict[int, tuple[Any, list[_Step]]]:
         return {}
 
-    def _bound(self, m: Any, operations: Sequence[_Placed]) -> list[_Step]:
+    def _bound(self, xp: Any, operations: Sequence[_Placed]) -> list[_Step]:
         """Return the operations with the functions of one namespace, which are kept for the few there are."""
-        found = self._steps.get(id(m))
-        if found is None or found[0] is not m:
+        found = self._steps.get(id(xp))
+        if found is None or found[0] is not xp:
             steps = [
-                (len(of), self._meaning(op, m), of[0], of[min(1, len(of) - 1)], of[-1], at) for op, of, at in operations
+                (len(of), self._meaning(op, xp), of[0], of[min(1, len(of) - 1)], of[-1], at)
+                for op, of, at in operations
             ]
             if len(self._steps) > 8:
                 self._steps.clear()
-            found = self._steps[id(m)] = (m, steps)
+            found = self._steps[id(xp)] = (xp, steps)
         return found[1]
 
-    def _meaning(self, operation: Instruction, m: Any) -> Callable[..., Any]:
+    def _meaning(self, operation: Instruction, xp: Any) -> Callable[..., Any]:
         if operation[0] == "table":
-            return partial(m.table, next(t for t in self.tape.tables if t.digest == operation[2]))
-        return _SIGNS.get(operation[0]) or getattr(m, operation[0])
+            return partial(xp.table, next(t for t in self.tape.tables if t.digest == operation[2]))
+        return _SIGNS.get(operation[0]) or getattr(xp, operation[0])

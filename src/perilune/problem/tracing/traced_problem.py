@@ -26,7 +26,7 @@ from perilune.core.maths import NUMERIC
 from perilune.problem.controls import Settled
 from perilune.problem.tracing.tape import Expression, NotAFormula, Recorder, Symbol
 
-# The functions of a phase, what each takes before `m`, and the field of the phase with the names of its results.
+# The functions of a phase, what each takes before `xp`, and the field of the phase with the names of its results.
 PHASE_FUNCTIONS: dict[str, tuple[tuple[str, ...], str]] = {
     "dynamics": (("x", "u", "p"), "states"),
     "end": (("x", "p"), "end_conditions"),
@@ -49,7 +49,7 @@ _OTHER_FUNCTIONS = {
 }  # fmt: skip
 _DIFFERENTIATED = {"start", "links", "dynamics", "end", "objective"}
 OWN_TEXT = "the problem's own Python functions"
-_KINDS = {"u": "control", "p": "parameter", "m": "function of m"}  # the others are states
+_KINDS = {"u": "control", "p": "parameter", "xp": "function of xp"}  # the others are states
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class StatedFunction:
     function
         The user's function.
     records
-        Its arguments before `m`, in order, each with the type of its record; None where it is passed as it is.
+        Its arguments before `xp`, in order, each with the type of its record; None where it is passed as it is.
     phase
         Number of the phase whose states and controls it takes.
     results
@@ -82,7 +82,7 @@ class StatedFunction:
     results: tuple[tuple[str, str], ...]
     rough: bool = False
 
-    def ask(self, arguments: Mapping[str, Any], m: Any = NUMERIC) -> list[Any]:
+    def ask(self, arguments: Mapping[str, Any], xp: Any = NUMERIC) -> list[Any]:
         """Return the values of the function; describe every mistake in it in the user's words.
 
         Parameters
@@ -94,13 +94,13 @@ class StatedFunction:
         """
         given = {role: make(*arguments[role]) if make else arguments[role] for role, make in self.records.items()}
         try:
-            values = self.function(*given.values(), m)
+            values = self.function(*given.values(), xp)
         except PeriluneError:
             raise
         except NotAFormula as error:
             raise PeriluneError(f"{self.what} is no formula", got=error.got, advice=error.advice) from None
         except AttributeError as error:
-            raise self._misspelt(error, {**given, "m": m}) from error
+            raise self._misspelt(error, {**given, "xp": xp}) from error
         except Exception as error:
             raise self._failing(error) from error
         return [values] if self.key == "objective" else self._listed(values)
@@ -173,7 +173,7 @@ class StatedFunction:
             f"{self.what} fails where it is tried",
             got=f"{type(error).__name__}: {error}",
             expected=f"a function of ({', '.join(self.records)}, m) that returns {self._wanted}",
-            advice="call it yourself with such values; it computes with single values, by the functions of m",
+            advice="call it yourself with such values; it computes with single values, by the functions of xp",
         )
 
     def _misspelt(self, error: AttributeError, records: Mapping[str, Any]) -> PeriluneError:
@@ -190,7 +190,7 @@ class StatedFunction:
 
 
 def roles_of(key: Any) -> tuple[str, ...]:
-    """Return the records that a function takes before `m`, by its `StatedFunction.key`."""
+    """Return the records that a function takes before `xp`, by its `StatedFunction.key`."""
     name = key if isinstance(key, str) else key[0]
     return _OTHER_FUNCTIONS[name] if name in _OTHER_FUNCTIONS else PHASE_FUNCTIONS[key[1]][0]
 
@@ -266,7 +266,7 @@ class TracedProblem:
         return _digest(marshal.dumps([self.structure, tapes], 2))  # which writes what is equal in one way
 
     def chooses(self, k: int) -> bool:
-        """Return True if the dynamics of phase k have a choice (``m.where``) in them, and so perhaps a jump."""
+        """Return True if the dynamics of phase k have a choice (``xp.where``) in them, and so perhaps a jump."""
         return any(op[0] == "where" for op in self.expressions[k, "dynamics"].tape.instructions)
 
     def limits_control(self, k: int) -> bool:

@@ -1,8 +1,8 @@
 """Guards of the physics: each comparison in it, found by computing with numbers that record when they are compared.
 
-``m.where(a < b, ...)``, ``m.fmin``, ``m.fmax``, ``m.fabs`` and the knots of a table that bends there are decided by the
-sign of a difference, a *guard*. The physics is a formula without branches, so it makes its comparisons always in the
-same order, and the k-th of them is the k-th guard wherever it is evaluated. A guard may also be *held*: its
+``xp.where(a < b, ...)``, ``xp.fmin``, ``xp.fmax``, ``xp.fabs`` and the knots of a table that bends there are decided by
+the sign of a difference, a *guard*. The physics is a formula without branches, so it makes its comparisons always in
+the same order, and the k-th of them is the k-th guard wherever it is evaluated. A guard may also be *held*: its
 comparisons are answered as on one side, which continues the physics of that side smoothly across.
 """
 
@@ -78,7 +78,7 @@ def _plain_value(value: Any) -> Any:
 
 
 def _watched_function(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of the namespace `m` for watched numbers, its first argument with the watch where it has one."""
+    """A function of the namespace `xp` for watched numbers, its first argument with the watch where it has one."""
 
     def watching(*values: Any) -> Any:
         watch = next((value.watch for value in values if isinstance(value, Watched)), None)

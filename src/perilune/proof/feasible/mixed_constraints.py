@@ -115,10 +115,10 @@ class MixedConstraints:
         sizes[list(self.places)] = self.sizes
         return sizes[: len(self.phase.path_conditions)]
 
-    def values(self, x: Any, u: Any, p: Any = None, m: Any = COMPLEX, dtype: Any = complex) -> Any:
+    def values(self, x: Any, u: Any, p: Any = None, xp: Any = COMPLEX, dtype: Any = complex) -> Any:
         """The conditions, complex-safe, (r, ...), for x (n, ...) and u (k, ...)."""
         p = self.p if p is None else p
-        values = [v for which in ("path", "held") for v in self.phase.evaluate(which, list(x), list(u), p, m)]
+        values = [v for which in ("path", "held") for v in self.phase.evaluate(which, list(x), list(u), p, xp)]
         shape = np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:])
         return stack_broadcast([values[place] for place in self.places], shape, dtype)
 

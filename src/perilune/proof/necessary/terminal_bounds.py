@@ -88,8 +88,8 @@ def _add_end_conditions(phase: Phase, held: dict[str, float]) -> Phase:
             other = {"lower": -math.inf} if held[state.name] > 0 else {"upper": math.inf}
             added.append(replace(state, name=name, **other))
 
-    def end(x: Any, p: Any, m: Any) -> tuple[Any, ...]:
-        stated = () if phase.end is None else phase.end(x, p, m)
+    def end(x: Any, p: Any, xp: Any) -> tuple[Any, ...]:
+        stated = () if phase.end is None else phase.end(x, p, xp)
         return (*stated, *(getattr(x, name) for name in phase.state_names if name in held))
 
     return replace(phase, end=end, end_conditions=(*phase.end_conditions, *added))
