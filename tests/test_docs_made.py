@@ -31,6 +31,11 @@ def test_the_page_of_answered_problems_has_a_row_for_each() -> None:
     assert text.startswith(f"{VALIDATION.HEAD}\n{VALIDATION.summary(bare)}\n") and text.endswith(VALIDATION.sources())
 
 
+def test_the_page_of_all_modules_is_up_to_date() -> None:
+    page = documentation_script("make_modules").modules_page()
+    assert (DOCS / "modules.md").read_text(encoding="utf-8") == page, "python docs/make_modules.py"
+
+
 @pytest.mark.parametrize("name", QUICK)
 def test_its_rows_are_computed_again(name: str) -> None:
     """To ten digits, and to the same level."""

@@ -358,7 +358,7 @@ def test_what_physics_refuses_inside_a_brick_alone_is_refused_there(tmp_path: Pa
     [
         (lambda p, xp: away(p, xp) if p.orbit_parking_altitude < 1e5 else (), "branches"),
         (lambda p, xp: [replace(f, meaning=f"{p.orbit_parking_altitude} m") for f in away(p, xp)], "words or values"),
-        (lambda p, xp: [replace(f, limit=np.interp(f.value, (0, 1), (0, 1))) for f in away(p, xp)], r"m\.table"),
+        (lambda p, xp: [replace(f, limit=np.interp(f.value, (0, 1), (0, 1))) for f in away(p, xp)], r"xp\.table"),
         (lambda p, xp: away(p, xp)[: 1 + isinstance(p.orbit_parking_altitude, float)], "more or fewer"),
         (lambda p, xp: [f.name for f in away(p, xp)], "AttributeError"),
         (lambda p, xp: [replace(f, binding=p.orbit_parking_altitude > 0) for f in away(p, xp)], "what binding of"),

@@ -20,7 +20,7 @@ _ALIKE = {*_COMPARISONS, "add", "sub", "atan2", "fmin", "fmax", "where"}  # whos
 _BARE = {*_COMPARISONS, "atan2"}  # of these, what leaves a number without a unit
 _SAME = {"neg", "fabs"}
 _BINDING = {"add": 1, "sub": 1, "neg": 2, "mul": 3, "div": 3, "pow": 4}
-_LONGEST = 60  # characters of a formula in a message
+_LONGEST = 64  # characters of a formula in a message
 
 
 @dataclass(frozen=True)
