@@ -1,4 +1,4 @@
-"""``python -m perilune``."""
+"""Entry point of ``python -m perilune``."""
 
 from perilune.cli import main
 

@@ -1,4 +1,4 @@
-"""The main verb: compare the problem with what physics allows, run a method, prove the answer."""
+"""`solve`: compare the problem with what physics allows, run a method, prove the answer."""
 
 from __future__ import annotations
 

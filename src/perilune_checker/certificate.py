@@ -1,4 +1,4 @@
-"""Form of a certificate: known words, names that mean one thing each, and nothing that nobody reads."""
+"""Form of a certificate: known words, names that mean one thing each, and nothing unused."""
 
 import math
 from itertools import pairwise

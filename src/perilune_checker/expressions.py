@@ -1,4 +1,4 @@
-"""Expressions of numbers and symbols: differentiated, put into each other, done with balls and series of them.
+"""Expressions of numbers and symbols: differentiated, substituted, evaluated with balls and series of them.
 
 Nothing is rounded before it is done with balls, and nothing is simplified but a 0 that is so by its form (`ZERO`, of
 which derivatives are made: what does not depend on a symbol) and factors of `ONE`.

@@ -1,4 +1,4 @@
-"""Proof that a control is the only one that minimises H where no formula says so: boxes of others, none as good.
+"""Proof that a control is the only minimiser of H where no formula says so: boxes of others, none as good.
 
 In none of a box B is H as small as at the control u if H is larger there by enclosures, or by its slopes in the box
 around both, or convex there: where u is on no bound, it is stationary, and where it is, H rises from that. What holds

@@ -1,4 +1,4 @@
-"""The second variation of a certificate's extremal: by a solution of Riccati's equation, it is positive.
+"""Second variation of a certificate's extremal: by a solution of Riccati's equation, it is positive.
 
 On each arc time is s = t / T; lengths of arcs and free parameters p that are on no bound are constant states of every
 phase, xi = (x, p). With H = T lambda . f at the u that minimises it, W = Lambda X^-1 of the tangents (X, Lambda) of

@@ -1,4 +1,4 @@
-"""The papers that are computed again. Each is a package of three files, one way: case, compute, report."""
+"""Papers that are computed again. Each is a package of three files, one way: case, compute, report."""
 
 from __future__ import annotations
 

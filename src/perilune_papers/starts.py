@@ -1,4 +1,4 @@
-"""A method run from random values, seed after seed: how often it finds what, and in what time."""
+"""Runs of a method from random values, seed after seed: how often it finds what, and in what time."""
 
 from __future__ import annotations
 

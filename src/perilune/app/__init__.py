@@ -1,1 +1,1 @@
-"""The explorer: a page on this machine only, on which the optimal flight follows what is dragged."""
+"""The explorer: a page on this machine only, on which the optimal flight follows the sliders."""

@@ -1,4 +1,4 @@
-"""Work when nothing moves: a flight is compared with a cold start, and proved.
+"""Idle-time work of the explorer: a flight is compared with a cold start, and proved.
 
 A flight followed from neighbour to neighbour stays on its family of extremals, even across a jump of the best.
 """

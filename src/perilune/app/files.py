@@ -1,4 +1,4 @@
-"""Files of the page, as they lie in the package."""
+"""Static files of the page, as they lie in the package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The server of the page: on this machine alone, for who has the address that was printed.
+"""Web server of the page: on this machine only, for holders of the address that was printed.
 
 It listens on 127.0.0.1, answers below a random token, and looks at Host and Origin, so that no other page that is open
 in the same browser reaches it. What it hands out is read into memory when it starts: nothing that a browser sends

@@ -1,4 +1,4 @@
-"""Knobs of the page: the given parameters of a problem, each with its unit and a range."""
+"""Sliders of the page: the given parameters of a problem, each with its unit and a range."""
 
 from __future__ import annotations
 

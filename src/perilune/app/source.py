@@ -1,4 +1,4 @@
-"""Subject of the explorer: a scenario, a saved solution, an atlas; or the landing of the template."""
+"""Subject of the explorer: a scenario, a saved solution, an atlas, or the landing of the template."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Static page without a server: flights at a grid of an atlas's points, in a file that can be sent by mail."""
+"""Static page without a server: flights at the points of a grid over an atlas, in one file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Long work outside the server: a process for one piece of work after the other, and threads for answers.
+"""Worker process for long computations of the explorer, one after the other, and threads for answers.
 
 Neither outlives the program.
 """

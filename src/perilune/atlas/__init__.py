@@ -1,4 +1,4 @@
-"""Extremals mapped over a region of parameters, kept on disk, and answers read from them.
+"""Atlas: extremals mapped over a region of parameters, kept on disk, and answers read from them.
 
 perilune.atlas.build(problem, {"vehicle.thrust": (350.0, 650.0)}, "thrusts")
 atlas = perilune.atlas.open("thrusts")

@@ -1,4 +1,4 @@
-"""Region of an atlas: some parameters between bounds, divided into bricks."""
+"""Region of an atlas: some parameters between bounds, divided into blocks (bricks)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands, each a thin order of work over the library; nothing is computed here."""
+"""Commands of the terminal, each a short sequence of calls of the library; nothing is computed here."""
 
 from __future__ import annotations
 

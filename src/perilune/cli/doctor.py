@@ -1,4 +1,4 @@
-"""``perilune doctor``: versions, optional parts, whether arcs run as machine code, and what of it is kept on disk."""
+"""The command ``doctor``: versions, optional parts, whether arcs run as machine code, and its cache on disk."""
 
 from __future__ import annotations
 

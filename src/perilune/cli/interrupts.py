@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C, which must not be lost anywhere."""
+"""Handling of Ctrl-C, so that none is lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The methods by the names that the command line gives them, and their settings that it can change."""
+"""Methods by their names on the command line, and the settings that it can change."""
 
 from __future__ import annotations
 

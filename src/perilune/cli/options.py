@@ -1,4 +1,4 @@
-"""Options that commands share, in the form that argparse takes."""
+"""Options that commands share, as argparse takes them."""
 
 from __future__ import annotations
 

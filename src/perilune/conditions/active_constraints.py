@@ -1,4 +1,4 @@
-"""Mixed constraints: which the control can keep, the direction that keeps them, and their multipliers.
+"""Active mixed constraints: which the control can keep, the direction that keeps them, and their multipliers.
 
 A condition of the path that is linear in a direction, c = a . d - b >= 0, leaves a cap of the sphere. Where -g/|g| lies
 outside, the least of g . d is on its rim, d = b/|a| a/|a| - sqrt(1 - (b/|a|)^2) h/|h| with h the part of g across a;

@@ -1,4 +1,4 @@
-"""The canonical equations of one phase: state, constant states and costate on the minimising control.
+"""Canonical equations of one phase: state, constant states and costate on the minimising control.
 
 With H = lambda . f(x, u, p), which the control minimises, lambda' = -dH/dx (Cho et al. 2015 (11), (12), (14), where
 (12) prints H_r for H_x). A free parameter q in the dynamics becomes a constant state, whose costate collects the

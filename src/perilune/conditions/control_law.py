@@ -1,4 +1,4 @@
-"""The control that minimises the Hamiltonian, regime by regime, from the Hamiltonian's own derivatives.
+"""Control law: minimises the Hamiltonian regime by regime, from the Hamiltonian's own derivatives.
 
 A `Direction` d enters H linearly, H = a + g . d, so its minimum on the circle or sphere is d = -g/|g|; for planar
 thrust that is Cho et al. 2015 (15) with both signs right, beta = atan2(-lambda_v, -lambda_u). The rest is a

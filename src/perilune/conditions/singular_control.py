@@ -1,4 +1,4 @@
-"""The control of a singular arc: H is linear in it, and its slope Phi = dH/du vanishes along the arc.
+"""Control of a singular arc: H is linear in it, and its slope Phi = dH/du vanishes along the arc.
 
 H then does not determine u, but Phi = 0 along the arc does: Phi is differentiated along the flight of state and
 costate until u appears,

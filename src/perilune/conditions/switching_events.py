@@ -1,4 +1,4 @@
-"""Events that change the regime of the control: zeros of switching functions along the flight.
+"""Switching events: zeros of switching functions along the flight change the regime of the control.
 
 - a scalar on a bound leaves it where the slope of H changes its sign: to the other bound where H is linear in it, or as
   far as a condition of the path allows;

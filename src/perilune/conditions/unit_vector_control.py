@@ -1,4 +1,4 @@
-"""Minimising directions: where the Hamiltonian is linear in a unit vector, its minimum is opposite to the gradient.
+"""Minimising directions: the minimum of H, linear in a unit vector, is opposite to the gradient.
 
 Scalars may scale that gradient, and other directions too; there is no formula where a control turns it.
 """

@@ -1,4 +1,4 @@
-"""Headings of tables that state their units: ``alt (ft)``, ``density_slug_ft3``, ``h/km``, ``rho [kg m-3]``.
+"""Column headings of tables with their units: ``alt (ft)``, ``density_slug_ft3``, ``h/km``, ``rho [kg m-3]``.
 
 A heading is words that are known, then a unit, in brackets or without. All of it must be understood: what is left over
 may be a unit that would be read past.

@@ -1,4 +1,4 @@
-"""Derivatives of the numpy text of the physics by complex steps.
+"""Complex-step derivatives of the numpy text of the physics.
 
 The derivative of a real-analytic f is Im f(x + ih)/h, exact to rounding for tiny h (Squire and Trapp 1998), so that
 nothing symbolic is needed.

@@ -1,4 +1,4 @@
-"""Sequences that are made on first access."""
+"""Lazy sequences, made on first access."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A problem with one limit made elastic, and the least relaxation with which everything else can be kept.
+"""Problem with one limit made elastic, and the least relaxation with which everything else can be kept.
 
 Limits are the bounds of states, controls and free parameters, and conditions of the path; where none of them helps, the
 end conditions of one unit. Each in turn is replaced by the same limit less a free, not negative parameter s, which is

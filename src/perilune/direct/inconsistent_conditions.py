@@ -1,4 +1,4 @@
-"""Infeasibility in the user's words: contradictory conditions before the solve, largest violations after it.
+"""Infeasibility messages: contradictory conditions before the solve, largest violations after it.
 
 Before: a start or an end condition that depends on given numbers only and breaks a bound is a proof of
 infeasibility, and cheap. After: the largest violations of the best iterate, each as a named condition in SI.

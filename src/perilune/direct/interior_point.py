@@ -1,4 +1,4 @@
-"""A primal-dual interior-point search for programs of moderate size.
+"""Primal-dual interior-point method for programs of moderate size.
 
 With slacks s for the rows that are ranges, distances d > 0 from all bounds and their multipliers z, each step solves
 

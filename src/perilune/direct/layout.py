@@ -1,4 +1,4 @@
-"""Positions of the unknowns and rows of one phase in a program: all that a mesh changes in it, as numbers."""
+"""Layout of one phase in a program: positions of its unknowns and rows, all that a mesh changes, as numbers."""
 
 from __future__ import annotations
 

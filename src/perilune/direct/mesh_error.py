@@ -1,4 +1,4 @@
-"""The error of a mesh, measured by simulation.
+"""Error of a mesh, measured by simulation.
 
 Each segment is flown again from its own start, by the user's numpy dynamics under the control that the solution
 exports. The largest difference from the state polynomial X is the error of the segment, for each state, relative to

@@ -1,4 +1,4 @@
-"""The sparse nonlinear program of a direct transcription: its solution, and its messages in SI.
+"""Sparse nonlinear program of a direct transcription: its solution, and its messages in SI.
 
 On each segment of width h the state polynomial X (see `perilune.direct.collocation`) is held to the dynamics F,
 

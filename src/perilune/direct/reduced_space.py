@@ -1,4 +1,4 @@
-"""One step of Newton's method in the null space of the dynamics.
+"""Newton step in the null space of the dynamics.
 
 Of the unknowns the first m, the states, are determined by the first m equations, the dynamics: block after block, as
 their square part B is lower block triangular. The next equations hold the lengths of directions at one; each gives the

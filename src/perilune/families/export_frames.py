@@ -1,4 +1,4 @@
-"""A family as a frame of pandas or a data set of xarray: parameters, what was chosen, results, how each member ended.
+"""Export of a family as a frame of pandas or a data set of xarray: parameters, results, outcome of each member.
 
 Angles are in degrees, everything else in SI, as in the tables of one flight. A member without a solution has NaN.
 """

@@ -1,4 +1,4 @@
-"""A family: many answers of one problem along some of its parameters, and why some have none."""
+"""Family: many answers of one problem along some of its parameters, and why some have none."""
 
 from __future__ import annotations
 

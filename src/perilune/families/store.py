@@ -1,4 +1,4 @@
-"""A family on disk, member by member, so that a sweep that was broken off goes on where it stood.
+"""Store of a family on disk, member by member, so that an interrupted sweep goes on where it stood.
 
 ``sweep.json`` says which sweep it is: the problem's digest and numbers, the members asked for, method, level and
 tolerance. Each member is ``000042.json`` (outcome, checks, what was chosen) and ``000042.npz`` (its curves, read when

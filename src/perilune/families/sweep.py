@@ -1,4 +1,4 @@
-"""The verb of families: solve a problem along some of its parameters, anywhere, and go on after a break."""
+"""Sweep: solve a problem along some of its parameters, anywhere, and go on after a break."""
 
 from __future__ import annotations
 

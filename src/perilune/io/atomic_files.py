@@ -1,4 +1,4 @@
-"""Writing to disk so that a reader sees either the whole result or nothing of it.
+"""Atomic writing: a reader sees either the whole result or nothing of it.
 
 Everything is written into a temporary directory beside the target and moved when it is complete, so an error
 or Ctrl-C in the middle leaves the target as it was; a file that only repeats the result, such as a figure, may fail for

@@ -1,4 +1,4 @@
-"""Entries of a JSON tree that may come from a stranger: each is checked before it is used, and refused by its name.
+"""Checks of an untrusted JSON tree: each entry before it is used, and refused by its name.
 
 `record_tree` writes a record (a dataclass of texts, numbers, and tuples of these or of records) without what is at its
 default; `checked_record` reads one back by the types that its fields declare.

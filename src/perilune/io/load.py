@@ -1,4 +1,4 @@
-"""Reading ``solution.json`` back. It may come from a stranger, so it is data, checked before it is used.
+"""Load ``solution.json``. It may come from a stranger, so it is data, checked before it is used.
 
 The problem is built anew from the expressions inside, or by a model from the scenario's text or the values of records
 where they are there; then both must state the same, and the text's hash must match. Every number is compared in shape

@@ -1,4 +1,4 @@
-"""A problem that a model made, as data: the kind of the model and the values of its records.
+"""Problem of a model as data: the kind of the model and the values of its records.
 
 So a problem that is read back has what is no formula: its ranges, its comparisons before the flight, its bookkeeping.
 The kinds and their keys are those of scenario files (`perilune.models.catalogue`); nothing else can be named, and what

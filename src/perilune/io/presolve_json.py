@@ -1,4 +1,4 @@
-"""Comparisons of a problem with physics before it is solved (`Problem.preflight`), as a tree for JSON and back.
+"""Presolve checks of a problem (`Problem.preflight`) as a tree for JSON and back.
 
 Comparisons are formulas of the given parameters with constant texts: the formulas are saved as expressions, so that no
 code is needed to evaluate them again. Those of a model come with its records, and are not saved.

@@ -1,4 +1,4 @@
-"""A problem as a tree for JSON and back: its formulas as expressions, so that no code is needed to prove it again.
+"""Problem as a tree for JSON and back: its formulas as expressions, so that no code is needed to prove it again.
 
 What was read is a `Problem` like any other: its structure and its units are checked, and its digest must be the one
 that the file names. Functions that are no formulas stay behind (`ranges`, `preflight`, `bookkeeping`), unless a model

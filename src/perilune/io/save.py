@@ -1,4 +1,4 @@
-"""A solution as documents: a short one for programs (``--json``), the whole one to load again, the table.
+"""Save a solution as documents: a short one for programs (``--json``), the whole one to load again, the table.
 
 ``solution.json`` explains itself: it names its format and version, describes every field, gives every unit,
 and carries the scenario it came from with its hash, the program versions, costates, multipliers, and the

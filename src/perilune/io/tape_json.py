@@ -1,4 +1,4 @@
-"""The tape of a function out of a file: checked entry by entry, and nothing in it is evaluated as code."""
+"""Tape of a function read from a file: checked entry by entry, and nothing in it is evaluated as code."""
 
 from __future__ import annotations
 

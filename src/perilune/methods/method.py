@@ -1,4 +1,4 @@
-"""The protocol of every method."""
+"""Protocol of every method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The kinds of problems that a file can state: which records are its sections, and the function that makes a problem.
+"""Catalogue of the kinds of problems that a file can state: the records of each, and the function that makes it.
 
 Nothing else knows of them: the reader of scenarios, the templates and the reference page follow from here.
 """

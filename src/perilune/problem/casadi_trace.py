@@ -1,4 +1,4 @@
-"""Trace the user's physics on CasADi SX: the same text that the verifier flies becomes expressions.
+"""Trace of the user's physics on CasADi SX: the same text that the verifier integrates becomes expressions.
 
 Everything is traced in canonical units: because the physics is dimensionally homogeneous (tested by `Problem`), the
 same text holds when states and parameters are divided by their `Scales`; what has a scale of its own is brought to them

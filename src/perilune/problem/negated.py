@@ -1,4 +1,4 @@
-"""The problem with the objective negated, whose solution maximises J.
+"""Problem with the objective negated, whose solution maximises J.
 
 The flight that meets the end conditions in the least time has a counterpart that takes the longest: between the two
 lie all flight times in which these can be met. Both are extremals, with the multiplier of J of either sign, and

@@ -1,4 +1,4 @@
-"""A problem with some given parameters freed and held, so that its extremals come with derivatives by them.
+"""Problem with some given parameters freed and held, so that its extremals come with derivatives by them.
 
 A parameter that is in the dynamics is a constant state then, and its costate an unknown. Where the canonical unit of
 one is far from its range (an area next to the square of a planet's radius), that costate would be so large or so small

@@ -1,4 +1,4 @@
-"""An optimal-control problem as data: phases, the links between them, what is given, what is free, what is minimised.
+"""Optimal control problem as data: phases, the links between them, given and free parameters, and the objective.
 
 A `Problem` holds the user's functions and nothing of any method. In SI units throughout:
 

@@ -1,4 +1,4 @@
-"""The engineering tolerance that may be stated for a proof: the admissible error of a flight, by quantity.
+"""Engineering tolerance that may be stated for a proof: the admissible error of a flight, by quantity.
 
 The limits of a proof follow from the problem, and are of the order of rounding. A user who needs less states how much
 less; the proof then says so wherever it says what it proved.

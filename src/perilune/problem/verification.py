@@ -1,4 +1,4 @@
-"""The record of a proof: checks, each with a value, a limit and a meaning, and the level they reach.
+"""Record of a proof: checks, each with a value, a limit and a meaning, and the level they reach.
 
 Levels: 0 unverified; 1 feasible; 2 extremal; 3 locally optimal; 4 cross-checked by another method; 5 a theorem. A level
 is reached when every check of it and of the levels below passed; but a theorem needs no other method.

@@ -1,4 +1,4 @@
-"""Level 4, cross-checked: another method solves the same problem, and both answers are one within their mesh error.
+"""Level 4, cross-checked: another method solves the same problem, and both answers agree within their mesh error.
 
 The mesh error is the larger of what the two methods report of themselves (`Statistics.residual`), relative to one
 plus the size of a quantity in canonical units. An answer of the indirect method is compared with a direct one from no

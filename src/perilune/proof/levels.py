@@ -1,4 +1,4 @@
-"""Proof of a solution by other code than the solver's: SciPy and the numpy physics, no symbols, no kernels.
+"""Levels of a proof: which checks it runs, what they reach, and the record that it makes of them.
 
 Level 1 (`feasible`): the exported control is flown again. Level 2 (`extremal`): the first-order conditions
 hold along the exported curves; `switching`: for the control. Level 3 (`second_order`, `resolved`): the extremal is

@@ -1,4 +1,4 @@
-"""Extremals that a file lists in addition to its answer: each is found again and proved, or left out.
+"""Recheck of the extremals that a file lists in addition to its answer: each is found again and proved, or left out.
 
 Newton's method starts from the unknowns that the file holds of an extremal. What it reaches must have the objective and
 the free parameters that are listed, and must pass levels 1 and 2 as any solution does. The numbers that remain are

@@ -1,4 +1,4 @@
-"""A stated tolerance in a proof: it raises limits, each of which says so, and is refused where it would prove nothing.
+"""Stated tolerance in a proof: it raises limits, each of which says so, and is refused if it would prove nothing.
 
 It is applied to checks that are made already, so that what is computed, where it is looked and which bounds count as
 active is the same with it and without.

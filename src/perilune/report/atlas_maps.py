@@ -1,4 +1,4 @@
-"""Figures of a slice of an atlas: cost, free parameters, sheets and refusals, nodes, errors."""
+"""Figures of a slice of an atlas: cost, free parameters, branches and refusals, nodes, errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A family along two parameters as a map: filled contours of one quantity over two others, each with its value.
+"""Contour map of a family along two parameters: one quantity over two others, each member with its value.
 
 Any of the three may be a parameter, a given or free parameter, a result, or `OVER_WEIGHT`. The grid of the members is
 cut into triangles, between whose corners a quantity is interpolated; triangles with a corner that has no solution are

@@ -1,4 +1,4 @@
-"""The entry corridor: height against speed through the air, over lines of equal load and of equal heat rate.
+"""Entry corridor: height against speed through the air, over lines of equal load and of equal heat rate.
 
 The lines are found from the problem's own outputs, at states further out or in, and faster or slower, than the one at
 which the air begins: so they are of the air and the vehicle that were flown, whatever these are.

@@ -1,4 +1,4 @@
-"""Every figure of a solution: the histories its problem states, its way in space, its costates and Hamiltonian."""
+"""Every figure of a solution: the histories its problem states, its path in space, its costates and Hamiltonian."""
 
 from __future__ import annotations
 

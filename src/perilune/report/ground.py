@@ -1,4 +1,4 @@
-"""The ground track on a map: longitude to the right, latitude up, each degree alike.
+"""Ground track on a map: longitude to the right, latitude up, each degree alike.
 
 The coasts of the Earth are those of Natural Earth at 1:110 million (``coastline.csv`` beside this file, public domain),
 thinned to 0.1 degrees. Nothing is drawn across the map where a track leaves it at 180 degrees.

@@ -1,4 +1,4 @@
-"""Passes over a site, for people as a table and for programs as a document."""
+"""Deorbit opportunities over a site, for people as a table and for programs as a document."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The way of a descent from the side and from above, along and across the direction that its problem states."""
+"""Side and top view of a descent, along and across the direction that its problem states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One solution in words and tables: a few lines for the terminal, a Markdown report for the directory."""
+"""Summary of a solution in words and tables: a few lines for the terminal, a Markdown report for the directory."""
 
 from __future__ import annotations
 

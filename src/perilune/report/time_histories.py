@@ -1,4 +1,4 @@
-"""Figures that every problem has: quantities against time, and families against a parameter.
+"""Time histories, figures that every problem has: quantities against time, and families against a parameter.
 
 Axis texts come from the problem's variables: their `label`, or their name, and the unit in which a reader expects them
 (angles in degrees, long ways in kilometres).

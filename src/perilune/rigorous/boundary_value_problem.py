@@ -1,4 +1,4 @@
-"""The boundary value problem of an extremal as equations F(y) = 0, with their derivatives.
+"""Boundary value problem of an extremal as equations F(y) = 0, with their derivatives.
 
 The unknowns y are lambda(0) of each phase, the free parameters, the multipliers nu of the end conditions, the length of
 every arc of a phase but its last one, and what no formula gives of the control, w, where its arc begins. A state that

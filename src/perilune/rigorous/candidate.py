@@ -1,4 +1,4 @@
-"""Candidate from a solution: the arcs of its extremal, and about where the unknowns are.
+"""Candidate from a solution: the arcs of its extremal, and approximate values of the unknowns.
 
 None of it is trusted: it says where to look, and the proof begins there.
 """

@@ -1,4 +1,4 @@
-"""The checker of certificates under its old name, ``python -m perilune.rigorous.check_certificate FILE``."""
+"""Checker of certificates under its old name, ``python -m perilune.rigorous.check_certificate FILE``."""
 
 import sys
 import warnings

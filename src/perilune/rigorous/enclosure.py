@@ -1,4 +1,4 @@
-"""All arcs of a boundary value problem flown one after the other: plainly for Newton's method, or in enclosures.
+"""Integration of all arcs of a boundary value problem: plainly for Newton's method, or in enclosures.
 
 Where a box of unknowns is flown, each state is enclosed twice: by its own flight, and by the mean value theorem from
 the flight of the box's centre, z(y) = z(c) + (dz/dy)(box) (y - c), in a frame that goes with the flow; what both allow

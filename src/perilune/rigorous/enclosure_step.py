@@ -1,4 +1,4 @@
-"""The flow of an arc, enclosed step by step: Taylor polynomials with a remainder that is proved.
+"""Enclosed flow of an arc, step by step: Taylor polynomials with a remainder that is proved.
 
 On a step [0, h] let Z be balls around the range of the polynomial P of order n - 1, a little wider, and z_n(Z) the
 Taylor coefficient of order n that the equations give for every start in Z. If

@@ -1,4 +1,4 @@
-"""From the tape of a problem's function (`perilune.problem.tracing.tape`) to expressions with exact constants.
+"""Expressions with exact constants from the tape of a problem's function (`perilune.problem.tracing.tape`).
 
 The tape is what is proved of: each of its operations is taken for the function of real numbers that it names, and each
 constant for the rational number that its double is.

@@ -1,4 +1,4 @@
-"""Proof that a control is the only one that minimises H, where no formula says so: boxes cover all others.
+"""Proof that a control is the only minimiser of H where no formula says so: boxes cover all others.
 
 On a piece of the flight let W be balls around the control, and B a box of others. B holds no other minimum if
 

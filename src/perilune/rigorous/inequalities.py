@@ -1,4 +1,4 @@
-"""Everything that a problem limits, enclosed along the whole flight of a proved root: strictly inside, or named.
+"""Inequalities of a problem, enclosed along the whole flight of a proved root: strictly inside, or named.
 
 These are the conditions of the path, the bounds of states and controls, the sign of dH/du where a control is on its
 bound, the convexity of H where it is between them, the ranges of free parameters and the lengths of arcs.

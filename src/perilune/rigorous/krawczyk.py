@@ -1,4 +1,4 @@
-"""A root of F(y) = 0: refined by Newton's method in many digits, then proved by Krawczyk's operator.
+"""Root of F(y) = 0: refined by Newton's method in many digits, then proved by Krawczyk's operator.
 
 With c the centre of a box Y, and C about the inverse of F'(c),
 

@@ -1,4 +1,4 @@
-"""Junctions between phases: how W, the least second variation of what lies before, passes them.
+"""Riccati junctions between phases: how W, the least second variation of the phases before, passes them.
 
 What follows begins at l(v): v are the free parameters at the start, and state and constant states at the end of the
 phase before, where psi = 0. With K the second derivative of lambda . l + nu . psi, lambda the costate behind it, and

@@ -1,4 +1,4 @@
-"""The theorem in words and numbers, and as a certificate that an independent program can check again."""
+"""Statement of the theorem in words and numbers, and as a certificate for an independent program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The theorem: what is proved of a solution, only by enclosures, and what is not."""
+"""Theorem about a solution: what is proved of it, by enclosures only, and what is not."""
 
 from __future__ import annotations
 

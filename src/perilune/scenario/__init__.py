@@ -1,4 +1,4 @@
-"""A scenario file: TOML in, a `Problem` out; it may come from a stranger, so it is checked before it is used.
+"""Scenario files: TOML in, a `Problem` out; they may come from a stranger, and are checked before use.
 
 Size, nesting and lengths are limited before anything is parsed; every quantity is a text with a whitelisted
 unit; every refusal names the key as the user writes it (``vehicle.specific_impulse``). Beside what is wrong,

@@ -1,4 +1,4 @@
-"""Values that are possible one by one and cannot be right together.
+"""Plausibility of values that are possible one by one and cannot be right together.
 
 Slips of units that no single key shows.
 """

@@ -1,4 +1,4 @@
-"""From a tree of sections to the problem it states, by the records that its kind declares."""
+"""Reader of a tree of sections: the problem it states, by the records that its kind declares."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be stated, written out of the declarations: templates to start from, and the reference page of all keys."""
+"""Reference of all keys, written out of the declarations, and templates to start from."""
 
 from __future__ import annotations
 

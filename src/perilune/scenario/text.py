@@ -1,4 +1,4 @@
-"""From a file to a tree of sections: limits first, then TOML, then the changes of the command line."""
+"""Text of a scenario file to a tree of sections: limits first, then TOML, then changes of the command line."""
 
 from __future__ import annotations
 

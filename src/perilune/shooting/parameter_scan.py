@@ -1,4 +1,4 @@
-"""All extremals along one free parameter q: hold q, continue the family of extremals, find where dJ/dq = 0.
+"""Scan of one free parameter q: hold q, continue the family of extremals, find where dJ/dq = 0.
 
 Cho et al. 2015 solve for the root of the transversality condition (19) directly; but a root may be a maximum, a
 minimum, or dominated by another. Along the family of extremals with q held, the residual of (19) *is* dJ/dq. Its sign

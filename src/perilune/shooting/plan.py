@@ -1,4 +1,4 @@
-"""The flight plan of a boundary value problem: the legs that are flown, and the algebra between them.
+"""Flight plan of a boundary value problem: the legs that are integrated, and the algebra between them.
 
 A *leg* is one arc: a phase, or in multiple shooting a segment of one, whose start is then an unknown and whose gap to
 the leg before is a residual. The *opening* of a leg gives its start from the unknowns and the end of the leg before,

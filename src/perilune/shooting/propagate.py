@@ -1,4 +1,4 @@
-"""Flights of a phase's canonical equations: machine code for each mode, events at the switches of its controls.
+"""Propagation of canonical equations: machine code for each mode, events at the switches of its controls.
 
 Algebra first: entries of z that vanish on every extremal are set to zero, and what neither the wanted entries nor
 their rates depend on is left out before anything is compiled.

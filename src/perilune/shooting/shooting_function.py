@@ -1,4 +1,4 @@
-"""The shooting function of a boundary value problem, for many problems of one form at once, and its roots.
+"""Shooting function of a boundary value problem, for many problems of one form at once, and its roots.
 
 Single shooting as in Cho et al. 2015 (20)-(24): fly every phase from its start, evaluate the residual at the ends.
 With several segments to a phase, the states at the joints are further unknowns and continuity is a further residual

@@ -1,4 +1,4 @@
-"""The problem with switched controls smoothed: a scalar becomes the height of a point on a circle.
+"""Regularized problem, its switched controls smoothed: a scalar becomes the height of a point on a circle.
 
 A scalar u in which the Hamiltonian is linear jumps from bound to bound wherever its slope S = dH/du changes its sign.
 Written as u = middle + half c, with (s, c) a unit vector, and with J less by the integral of rate s,

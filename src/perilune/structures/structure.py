@@ -1,4 +1,4 @@
-"""The structure of an answer: the arcs of each phase, with their active conditions and contact points.
+"""Structure of an answer: the arcs of each phase, with their active conditions and contact points.
 
 On an *arc* nothing of the state is held, or it rides *along* conditions: path conditions, or bounds of states, S >= 0
 that are 0 all along it. Of order q (`perilune.problem.tracing.lie_derivatives`) such an arc is entered with S = S' =

@@ -1,4 +1,4 @@
-"""The landing of Cho, Kim, Leeghim 2015 as data: its constants, what it prints, the values its figures run over.
+"""Landing of Cho, Kim, Leeghim 2015 as data: its constants, what it prints, the values its figures run over.
 
 `PRINTED` is for comparison only. The paper does not print the Moon's constants: `CONSTANTS` are those that reproduce
 its digits, so that a difference shows a slip and not another Moon.

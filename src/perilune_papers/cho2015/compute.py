@@ -1,4 +1,4 @@
-"""Every case of Cho, Kim, Leeghim 2015 solved: what its report is made of."""
+"""Cases of Cho, Kim, Leeghim 2015, every one solved, for the report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The return of Liu, Liu, Wu 2019, section 4, as data: what it prints, and the neighbours that are flown instead.
+"""Return of Liu, Liu, Wu 2019, section 4, as data: what it prints, and the neighbours that are flown instead.
 
 `PRINTED_SITE` and the tables of `printed` are for comparison only. **Neighbour A** takes (12) at its word: the landing
 point is free, and the flight ends at the interface under a fixed angle. **Neighbour B** moves the site into the plane

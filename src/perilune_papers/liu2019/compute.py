@@ -1,4 +1,4 @@
-"""Why the example of Liu, Liu, Wu 2019 cannot be flown, and its neighbours solved: what the report is made of."""
+"""Computations on Liu, Liu, Wu 2019 for the report: why its example cannot be flown, and its neighbours solved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""(1), (6), (7) of the paper as printed, compared with the equations that mechanics and differentiation give.
+"""Equations (1), (6), (7) of the paper as printed, compared with those of mechanics and differentiation.
 
 Everything is dimensionless, as in the paper: x = (V, gamma, psi, r, Theta, Phi, m), costates in the same order. Where
 the text that the paper survives in has lost the layout of a fraction, the right reading is taken. Two judges decide:

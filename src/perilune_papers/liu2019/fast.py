@@ -1,4 +1,4 @@
-"""The paper's fast method on neighbour B, and ours: extremals kept over the region, and answers read from them.
+"""Fast method of the paper on neighbour B, and ours: extremals kept over the region, and answers read from them.
 
 The paper keeps costates at ignition and values at the interface at the points of a grid, predicts those of another
 manoeuvre point by a polynomial of ten coefficients through the ten nearest (16), and searches within 2 % of that by a

@@ -1,4 +1,4 @@
-"""Report and figures on Liu, Liu, Wu 2019: what its example and equations come to, and two neighbours that fly."""
+"""Report and figures on Liu, Liu, Wu 2019: results of its example and equations, and two neighbours that fly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's hybrid method on both neighbours, from one random start after another, compared with ours."""
+"""Hybrid method of the paper on both neighbours, from one random start after another, compared with ours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The descent of Peng, Li, Shen, Tang 2012, section 4, as data: its case, what it prints, other readings of it.
+"""Descent of Peng, Li, Shen, Tang 2012, section 4, as data: its case, what it prints, other readings of it.
 
 `PRINTED` is for comparison only. The paper does not print the Moon's gravitational parameter, and its g0 is not the one
 that its results were made with: `CASE` holds what serves.

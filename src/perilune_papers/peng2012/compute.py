@@ -1,4 +1,4 @@
-"""Every case of Peng, Li, Shen, Tang 2012 solved: by Pontryagin, by Gauss points, from a genetic search."""
+"""Cases of Peng, Li, Shen, Tang 2012, every one solved: by Pontryagin, by Gauss points, from a genetic search."""
 
 from __future__ import annotations
 

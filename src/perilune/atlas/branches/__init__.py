@@ -1,1 +1,1 @@
-"""Branches of extremals: charts, arc sequences, the status of bounds, continuation along a parameter."""
+"""Solution branches: charts, arc sequences, status of bounds, continuation along a parameter."""

@@ -1,4 +1,4 @@
-"""Arcs of the extremals of a chart: conditions that the control keeps, and arcs of conditions on states.
+"""Arc sequences of a chart's extremals: conditions that the control keeps, and boundary arcs of state conditions.
 
 Extremals with the same arcs are roots of one shooting function, so that Newton's method leads from one to the other.
 Extremals with several arcs are extremals of the problem restated with a phase for each arc.

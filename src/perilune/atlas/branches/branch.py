@@ -1,4 +1,4 @@
-"""Sheets: families of extremals over the region, each smooth in the parameters, and where they may be answers.
+"""Solution branches (sheets): families of extremals, each smooth in the parameters, and where they may be optimal.
 
 A sheet is identified by its active bounds (free parameters or ranges at a bound) and by the sign of det(dh/dy), which
 changes only at a fold, where two sheets meet. Its conditions have roots beyond the border within which they are answers

@@ -1,4 +1,4 @@
-"""Extremals as functions of parameters: Newton's method in lanes, each at its own values, and exact derivatives.
+"""Charts: extremals as functions of parameters, by Newton's method in lanes, with exact derivatives.
 
 A parameter that varies is a free one that is held (`perilune.problem.parametric`). So its value is a lane's own,
 its column of the inverse Jacobian is dY/dp, and its row of the stationarity conditions dJ/dp along the family of

@@ -1,4 +1,4 @@
-"""Continuation of extremals: along straight lines of parameters, and of one sheet from corner to corner of bricks.
+"""Continuation of extremals: along straight lines of parameters, and of one branch between the corners of blocks.
 
 Each step goes along the tangent plane and is corrected by Newton's method, in lanes; a step that fails is halved.
 """

@@ -1,4 +1,4 @@
-"""Columns of the shards of an atlas, entries of its header, and of the survey's line of its manifest."""
+"""Array schema of an atlas: columns of its shards, entries of its header, the survey's line of its manifest."""
 
 from __future__ import annotations
 

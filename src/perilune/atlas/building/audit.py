@@ -1,4 +1,4 @@
-"""Whole proofs of some answers: at nodes drawn at random, and at nodes with a thin margin.
+"""Audit of an atlas: whole proofs of answers at nodes drawn at random, and at nodes with a thin margin.
 
 Each node of a brick carries the results of its second flight; the proof of level 3 takes a hundred times as long as the
 node itself. If n answers are drawn at random and all proved, at least a share 0.01^(1/n) of all would be proved, at

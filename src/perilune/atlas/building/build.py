@@ -1,4 +1,4 @@
-"""Building an atlas: the survey, then every brick, anywhere and in any order; stored bricks are not computed again."""
+"""Build an atlas: the survey, then every block, anywhere and in any order; stored blocks are not computed again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nodes of an atlas as a table: columns with names, units and descriptions, brick by brick, and their provenance.
+"""Export of an atlas' nodes as a table: columns with names, units and descriptions, and their provenance.
 
 Values of the axes, free parameters, J and dJ/dp are in SI; the terms of interpolation are canonical.
 """

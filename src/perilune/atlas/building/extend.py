@@ -1,4 +1,4 @@
-"""Extension of an atlas by more bricks; existing ones stay as they are.
+"""Extend an atlas by more blocks; existing ones stay as they are.
 
 The wider region is surveyed as a new one would be. Extremals on known sheets continue these; others begin new charts,
 with bricks over all of the region that they reach. A sheet that is not found again is continued from where it was

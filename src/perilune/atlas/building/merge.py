@@ -1,4 +1,4 @@
-"""Merging of two atlases of one problem: each a part of the same region, or of adjacent regions.
+"""Merge two atlases of one problem, each over a part of the same region or over adjacent regions.
 
 Nothing is computed. The charts of the second follow those of the first, unless both were made from one survey; of a
 part of the region that is complete in both, that of the first is taken. Every shard is checked before it is copied, and

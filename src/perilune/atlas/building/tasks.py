@@ -1,4 +1,4 @@
-"""Tasks of computing an atlas, brick by brick, anywhere and in any order.
+"""Tasks of computing an atlas, block by block, anywhere and in any order.
 
 First every brick in which the survey has a sheet; then, round by round, those into which one continues from others.
 """

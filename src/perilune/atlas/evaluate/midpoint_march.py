@@ -1,4 +1,4 @@
-"""Functions of a second flight: the start of a phase, equal steps with margins at each, and the end conditions.
+"""Fixed-step midpoint integration of an extremal: a phase's start, equal steps with margins, end conditions.
 
 Steps are those of the extrapolated midpoint rule.
 

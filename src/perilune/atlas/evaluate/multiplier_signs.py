@@ -1,4 +1,4 @@
-"""Signs of multipliers on boundary arcs in second flights: leaving such an arc must not lower J.
+"""Signs of multipliers on re-integrated boundary arcs: leaving such an arc must not lower J.
 
 Along an arc of order q the control minimises L = H - eta S^(q) among all that are admissible, and S >= 0 itself has the
 multiplier

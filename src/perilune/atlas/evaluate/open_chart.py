@@ -1,4 +1,4 @@
-"""One chart of an atlas, as queries need it."""
+"""Open chart: one chart of an atlas, loaded for queries."""
 
 from __future__ import annotations
 

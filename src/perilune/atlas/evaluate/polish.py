@@ -1,4 +1,4 @@
-"""Polish of what cells give to extremals: a few steps of Newton's method, and the judgement of the result.
+"""Polish of interpolated cells to extremals: a few steps of Newton's method, and a test of the result.
 
 Each lane is a point with a sheet of its own. After the last evaluation one more step is made that is not evaluated: by
 quadratic convergence it leaves no residual. The second flight (`perilune.atlas.evaluate.reintegrate`) begins there.

@@ -1,4 +1,4 @@
-"""Independent re-integration of an extremal, its second flight: end conditions, and margins along the path.
+"""Independent re-integration of an extremal: end conditions, and margins along the path.
 
 The machine code of shooting uses Dormand and Prince's pair of order 8 with adaptive steps. Here the canonical equations
 are integrated in equal steps by extrapolation of Gragg's midpoint rule to order 8, from the unknowns only, and the

@@ -1,4 +1,4 @@
-"""A brick: one box of the region, each sheet in it cut into cells until every cell answers from its corners.
+"""Blocks (bricks): boxes of the region, each branch in it cut into cells until every cell answers from its corners.
 
 A cell is cut in two if Newton's method, begun at its middle with what its corners give, would need more than one step
 to the tolerance; along the axis along which they are least like a quadratic. New corners begin with what the old ones

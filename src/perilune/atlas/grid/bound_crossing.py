@@ -1,4 +1,4 @@
-"""Continuation of sheets across the user's bounds, by one on which the bound becomes active, or inactive.
+"""Continuation of branches across the user's bounds, by one on which the bound becomes active, or inactive.
 
 An extremal beyond a bound is not admissible, nor is one held at a bound that it gains by leaving; the sheet in their
 place may lie between all points at which the survey solved. At a crossing both sheets have one extremal in common, so

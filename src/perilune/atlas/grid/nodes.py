@@ -1,4 +1,4 @@
-"""Extremals of a brick: Newton's method at the places of its lattice, and cells with corners there.
+"""Nodes of a block (brick): extremals by Newton's method at the places of its lattice, and cells between them.
 
 An extremal is a node, identified by its branch and its place. A root belongs to a branch if it is near the guess that
 led to it, and on the branch's side of folds.

@@ -1,4 +1,4 @@
-"""Answer that was read from an atlas: a solution that is made on first access, and a record of the reading."""
+"""Answer read from an atlas: a solution that is made on first access, and a record of the reading."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Answers at many points of an atlas at once, in lanes: `Atlas.query` for arrays."""
+"""Batch query: answers at many points of an atlas at once, in lanes (`Atlas.query` for arrays)."""
 
 from __future__ import annotations
 

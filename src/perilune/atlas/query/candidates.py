@@ -1,4 +1,4 @@
-"""Candidates of cells at a point, before and after Newton's method, and those that leave an answer in doubt."""
+"""Candidate extremals of cells at a point, before and after Newton's method, and those that leave it in doubt."""
 
 from __future__ import annotations
 

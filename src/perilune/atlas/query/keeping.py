@@ -1,4 +1,4 @@
-"""Active-set correction of an extremal that lies beyond bounds, or gains by leaving one.
+"""Active-set correction of an extremal that violates bounds, or gains by leaving one.
 
 It is held at the bounds that it is beyond and released from those that it gains by leaving, and Newton's method goes on
 from there, until neither is left. Its J tells if a known answer is the same, or better.

@@ -1,4 +1,4 @@
-"""Comparisons with physics at the points of a region, at every query: as machine code if they can be traced."""
+"""Presolve checks at the points of a region, at every query: as machine code if they can be traced."""
 
 from __future__ import annotations
 

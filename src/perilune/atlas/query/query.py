@@ -1,4 +1,4 @@
-"""Reading an atlas: the answer at a point of the region, polished by Newton's method and flown again.
+"""Query of an atlas: the answer at a point of the region, polished by Newton's method and re-integrated.
 
 The cells around a point give the unknowns of each sheet there, to the fourth order in their size; a step or two of
 Newton's method makes that exact. The extremal reached has to be of its sheet and keep its bounds, and it is integrated

@@ -1,4 +1,4 @@
-"""Reader of an atlas: its header, its charts, and the bricks that were read."""
+"""Reader of an atlas: its header, its charts, and the blocks that were read."""
 
 from __future__ import annotations
 

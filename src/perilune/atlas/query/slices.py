@@ -1,4 +1,4 @@
-"""Slice of an atlas: answers over one or two of its axes, with reasons for points without one.
+"""Slices of an atlas: answers over one or two of its axes, with reasons for points without one.
 
 The points of a slice are answered as any others are (`perilune.atlas.query.batch`), so a slice shows what queries
 return.

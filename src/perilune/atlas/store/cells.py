@@ -1,4 +1,4 @@
-"""Content of a brick: nodes at places of its lattice, and cells with nodes at their corners."""
+"""Content of a block (brick): nodes at places of its lattice, and cells with nodes at their corners."""
 
 from __future__ import annotations
 

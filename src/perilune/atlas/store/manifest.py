@@ -1,4 +1,4 @@
-"""Checks of the lines of a manifest, so that a foreign one is refused in words before it is used.
+"""Checks of the lines of a manifest, so that a foreign one is refused before it is used.
 
 Each line ends with a checksum of its content, as nothing else would show a changed digit. The shards that it describes
 are checked when they are read (`perilune.atlas.store.store`).

@@ -1,4 +1,4 @@
-"""An atlas on disk: a header, shards that never change, and a manifest to which lines are added.
+"""Store of an atlas on disk: a header, shards that never change, and a manifest to which lines are added.
 
 ``atlas.json`` states the problem, the region and the tolerance. A *shard* is one array in a file of NumPy's own format
 (``.npy``, a structured array that names its columns); it is written under another name and renamed, so that it is

@@ -1,1 +1,1 @@
-"""Find branches: initial solves, neighbours, folds, other minima."""
+"""Survey: find branches by initial solves, from neighbours, around folds, among other minima."""

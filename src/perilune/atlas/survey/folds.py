@@ -1,4 +1,4 @@
-"""Continuation around a fold, where two sheets meet, by arc length from one to the other.
+"""Continuation around a fold by arc length, from one branch to the other that joins it there.
 
 Along a straight line of the parameters, p = a + s (b - a), extremals are a curve of (y, s). At a fold s turns back, and
 dy/ds is infinite; by the length of the curve it goes on. A step goes along its tangent, and Newton's method back to the

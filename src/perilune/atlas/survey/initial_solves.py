@@ -1,4 +1,4 @@
-"""Cold starts of a survey, and the arcs of their answers.
+"""Cold starts of a survey, and the arc sequences of their answers.
 
 The problem is solved at the middle and at the corners of the region, and between points whose answers have different
 arcs. An answer shows only the arcs of its own basin. So with conditions of the path, flights with known arcs are also

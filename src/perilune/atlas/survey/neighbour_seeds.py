@@ -1,4 +1,4 @@
-"""Seeds from neighbours: nodes from which a sheet continues into a brick that did not know it there.
+"""Seeds from neighbours: nodes from which a branch continues into a block that did not know it there.
 
 A brick begins with the survey's extremals at its corners. A sheet that enters it only through a side is known to its
 neighbour: the sheet continues from the neighbour's nodes on the common side at which this brick has none. So it does

@@ -1,4 +1,4 @@
-"""Extremals of one chart with some free parameters held, along straight lines of the axes and of these.
+"""Search for other local minima: one chart's extremals with free parameters held, along lines of the axes.
 
 If they keep the path and have no negative arc duration, they are flights, and J with these parameters held is theirs.
 """

@@ -1,4 +1,4 @@
-"""Survey before the map: all sheets, with an extremal of each at every corner of a brick.
+"""Survey before the map: all branches, with an extremal of each at every corner of a block.
 
 The problem is solved without a guess at the middle and at the corners of the region. Each extremal found there, best or
 not, begins a sheet, unless it lies on a known one; sheets are continued to all corners of bricks by the tangent plane

@@ -1,1 +1,1 @@
-"""A solution for other programs: tables (NetCDF, CSV, Parquet, frames of pandas, xarray), OEM and CZML."""
+"""Exports for other programs: tables (NetCDF, CSV, Parquet, frames of pandas, xarray), OEM and CZML."""

@@ -1,4 +1,4 @@
-"""A flight for Cesium: CZML with position, attitude and thrust against time, in axes that turn with the body.
+"""Export to Cesium: CZML with position, attitude and thrust against time, in axes that turn with the body.
 
 Cesium takes ``FIXED`` for the axes of the globe that it shows, which by default is the Earth. Its ``INERTIAL`` is that
 of the Earth alone, and is not used here. The vehicle is a point in the model: its attitude here is that its z axis lies

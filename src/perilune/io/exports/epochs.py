@@ -1,4 +1,4 @@
-"""Times of a flight as formats write them: an epoch that somebody stated, and seconds after it."""
+"""Times of a flight as formats write them: a stated epoch, and seconds after it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Formats of files for other programs: which one is asked for, by its name or by how the file is called."""
+"""Export formats: which one is asked for, by its name or by the ending of the file's name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An orbit ephemeris message (CCSDS 502.0-B-2, OEM version 2.0, in its keyword form), one segment for each phase.
+"""Orbit ephemeris message (CCSDS 502.0-B-2, OEM version 2.0, in its keyword form), one segment for each phase.
 
 Positions and velocities stand in the axes of the ICRF, from the centre of the body, times in UTC. From the model's own
 axes they come by the orientation of the body at the begin of the flight (`perilune.models.physics.orientation`); how

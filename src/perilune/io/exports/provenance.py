@@ -1,4 +1,4 @@
-"""Where an export comes from: words that stand in every file, so that nobody has to ask for the run behind it.
+"""Provenance of an export, in every file: the problem, the proof and the program behind it.
 
 A proof is told as far as it is known: of a solution that was loaded and not proved again only what its file claims.
 """

@@ -1,4 +1,4 @@
-"""A flight as one table: all phases below each other at the nodes of their states, each column with what it is.
+"""Flight as one table: all phases below each other at the nodes of their states, each column described.
 
 The columns are those of `perilune.io.columns`: outputs, states, controls, costates and H, angles in degrees and
 everything else in SI; and where the problem says where in space it flies, position, velocity and acceleration by thrust

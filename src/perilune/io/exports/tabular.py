@@ -1,4 +1,4 @@
-"""The table of a flight in files and frames that know nothing of flights: CSV, Parquet, NetCDF, pandas, xarray.
+"""Table of a flight as CSV, Parquet, NetCDF, and as a frame of pandas or xarray.
 
 NetCDF follows the CF conventions: each variable has its units and a long_name, time counts from the epoch where there
 is one, and where longitude, latitude and height are known the file is a trajectory of its discrete geometries. It is of

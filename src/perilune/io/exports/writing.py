@@ -1,4 +1,4 @@
-"""The verb: a solution into one file of a format. It is written to the side and renamed when it is whole."""
+"""Write a solution to one file of a format: under a temporary name, renamed when it is whole."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A traced expression as a straight-line program: read from CasADi, numbered, simplified.
+"""Straight-line program of a traced expression: read from CasADi, numbered, simplified.
 
 CasADi keeps an SX function as a tape of elementary operations that reuse work slots. Here the tape becomes a
 list of values in which each is computed once (value numbering: equal operations on equal values are one

@@ -1,4 +1,4 @@
-"""The equations of an arc with its variational columns, as programs, and the events along it.
+"""Equations of an arc with its variational columns, as programs, and the events along it.
 
 An event is a zero of g(z, p), at which the arc ends, or goes on in another mode of the dynamics (thrust off, next
 layer of the atmosphere) and from another state if the event has a jump.

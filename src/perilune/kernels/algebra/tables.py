@@ -1,4 +1,4 @@
-"""Tables in a program: nested choices between constants become one interval search and one reading.
+"""Tables in a program: nested choices between constants become one interval search and one lookup.
 
 CasADi writes a table of pieces as a choice for each knot, ``if x >= knot: this number, else what was chosen before``,
 and that for each coefficient: thousands of operations. The place of x among the knots is found once, and each

@@ -1,4 +1,4 @@
-"""A traced function as machine code over a batch: out[lane] = f(a[lane], b[lane], ...).
+"""Batch map: a traced function as machine code over a batch, out[lane] = f(a[lane], b[lane], ...).
 
 The kernels of `emit` between a loop that gathers lanes and one that scatters them; the same cache, threads
 and fallback as arcs, and like them bound to arrays that may be filled and evaluated again.

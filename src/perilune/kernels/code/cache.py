@@ -1,4 +1,4 @@
-"""Machine code kept on disk between processes.
+"""Cache of machine code on disk, between processes.
 
 A file is one object: a line that says what it is, the SHA-256 digest of the content, and the content. Its
 name is the digest of all that the code depends on: expressions, this package's own source, processor and

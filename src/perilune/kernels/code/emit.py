@@ -1,4 +1,4 @@
-"""A straight-line program as a function of machine code, one lane per trajectory.
+"""Code generation: a straight-line program as a function of machine code, one lane per trajectory.
 
 Each value of the program is one LLVM instruction on a vector of lanes; the arguments and the result are
 buffers of vectors. LLVM chooses registers and order. A long program is several functions, called one after another.

@@ -1,4 +1,4 @@
-"""A writer of LLVM IR as text, for vectors of lanes.
+"""Writer of LLVM IR as text, for vectors of lanes.
 
 A `Writer` holds the lines of one function and offers the few words that the kernels are made of: arithmetic
 on vectors of `width` doubles (one lane per trajectory), comparisons to masks, buffers in memory, variables,

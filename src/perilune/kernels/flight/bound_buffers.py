@@ -1,4 +1,4 @@
-"""Arcs bound to arrays: flown from and into the same arrays as often as wanted, without allocation.
+"""Arcs bound to arrays: integrated from and into the same arrays as often as wanted, without allocation.
 
 Machine code is told where its arrays lie, once. A batch is bound, flown and read; a shooting iteration, which flies one
 arc thousands of times, keeps the binding, fills the arrays of its `Request` anew and flies again. What was returned

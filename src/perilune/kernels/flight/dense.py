@@ -1,4 +1,4 @@
-"""One arc as a function of time: DOP853's dense output, of order 7, step by step.
+"""Dense output of DOP853: one arc as a function of time, of order 7, step by step.
 
 The stages of all steps are computed at once from their starts, so that the stepping loop has nothing to
 store but the starts; the same text serves both backends.

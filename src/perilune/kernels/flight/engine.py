@@ -1,4 +1,4 @@
-"""Arcs as machine code: compiled when first needed, kept on disk, flown on every core.
+"""Engine of arc propagation: compiled when first needed, kept on disk, run on every core.
 
 Four lanes are the width that measures fastest (the stages of eight leave the first cache). One arc goes with the code
 for four, which takes a tenth longer than code of its own would: so it is what it is among many, to the last bit. Only

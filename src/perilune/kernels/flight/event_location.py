@@ -1,4 +1,4 @@
-"""Events inside the stepping loop, as LLVM IR, located by step control.
+"""Event location inside the stepping loop, by step control, as LLVM IR.
 
 After each step the event functions g and their rates g' = dg/dz z' are evaluated at its end. A crossing
 refuses the step and asks for one that ends at the zero of the cubic Hermite polynomial of g over the step; a

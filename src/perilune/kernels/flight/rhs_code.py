@@ -1,4 +1,4 @@
-"""The equations of a system as machine code, which the stepping loop calls through a table of addresses.
+"""Right-hand side of a system as machine code, which the stepping loop calls through a table of addresses.
 
 The loop is the same for all systems whose events are met alike, and compiled once for them; here is what is a
 system's own.

@@ -1,4 +1,4 @@
-"""Arcs without a compiler: SciPy's DOP853 on CasADi's functions, lane by lane, some hundred times slower.
+"""Engine without a compiler: SciPy's DOP853 on CasADi's functions, lane by lane, some hundred times slower.
 
 The equations are those of the machine code (`algebra.system`), the steps are SciPy's. An event is looked for on the
 dense output of a step, then flown to, its time moved by Newton's method until the event function vanishes there. Two

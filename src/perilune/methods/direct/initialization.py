@@ -1,4 +1,4 @@
-"""The first program of a direct run that is solved, from one of several starts, or the reason for none.
+"""Initialization of a direct run: its first solved program, from one of several starts, or the reason for none.
 
 Most problems are solved from the first start in a few iterations. For the others it is asked first whether there is
 anything to find: from each start the flight that misses the path and the ends by the least. One that misses nothing is

@@ -1,4 +1,4 @@
-"""Settings of the direct method, and the state of one run: programs solved, and their answers flown and judged."""
+"""Settings of the direct method, and the state of one run: programs solved, their answers simulated and tested."""
 
 from __future__ import annotations
 

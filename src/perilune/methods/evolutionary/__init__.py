@@ -1,1 +1,1 @@
-"""Genetic search and its fitness, and the hybrid of it with the indirect method."""
+"""Genetic search and its fitness, and the hybrid of it with another method."""

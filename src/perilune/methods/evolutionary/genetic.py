@@ -1,4 +1,4 @@
-"""A genetic algorithm over a box: selection, crossover, mutation, elitism; the k best *distinct* individuals.
+"""Genetic algorithm over a box: selection, crossover, mutation, elitism; the k best *distinct* individuals.
 
 Individuals are real vectors in the unit cube, mapped to the box. One generation:
 

@@ -1,4 +1,4 @@
-"""Two methods in a row: a genetic algorithm from random values, and another method from its best individuals.
+"""Hybrid of two methods: a genetic algorithm from random values, and another method from its best individuals.
 
 Peng, Li, Shen, Tang 2012, section 3.2, hand the transcribed program itself to the genetic algorithm: several
 hundred variables tied by nearly as many equations. Here it searches what is left when the dynamics hold

@@ -1,4 +1,4 @@
-"""The coarse direct solution behind the indirect method: a start, a flight to keep, or the reason for none."""
+"""Coarse direct solution behind the indirect method: a start, a flight to keep, or the reason for none."""
 
 from __future__ import annotations
 

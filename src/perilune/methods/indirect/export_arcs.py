@@ -1,4 +1,4 @@
-"""The exported flight of a root: in one piece, or in several where errors grow too much.
+"""Exported flight of a root: in one piece, or in several where errors grow too much.
 
 A root of single shooting meets the end conditions to rounding of its own flight. Flown once more, with another
 tolerance, it ends beside them by that rounding times the growth of errors in states and costates together: 1e-15 times

@@ -1,4 +1,4 @@
-"""The indirect method without an initial guess: Pontryagin's conditions, shooting, and ways to start it.
+"""Indirect method without an initial guess: Pontryagin's conditions, shooting, and ways to start it.
 
 They are tried in order, the last two only where those before failed:
 

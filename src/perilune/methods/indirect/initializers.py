@@ -1,4 +1,4 @@
-"""The ways to start the indirect method without an initial guess, each by itself.
+"""Initializers of the indirect method without an initial guess, each by itself.
 
 What they are worth is for the search to judge (`perilune.methods.indirect.search`).
 """

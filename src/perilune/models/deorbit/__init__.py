@@ -1,1 +1,1 @@
-"""Deorbit and entry: from an orbit, through a finite burn and a coast, to the air and through it to a place."""
+"""Deorbit and entry: from an orbit, through a finite burn and a coast, to the air and through it to a site."""

@@ -1,4 +1,4 @@
-"""A return through the air of a day, flown and tabulated in turn until the table stays as it is."""
+"""Iteration of a return and the air of its day: flown and tabulated in turn until the table stays as it is."""
 
 from __future__ import annotations
 

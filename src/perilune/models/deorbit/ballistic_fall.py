@@ -1,4 +1,4 @@
-"""Falls through the air without lift, in a plane: a typical one, and whether any arrives slowly enough.
+"""Ballistic falls through the air, in a plane: a typical one, and whether any arrives slowly enough.
 
 Beside the turning body, with the speed V, the path angle g, the height h and the distance r,
 

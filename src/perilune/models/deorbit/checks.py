@@ -1,4 +1,4 @@
-"""Checks of a return's records that are right one by one, but together incomplete, without effect or impossible."""
+"""Checks of a return's records that are valid one by one, but together incomplete, without effect or impossible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Opportunities to come down to a site: the passes of the days ahead, the turn each needs, and who can make it.
+"""Deorbit opportunities of the days ahead: the passes over a site, the turn each needs, and who can make it.
 
 Three verdicts: *reachable*, where there is a tenth more than what a typical descent with the turn in its burn takes,
 and the problem allows this descent: engine off before the interface, and at the interface a speed within its bounds;

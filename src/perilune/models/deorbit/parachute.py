@@ -1,4 +1,4 @@
-"""The last way down, below a parachute: steadily, as fast as its drag on the drag area S holds the weight.
+"""Descent below a parachute: steady, at the speed at which its drag on the drag area S holds the weight.
 
     rho V^2 S/2 = m |g|,   r' = g sqrt(2 m/(rho S |g|)),   g with the centrifugal acceleration
 

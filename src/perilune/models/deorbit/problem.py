@@ -1,4 +1,4 @@
-"""From orbit to the ground: coast, finite burn, coast to the entry interface, entry; Liu, Liu, Wu 2019, and beyond.
+"""Return from orbit to the ground: coast, finite burn, coast to the interface, entry; Liu, Liu, Wu 2019, and beyond.
 
 The phases are `coast` (where the orbit has a `longest_coast`: ignition is chosen), `burn`, `drift` (where the
 transition has a `longest_coast`; otherwise the engine burns all the way, as in the paper), `entry` (where there is an

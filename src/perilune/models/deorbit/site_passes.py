@@ -1,4 +1,4 @@
-"""Passes of an orbit over a site, as they are for who comes down, and how far the propellant turns the orbit to it.
+"""Passes of an orbit over a site, relative to a descent to it, and how far the propellant turns the orbit.
 
 A typical descent lasts T and sweeps an angle F along the orbit, from ignition to the site's altitude. It ends abeam of
 the site where the argument of latitude of the vehicle at ignition, and F, is that of the site's foot in the plane of

@@ -1,4 +1,4 @@
-"""Entries that leave the air again: falls that rise above the interface once more, and so are none.
+"""Skip-out check: entries that leave the air again, as the fall rises above the interface once more.
 
 A fall that is shallow and fast passes its lowest point before drag has slowed it, and climbs out. How high it rises
 again is computed over the box of all masses, angles and speeds at the interface

@@ -1,4 +1,4 @@
-"""Air of a day, as a return meets it: at each altitude where and when the flight passes that.
+"""Atmosphere along a return: at each altitude the air where and when the flight passes it.
 
 Of a return that is not solved yet the way is that of its rough flight, which goes through the air itself: flown and
 tabulated in turn until the table stays. Its place and its times are near enough for air that changes over hundreds of

@@ -1,4 +1,4 @@
-"""Find landings by two burns, or three, near those by two impulses: the programs of `burn_programs`, one from another.
+"""Search for landings by two burns, or three, near those by two impulses: the programs of `burn_programs` in turn.
 
 The second burn begins behind the lowest point of the fall or at it; where at it the ground may be grazed while it
 burns. Where the switching function of two burns is above 0 in a fall, another brief burn pays there (Lawden 1963,

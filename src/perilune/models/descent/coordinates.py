@@ -1,4 +1,4 @@
-"""The two coordinate systems of a powered descent: functions of state, control and parameters.
+"""Coordinate systems of a powered descent, two of them: functions of state, control and parameters.
 
 Both turn with the body, and velocities are relative to it (Peng, Li, Shen, Tang 2012, section 4):
 

@@ -1,4 +1,4 @@
-"""Burn, coast, burn as a rough flight: where the search for the landing of a strong lander begins.
+"""Rough burn-coast-burn flight, from which the search for the landing of a strong lander begins.
 
 Landings by two burns (`perilune.models.descent.two_burns`) near those by two impulses
 (`perilune.models.descent.two_impulses`), in axes that turn with the body. Velocities there are relative to it, so that

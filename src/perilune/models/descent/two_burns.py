@@ -1,4 +1,4 @@
-"""A landing by two burns or three, as `burn_search` finds it: its arcs, flown with their costates."""
+"""Landing by two burns or three, as `burn_search` finds it: its arcs, integrated with their costates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A landing by two impulses from a bound orbit: the least velocity change that burn-coast-burn comes near to.
+"""Landing by two impulses from a bound orbit: the least velocity change that burn-coast-burn comes near to.
 
 From a bound orbit that clears the ground, or almost: coast for a time tau, one impulse along the velocity onto the
 ellipse that grazes the radius r_s of the site, half a turn or so of free fall to its lowest point, one impulse that

@@ -1,4 +1,4 @@
-"""Tables of air in files: which columns are altitude and density, in which units, and what is said of what was read.
+"""Atmosphere tables in files: which columns are altitude and density, their units, and what the file states.
 
 A file states its units itself, in its headings or in a row below them. Only without headings, or where these state no
 unit, are altitudes in m and densities in kg/m^3.

@@ -1,4 +1,4 @@
-"""Air: density against altitude, as smooth functions that every part of the library flies.
+"""Atmosphere: density against altitude, as smooth functions that every part of the library integrates.
 
 Exponential air is a formula. All other air is a table of the logarithm of the density (`xp.table`, six times
 differentiable), so that there is no layer at whose boundary a flight would have to stop:

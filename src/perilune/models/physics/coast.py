@@ -1,4 +1,4 @@
-"""A free fall before ignition: where the start is stated, the place at which the engine lights is chosen.
+"""Coast before ignition: the start is stated, and the place at which the engine lights is chosen.
 
 Stating the longest fall (``longest_coast`` of a start) puts a phase without thrust before the burn. Its length
 `coast_time` is a free parameter, so that it is chosen as every other: H = 0 along the fall as well.

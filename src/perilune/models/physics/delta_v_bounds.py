@@ -1,4 +1,4 @@
-"""Bounds that hold for every flight, whatever its steering: what the models' comparisons before solving share.
+"""Velocity-change bounds that hold for every flight, whatever its steering: shared by the models' presolve checks.
 
 No flight goes below the radius r_s of its site, and thrust never exceeds T, the greatest that the throttle allows.
 

@@ -1,4 +1,4 @@
-"""Budget of a landing: masses, and the losses that make up the velocity change of the burn.
+"""Delta-v budget of a landing: masses, and the losses that make up the velocity change of the burn.
 
 Along the thrust's path the speed V relative to the ground, where a lander must come to rest, changes by
 ``dV/dt = a.v/V + g.v/V``. Here a is the acceleration by thrust and g gravity as the turning ground feels it (with the

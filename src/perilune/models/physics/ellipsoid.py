@@ -1,4 +1,4 @@
-"""Altitude above an ellipsoid of revolution, and places on it, smooth in Cartesian coordinates.
+"""Ellipsoid of revolution: altitude above it, and places on it, smooth in Cartesian coordinates.
 
 Bowring's second formula (Survey Review 28, 1985) gives the parametric latitude of a point closely enough that its
 altitude, whose error is of second order in it, is exact to rounding up to some thousand kilometres:

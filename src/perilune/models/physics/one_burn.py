@@ -1,4 +1,4 @@
-"""Velocity change of a landing in one burn at full thrust, beside that of coasting first.
+"""Velocity change of a landing in one burn at full thrust, compared with that of coasting first.
 
 An engine that is on all the way down at full thrust has to spend the time of the fall: it pushes down, and up again.
 Who may coast takes two impulses, one where the orbit is highest so that the fall grazes the ground, and one there; from

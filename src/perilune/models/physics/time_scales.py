@@ -1,4 +1,4 @@
-"""Difference between the time of ephemerides and of clocks: TDB - UTC by the known leap seconds.
+"""Time scales: the difference between ephemeris time and clocks, TDB - UTC, by the known leap seconds.
 
 UTC has leap seconds since 1972. Before that it followed universal time in small steps and by the length of its second,
 and before 1960 there was none: a time of those years is taken as universal time, TT - UT by the polynomials of Espenak

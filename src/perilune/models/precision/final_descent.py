@@ -1,4 +1,4 @@
-"""The last metres of a precision landing: straight down on the site, upright, to a touchdown that need not be at rest.
+"""Final descent of a precision landing: straight down on the site, upright, to a touchdown not always at rest.
 
 The flight before ends at the gate: above the site, at a stated height, with no horizontal velocity. It does not come
 below that height. From there on the thrust points straight up and the vehicle moves along the vertical,

@@ -1,4 +1,4 @@
-"""Ground around a landing site: of a round body that turns, or flat under uniform gravity.
+"""Ground around a landing site: of a rotating round body, or flat under uniform gravity.
 
 Frame: east, north, up at the site, turning with the body; position from the site, velocity relative to it. The
 rotation axis of a round body is (0, cos latitude, sin latitude) there, and the mechanics are those of

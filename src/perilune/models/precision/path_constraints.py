@@ -1,4 +1,4 @@
-"""Path conditions of a precision landing: height above the ground or a glide slope, and the tilt of its thrust.
+"""Path constraints of a precision landing: height above the ground or a glide slope, and the tilt of its thrust.
 
     d_up >= cos(tilt)                                      pointing limit: the vehicle stays near upright
     up >= tan(slope) (sqrt(east^2 + north^2 + a^2) - a)    glide slope: the ground is not flown into

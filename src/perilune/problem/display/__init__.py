@@ -1,1 +1,1 @@
-"""How problems and solutions are shown: reprs, views, names of quantities."""
+"""Display of problems and solutions: reprs, views, names of quantities."""

@@ -1,1 +1,1 @@
-"""What a solution holds: extremals, nodes, extrema, arc sequences, dispersion, warnings."""
+"""Content of a solution: extremals, nodes, extrema, arc sequences, dispersion, warnings."""

@@ -1,4 +1,4 @@
-"""The structure of an answer in words: arcs and contact points of its phases, each with its time."""
+"""Arc sequence of an answer in words: arcs and contact points of its phases, each with its time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One root of the necessary conditions as a solution lists it, and its classification."""
+"""Extremal as a solution lists it: one root of the necessary conditions, and its classification."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one `Solution` type of every method: trajectories with costates, what was chosen, how it was found, its proof.
+"""`Solution`, the one result type of every method: trajectories with costates, choices, history, proof.
 
 A trajectory is stored as values *and rates* at nodes, and cubic Hermite interpolation between them is part of the
 record: what is exported is exactly what the verifier flies. `perilune.problem.results.hermite_nodes` chooses nodes so

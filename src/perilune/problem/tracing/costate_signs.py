@@ -1,4 +1,4 @@
-"""States whose costates are known beforehand: zero where nothing depends on them, positive where they are the cost.
+"""Signs of costates known beforehand: zero where nothing depends on the state, positive where it is the cost.
 
 A state that only counts (the energy that was used, a distance flown) stands in no condition, in no objective and in no
 rate of a state that does. With H = lambda . f, lambda' = -dH/dx and lambda(T) = dPhi/dx the costates of all such states

@@ -1,4 +1,4 @@
-"""Physics as data: a function of records written down as the list of elementary operations it does.
+"""Tape of a function: the physics as data, written down as the list of elementary operations it does.
 
 The user's function is called once with *symbols*, and every operation on them is noted, in its order and with its own
 rounding: nothing is rewritten, but equal operations on equal values are one value. A `Tape` so made runs over any maths

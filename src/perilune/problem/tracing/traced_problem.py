@@ -1,4 +1,4 @@
-"""The form of a problem: its statement without its numbers, traced once, with a content address.
+"""Traced problem: its statement without its numbers, traced once, with a content address.
 
 Every function of a problem becomes an `Expression` of named states, controls and parameters; given and free parameters
 stand in one record, so which of them are free is no part of the form. With names, units, kinds of controls and

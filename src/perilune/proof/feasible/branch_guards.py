@@ -1,4 +1,4 @@
-"""Guards of the physics: each comparison in it, found by computing with numbers that record when they are compared.
+"""Guards of the physics: each comparison in it, found by computing with numbers that record their comparisons.
 
 ``xp.where(a < b, ...)``, ``xp.fmin``, ``xp.fmax``, ``xp.fabs`` and the knots of a table that bends there are decided by
 the sign of a difference, a *guard*. The physics is a formula without branches, so it makes its comparisons always in

@@ -1,4 +1,4 @@
-"""Numbers without the solver's tools: second derivatives, and what is small.
+"""Numerical tools independent of the solver's: second derivatives, and the size of negligible numbers.
 
 The numpy text of the physics is differentiated without a symbolic engine (`perilune.core.complex_step`). Everything is
 computed in SI; derivatives are taken with respect to *scaled* coordinates (a state divided by its canonical unit),

@@ -1,4 +1,4 @@
-"""One phase of a solution as the proof sees it: its tables, their breaks and pieces, and the numpy physics on them."""
+"""Phase data of a proof: the tables of one phase, their breaks and pieces, and the numpy physics on them."""
 
 from __future__ import annotations
 

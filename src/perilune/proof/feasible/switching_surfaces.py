@@ -1,4 +1,4 @@
-"""Crossings of a kink or a jump of the physics by a flight, and how costates pass them.
+"""Switching surfaces: where a flight crosses a kink or jump of the physics, and how costates pass them.
 
 At a zero of a guard s(x) the rates change from f- to f+. A neighbouring flight crosses at another time, so that a
 deviation d of the state, and the costate, pass by

@@ -1,4 +1,4 @@
-"""Quick test, at a few points, of whether a flight may touch a condition or follow it: most flights do not.
+"""Quick test, at a few points, of whether a flight may reach a condition or follow it: most flights do not.
 
 Contact points are at an edge of the tables, where costates jump; boundary arcs lie between edges.
 """

@@ -1,4 +1,4 @@
-"""The control minimises H: all over its set, in its slope, and where it switches.
+"""Minimum principle: the control minimises H all over its set, in its slope, and where it switches.
 
 For a scalar u between bounds S = dH/du is its switching function: 0 between the bounds, >= 0 on the lower, <= 0
 on the upper; where u jumps S is 0, or where H bends in u H is the same before and after. Where a path condition is

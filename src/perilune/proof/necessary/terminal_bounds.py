@@ -1,4 +1,4 @@
-"""A bound of a state that holds the end of a phase, as the mass of a stage that burns out: its multiplier.
+"""Terminal state bounds that end a phase, as the mass of a stage that burns out: their multiplier.
 
 A flight keeps x >= b at the end too, so that a range x(T) >= b there asks nothing new: restated with it the problem has
 the same flights. For one that is on the bound only at the end, the multiplier of the bound is that of the range,

@@ -1,4 +1,4 @@
-"""Level 3 where conditions hold the control: what is left to vary, and multipliers that are strictly positive.
+"""Level 3 with active control constraints: the variations left free, and strictly positive multipliers.
 
 On a piece along which conditions c(x, u, p) >= 0 with multipliers mu > 0 are active, only variations count that stay on
 them, c_x dx + c_u du + c_p dp = 0, and L = H - mu.c has the place of H in the second variation. The controls tried

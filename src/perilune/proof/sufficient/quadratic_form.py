@@ -1,4 +1,4 @@
-"""A quadratic form of variations under linear conditions: whether it is positive, and what a Newton step would gain.
+"""Quadratic form of variations under linear conditions: whether it is positive, and the gain of a Newton step.
 
 Source: Hestenes (1966), as `perilune.proof.sufficient.second_order`.
 """

@@ -1,4 +1,4 @@
-"""A phase cut into pieces between breaks, with the first and second derivatives that the second variation needs.
+"""Second variation of a phase: its pieces between breaks, with the first and second derivatives it needs.
 
 Time is normalised on each piece, so that the times of the cuts are parameters as durations are. A direction moves in
 its tangent plane, and not at all where no thrust gives it an effect; a scalar on its bound does not vary. Where path

@@ -1,4 +1,4 @@
-"""Level 3 by solving again: what costates and free parameters promise about neighbours comes true.
+"""Level 3 by solving again: costates and free parameters predict the cost of neighbouring extremals.
 
 lam(0) = dJ*/dx0      against central differences of J over problems whose initial state is shifted; what else is
                       free, but for durations, is held: by the envelope theorem choosing it again changes nothing;

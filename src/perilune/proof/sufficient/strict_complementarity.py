@@ -1,4 +1,4 @@
-"""Level 3 of scalars on their bounds: strictly there, and left where their switching function crosses zero.
+"""Strict complementarity, level 3: scalars strictly on their bounds, left where the switching function crosses zero.
 
 The strict form of what `switching` checks is the Legendre condition of bang-bang controls, one of the two sufficient
 conditions of level 3:
