@@ -422,7 +422,8 @@ def test_where_every_wait_is_about_as_good_neighbours_are_met() -> None:
     ), level=2)  # fmt: skip
     parts, _ = restate_with_contacts(with_end_bounds(landed))
     costates = [*check_neighbours(parts, lambda problem, guess: Indirect().run(problem, guess))]
-    assert len(costates) == 7 and max(check.value for check in costates) < 1e-9  # 1e-6 is allowed
+    # 1e-6 is allowed; 1.1e-9 was measured, and 1e-7 without what is held.
+    assert len(costates) == 7 and max(check.value for check in costates) < 1e-8
 
 
 def test_steps_of_a_long_coast_make_no_conjugate_point() -> None:

@@ -20,8 +20,8 @@ from perilune.problem.presolve import Finding, preflight
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.tape import Expression, NotAFormula, Recorder
 
-_NUMBERS, _FLAGS = ("value", "limit"), ("at_least", "binding", "lasting")
-_UNSTATED = {"lasting": False}  # in files that are older than the flag
+_NUMBERS, _FLAGS = ("value", "limit"), ("at_least", "binding", "lasting", "contradiction")
+_UNSTATED = {"lasting": False, "contradiction": False}  # in files that are older than the flag
 _TEXTS = tuple(f.name for f in fields(Finding) if f.name not in (*_NUMBERS, *_FLAGS))
 
 

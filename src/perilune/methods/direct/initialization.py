@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 BRIEF, PATIENT = 60, 150
 # Starts that all end at a least miss that is not zero, before nothing more is tried.
 CONVINCED = 2
-# Nodes times iterations of all attempts of one run, before no further start is tried: of one phase no attempts come to
-# so much, and of four, where each iteration takes long, what is found is found before.
-MOST_WORK = 40_000
 # Of its typical duration: what a phase has left that has shrunk to nothing.
 VANISHED = 1e-3
 # A condition violated by less, in canonical units, is met.
@@ -66,7 +63,6 @@ class FirstMesh:
     def __init__(self, run: Run, guess: Solution | None, *, near: bool = False, close: bool = False) -> None:
         self.run, self.problem, self.guess, self.near, self.close = run, run.problem, guess, near, close
         self.all_missed = self.settled = False
-        self.work = 0  # nodes times iterations
         self.first: tuple[Vector, list[Sampler]] | None = None  # what the first straight line is, once it was drawn
 
     def answer(self) -> tuple[TranscribedProgram, ProgramSolution]:
@@ -96,9 +92,6 @@ class FirstMesh:
         misses: list[tuple[TranscribedProgram, ProgramSolution]] = []
         vanished: list[tuple[TranscribedProgram, ProgramSolution]] = []
         for start in starts:
-            if self.work > MOST_WORK:
-                self.run.say(f"no more starts are tried after {self.run.iterations} iterations")
-                break
             nearest, found = self.from_least_miss(start)
             if found is not None:
                 tries.append((start.program, found))
@@ -115,7 +108,7 @@ class FirstMesh:
         if not misses:
             # A start that leads nowhere spends all it is given: what one of them may take, all of them share.
             share = max(1, self.run.settings.iterations // len(starts))
-            for start in starts if self.work <= MOST_WORK else []:
+            for start in starts:
                 tries.append((start.program, self.attempt(start, share)))
                 if tries[-1][1].converged:
                     return tries[-1]
@@ -123,28 +116,20 @@ class FirstMesh:
 
     def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> ProgramSolution:
         """Solve a program from its start."""
-        return self.attempt_counted(start.program, start.free, start.values, start.name, most=most, close=close)
-
-    def attempt_counted(
-        self, program: TranscribedProgram, free: Vector, values: tuple[PhaseValues, ...], name: str, **how: Any
-    ) -> ProgramSolution:
-        """Return an attempt of the run, whose work is counted."""
-        answer = self.run.attempt(program, free, values, name, **how)
-        self.work += answer.iterations * sum(mesh.nodes for mesh in program.meshes)
-        return answer
+        return self.run.attempt(start.program, start.free, start.values, start.name, most=most, close=close)
 
     def from_least_miss(self, start: Start) -> tuple[ProgramSolution, ProgramSolution | None]:
         """Return the flight near a start that misses least, and what is reached from there if it misses nothing."""
         program, free, values, name, _ = start
-        nearest = self.attempt_counted(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
+        nearest = self.run.attempt(program, free, values, f"nearest miss, {name}", nearest=True, most=PATIENT)
         if nearest.violation > MISSED:
             return nearest, None
-        found = self.attempt_counted(program, nearest.free, nearest.phases, "from there")
+        found = self.run.attempt(program, nearest.free, nearest.phases, "from there")
         if not found.converged:
             # First steps as long as the adaptive barrier allows may lose the flight, as air is far from linear: with
             # little barrier it is kept.
             name = "from there, by little barrier"
-            found = self.attempt_counted(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
+            found = self.run.attempt(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
         return nearest, found
 
     def starts(self) -> Iterator[Start]:
