@@ -25,7 +25,7 @@ MOST_AXES = 4
 _MOST_BRICKS = 10**6
 _NARROWEST, _LEAST = 1e-9, 1e-280  # range of an axis, as a share of its values, and SI
 _LOOKS = 16  # at points within a region, beside its corners, between which a function may go and come back
-_PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # bricks along each of so many axes
+_PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # blocks along each of so many axes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +37,9 @@ class Axis:
     name, unit
         Of the parameter; the unit in SI.
     edges
-        Where the bricks along it begin and end [SI], rising.
+        Where the blocks along it begin and end [SI], rising.
     first
-        Number of the first brick: what is added below what was there has numbers below 0.
+        Number of the first block: what is added below what was there has numbers below 0.
     """
 
     name: str
@@ -73,11 +73,11 @@ class Axis:
 
     @property
     def numbers(self) -> range:
-        """Return the numbers of the bricks along it."""
+        """Return the numbers of the blocks along it."""
         return range(self.first, self.first + len(self.edges) - 1)
 
     def edge(self, number: int) -> float:
-        """Return the lower end of a brick [SI]."""
+        """Return the lower end of a block [SI]."""
         return self.edges[number - self.first]
 
 
@@ -121,28 +121,28 @@ class Region:
 
     @property
     def bricks(self) -> list[tuple[int, ...]]:
-        """Return the numbers of all bricks, the last axis changing fastest."""
+        """Return the numbers of all blocks, the last axis changing fastest."""
         return list(product(*(axis.numbers for axis in self.axes)))
 
     def box(self, brick: tuple[int, ...]) -> tuple[Vector, Vector]:
-        """Return the low and high corner of a brick [SI]; neighbours share them exactly."""
+        """Return the low and high corner of a block [SI]; neighbours share them exactly."""
         low, high = (
             np.array([axis.edge(n + side) for axis, n in zip(self.axes, brick, strict=True)]) for side in (0, 1)
         )
         return low, high
 
     def corners(self) -> tuple[NDArray[np.int64], Matrix]:
-        """Return the numbers of the corners of all bricks, (k, d), and their values [SI]."""
+        """Return the numbers of the corners of all blocks, (k, d), and their values [SI]."""
         numbers = [range(axis.first, axis.first + len(axis.edges)) for axis in self.axes]
         return np.array(list(product(*numbers))), np.array(list(product(*(axis.edges for axis in self.axes))))
 
     def brick_of(self, values: Vector) -> tuple[int, ...]:
-        """Return the brick in which a point [SI] of the region lies."""
+        """Return the block in which a point [SI] of the region lies."""
         inner = zip(self.axes, values.tolist(), strict=True)
         return tuple(axis.first + bisect_right(axis.edges, value, 1, len(axis.edges) - 1) - 1 for axis, value in inner)
 
     def bricks_of(self, points: Matrix) -> NDArray[np.int64]:
-        """Return the bricks in which points [SI] lie, (points, d); a nearby one for points outside of the region."""
+        """Return the blocks in which points [SI] lie, (points, d); a nearby one for points outside of the region."""
         columns = [
             axis.first + np.searchsorted(axis.edges[1:-1], values, side="right")
             for axis, values in zip(self.axes, points.T, strict=True)
@@ -260,7 +260,7 @@ def _equal_parts(low: float, high: float, count: int) -> tuple[float, ...]:
 
 
 def wider(region: Region, axes: Mapping[str, tuple[float, float]]) -> Region:
-    """Return the region with more bricks, no wider than the present ones, below and above these.
+    """Return the region with more blocks, no wider than the present ones, below and above these.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Trajectory
 
-# First durations tried from nothing, as multiples of the typical ones.
+# First durations tried without an initial guess, as multiples of the typical ones.
 STRETCHES = (1.0, 1.6, 0.6, 2.8)
 # Points at which a straight line's control is fitted.
 FITTED = 21

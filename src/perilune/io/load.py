@@ -1,6 +1,6 @@
 """Load ``solution.json``. It may come from a stranger, so it is data, checked before it is used.
 
-The problem is built anew from the expressions inside, or by a model from the scenario's text or the values of records
+The problem is built again from the expressions inside, or by a model from the scenario's text or the values of records
 where they are there; then both must state the same, and the text's hash must match. Every number is compared in shape
 with what that problem needs. What the file *claims* of itself (its outcome, its checks) proves nothing: a solution that
 was verified comes back as SOLVED and not proved again, beside what its file claims, for `perilune.proof` to judge.

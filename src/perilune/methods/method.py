@@ -13,5 +13,5 @@ class Method(Protocol):
     """A frozen record of settings with a `run`."""
 
     def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
-        """Solve the problem, from a guess or from nothing."""
+        """Solve the problem, from a guess or without an initial guess."""
         ...

@@ -182,7 +182,7 @@ def _draw_quantity_map(shown: Slice, values: Vector, text: str) -> Figure:
 
 
 def _draw_level_lines(shown: Slice, panel: Any, along: list[Vector], values: Vector) -> None:
-    """Draw lines of equal value for each sheet separately, as the value may jump between two."""
+    """Draw lines of equal value for each branch separately, as the value may jump between two."""
     known = values[np.isfinite(values)]
     levels, least = _round_levels(np.quantile(known, np.linspace(0.1, 0.9, 7))), _SAME * np.abs(known).max()
     for number in range(len(shown.sheets)):
@@ -206,13 +206,13 @@ def _round_levels(levels: Vector) -> Vector:
 
 
 def _sheet_labels(shown: Slice) -> list[tuple[str, str]]:
-    """Return label and colour of each sheet."""
+    """Return label and colour of each branch."""
     return [(label.replace("_", " "), _SHEETS[number % len(_SHEETS)]) for number, label in enumerate(shown.sheets)]
 
 
 @styled
 def _draw_sheet_map(shown: Slice) -> Figure:
-    """Draw the sheet of each answer, and the reason for points without one."""
+    """Draw the branch of each answer, and the reason for points without one."""
     figure, (panel,), along = _panels(shown)
     count = len(shown.sheets)
     kinds = [

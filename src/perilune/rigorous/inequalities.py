@@ -160,7 +160,7 @@ class FlightLimits:
         at = i + side
         if at < 0 or (side and self.boundary.pieces[at].phase != self.boundary.pieces[i].phase):
             return 0
-        # What no formula gives of the control begins anew with an arc: behind the costate stands something else.
+        # What no formula gives of the control begins again with an arc: behind the costate stands something else.
         arc = self.boundary.arcs[at]
         count = 2 * arc.half if side else len(arc.rates)
         known = {("z", j): arc.graph.input(("end", at, j)) for j in range(count)}

@@ -16,7 +16,7 @@ W exists, that no junction has too little weight, and that Phi_xx - W is positiv
 (Zeidan, *Sufficient conditions for the generalized problem of Bolza*, 1983; Maurer, Pickenhain, *Second-order
 sufficient conditions for control problems with mixed control-state constraints*, 1995). W = Lambda X^-1 with the
 tangents (X, Lambda) of the canonical equations that begin with (1, W); it exists as long as X is regular (`regular`).
-They begin anew with every step, where W may be replaced by a larger one: what lies before is still no less. As X
+They begin again with every step, where W may be replaced by a larger one: what lies before is still no less. As X
 begins with 1, nothing is singular at the start; large M come as close as one likes to the condition that no point is
 conjugate to it. Where no formula gives scalars w, (dx, dlambda) move them by dw = -H_ww^-1 H_wz dz where a step
 begins; H_ww > 0 there, and it stays so, as w' divides by the pivots of its elimination all along.

@@ -166,7 +166,7 @@ def _regimes(
 
 
 def _refuse_unknown(solution: Solution, structure: Structure) -> None:
-    """Refuse arcs whose multiplier signs a second flight cannot determine."""
+    """Refuse arcs whose multiplier signs an independent re-integration cannot determine."""
     for k, arcs in enumerate(structure.phases):
         for arc in arcs:
             if arc.along and any(regime == "singular" for _, regime in arc.regimes):

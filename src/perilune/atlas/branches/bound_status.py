@@ -1,6 +1,6 @@
 """Bound status of an extremal: traced, so that one text serves a single lane and many.
 
-A side is +1 if a sheet holds something at its lower bound, -1 at its upper one, and 0 if it does not hold it.
+A side is +1 if a branch holds something at its lower bound, -1 at its upper one, and 0 if it does not hold it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class BoundStatus(NamedTuple):
     held
         1 where it is held, at a bound or as a parameter that varies.
     side
-        Side at which the sheet holds it.
+        Side at which the branch holds it.
     lower, upper
         Its bounds.
     touched
@@ -49,7 +49,7 @@ class BoundStatus(NamedTuple):
 
     @property
     def margin(self) -> ca.SX:
-        """Return the margin to the border within which its sheet answers; below zero beyond it.
+        """Return the margin to the border within which its branch answers; below zero beyond it.
 
         It is the least of three: for what is free the distance to its bounds, for what is held dJ/d(value) into the
         interior, and for each contact point the multiplier by which J would fall if the condition gave way.

@@ -1,9 +1,9 @@
 """Solution branches (sheets): families of extremals, each smooth in the parameters, and where they may be optimal.
 
-A sheet is identified by its active bounds (free parameters or ranges at a bound) and by the sign of det(dh/dy), which
-changes only at a fold, where two sheets meet. Its conditions have roots beyond the border within which they are answers
-(a retro burn below zero): such nodes are kept too, so that a cell reaches across the border of its sheet, and the root
-at the point itself decides if it is an answer.
+A branch is identified by its active bounds (free parameters or ranges at a bound) and by the sign of det(dh/dy), which
+changes only at a fold, where two branches meet. Its conditions have roots beyond the border within which they are
+answers (a retro burn below zero): such nodes are kept too, so that a cell reaches across the border of its branch, and
+the root at the point itself decides if it is an answer.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ class Borders:
         return [(i, low / size if bounded else None, high / size) for i, low, high, size, bounded in told]
 
     def sides(self, sheets: Sequence[Sheet]) -> Matrix:
-        """Return the side at which each sheet holds each of what can be held, (sheets, k); see `atlas.standing`."""
+        """Return the side at which each branch holds each of what can be held, (branches, k); see `atlas.standing`."""
         found = np.zeros((len(sheets), self.chart.shooting.plan.held))
         for row, sheet in zip(found, sheets, strict=True):
             for name, side in sheet.holds.items():
@@ -201,7 +201,7 @@ class Borders:
         Parameters
         ----------
         sheets, which
-            The sheets, and the number of each lane's, (lanes,).
+            The branches, and the number of each lane's, (lanes,).
         values
             Values of the parameters, canonical, (lanes, d).
         limits
@@ -260,14 +260,14 @@ class Borders:
         return np.einsum("k,lkd->ld", np.array([1.0, -8.0, 8.0, -1.0]) / 12.0, bounds) / step
 
     def missed(self, sheet: Sheet, values: Matrix, y: Matrix) -> NDArray[np.bool_]:
-        """Return True where a cell's value of a free parameter that its sheet holds misses its moving bound, (lanes,).
+        """Return True where a cell's value of a free parameter that its branch holds misses its moving bound, (lanes,).
 
         The cell does not see a bound that moves away and back between its corners and its middle.
 
         Parameters
         ----------
         sheet
-            The sheet.
+            The branch.
         values
             Values of the parameters, canonical, (lanes, d).
         y
@@ -362,7 +362,7 @@ class Borders:
         Parameters
         ----------
         sheets, which
-            The sheets, and the number of each lane's, (lanes,).
+            The branches, and the number of each lane's, (lanes,).
         found
             The extremals.
         limits
@@ -398,7 +398,7 @@ class Borders:
         Parameters
         ----------
         sheets, which
-            All sheets, and the number of each lane's.
+            All branches, and the number of each lane's.
         y, choice
             All unknowns, and what is held of them.
         at, rises

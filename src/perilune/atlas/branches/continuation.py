@@ -19,7 +19,7 @@ from perilune.atlas.store.cells import same_unknowns
 from perilune.core.arrays import Matrix, Vector
 
 Lanes = NDArray[np.int64]
-Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a sheet by the numbers of corners
+Corners = dict[tuple[int, ...], NDArray[np.float64]]  # unknowns of a branch by the numbers of corners
 
 MOST = 20  # evaluations of a step
 _SHORTEST, _ROUNDS = 2.0**-7, 200  # step of a walk, and how many there may be
@@ -161,12 +161,12 @@ class StraightContinuation:
 def continue_sheet_to(
     chart: Chart, borders: Borders, sheet: Sheet, start: Vector, y: Vector, targets: Matrix
 ) -> Matrix:
-    """Continue a sheet to other values of the parameters; return unknowns, (targets, n), NaN where it does not lead.
+    """Continue a branch to other values of the parameters; return unknowns, (targets, n), NaN where it does not lead.
 
     Parameters
     ----------
     chart, borders, sheet
-        The sheet, with its chart and bounds.
+        The branch, with its chart and bounds.
     start, y
         Values of the parameters, (d,), and unknowns, (n,), to begin with, canonical.
     targets
@@ -189,7 +189,7 @@ def follow_sheets(
     near: float = _NEAR,
     astray: float | None = None,
 ) -> tuple[Matrix, Vector]:
-    """Follow sheets along straight lines.
+    """Follow branches along straight lines.
 
     Parameters
     ----------
@@ -226,20 +226,20 @@ def line_places(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]
 def walks_from_one_extremal(
     start: Vector, y: Vector, targets: Matrix
 ) -> tuple[NDArray[np.int64], Matrix, Matrix, Matrix]:
-    """Return `which`, `starts`, `y` and `targets` of `follow_sheets` from one extremal of one sheet."""
+    """Return `which`, `starts`, `y` and `targets` of `follow_sheets` from one extremal of one branch."""
     count = len(targets)
     return np.zeros(count, dtype=np.int64), np.tile(start, (count, 1)), np.tile(y, (count, 1)), targets
 
 
 def corners_reached(places: NDArray[np.int64], y: Matrix) -> Corners:
-    """Return the unknowns of a sheet at the corners that it reaches."""
+    """Return the unknowns of a branch at the corners that it reaches."""
     return {tuple(corner): row for corner, row in zip(places.tolist(), y, strict=True) if np.isfinite(row[0])}
 
 
 def continue_between_corners(
     chart: Chart, borders: Borders, sheet: Sheet, places: NDArray[np.int64], values: Matrix, known: Corners
 ) -> Corners:
-    """Continue a sheet to further corners, from corner to neighbouring corner.
+    """Continue a branch to further corners, from corner to neighbouring corner.
 
     It continues only from corners at which it can be an answer: beyond its border it may turn back, and come to the
     same place with other extremals.
@@ -276,7 +276,7 @@ def _admissible_corners(
     numbers: Mapping[tuple[int, ...], int],
     corners: Corners,
 ) -> list[tuple[int, ...]]:
-    """Return the corners at which a sheet can be an answer."""
+    """Return the corners at which a branch can be an answer."""
     if not corners:
         return []
     values, which = canonical[[numbers[corner] for corner in corners]], np.zeros(len(corners), dtype=np.int64)

@@ -46,15 +46,15 @@ def cell_type(d: int) -> np.dtype[Any]:
 
 
 def seed_type(d: int, n: int) -> np.dtype[Any]:
-    """Return the columns of a shard of the survey: unknowns of a sheet at corners of bricks.
+    """Return the columns of a shard of the survey: unknowns of a sheet at corners of blocks.
 
-    A sheet that reaches no corner has them at the `place`, in lattice steps, of the brick with this low corner.
+    A sheet that reaches no corner has them at the `place`, in lattice steps, of the block with this low corner.
     """
     return np.dtype([("sheet", "<i4"), ("corner", "<i4", (d,)), ("place", "<i4", (d,)), ("y", "<f8", (n,))])
 
 
 def brick_name(key: tuple[int, ...]) -> str:
-    """Return the name of a brick of a chart: its numbers, with ``m`` before those below zero."""
+    """Return the name of a block of a chart: its numbers, with ``m`` before those below zero."""
     return "-".join(f"m{-number}" if number < 0 else str(number) for number in key)
 
 
@@ -89,13 +89,13 @@ def widths_of(chart: Mapping[str, Any], region: Region) -> Vector:
 
 
 def places_of(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]:
-    """Return the numbers of the bricks that a chart may have."""
+    """Return the numbers of the blocks that a chart may have."""
     without = {tuple(place) for place in chart.get("without", ())}
     return [brick for brick in region.bricks if brick not in without]
 
 
 def seeded_places(region: Region, chart: Mapping[str, Any], seeds: NDArray[Any]) -> set[tuple[int, ...]]:
-    """Return the bricks of a chart in which, or at whose corners, its survey has a sheet, by its shard."""
+    """Return the blocks of a chart in which, or at whose corners, its survey has a sheet, by its shard."""
     within = seeds["place"].any(axis=1)
     beside = (seeds["corner"][~within][:, None] - binary_digits(len(region.axes))[None]).reshape(-1, len(region.axes))
     there = set(map(tuple, np.vstack([beside, seeds["corner"][within]]).tolist()))

@@ -1,11 +1,11 @@
 """Audit of an atlas: whole proofs of answers at nodes drawn at random, and at nodes with a thin margin.
 
-Each node of a brick carries the results of its second flight; the proof of level 3 takes a hundred times as long as the
-node itself. If n answers are drawn at random and all proved, at least a share 0.01^(1/n) of all would be proved, at
-99 % confidence: 99 % with n = 459. Answers are drawn at nodes at which the atlas answers, so the statement covers
-neither points between them nor places that a query refuses, whose number in the draw is stated.
+Each node of a block carries the results of its independent re-integration; the proof of level 3 takes a hundred times
+as long as the node itself. If n answers are drawn at random and all proved, at least a share 0.01^(1/n) of all would be
+proved, at 99 % confidence: 99 % with n = 459. Answers are drawn at nodes at which the atlas answers, so the statement
+covers neither points between them nor places that a query refuses, whose number in the draw is stated.
 
-Nodes with a thin margin lie near the border of their sheet, where a bound becomes active or inactive; an error there
+Nodes with a thin margin lie near the border of their branch, where a bound becomes active or inactive; an error there
 would seldom be found by a draw among all.
 """
 
@@ -182,7 +182,7 @@ def drawn_at_random(atlas: Atlas, count: int, rng: np.random.Generator, refused:
 
 
 def drawn_thin(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[Drawn]:
-    """Yield answers at nodes with a thin margin, no place twice; in each brick the thinnest first."""
+    """Yield answers at nodes with a thin margin, no place twice; in each block the thinnest first."""
     keys, seen = [key for key in sorted(atlas.said) if atlas.said[key].get("thin", 0)], set[tuple[float, ...]]()
     refused = Refused()
     for at in rng.permutation(len(keys)).tolist():
@@ -202,7 +202,7 @@ def _answer_at_new_place(
     if (told := tuple(values.tolist())) not in seen and told not in refused:
         try:
             found = atlas.query(**dict(zip(atlas.region.names, told, strict=True)))
-        except PeriluneError as error:  # where another sheet that might be better ends
+        except PeriluneError as error:  # where another branch that might be better ends
             refused[told] = error.what
             return
         seen.add(told)
@@ -299,9 +299,9 @@ class RegionCoverage(NamedTuple):
 
 
 def covered_share(atlas: AtlasReader, points: int = LOOKED_AT) -> RegionCoverage:
-    """Compute the share of points of a region that lie in a cell of some sheet which answers; the draw is fixed.
+    """Compute the share of points of a region that lie in a cell of some branch which answers; the draw is fixed.
 
-    Queries answer only there, and may refuse some of these points: another sheet can cast doubt on their answer.
+    Queries answer only there, and may refuse some of these points: another branch can cast doubt on their answer.
 
     Parameters
     ----------

@@ -44,8 +44,8 @@ from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.problem import Problem
 
 TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives
-_ROUNDS = 8  # of going on from bricks into their neighbours, at most
-_AHEAD = 200  # bricks at work, each with a file that is open
+_ROUNDS = 8  # of going on from blocks into their neighbours, at most
+_AHEAD = 200  # blocks at work, each with a file that is open
 _LOOSEST, _TIGHTEST = 1e-4, 1e-12
 
 
@@ -74,11 +74,11 @@ def build(
     store
         The directory. One that holds part of the same atlas is gone on with.
     executor
-        Where the bricks are computed: a `concurrent.futures.Executor` (a process pool, say) or a Dask client.
+        Where the blocks are computed: a `concurrent.futures.Executor` (a process pool, say) or a Dask client.
     tolerance
         Relative, of the unknowns: a cell is cut until one step of Newton's method leads there from what it gives.
     method
-        By which the survey solves from nothing, ``Indirect()`` by default.
+        By which the survey solves without an initial guess, ``Indirect()`` by default.
     watch
         Receives lines of text, and each iteration of what the survey solves (`perilune.core.callbacks`).
     bricks
@@ -137,7 +137,7 @@ def complete_atlas(
     executor: Submits | None,
     say: Watch,
 ) -> None:
-    """Compute the missing bricks of a survey, and then those into which a sheet continues from others."""
+    """Compute the missing blocks of a survey, and then those into which a branch continues from others."""
     with damage_text(MANIFEST):
         tasks = dict(first_tasks(kept, problem, region, survey, tolerance))
     for number in range(_ROUNDS):
@@ -154,7 +154,7 @@ def complete_atlas(
 
 
 def _shard_checksums(kept: AtlasStore, region: Region, survey: Mapping[str, Any], rounds: int) -> dict[Key, list[str]]:
-    """Return the checksums of the shards of each brick after so many rounds."""
+    """Return the checksums of the shards of each block after so many rounds."""
     lines = kept.latest(survey, len(region.axes), rounds)
     return {key: [line[kind]["sha256"] for kind in ("nodes", "cells")] for key, line in lines.items()}
 
@@ -168,7 +168,7 @@ def _complete_round(
     executor: Submits | None,
     say: Watch,
 ) -> None:
-    """Compute the missing bricks of one round."""
+    """Compute the missing blocks of one round."""
     named = {brick_name(key) + (f"~{number}" if number else ""): key for key in tasks}
     there = _node_counts(kept, region, survey)
     say(_progress_text(named, there, number))
@@ -191,7 +191,7 @@ def _complete_round(
 
 
 def _node_counts(kept: AtlasStore, region: Region, survey: Mapping[str, Any]) -> dict[str, int]:
-    """Return the number of nodes of each brick on disk, by name."""
+    """Return the number of nodes of each block on disk, by name."""
     return {line["name"]: line["nodes"]["rows"] for line in kept.bricks(survey, len(region.axes))}
 
 
@@ -202,7 +202,7 @@ def _progress_text(named: Mapping[str, Key], there: Mapping[str, int], number: i
 
 
 def _pace(work: Mapping[str, int], there: Mapping[str, int], seconds: float) -> str:
-    """Format the rate of nodes and the time left for missing bricks; `work` is the size of each brick."""
+    """Format the rate of nodes and the time left for missing blocks; `work` is the size of each block."""
     new = there.keys() & work.keys()
     rate = sum(there[name] for name in new) / max(seconds, 1e-3)
     done = sum(work[name] for name in new)
@@ -213,7 +213,7 @@ def _pace(work: Mapping[str, int], there: Mapping[str, int], seconds: float) -> 
 def _computed_shards(
     kept: AtlasStore, todo: Mapping[str, Task], executor: Submits | None, say: Watch
 ) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
-    """Yield the shards of the bricks that can be claimed, as soon as they are computed."""
+    """Yield the shards of the blocks that can be claimed, as soon as they are computed."""
     claims = dict[str, ExitStack]()
 
     def calls() -> Iterator[tuple[str, Call]]:

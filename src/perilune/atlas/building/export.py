@@ -117,7 +117,7 @@ class NodeTable:
 
     @property
     def sheets(self) -> list[str]:
-        """Return the labels of all sheets, by their number."""
+        """Return the labels of all branches, by their number."""
         return [label for charted in self.atlas.charted for label in charted.labels]
 
     @property
@@ -145,7 +145,7 @@ class NodeTable:
         }
 
     def parts(self) -> Iterator[Mapping[str, NDArray[Any]]]:
-        """Yield the columns of each brick, in the order of charts and numbers.
+        """Yield the columns of each block, in the order of charts and numbers.
 
         Raises
         ------

@@ -1,7 +1,7 @@
 """Extend an atlas by more blocks; existing ones stay as they are.
 
-The wider region is surveyed as a new one would be. Extremals on known sheets continue these; others begin new charts,
-with bricks over all of the region that they reach. A sheet that is not found again is continued from where it was
+The wider region is surveyed as a new one would be. Extremals on known branches continue these; others begin new charts,
+with blocks over all of the region that they reach. A branch that is not found again is continued from where it was
 known. The survey's line in the manifest names the one that it extends: once it is written the atlas is the wider one,
 and before that nothing has changed.
 """
@@ -186,7 +186,7 @@ def _equations_key(said: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def _renumber_sheets(small: Sequence[InteriorSeed], left: Sequence[int]) -> tuple[InteriorSeed, ...]:
-    """Return the interior extremals of the remaining sheets, with the new numbers of these."""
+    """Return the interior extremals of the remaining branches, with the new numbers of these."""
     return tuple(replace(one, sheet=left.index(one.sheet)) for one in small if one.sheet in left)
 
 
@@ -196,7 +196,7 @@ def _corners_of(rows: NDArray[Any], sheet: int) -> Corners:
 
 
 def _is_known_sheet(found: SurveyedChart, number: int, sheet: Sheet, places: NDArray[np.int64], known: Corners) -> bool:
-    """Return True if a sheet that was found is a known one: one extremal in common makes them the same."""
+    """Return True if a branch that was found is a known one: one extremal in common makes them the same."""
     other = found.sheets[number]
     if not other.alike(sheet):
         return False
@@ -205,7 +205,7 @@ def _is_known_sheet(found: SurveyedChart, number: int, sheet: Sheet, places: NDA
 
 
 def _corner_rows(sheets: Sequence[Corners], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the rows of a shard of sheets at corners."""
+    """Return the rows of a shard of branches at corners."""
     listed = [(number, corner, y) for number, known in enumerate(sheets) for corner, y in sorted(known.items())]
     rows = np.zeros(len(listed), dtype=dtype)
     for row, (number, corner, y) in zip(rows, listed, strict=True):

@@ -45,12 +45,12 @@ from perilune.problem.problem import Problem
 _BY_HAND = ("axes", "versions", "format")  # of a header: compared otherwise, or not at all
 
 
-Place = tuple[int, ...]  # numbers of a brick, with its chart before them or without
+Place = tuple[int, ...]  # numbers of a block, with its chart before them or without
 
 
 @dataclass(frozen=True)
 class _Part:
-    """One of the two atlases: store, header, survey, region, bricks by chart and numbers, and proofs."""
+    """One of the two atlases: store, header, survey, region, blocks by chart and numbers, and proofs."""
 
     kept: AtlasStore
     header: Mapping[str, Any]
@@ -62,7 +62,7 @@ class _Part:
 
     @cached_property
     def wholes(self) -> set[Place]:
-        """Return places at which each chart has the bricks for which its survey has sheets."""
+        """Return places at which each chart has the blocks for which its survey has branches."""
         d, found = len(self.region.axes), set(self.region.bricks)
         for number, chart in enumerate(self.survey["charts"]):
             seeds = self.kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
@@ -171,7 +171,7 @@ def _read_part(directory: Path, problem_from_scenario: Callable[[str], Problem])
 
 
 def _total_nodes(lines: Iterable[Mapping[str, Any]]) -> int:
-    """Return the number of nodes of bricks, given their lines."""
+    """Return the number of nodes of blocks, given their lines."""
     return sum(line["nodes"]["rows"] for line in lines)
 
 
@@ -198,7 +198,7 @@ def _refuse_unlike(one: _Part, other: _Part) -> None:
 
 
 def _ordered_parts(one: _Part, other: _Part) -> tuple[_Part, _Part, Region]:
-    """Return both parts, the lower first, and their joint region; the second's bricks keep their own numbers."""
+    """Return both parts, the lower first, and their joint region; the second's blocks keep their own numbers."""
     apart = [i for i, (a, b) in enumerate(zip(one.region.axes, other.region.axes, strict=True)) if a.edges != b.edges]
     if len(apart) == 1:
         a, b = one.region.axes[apart[0]], other.region.axes[apart[0]]
@@ -287,7 +287,7 @@ def _valid_proofs(
 
 
 def _shift(a: Axis, b: Axis, joined: Axis) -> int:
-    """Return the shift of the numbers of the second atlas's bricks along an axis."""
+    """Return the shift of the numbers of the second atlas's blocks along an axis."""
     begins = 0 if a.edges == b.edges else len(joined.edges) - len(b.edges)
     return joined.first + begins - b.first
 
@@ -295,7 +295,7 @@ def _shift(a: Axis, b: Axis, joined: Axis) -> int:
 def _copied_brick_line(
     kept: AtlasStore, part: _Part, line: Mapping[str, Any], key: tuple[int, ...], digest: str, unknowns: int
 ) -> dict[str, Any]:
-    """Copy the shards of a brick of one of the two, and return its line in the new manifest."""
+    """Copy the shards of a block of one of the two, and return its line in the new manifest."""
     name, d = brick_name(key), len(key) - 1
     shards = {}
     for kind, dtype in (("nodes", node_type(d, unknowns)), ("cells", cell_type(d))):

@@ -1,6 +1,6 @@
 """Tasks of computing an atlas, block by block, anywhere and in any order.
 
-First every brick in which the survey has a sheet; then, round by round, those into which one continues from others.
+First every block in which the survey has a sheet; then, round by round, those into which one continues from others.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from perilune.problem.problem import Problem
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """Task of one brick of one chart, which any process can compute.
+    """Task of one block of one chart, which any process can compute.
 
     Parameters
     ----------
@@ -66,12 +66,12 @@ class Task:
 
     @property
     def size(self) -> int:
-        """Return an estimate of the work relative to other bricks: those whose sheets miss corners are cut most."""
+        """Return an estimate of the work relative to other blocks: those whose sheets miss corners are cut most."""
         return 1 + max(0, len(np.unique(self.sheet)) * 2 ** len(self.low) - len(self.sheet))
 
 
 def compute_brick(task: Task, watch: Watch = ignore_events) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Compute the nodes and cells of a brick, as their shards have them."""
+    """Compute the nodes and cells of a block, as their shards have them."""
     chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
     low, high = task.low / chart.scale, task.high / chart.scale
     before = (
@@ -95,7 +95,7 @@ def compute_brick(task: Task, watch: Watch = ignore_events) -> tuple[NDArray[Any
 
 
 def _cut_from_shards(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> Cut:
-    """Build the cut of a brick from its shards, as `compute_brick` makes it."""
+    """Build the cut of a block from its shards, as `compute_brick` makes it."""
     columns = [name for name in nodes.dtype.names or () if name not in ("values", "sheet")]
     said = {
         name: np.array(nodes[name], dtype=np.float64 if nodes[name].dtype.kind == "f" else np.int64) for name in columns
@@ -106,7 +106,7 @@ def _cut_from_shards(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> C
 
 
 def compile_for_bricks(problem: Problem, names: tuple[str, ...], widths: Vector) -> None:
-    """Derive and compile the functions that most bricks need, in advance."""
+    """Derive and compile the functions that most blocks need, in advance."""
     Chart(problem, names, widths)
 
 
@@ -121,7 +121,7 @@ def _tools(
 def first_tasks(
     kept: AtlasStore, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float
 ) -> Iterator[tuple[Key, Task]]:
-    """Yield every brick in which a sheet is known, by chart and numbers."""
+    """Yield every block in which a sheet is known, by chart and numbers."""
     d = len(region.axes)
     for number, chart in enumerate(survey["charts"]):
         known = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
@@ -142,7 +142,7 @@ def first_tasks(
 def tasks_going_on(
     kept: AtlasStore, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float, rounds: int
 ) -> Iterator[tuple[Key, Task]]:
-    """Yield every brick into which sheets continue from its neighbours, as these were after so many rounds."""
+    """Yield every block into which sheets continue from its neighbours, as these were after so many rounds."""
     d, charts = len(region.axes), survey["charts"]
     lines = kept.latest(survey, d, rounds)
 
@@ -170,7 +170,7 @@ def tasks_going_on(
 
 
 def _already_answered(before: Cut, step: Vector, sheets: Sequence[Sheet], found: Any) -> NDArray[np.bool_]:
-    """Return a mask of extremals on the sides of a brick that lie in answering cells, and are given by none."""
+    """Return a mask of extremals on the sides of a block that lie in answering cells, and are given by none."""
     out, cells, nodes = np.zeros(len(found), dtype=bool), before.cells, Nodes()
     nodes.add(np.arange(len(before.nodes["branch"])), **before.nodes)
     sided = select_cells(cells, ((cells.low == 0) | (cells.low + cells.size == WHOLE)).any(axis=1))

@@ -44,7 +44,7 @@ class AtlasVerification:
     unproved
         A sentence for each answer that is not proved, with the reason.
     ended
-        True if all bricks that a builder completed are there; the verification says nothing of others.
+        True if all blocks that a builder completed are there; the verification says nothing of others.
     refused
         Number of places, drawn in addition, at which a query has no answer; the verification says nothing of them.
     refusals

@@ -38,7 +38,7 @@ _NEAR = 0.1  # how far from the control that is flown an unbounded one is tried,
 
 
 class MarchedMargins(NamedTuple):
-    """Margins and errors of a second flight, canonical: symbols, or columns of numbers.
+    """Margins and errors of an independent re-integration, canonical: symbols, or columns of numbers.
 
     Attributes
     ----------

@@ -73,16 +73,16 @@ class OpenChart:
 
     @cached_property
     def labels(self) -> list[str]:
-        """Return the label of each sheet: the arcs of the chart, and the bounds at which the sheet is held."""
+        """Return the label of each branch: the arcs of the chart, and the bounds at which the branch is held."""
         return ["; ".join(filter(None, (self.chart.course.text, sheet.label))) for sheet in self.sheets]
 
     def at_bounds(self, number: int, values: Matrix, y: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
-        """Return unknowns with a Newton step where they miss the bound that their sheet holds, and a mask of these.
+        """Return unknowns with a Newton step where they miss the bound that their branch holds, and a mask of these.
 
         Parameters
         ----------
         number
-            Number of the sheet.
+            Number of the branch.
         values
             Values of the parameters, canonical, (lanes, d).
         y
@@ -111,14 +111,14 @@ class OpenChart:
         return self.borders.short(whole, at, limits)
 
     def met(self, number: int, values: Matrix, y: Matrix, cost: Vector) -> Vector:
-        """Return J of extremals of a sheet, solved by Newton's method from what cells give; `cost` where it fails.
+        """Return J of extremals of a branch, solved by Newton's method from what cells give; `cost` where it fails.
 
         Cells in which extremals break the path are not cut, so what their corners give is rough.
 
         Parameters
         ----------
         number
-            Number of the sheet.
+            Number of the branch.
         values
             Values of the parameters, canonical, (lanes, d).
         y, cost

@@ -1,12 +1,13 @@
 """Polish of interpolated cells to extremals: a few steps of Newton's method, and a test of the result.
 
-Each lane is a point with a sheet of its own. After the last evaluation one more step is made that is not evaluated: by
-quadratic convergence it leaves no residual. The second flight (`perilune.atlas.evaluate.reintegrate`) begins there.
+Each lane is a point with a branch of its own. After the last evaluation one more step is made that is not evaluated: by
+quadratic convergence it leaves no residual. The independent re-integration (`perilune.atlas.evaluate.reintegrate`)
+begins there.
 
-It bounds the distance of the root: with h the residual of the second flight, Newton's method would step by J^-1 h, and
-by Kantorovich's theorem a root lies within twice that if the steps shrink quadratically, as those before did. The bound
-is as good as the arithmetic that computes it. Source: Deuflhard, *Newton Methods for Nonlinear Problems*, Springer
-2011, section 2.1.
+It bounds the distance of the root: with h the residual of the independent re-integration, Newton's method would step by
+J^-1 h, and by Kantorovich's theorem a root lies within twice that if the steps shrink quadratically, as those before
+did. The bound is as good as the arithmetic that computes it. Source: Deuflhard, *Newton Methods for Nonlinear
+Problems*, Springer 2011, section 2.1.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from perilune.atlas.evaluate.reintegrate import BoundReintegration, ChartReinteg
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import Map, compile_map
 
-_DONE = 1e-5  # relative: a step that leaves its own square; what is left of it the second flight tells
+_DONE = 1e-5  # relative: a step that leaves its own square; what is left of it the independent re-integration tells
 _MOST = 6  # steps
 _SHRINKS = 0.25  # by so much at least from step to step
 _CLOSE = 1e-10  # relative: farther from the extremal y makes another step
-_FLOWN = 1e-6  # canonical, by which the second flight of what breaks the path may miss its ends
+_FLOWN = 1e-6  # canonical, by which the independent re-integration of what breaks the path may miss its ends
 # Of Newton's method: its last step, whether all have shrunk, whether it goes on, and how many there were.
 _LENGTH, _SHRINKING, _GOING, _STEPS = range(4)
 # What is told of an extremal: see `Polished`; whether to fly once more.
@@ -58,11 +59,11 @@ class Polished:
     passed
         1 for bounds that they lie beyond.
     slopes
-        dJ/dp of the axes, canonical, as the second flight has them.
+        dJ/dp of the axes, canonical, as the independent re-integration has them.
     reached
-        True if Newton's method converged to an extremal of the sheet.
+        True if Newton's method converged to an extremal of the branch.
     flown
-        Their second flights.
+        Their independent re-integrations.
     """
 
     y: Matrix
@@ -101,7 +102,7 @@ class Polished:
 
     @property
     def cost(self) -> Vector:
-        """Return J of the second flight, canonical."""
+        """Return J of the independent re-integration, canonical."""
         return self.flown.shown[:, _COST]
 
     @property
@@ -111,22 +112,22 @@ class Polished:
 
     @property
     def answers(self) -> NDArray[np.bool_]:
-        """Return True for those that keep bounds and path, and whose second flights meet the end conditions."""
+        """Return True for those that keep bounds and path, and whose independent re-integrations meet the end conditions."""
         return self.told[:, _ANSWERS] > 0.0
 
     @property
     def doubtful(self) -> NDArray[np.bool_]:
         """Return True for those that might still be answers.
 
-        They were not reached, or lie within their sheet but are not confirmed by their second flights.
+        They were not reached, or lie within their branch but are not confirmed by their independent re-integrations.
         """
         return self.told[:, _DOUBTFUL] > 0.0
 
     @property
     def breaking(self) -> NDArray[np.bool_]:
-        """Return True for those that are extremals of their sheets but for breaking the path.
+        """Return True for those that are extremals of their branches but for breaking the path.
 
-        A flight that keeps the path may still be better than other sheets.
+        A flight that keeps the path may still be better than other branches.
         """
         return self.told[:, _BREAKING] > 0.0
 
@@ -181,7 +182,7 @@ class Polisher:
         values
             Of the axes, (lanes, d), canonical.
         which
-            Number of each lane's sheet.
+            Number of each lane's branch.
         guess
             Unknowns, (lanes, n).
         """
@@ -256,7 +257,7 @@ class Polisher:
 
     @cached_property
     def told(self) -> Map:
-        """Compile the judgement of lanes by their second flights and inverse Jacobians.
+        """Compile the judgement of lanes by their independent re-integrations and inverse Jacobians.
 
         (y, choice, rows of `ReintegratedExtremals`, J^-1, guess, reached, sides, lower and upper bounds) -> y behind a
         step of what is left, `Polished.told`, and `Polished.passed`.

@@ -48,7 +48,7 @@ Arcs = tuple[Lanes, tuple[int, ...]]  # lanes, and the modes that they go throug
 
 @dataclass(frozen=True, kw_only=True)
 class ReintegratedExtremals:
-    """Results of second flights, in lanes; canonical.
+    """Results of independent re-integrations, in lanes; canonical.
 
     Attributes
     ----------
@@ -276,7 +276,7 @@ class ChartReintegration:
 
 
 class _MarchedPhase:
-    """Phase of second flights, bound to arrays: (unknowns, numbers, state at the end of the phase before).
+    """Phase of independent re-integrations, bound to arrays: (unknowns, numbers, state at the end of the phase before).
 
     Attributes
     ----------

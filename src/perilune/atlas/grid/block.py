@@ -1,4 +1,4 @@
-"""Blocks (bricks): boxes of the region, each branch in it cut into cells until every cell answers from its corners.
+"""Blocks (bricks): boxes of the region, each sheet in it cut into cells until every cell answers from its corners.
 
 A cell is cut in two if Newton's method, begun at its middle with what its corners give, would need more than one step
 to the tolerance; along the axis along which they are least like a quadratic. New corners begin with what the old ones
@@ -7,7 +7,7 @@ size, and smaller remainders do not answer. A cell without a corner on a sheet i
 done: if some of them have nodes on its border the sheet may go on from there, and the cell is cut after all.
 
 Where a sheet comes to one place with several extremals it has several branches (`perilune.atlas.store.cells`), each
-with cells of its own. The first branch of a sheet begins with the whole brick; a later one goes on from a node in the
+with cells of its own. The first branch of a sheet begins with the whole block; a later one goes on from a node in the
 smallest cells in which a sheet may end, until it runs into another. It begins with an extremal to which no branch
 without a node there leads; if one does, that branch goes on from there instead.
 
@@ -83,7 +83,7 @@ class BrickSubdivision:
         self._ending = dict[tuple[int, ...], NDArray[np.bool_]]()  # of torn cells the corners whose layers end there
 
     def cut(self, sheet: Whole, place: Whole, y: Matrix, before: Cells | None = None) -> Cut:
-        """Cut the brick and compute all nodes and cells.
+        """Cut the block and compute all nodes and cells.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class BrickSubdivision:
         return not waiting.all()
 
     def _branched(self, done: Cells) -> Cells | None:
-        """Return first cells for waiting extremals: none if branches grow, else the whole brick for a new branch.
+        """Return first cells for waiting extremals: none if branches grow, else the whole block for a new branch.
 
         None if no extremal waits, or there are too many branches.
         """
@@ -205,7 +205,7 @@ class BrickSubdivision:
         return self._begun_with(self.lattice.another_branch(sheet), place[None], y[None])
 
     def _begun_with(self, branch: int, place: Whole, y: Matrix) -> Cells:
-        """Return the whole brick as a cell of a branch that is known only at places inside it."""
+        """Return the whole block as a cell of a branch that is known only at places inside it."""
         which = np.full(len(place), branch)
         self.lattice.solved(which, place, y, np.full(len(place), np.inf))
         root = self.lattice.wholes(which[:1])

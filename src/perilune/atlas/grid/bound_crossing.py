@@ -107,12 +107,12 @@ class _PlacesBeyondBounds(NamedTuple):
 
 
 class Crossings:
-    """Continuation of sheets across bounds in one brick.
+    """Continuation of sheets across bounds in one block.
 
     Parameters
     ----------
     lattice
-        The extremals of the brick.
+        The extremals of the block.
     """
 
     def __init__(self, lattice: Lattice) -> None:

@@ -22,7 +22,7 @@ from perilune.atlas.hermite import binary_digits, interpolated, scaled_third_der
 from perilune.atlas.store.cells import WHOLE, Cells, Cut, Extremal, Nodes, Whole, found_in_branches, select_cells
 from perilune.core.arrays import Matrix, Vector
 
-_SEEN = ("residual", "path", "minimum", "drift")  # of second flights: columns of nodes
+_SEEN = ("residual", "path", "minimum", "drift")  # of independent re-integrations: columns of nodes
 _BITS = 13  # of a place along one axis, so that 4 of them and a branch make one number
 _APART, _NEAR = 0.5, 1e-3  # how far a root may lie from what led to it: of what the corners differ by, and of 1 + |y|
 _STRIDE = 2.0**-3  # of an edge of a cell: the shortest step of a walk along it
@@ -103,7 +103,7 @@ class Lattice:
         return self._cells(np.repeat(cells.branch, 2), low, np.repeat(size, 2, axis=0))
 
     def wholes(self, branch: Whole) -> Cells:
-        """Return the whole brick as a cell of each branch."""
+        """Return the whole block as a cell of each branch."""
         return self._cells(
             branch, np.zeros((len(branch), self.d), dtype=np.int64), np.full((len(branch), self.d), WHOLE)
         )

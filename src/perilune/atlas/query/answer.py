@@ -16,9 +16,9 @@ class Query:
     Parameters
     ----------
     sheet
-        Label of the sheet.
+        Label of the branch.
     met
-        Labels of all sheets that reach the point, by what they give for J, best first.
+        Labels of all branches that reach the point, by what they give for J, best first.
     cell
         Size of the answer's cell along each axis, as a share of the region.
     guess_error
@@ -28,7 +28,8 @@ class Query:
     error_bound
         How far the unknowns can be from those of the extremal, relative; see `perilune.atlas.evaluate.polish`.
     residual, path, minimum, drift
-        What the second flight shows (`perilune.atlas.evaluate.reintegrate.ReintegratedExtremals`), canonical.
+        What the independent re-integration shows (`perilune.atlas.evaluate.reintegrate.ReintegratedExtremals`),
+        canonical.
     inherited
         Level that all answers at nodes reached which were drawn for a proof of this atlas; 0 where none was.
     slopes

@@ -56,7 +56,7 @@ class Answered(IntEnum):
     YES = 0
     OUTSIDE = 1  # of the region, or no number
     IMPOSSIBLE = 2  # physics refuses it
-    NOT_BUILT = 3  # its brick is not there, or damaged
+    NOT_BUILT = 3  # its block is not there, or damaged
     NONE = 4  # no sheet has an answer there
     ENDS = 5  # a sheet that might be better ends in its cell, breaks the path there, or is not borne out
 
@@ -325,7 +325,7 @@ class _AnswerArrays:
         return np.where(found, becomes.cost, cost)
 
     def _where(self, some: NDArray[np.int64], says: Callable[[tuple[int, ...]], bool]) -> NDArray[np.bool_]:
-        """Return True for points in bricks that satisfy a predicate, which is called once for each brick."""
+        """Return True for points in blocks that satisfy a predicate, which is called once for each block."""
         rows, which = np.unique(self.bricks[some], axis=0, return_inverse=True)
         return np.array([says(tuple(row)) for row in rows.tolist()], dtype=bool)[which.reshape(-1)]
 
@@ -406,20 +406,20 @@ def _no_candidate(charted: OpenChart, sheet: int, first: int, count: int) -> _Br
 def _fill_candidates(
     offer: _BranchCandidates, brick: LoadedBrick, root: int, lanes: Lanes, values: Matrix, inside: Matrix
 ) -> None:
-    """Fill in what the cells of a branch give at points of a brick.
+    """Fill in what the cells of a branch give at points of a block.
 
     Parameters
     ----------
     offer
         The candidates to fill.
     brick, root
-        The brick, and the first cell of the branch.
+        The block, and the first cell of the branch.
     lanes
         Rows of the candidates.
     values
         Values of the axes, canonical, (lanes, d).
     inside
-        Places in the brick, in lattice steps, (lanes, d).
+        Places in the block, in lattice steps, (lanes, d).
     """
     cells = brick.leaves(root, inside)
     status = brick.arrays[3][cells]

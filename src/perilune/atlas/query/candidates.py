@@ -20,7 +20,7 @@ _HERE = np.zeros(1, dtype=np.int64)  # one point is one lane
 
 @dataclass(slots=True)
 class Candidate:
-    """Candidate of one sheet at a point, as its cell gives it: unknowns (None with nothing to polish) and J, canonical.
+    """Candidate of one branch at a point from its cell: unknowns (None with nothing to polish) and J, canonical.
 
     J is exact once it was `polished` and is an answer.
     """
@@ -36,7 +36,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Return the label of its sheet."""
+        """Return the label of its branch."""
         return self.charted.labels[self.number]
 
     @property

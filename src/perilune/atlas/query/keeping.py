@@ -23,7 +23,7 @@ _TURNS = 8  # times that bounds are taken and let go
 
 @dataclass(frozen=True)
 class CorrectedExtremals:
-    """Corrected extremals: number of the sheet, -1 where none is found, unknowns and J, canonical, (lanes,) each."""
+    """Corrected extremals: number of the branch, -1 where none is found, unknowns and J, canonical, (lanes,) each."""
 
     sheet: NDArray[np.int64]
     y: Matrix
@@ -70,7 +70,7 @@ def correct_active_set(
 
 
 def _exchange_held_bounds(sheet: Sheet, crossed: Sequence[tuple[str, str]]) -> Sheet:
-    """Return a sheet that also holds the bounds that were crossed, and lets go of crossed ones that it held."""
+    """Return a branch that also holds the bounds that were crossed, and lets go of crossed ones that it held."""
     held = set(sheet.holds.items())
     more = {name: side for name, side in crossed if (name, side) not in held}
     left = {name: side for name, side in sheet.holds.items() if (name, side) not in crossed}

@@ -122,7 +122,7 @@ class MinimumSearch:
         points
             Values of the axes [SI], (lanes, d).
         outdoing
-            The extremals; those of a sheet lie beyond bounds, or gain by leaving one.
+            The extremals; those of a branch lie beyond bounds, or gain by leaving one.
         begins
             An extremal of each chart, near or far, NaN where none is known: canonical values of the axes, unknowns.
         best
@@ -265,7 +265,7 @@ class MinimumSearch:
         return found
 
     def _keep_the_path(self, points: Matrix, known: KnownExtremals) -> NDArray[np.bool_]:
-        """Return True for extremals of sheets that keep the path, (lanes,)."""
+        """Return True for extremals of branches that keep the path, (lanes,)."""
         found = np.zeros(len(points), dtype=bool)
         for number, one in enumerate(self._charted):
             if (lanes := np.nonzero(known.chart == number)[0]).size:

@@ -1,9 +1,9 @@
 """Query of an atlas: the answer at a point of the region, polished by Newton's method and re-integrated.
 
-The cells around a point give the unknowns of each sheet there, to the fourth order in their size; a step or two of
-Newton's method makes that exact. The extremal reached has to be of its sheet and keep its bounds, and it is integrated
-again by another method. Of several sheets the best is the answer. No answer is extrapolated: outside of the region, in
-a cell in which a possibly better sheet ends, or where Newton's method fails, a query is refused with the reason.
+The cells around a point give the unknowns of each branch there, to the fourth order in their size; a step or two of
+Newton's method makes that exact. The extremal reached has to be of its branch and keep its bounds, and it is integrated
+again by another method. Of several branches the best is the answer. No answer is extrapolated: outside of the region,
+in a cell in which a possibly better branch ends, or where Newton's method fails, a query is refused with the reason.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Atlas(AtlasReader):
         Returns
         -------
         Mapped
-            A solution, its trajectories and results made when they are looked at; unverified but for the second flight.
+            A solution, its trajectories and results made when they are looked at; unverified but for the independent
+            re-integration.
 
         Raises
         ------
@@ -162,7 +163,7 @@ class Atlas(AtlasReader):
         return at
 
     def _offers(self, at: Vector) -> list[Candidate]:
-        """Return the candidates of the cells around a point, of sheets that can answer, the least J first."""
+        """Return the candidates of the cells around a point, of branches that can answer, the least J first."""
         place, offers = self.region.brick_of(at), list[Candidate]()
         low, width, part = self._extents(place)
         inside = (at - low) / width * WHOLE
@@ -193,7 +194,7 @@ class Atlas(AtlasReader):
         return sorted(offers, key=lambda offer: offer.cost)
 
     def _extents(self, place: tuple[int, ...]) -> tuple[Vector, Vector, Vector]:
-        """Return the low corner of a brick, its width, and a lattice step as a share of the region."""
+        """Return the low corner of a block, its width, and a lattice step as a share of the region."""
         if place not in self._boxes:
             low, high = self.region.box(place)
             self._boxes[place] = low, high - low, (high - low) / (self.region.high - self.region.low) / WHOLE
@@ -366,7 +367,7 @@ class Atlas(AtlasReader):
         values = np.unique(np.concatenate([np.empty((0, len(at))), *found]), axis=0)
         away = np.abs((values - at) / (self.region.high - self.region.low)).max(axis=1)
         near = values[np.argsort(away)[:_NEAREST]]
-        good = self.query_many(near).good  # another sheet may cast doubt on what is one of its own
+        good = self.query_many(near).good  # another branch may cast doubt on what is one of its own
         return self.region.told(near[good][0].tolist()) if good.any() else ""
 
 

@@ -37,8 +37,8 @@ from perilune.core.validation import check_call, require_numbers, wrong_type_err
 from perilune.problem.problem import Problem
 
 SERVING = (Status.ONE_STEP, Status.MORE_STEPS)
-_MOST_OPEN = 10_000  # bricks, each of two files that are mapped; systems allow 65530 maps
-_MOST_SEEN = 4096  # cells of a brick that are kept at hand
+_MOST_OPEN = 10_000  # blocks, each of two files that are mapped; systems allow 65530 maps
+_MOST_SEEN = 4096  # cells of a block that are kept at hand
 
 Whole = NDArray[np.int64]
 
@@ -153,7 +153,7 @@ class AtlasReader:
     problem, region, tolerance
         What is mapped, over which axes, and how finely.
     damaged
-        Bricks whose shards cannot be used, and why.
+        Blocks whose shards cannot be used, and why.
     """
 
     def __init__(self, directory: Path, problem_from_scenario: Callable[[str], Problem]) -> None:
@@ -243,13 +243,13 @@ class AtlasReader:
 
     @check_call
     def damage(self, brick: tuple[int, ...]) -> list[str]:
-        """Describe the damage at a place, one text for each damaged brick; only bricks that were read are known."""
+        """Describe the damage at a place, one text for each damaged block; only blocks that were read are known."""
         keys = [(number, *self._place(brick)) for number in range(len(self.charted))]
         return [self.damaged[key] for key in keys if key in self.damaged]
 
     @check_call
     def missing(self, brick: tuple[int, ...]) -> bool:
-        """Return True if there is no survey, or it has a sheet for a place whose brick is missing.
+        """Return True if there is no survey, or it has a sheet for a place whose block is missing.
 
         An answer there then need not be the best.
         """
@@ -258,7 +258,7 @@ class AtlasReader:
 
     @cached_property
     def unbuilt(self) -> set[tuple[int, ...]]:
-        """Return the missing bricks at whose corners the survey has a sheet, by chart and numbers.
+        """Return the missing blocks at whose corners the survey has a sheet, by chart and numbers.
 
         If a shard of the survey is damaged they are unknown: `verify_atlas` names it.
         """
@@ -271,12 +271,12 @@ class AtlasReader:
 
     @check_call
     def brick(self, number: int, brick: tuple[int, ...]) -> LoadedBrick | None:
-        """Return a brick of a chart; None if it is missing or damaged.
+        """Return a block of a chart; None if it is missing or damaged.
 
         Raises
         ------
         PeriluneError
-            If these are not the number of a chart and the place of a brick.
+            If these are not the number of a chart and the place of a block.
         """
         try:
             key = (number, *brick)
@@ -304,7 +304,7 @@ class AtlasReader:
         return self._bricks[key]
 
     def _place(self, brick: Any) -> tuple[int, ...]:
-        """Return the numbers of a brick along the axes; refuse any other count of them."""
+        """Return the numbers of a block along the axes; refuse any other count of them."""
         place = tuple(brick) if isinstance(brick, Sequence | np.ndarray) else ()
         if len(place) != len(self.region.axes) or not all(isinstance(part, Integral) for part in place):
             expected = f"the number of the brick along each of: {self._axes}"
@@ -321,7 +321,7 @@ class AtlasReader:
 
 
 def are_possible_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.bool_]:
-    """Return a mask of the nodes of a shard that may be answers: within their sheet, and confirmed by a second flight.
+    """Return a mask of the nodes of a shard that may be answers: within their sheet, and confirmed by re-integration.
 
     Parameters
     ----------
@@ -336,7 +336,7 @@ def are_possible_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArra
 
 
 def _refuse_wild(nodes: NDArray[Any], cells: NDArray[Any], d: int, sheets: int, name: str) -> None:
-    """Refuse a brick whose numbers point nowhere, or in a circle; its checksum shows only that it was written so."""
+    """Refuse a block whose numbers point nowhere, or in a circle; its checksum shows only that it was written so."""
     own, child = np.arange(len(cells)), cells["child"]
     good = (child == -1) | (child > own) & (child < len(cells) - 1)
     good &= ((cells["corners"] >= -1) & (cells["corners"] < len(nodes))).all(axis=1)

@@ -1,4 +1,8 @@
-"""Content of a block (brick): nodes at places of its lattice, and cells with nodes at their corners."""
+"""Content of a block (brick): nodes at places of its lattice, and cells with nodes at their corners.
+
+A solution branch over the whole region is called a *sheet* here and on disk; *branches* are the parts of a sheet within
+one block, each with cells of its own, where it comes to one place with several extremals.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from numpy.typing import NDArray
 from perilune.atlas.hermite import binary_digits, interpolated
 from perilune.core.arrays import Matrix, Vector
 
-WHOLE = 2**12  # lattice steps along an edge of a brick
+WHOLE = 2**12  # lattice steps along an edge of a block
 _CLEARLY = 1.5  # times as far below zero as it differs at the corners and in the middle of a cell
 _SAME = 1e-6  # relative: one extremal
 _ENDING = {1: 2**6, 2: 2**7}  # the shortest edge of a cell in which a sheet ends, by axes; of more 2**8
@@ -42,7 +46,7 @@ class Status(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Cells:
-    """Cells of all branches of a brick; the first of each branch is the whole brick.
+    """Cells of all branches of a block; the first of each branch is the whole block.
 
     Attributes
     ----------
@@ -83,7 +87,8 @@ class Cut:
     nodes
         Of each node its ``branch``, its ``place`` in the lattice (nodes, d), values and derivatives ``terms``
         (nodes, 2^d, n + 1), by how much it is an answer (``margin``), the step that Newton's method would make
-        there (``length``), and of its second flight ``sequence``, ``residual``, ``path``, ``minimum`` and ``drift``.
+        there (``length``), and of its independent re-integration ``sequence``, ``residual``, ``path``, ``minimum`` and
+        ``drift``.
     cells
         Its cells.
     own
@@ -107,7 +112,7 @@ def same_unknowns(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool
 
 
 class Nodes:
-    """Nodes of a brick; a node is identified by its branch and its place."""
+    """Nodes of a block; a node is identified by its branch and its place."""
 
     def __init__(self) -> None:
         self.known: dict[int, int] = {}
@@ -275,7 +280,7 @@ def leaves_of(cells: Cells, branch: int, places: Whole) -> Whole:
     Parameters
     ----------
     cells, branch
-        The cells of a brick, and a branch.
+        The cells of a block, and a branch.
     places
         Places in lattice steps, (points, d).
     """
@@ -372,7 +377,7 @@ def covered_by_branches(
     Parameters
     ----------
     cells, nodes
-        Cells and nodes of the brick.
+        Cells and nodes of the block.
     step
         Lattice step, canonical, (d,).
     branches
@@ -404,7 +409,7 @@ def cells_reproduce(cells: Cells, nodes: Nodes, step: Vector, places: Whole, y: 
     Parameters
     ----------
     cells, nodes
-        Cells with all their corners, and the nodes of the brick.
+        Cells with all their corners, and the nodes of the block.
     step
         Lattice step, canonical, (d,).
     places

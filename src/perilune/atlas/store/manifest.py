@@ -33,7 +33,7 @@ def written_line(said: Mapping[str, Any]) -> str:
 def read_line(line: bytes) -> dict[str, Any] | None:
     """Parse a line; None if it has changed since it was written, or is incomplete as its writer was killed.
 
-    There is a line for each brick, and `refuse_no_brick` checks all that is used of it: these are read without the
+    There is a line for each block, and `refuse_no_brick` checks all that is used of it: these are read without the
     checks that other documents need, eight times as fast.
     """
     text, told, checksum = line.rpartition(_LAST.encode())
@@ -108,7 +108,7 @@ def refuse_no_survey(line: Mapping[str, Any]) -> None:
 
 
 def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
-    """Raise ValueError for an invalid line of a brick, of an atlas of d axes and so many charts."""
+    """Raise ValueError for an invalid line of a block, of an atlas of d axes and so many charts."""
     place: Any = line.get("brick")
     _refuse_unless(
         _is_list_of(place, int) and len(place) == d and all(map(_is_exact_integer, place)), "numbers of a brick"

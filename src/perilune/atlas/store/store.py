@@ -2,10 +2,10 @@
 
 ``atlas.json`` states the problem, the region and the tolerance. A *shard* is one array in a file of NumPy's own format
 (``.npy``, a structured array that names its columns); it is written under another name and renamed, so that it is
-complete or absent. ``manifest.jsonl`` has one JSON object in each line: the survey, then each brick with the names of
+complete or absent. ``manifest.jsonl`` has one JSON object in each line: the survey, then each block with the names of
 its shards and their SHA-256, and a checksum of its own. A line is added by one write, after the shards that it names.
-So a kill at any moment costs only the bricks that were being computed; several builders may work on one directory, each
-on bricks that it has locked; and a reader sees the content of the manifest at the time of reading.
+So a kill at any moment costs only the blocks that were being computed; several builders may work on one directory, each
+on blocks that it has locked; and a reader sees the content of the manifest at the time of reading.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from perilune.io.json_checks import tree
 
 try:
     import fcntl
-except ImportError:  # Windows: two builders may compute the same brick there
+except ImportError:  # Windows: two builders may compute the same block there
     fcntl = None
 
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
@@ -209,7 +209,7 @@ class AtlasStore:
         return found
 
     def bricks(self, survey: Mapping[str, Any], d: int) -> list[dict[str, Any]]:
-        """Return the lines of the bricks of a survey of d axes, and of those that it extends; errors of `survey`."""
+        """Return the lines of the blocks of a survey of d axes, and of those that it extends; errors of `survey`."""
         mine, charts = {survey["digest"], *survey.get("before", [])}, len(survey["charts"])
         found = [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
         with damage_text(MANIFEST):
@@ -220,12 +220,12 @@ class AtlasStore:
     def latest(
         self, survey: Mapping[str, Any], d: int, rounds: float = math.inf
     ) -> dict[tuple[int, ...], dict[str, Any]]:
-        """Return the last line of each brick by chart and numbers, of so many rounds; otherwise as `bricks`."""
+        """Return the last line of each block by chart and numbers, of so many rounds; otherwise as `bricks`."""
         lines = (line for line in self.bricks(survey, d) if line.get("round", 0) <= rounds)
         return {(line["chart"], *line["brick"]): line for line in lines}
 
     def ended(self, survey: Mapping[str, Any], d: int) -> bool:
-        """Return True if a builder completed a survey, and no line of a brick was lost since; errors of `survey`.
+        """Return True if a builder completed a survey, and no line of a block was lost since; errors of `survey`.
 
         Parameters
         ----------
@@ -245,7 +245,7 @@ class AtlasStore:
         return [line for line in found if line.get("survey") == digest and line.get("nodes") == nodes]
 
     def there(self, name: str) -> bool:
-        """Return True if a brick was written, perhaps by another builder meanwhile."""
+        """Return True if a block was written, perhaps by another builder meanwhile."""
         self.lines()
         return name in self._names
 
@@ -328,7 +328,7 @@ class AtlasStore:
 
     @contextlib.contextmanager
     def claimed(self, name: str) -> Iterator[bool]:
-        """Lock a brick for the block; yields False if another process has it. A process that dies releases its lock."""
+        """Lock a block; yields False if another process has it. A process that dies releases its lock."""
         if fcntl is None:
             yield True
             return
@@ -350,11 +350,11 @@ class AtlasStore:
             os.close(handle)
 
     def settled(self, name: str) -> None:
-        """Remove the file by which a brick was claimed; another process finds the finished brick."""
+        """Remove the file by which a block was claimed; another process finds the finished block."""
         (self.directory / f".claim-{name}").unlink(missing_ok=True)
 
     def tidy(self) -> None:
-        """Remove the files that killed or late builders leave, of bricks that exist meanwhile."""
+        """Remove the files that killed or late builders leave, of blocks that exist meanwhile."""
         for file in self.directory.glob(".writing-*"):
             if (self.directory / file.name.split("-", 2)[-1]).exists():
                 file.unlink(missing_ok=True)
@@ -396,7 +396,7 @@ def digest_of(said: Any) -> str:
 
 
 def end_line(survey: Mapping[str, Any], bricks: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the line by which a builder states that these are all bricks, so that a lost line shows."""
+    """Return the line by which a builder states that these are all blocks, so that a lost line shows."""
     return {"kind": "end", "survey": survey["digest"], "bricks": len({line["name"] for line in bricks})}
 
 
@@ -450,7 +450,7 @@ def _unreadable_atlas_file(name: str, error: OSError) -> PeriluneError:
 
 def _damaged_atlas(name: str, got: str) -> PeriluneError:
     again = "the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again"
-    if name.startswith("survey-"):  # without its line nobody knows where sheets are
+    if name.startswith("survey-"):  # without its line nobody knows where branches are
         again = "remove its line from manifest.jsonl, and give the order that built it again: atlas build ... --resume"
     return PeriluneError(
         f"a shard of the atlas is damaged: {name}", got=got, expected="the file as it was written", advice=again

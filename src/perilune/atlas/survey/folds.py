@@ -41,7 +41,7 @@ _BACK = 0.1  # of s, behind the start, which may lie before a fold at once
 def around_folds(
     chart: Chart, borders: Borders, sheet: Sheet, start: Matrix, y: Matrix, targets: Matrix
 ) -> Iterator[tuple[Vector, Vector, float]]:
-    """Yield extremals behind the folds at which a sheet ends on the way to some values.
+    """Yield extremals behind the folds at which a branch ends on the way to some values.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def around_folds(
     start, y
         Extremals of it: values (lanes, d) and unknowns (lanes, n), canonical.
     targets
-        Where the ways lead to, (lanes, d), which the sheet does not reach.
+        Where the ways lead to, (lanes, d), which the branch does not reach.
 
     Yields
     ------
@@ -125,7 +125,7 @@ def classify_behind_folds(
     problem, region
         The problem, and the region that is mapped.
     said
-        Its chart, as the survey's line has it, with its sheet alone.
+        Its chart, as the survey's line has it, with its branch alone.
     values, y
         Of the axes and its unknowns, canonical.
 

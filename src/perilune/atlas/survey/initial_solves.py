@@ -160,7 +160,7 @@ def scanned_names(problem: Problem, region: Region) -> list[str]:
 
 
 def scanned_points(region: Region) -> Matrix:
-    """Return corners and middles of bricks [SI]; a selection all over the region if there are very many."""
+    """Return corners and middles of blocks [SI]; a selection all over the region if there are very many."""
     middles = [0.5 * (np.array(axis.edges[:-1]) + np.array(axis.edges[1:])) for axis in region.axes]
     points = np.vstack([region.corners()[1], list(product(*middles))])
     return points[np.linspace(0, len(points) - 1, min(len(points), _MOST)).astype(np.int64)]

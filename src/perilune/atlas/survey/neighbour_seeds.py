@@ -1,8 +1,8 @@
 """Seeds from neighbours: nodes from which a branch continues into a block that did not know it there.
 
-A brick begins with the survey's extremals at its corners. A sheet that enters it only through a side is known to its
-neighbour: the sheet continues from the neighbour's nodes on the common side at which this brick has none. So it does
-from nodes at which this brick has other extremals of the same sheet, as nodes or in its cells: there the sheet has
+A block begins with the survey's extremals at its corners. A sheet that enters it only through a side is known to its
+neighbour: the sheet continues from the neighbour's nodes on the common side at which this block has none. So it does
+from nodes at which this block has other extremals of the same sheet, as nodes or in its cells: there the sheet has
 several branches.
 """
 
@@ -18,7 +18,7 @@ from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.store.cells import WHOLE, Status, same_unknowns, shortest_ending_edge
 
 Rows = Any  # an array with columns
-Key = tuple[int, ...]  # chart and numbers of a brick
+Key = tuple[int, ...]  # chart and numbers of a block
 Shards = tuple[Rows, Rows]  # nodes and cells
 
 _DIGITS = 5  # behind the point, of what is distinguished on sides
@@ -35,18 +35,18 @@ def seeds_for_neighbours(
     sheets: Callable[[int], Sequence[Sheet]],
     passed_over: Callable[[Key, Rows], NDArray[np.bool_]] = _no_seeds,
 ) -> Iterator[tuple[Key, Rows]]:
-    """Yield nodes on the sides of bricks that continue into them, with their places in these.
+    """Yield nodes on the sides of blocks that continue into them, with their places in these.
 
     Parameters
     ----------
     keys
-        Bricks that there may be.
+        Blocks that there may be.
     shards
         Nodes and cells of those that there are.
     sheets
         Those of a chart.
     passed_over
-        Of nodes on the sides of a brick that there is which lie in cells of their sheets that do not give them.
+        Of nodes on the sides of a block that there is which lie in cells of their sheets that do not give them.
     """
     sides: dict[tuple[Key, int, int], Rows] = {}
     for key in keys:
@@ -97,14 +97,14 @@ def _node_keys(nodes: Rows) -> NDArray[Any]:
 def _unknown_to_brick(
     nodes: Rows, known: Shards | None, sheets: Sequence[Sheet]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of nodes where a brick lacks their sheet or has only others of it, and of nodes that it has."""
+    """Return masks of nodes where a block lacks their sheet or has only others of it, and of nodes that it has."""
     had = np.zeros(len(nodes), dtype=bool)
     if known is None:
         return ~had, had
     own, cells = known
     news = ~np.isin(nodes["sheet"], cells["sheet"])
     for cell in cells[(cells["status"] == Status.ABSENT) & (cells["corners"] < 0).all(axis=1)]:
-        if cell["branch"] == cell["sheet"]:  # a later branch has but part of the brick
+        if cell["branch"] == cell["sheet"]:  # a later branch has but part of the block
             low, high = cell["low"], cell["low"] + cell["size"]
             news |= (nodes["sheet"] == cell["sheet"]) & ((nodes["place"] >= low) & (nodes["place"] <= high)).all(axis=1)
     alike = [next(i for i, other in enumerate(sheets) if other.alike(sheet)) for sheet in sheets]

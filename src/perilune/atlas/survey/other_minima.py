@@ -24,7 +24,7 @@ _STEPS = 8  # at least to where a way begins
 _SHORTEST = 2.0**-2  # of a step
 _NEAR = 0.05  # how far a root may lie from the tangent, of 1 + |y|
 _ROUGH = 1e-9  # of a root on the way, where errors of a flight leave no less
-_FLOWN = 1e-6  # canonical, by which the second flight on the way may miss its ends
+_FLOWN = 1e-6  # canonical, by which the independent re-integration on the way may miss its ends
 Bounds = tuple[Matrix, Matrix]  # lower and upper, (lanes, k) each
 BARE = Sheet(holds={}, orientation=0.0, nature=Nature.UNPROVED)
 
@@ -151,7 +151,7 @@ _NOTHING = 1e-12  # of 1 + |J|: a slope that is none
 def other_minima(
     chart: Chart, borders: Borders, sheet: Sheet, values: Matrix, y: Matrix, among: Collection[str] | None = None
 ) -> Iterator[tuple[Vector, Vector, Sheet]]:
-    """Yield minima of J along families through extremals of a sheet.
+    """Yield minima of J along families through extremals of a branch.
 
     Parameters
     ----------

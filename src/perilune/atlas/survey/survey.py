@@ -1,9 +1,9 @@
 """Survey before the map: all branches, with an extremal of each at every corner of a block.
 
 The problem is solved without a guess at the middle and at the corners of the region. Each extremal found there, best or
-not, begins a sheet, unless it lies on a known one; sheets are continued to all corners of bricks by the tangent plane
-and Newton's method, in lanes, halving steps that fail, and from corners that were reached on to others. Where such a
-continuation ends at a fold it is followed around the fold to the sheet on the other side.
+not, begins a branch, unless it lies on a known one; branches are continued to all corners of blocks by the tangent
+plane and Newton's method, in lanes, halving steps that fail, and from corners that were reached on to others. Where
+such a continuation ends at a fold it is followed around the fold to the branch on the other side.
 """
 
 from __future__ import annotations
@@ -43,27 +43,28 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal, Nature
 
 _MOST_SHEETS = 64  # of a chart, beside those on which answers of solves lie
-_AROUND = 4  # walks of a sheet that are followed around the folds at which they ended
-_BESIDE = 3  # corners from which it is tried whether an extremal lies on a sheet
+_AROUND = 4  # walks of a branch that are followed around the folds at which they ended
+_BESIDE = 3  # corners from which it is tried whether an extremal lies on a branch
 _AGAIN, _ROUNDING = 16, 1e-13  # extremals beside one, and how far, relative, that are on its side of folds
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyedChart:
-    """Chart of the region with its sheets, and the corners that they reach.
+    """Chart of the region with its branches, and the corners that they reach.
 
     Attributes
     ----------
     sheets
-        Sheets in the order in which they were found.
+        Branches in the order in which they were found.
     y
-        Unknowns of each at the corners of bricks, NaN where it does not reach, (sheets, corners, n).
+        Unknowns of each at the corners of blocks, NaN where it does not reach, (branches, corners, n).
     times
-        Multiples of steps in their second flights (`perilune.atlas.evaluate.reintegrate.ChartReintegration`).
+        Multiples of steps in their independent re-integrations
+        (`perilune.atlas.evaluate.reintegrate.ChartReintegration`).
     widths
         Widths of the `Chart` [SI].
     small
-        Extremals of sheets that reach no corner.
+        Extremals of branches that reach no corner.
     """
 
     chart: Chart
@@ -77,7 +78,7 @@ class SurveyedChart:
 
 @dataclass(frozen=True)
 class InteriorSeed:
-    """Extremal inside a brick: its sheet, the brick and place in its lattice, parameters there, and unknowns."""
+    """Extremal inside a block: its branch, the block and place in its lattice, parameters there, and unknowns."""
 
     sheet: int
     brick: tuple[int, ...]
@@ -88,12 +89,12 @@ class InteriorSeed:
 
 @dataclass
 class Survey:
-    """Search for the sheets of a region.
+    """Search for the branches of a region.
 
     Parameters
     ----------
     problem, region, method
-        What is mapped, and how it is solved from nothing.
+        What is mapped, and how it is solved without an initial guess.
     watch
         Receives lines of text, and each iteration of what is solved.
     widths
@@ -113,7 +114,7 @@ class Survey:
     notes: list[str] = field(default_factory=list)
 
     def run(self) -> list[SurveyedChart]:
-        """Find all sheets, by charts.
+        """Find all branches, by charts.
 
         Raises
         ------
@@ -136,7 +137,7 @@ class Survey:
         return self.region.high - self.region.low if self.widths is None else self.widths
 
     def _found(self, course: ArcSequence, solved: Sequence[SolvedPoint], corners: Matrix) -> SurveyedChart:
-        """Find the sheets of one chart."""
+        """Find the branches of one chart."""
         chart = Chart(self.problem, self.region.names, self._widths, course)
         empty = np.empty((0, len(corners), len(chart.places)))
         found = SurveyedChart(chart=chart, borders=Borders(chart), sheets=(), y=empty, widths=self._widths)
@@ -156,7 +157,7 @@ class Survey:
         return replace(found, times=ChartReintegration(chart).fine_enough(y, chart.p[None]))
 
     def _with(self, known: SurveyedChart, corners: Matrix, at: Vector, extremals: Sequence[Extremal]) -> SurveyedChart:
-        """Add the sheets on which extremals at a point lie, and those behind the folds of these."""
+        """Add the branches on which extremals at a point lie, and those behind the folds of these."""
         chart, borders, left = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
         for extremal in extremals:
             if extremal.unknowns and len(extremal.unknowns) != len(chart.own.unknowns):
@@ -187,7 +188,7 @@ class Survey:
             yield from minima_around(chart, borders, names, points / chart.scale, values[near] / chart.scale, y[near])
 
     def _with_wells(self, known: SurveyedChart, corners: Matrix) -> SurveyedChart:
-        """Add the sheets of other minima of J along parameters between bounds."""
+        """Add the branches of other minima of J along parameters between bounds."""
         number = 0
         while number < len(known.sheets):
             reached = np.nonzero(np.isfinite(known.y[number, :, 0]))[0]
@@ -201,7 +202,7 @@ class Survey:
     def _with_these(
         self, known: SurveyedChart, corners: Matrix, left: list[tuple[Vector, Vector, Sheet]]
     ) -> SurveyedChart:
-        """Add the sheets on which extremals, canonical, lie, and those behind the folds of these."""
+        """Add the branches on which extremals, canonical, lie, and those behind the folds of these."""
         chart, borders, around = known.chart, known.borders, list[tuple[Vector, Vector, Sheet]]()
         while left or around:
             behind_a_fold = not left
@@ -241,13 +242,13 @@ class Survey:
         return known
 
     def _note_many(self, chart: Chart) -> None:
-        """Note, once, that a chart has more sheets than are mapped."""
+        """Note, once, that a chart has more branches than are mapped."""
         flown = f"'{chart.course.text or 'a flight of one arc'}' has more than {_MOST_SHEETS} sheets"
         if (said := f"{flown}: others, behind folds and at bounds, are not mapped and may be better") not in self.notes:
             self.notes.append(said)
 
     def _with_small(self, known: SurveyedChart, sheet: Sheet, values: Vector, y: Vector) -> SurveyedChart:
-        """Add a sheet that reaches no corner, by an extremal at the nearest place in the lattice of its brick."""
+        """Add a branch that reaches no corner, by an extremal at the nearest place in the lattice of its block."""
         if not sheet.minimum:
             return known
         chart, at = known.chart, values * known.chart.scale
@@ -268,7 +269,7 @@ class Survey:
     def _carried(
         self, chart: Chart, borders: Borders, sheet: Sheet, corners: Matrix, values: Vector, y: Vector
     ) -> tuple[Matrix, list[tuple[Vector, Vector, Sheet]]]:
-        """Continue a sheet to all corners of bricks, NaN where it ends; also return extremals behind its folds."""
+        """Continue a branch to all corners of blocks, NaN where it ends; also return extremals behind its folds."""
         targets, (places, _) = corners / chart.scale, self.region.corners()
         here, share = follow_sheets(chart, borders, [sheet], *walks_from_one_extremal(values, y, targets))
         ended = np.nonzero(share < 1.0)[0]
@@ -286,7 +287,7 @@ class Survey:
 
     @staticmethod
     def _known(known: SurveyedChart, sheet: Sheet, corners: Matrix, values: Vector, y: Vector) -> int | None:
-        """Return the sheet on which an extremal lies, by continuation from nearest corners; None for a new one."""
+        """Return the branch on which an extremal lies, by continuation from nearest corners; None for a new one."""
         away = np.abs(corners - values).sum(axis=1)
         for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
             if not other.alike(sheet):
@@ -320,10 +321,10 @@ def _arc_sequences(
 
 
 def _has_negative_arc(borders: Borders, corners: Matrix, there: Matrix, values: Vector, y: Vector) -> bool:
-    """Return True if a sheet has a negative arc duration from the fold behind which it begins to all corners.
+    """Return True if a branch has a negative arc duration from the fold behind which it begins to all corners.
 
     Where an arc vanishes the flight continues with other arcs, around folds of their own. This fold lies beyond: no
-    flight leads to the sheet behind it, and none of its extremals there is a flight.
+    flight leads to the branch behind it, and none of its extremals there is a flight.
     """
     reached = np.isfinite(there[:, 0])
     return bool(borders.backwards(np.vstack([values, corners[reached]]), np.vstack([y, there[reached]])).all())
@@ -332,7 +333,7 @@ def _has_negative_arc(borders: Borders, corners: Matrix, there: Matrix, values: 
 def _sheets_held_at_ends(
     borders: Borders, sheet: Sheet, values: Vector, y: Vector, ranges: list[int]
 ) -> list[tuple[Vector, Vector, Sheet]]:
-    """Return starts of sheets held at the ends of ranges within which J has a maximum: values, unknowns, sheet."""
+    """Return starts of branches held at the ends of ranges within which J has a maximum: values, unknowns, branch."""
     first, limits = borders.chart.shooting.plan.free, borders.at(values[None])
     return [
         (values, y, Sheet(holds={**sheet.holds, borders.names[k]: side}, orientation=0.0, nature=Nature.UNPROVED))
@@ -352,7 +353,7 @@ def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
 
 
 def _with_minimum_found(known: SurveyedChart, number: int, sheet: Sheet) -> SurveyedChart:
-    """Return the chart with one of its sheets marked as a minimum, if that was not known."""
+    """Return the chart with one of its branches marked as a minimum, if that was not known."""
     if known.sheets[number].minimum or not sheet.minimum or sheet.nature is Nature.UNPROVED:
         return known
     sheets = list(known.sheets)
@@ -361,10 +362,10 @@ def _with_minimum_found(known: SurveyedChart, number: int, sheet: Sheet) -> Surv
 
 
 def _merge_sheet(known: SurveyedChart, sheet: Sheet, y: Matrix) -> SurveyedChart:
-    """Return the chart with a sheet at corners, (corners, n), added.
+    """Return the chart with a branch at corners, (corners, n), added.
 
-    With one extremal in common it is a known sheet. If it differs from that elsewhere, as around a cusp, the others are
-    kept as those of another sheet.
+    With one extremal in common it is a known branch. If it differs from that elsewhere, as around a cusp, the others
+    are kept as those of another branch.
     """
     for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
         if other.alike(sheet):
@@ -378,7 +379,7 @@ def _merge_sheet(known: SurveyedChart, sheet: Sheet, y: Matrix) -> SurveyedChart
 
 
 def _with_expected_sheets(known: SurveyedChart, corners: Matrix) -> SurveyedChart:
-    """Add the sheets that would continue known ones across bounds; bricks find if there are any."""
+    """Add the branches that would continue known ones across bounds; blocks find if there are any."""
     sheets, small = list(known.sheets), {one.sheet: (one.values, one.y) for one in known.small}
     for number, (sheet, y) in enumerate(zip(known.sheets, known.y, strict=True)):
         first = int(np.isfinite(y[:, 0]).argmax())
@@ -398,7 +399,7 @@ def chart_entry(found: SurveyedChart) -> dict[str, Any]:
 
 
 def seed_rows(places: NDArray[np.int64], found: SurveyedChart) -> NDArray[Any]:
-    """Return the shard of sheets at corners of bricks, and of sheets that reach none."""
+    """Return the shard of branches at corners of blocks, and of branches that reach none."""
     sheet, corner = np.nonzero(np.isfinite(found.y[:, :, 0]))
     rows = np.zeros(len(sheet) + len(found.small), dtype=seed_type(places.shape[1], found.y.shape[2]))
     first = rows[: len(sheet)]

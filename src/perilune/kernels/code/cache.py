@@ -3,7 +3,7 @@
 A file is one object: a line that says what it is, the SHA-256 digest of the content, and the content. Its
 name is the digest of all that the code depends on: expressions, this package's own source, processor and
 versions. Writing goes to a file of its own that is then renamed, so that a second process or a killed writer
-never shows half a file; a file whose digest does not fit is removed and made anew. Nothing is ever unpickled. Where
+never shows half a file; a file whose digest does not fit is removed and made again. Nothing is ever unpickled. Where
 the files grow beyond `MOST_BYTES`, those that were not used for longest go, those of older versions first of all.
 
 The directory is that of the operating system for caches, or the environment variable ``PERILUNE_CACHE``, which

@@ -1,7 +1,7 @@
 """Arcs bound to arrays: integrated from and into the same arrays as often as wanted, without allocation.
 
 Machine code is told where its arrays lie, once. A batch is bound, flown and read; a shooting iteration, which flies one
-arc thousands of times, keeps the binding, fills the arrays of its `Request` anew and flies again. What was returned
+arc thousands of times, keeps the binding, fills the arrays of its `Request` again and flies again. What was returned
 before is thereby overwritten: copy what has to outlive the next flight. A binding belongs to one thread at a time.
 
     flight = engine.bind(request)       # once, and kept

@@ -89,7 +89,7 @@ class Coarse:
         self.finer = [16, 24, 48] if self.settings.transcription is None else []
 
     def solve(self, guess: Solution | None = None) -> Solution | None:
-        """Solve directly, from nothing or from a guess."""
+        """Solve directly, without an initial guess or from a guess."""
         if self.solution is not None or self.refusal is not None:
             return self.solution
         # Phases are segments already: of several the mesh of one would be too fine to be found from straight lines.

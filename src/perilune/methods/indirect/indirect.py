@@ -165,7 +165,7 @@ class Indirect(SearchSettings):
         return solution if found is None else replace(found, extremals=(*found.extremals, *solution.extremals[1:]))
 
     def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:
-        """Return what the direct method leads to from nothing, where better than an extremal that is no minimum."""
+        """Return the extremal that an unguided direct solution leads to, where better than an extremal that is no minimum."""
         search = Search(self, problem, watch or ignore_events)
         rough = search.coarse.solve()
         if rough is None or not rough.objective < solution.objective:

@@ -81,7 +81,7 @@ class Search:
         self.followed: list[ExtremalRoot] = []  # along all parameters between bounds, where there are several
         self.base: Member | None = None
         self.rung: str = ""
-        # By extremals met with the scanned parameter held, and these; which search answered; what it is outdone by.
+        # By extremals met with the scanned parameter held, and these; which search answered; what it is dominated by.
         self.broken: list[ConstraintViolation] = []
         self.breaking: list[Root] = []
         self.answering: Search = self
