@@ -22,7 +22,7 @@ from perilune_checker.second_variation import SecondVariation
 from perilune_checker.taylor_steps import LEAST, ball_power, certified_step, polynomial_over_interval, unit_matrix
 
 TOLERANCE, PIECES = 1e-6, 2.0**-20  # of limits in SI; least part of a step
-REMAINDERS = (1e-36, 1e-45, 1e-60)  # of a step, beside what moves there, tried in order
+REMAINDERS = (1e-36, 1e-45, 1e-60)  # of a step, relative to what moves there, tried in order
 BESIDE, STEPS = 1e-9, 10**5  # the most that these are of the box; of an arc
 
 

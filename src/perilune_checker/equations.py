@@ -161,7 +161,7 @@ class CertifiedEquations:
         for word, *rest in tape["instructions"]:
             if word in ("x", "u", "p", "const"):
                 (own,) = rest
-                if word == "const":  # a double, in the digits that tell it from others
+                if word == "const":  # a double, in the digits that distinguish it from others
                     require_claim(repr(float(own)) == str(own), f"{own} is no double")
                     values[word, own] = CertifiedExpression("number", arb(fmpq(*float(own).as_integer_ratio())))
                 found.append(values[word, own])

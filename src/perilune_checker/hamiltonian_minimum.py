@@ -12,7 +12,7 @@ from flint import arb, arb_mat, ctx
 from perilune_checker.equations import CertifiedEquations, eliminate
 from perilune_checker.expressions import CertifiedProgram, backward_gradient
 
-BITS, BOXES, NARROWEST = 80, 4000, 2.0**-24  # of a piece of the flight; the least of a box beside its range
+BITS, BOXES, NARROWEST = 80, 4000, 2.0**-24  # of a piece of the flight; the least of a box relative to its range
 
 
 def is_positive_definite(form: Any) -> bool:

@@ -2,7 +2,7 @@
 
 On each arc time is s = t / T; lengths of arcs and free parameters p that are on no bound are constant states of every
 phase, xi = (x, p). With H = T lambda . f at the u that minimises it, W = Lambda X^-1 of the tangents (X, Lambda) of
-xi' = H_lambda, lambda' = -H_xi, which begin again with (1, W) at each step, W being replaced there by a larger one.
+xi' = H_lambda, lambda' = -H_xi, which restart with (1, W) at each step, W being replaced there by a larger one.
 With K = (lambda . l + nu . psi)_vv at the start and at links, where xi = l(v) and psi(v) = 0 behind a phase,
 
     -dx' W dx <= min over dv of |dx - l_v dv|^2_M + dv' (K - W_before) dv + R |psi_v dv|^2,

@@ -24,7 +24,7 @@ from perilune.problem.problem import Problem
 MOST_AXES = 4
 _MOST_BRICKS = 10**6
 _NARROWEST, _LEAST = 1e-9, 1e-280  # range of an axis, as a share of its values, and SI
-_LOOKS = 16  # at points within a region, beside its corners, between which a function may go and come back
+_LOOKS = 16  # at points within a region, in addition to its corners, between which a function may go and come back
 _PARTS = {1: 8, 2: 4, 3: 2, 4: 2}  # blocks along each of so many axes
 
 
@@ -176,7 +176,7 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
     axes
         ``{name: (low, high)}`` in SI; a dot in a name may stand for an underscore.
     bricks
-        How many there are along each axis; of one axis 8, along each of two 4, of more 2, if it is not told.
+        How many there are along each axis; of one axis 8, along each of two 4, of more 2, if it is not given.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Minimising thrust on a boundary arc: direction and magnitude at once, in closed form.
 
-Along S >= 0 that is ridden S^(q) = a + s b.d = 0 is held, for a thrust of the direction d and the size s, and the
+Along a boundary arc of S >= 0, S^(q) = a + s b.d = 0 is held, for a thrust of the direction d and the size s, and the
 Hamiltonian is h + s (g.d + k). Where s lies between its bounds it is -a/(b.d), and it remains to minimise
 
     rho = (g.d + k) / (b.d)     over b.d of the sign of -a.

@@ -74,7 +74,7 @@ class PhaseExtremal:
     constants
         Indices of the free parameters that were made constant states.
     periodic
-        Places of controls that are angles: a mode tells them within one turn.
+        Places of controls that are angles: a mode determines them within one turn.
     settles
         Whether the phase is uncontrolled and contracting, as a fall through air is: then its costates
         grow from start to end without bound, and are what its end makes of them, lambda(0) = (dx(T)/dx(0))^T lambda(T).

@@ -73,7 +73,7 @@ class ControlLaw:
     mode
         Number of the mode in which H is least.
     periodic
-        Places of angles, of which each mode tells one turn alone.
+        Places of angles, of which each mode determines one turn only.
     values, sizes
         H in each mode, infinite where it is none, and the amounts of its terms.
     """
@@ -93,8 +93,8 @@ class ControlLaw:
         """Return the number of the mode in which a flight begins at z, with the rates of z in each mode.
 
         It is the one in which H is least. Where that is rounding, as where a flight begins with a switch, a mode is
-        left that should be left already: what leads out of it has passed its zero, is not met again, and what H chose
-        would stay.
+        left that should be left already: what leads out of it has passed its zero, is not reached again, and what H
+        chose would stay.
         """
         number = self.mode
         for way in self.transitions:

@@ -79,7 +79,7 @@ class Scalar:
     periodic
         Whether it is an angle: a whole turn changes nothing.
     wide
-        Whether it is one with room for more than a turn, so that no bound is met.
+        Whether it is one with room for more than a turn, so that no bound is reached.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class Scalar:
 
 
 def is_periodic(control: Bounded, u: ca.SX, expressions: ca.SX) -> bool:
-    """Return True if none of the expressions of a scalar u tells a whole turn."""
+    """Return True if no expression of a scalar u distinguishes values a whole turn apart."""
     if isinstance(control, Settled) or control.unit not in ("1", "rad") or not ca.depends_on(expressions, u):
         return False
     return _is_zero(ca.substitute(expressions, u, u + 2 * np.pi) - expressions, ca.fabs(expressions))

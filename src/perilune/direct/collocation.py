@@ -201,7 +201,7 @@ class Mesh:
         that the program finds the switching time itself.
     pinned
         For each segment, and in it each control component, -1 or 1 where the control is held at its lower or
-        upper bound, else 0. Beside a free joint this is what makes the switching time count: a control that
+        upper bound, else 0. Next to a free joint this is what makes the switching time count: a control that
         may take any value at the points hides a switch between them at no cost (Agamawi, Hager, Rao 2020).
         Empty: none.
     """

@@ -9,7 +9,7 @@ minimised:
 
 This is the elastic mode of nonlinear programming (Chinneck, Feasibility and Infeasibility in Optimization, 2008,
 chapter 6), with one elastic constraint at a time so that its optimum is the least relaxation that makes the rest
-feasible, as far as a local search tells.
+feasible, as far as a local search shows.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
 """Mesh refinement from the errors of the last mesh (`perilune.direct.mesh_error`).
 
 A segment that is not accurate enough is split where a bounded control switches, and where a bound of a control
-or a state is met or left: there arcs of another kind begin (Goddard's singular arc, a constrained arc). The new
-joint is left free and a control that lies at a bound on one side is held there, so that the program finds the
-time. Elsewhere
-the decay of its Legendre coefficients, |a_i| ~ 10^(c - sigma i), tells what a higher degree would gain (Liu,
-Hager, Rao 2015): the degree rises by log10(error/tolerance)/sigma, or the segment is halved where that would
-exceed the largest degree in use, as it does at a kink.
+or a state becomes active or inactive: there arcs of another kind begin (Goddard's singular arc, a constrained arc). The
+new joint is left free and a control that lies at a bound on one side is held there, so that the program finds the time.
+Elsewhere the decay of its Legendre coefficients, |a_i| ~ 10^(c - sigma i), shows what a higher degree would gain (Liu,
+Hager, Rao 2015): the degree rises by log10(error/tolerance)/sigma, or the segment is halved where that would exceed the
+largest degree in use, as it does at a kink.
 """
 
 from __future__ import annotations
@@ -41,12 +40,12 @@ REACH = 0.45
 
 
 def find_switches(phase: Phase, flown: Sequence[Segment], known: set[float], p: Any) -> list[float]:
-    """Return fractions of the phase where a control jumps or a bound is met or left, as far as points tell.
+    """Return fractions of the phase where a control jumps or a bound becomes active or inactive, as far as points show.
 
     What happens between two points that a `known` joint lies between happens there, and is not listed.
 
-    A bound of a control or a state is met or left where two points on it have two points off it as neighbours: there a
-    singular arc, a saturated control or a constrained arc begins or ends.
+    A bound of a control or a state becomes active or inactive where two points on it have two points off it as
+    neighbours: there a singular arc, a saturated control or a constrained arc begins or ends.
 
     Parameters
     ----------
@@ -153,7 +152,7 @@ def _pinned_bounds(
     values = np.concatenate([s.control.values for s in flown])
     pins = []
     for a, b in pairwise(joints):
-        # A point beside a switch may hold a value in between.
+        # A point next to a switch may hold a value in between.
         inside = np.nonzero((a < fraction) & (fraction < b))[0]
         near = inside[int(a in movable) : len(inside) - int(b in movable)]
         near = near if len(near) else np.argmin(np.abs(fraction - 0.5 * (a + b)), keepdims=True)

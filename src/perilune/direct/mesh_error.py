@@ -1,6 +1,6 @@
 """Error of a mesh, measured by simulation.
 
-Each segment is flown again from its own start, by the user's numpy dynamics under the control that the solution
+Each segment is integrated again from its own start, by the user's numpy dynamics under the control that the solution
 exports. The largest difference from the state polynomial X is the error of the segment, for each state, relative to
 1 + max|x| in canonical units (Patterson, Rao 2014, section 4, but by simulation instead of one quadrature). What bounds
 of states and path and held conditions are exceeded by *between* the points counts as an error as well.

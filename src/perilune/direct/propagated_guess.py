@@ -1,8 +1,8 @@
 """First guess by simulation, for flights that no straight line resembles, such as one that winds round a body.
 
 The controls of the straight lines (`perilune.direct.first_guess`) are flown from the start for the typical durations.
-Such a flight misses the ends, but it keeps the dynamics and swings about as often as the answer will: it tells how fine
-the first mesh has to be as well.
+Such a flight misses the ends, but it keeps the dynamics and swings about as often as the answer will: it also
+shows how fine the first mesh has to be.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ largest component of its direction from the others. With the unknowns u that are
     dw = P + Z du,   Z = (-B^-1 N U, U),   P = (-B^-1 (c + N V), V),
 
 where N are the slopes of the dynamics in all but the states, and U du + V is what the lengths leave of these. Then the
-conditions of a minimum in du are a small dense system (Nocedal, Wright 2006, section 16.2), whose inertia tells whether
+conditions of a minimum in du are a small dense system (Nocedal, Wright 2006, section 16.2), whose inertia shows whether
 the step goes down.
 """
 

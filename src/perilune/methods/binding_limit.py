@@ -1,8 +1,8 @@
 """Infeasibility diagnosis: the limit that no flight found can keep, and the least relaxation it needs.
 
 A least-squares miss spreads over whatever is held loosely, and so blames the wrong condition: a glide slope for a dry
-mass. Here each limit is relaxed alone (`perilune.direct.elastic_constraint`), from the flight that missed least; those
-whose relaxation lets all else be kept stand in the way, and the one that gives least, by its own size, is named.
+mass. Here each limit is relaxed by itself (`perilune.direct.elastic_constraint`), from the flight that missed least;
+those whose relaxation lets all else be kept stand in the way, and the one that gives least, by its own size, is named.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _FINER = (16, 32)  # segments of the meshes on which the one that gives least is
 _LARGEST = 10.0  # of its own size: what has to give by more is not said to be in the way
 _LISTED = 4  # limits of which a message says by how much they would have to give
 _DIGITS = 3  # of what would do, rounded so that it does
-_SHARE = 1e-3  # of the largest: end conditions that give by less are as good as met
+_SHARE = 1e-3  # of the largest: end conditions that give by less are as good as satisfied
 _LOOKS = 200  # times of a phase
 _OVERSHOT = 1.001  # of what a condition gives: what is broken by more, between nodes, is the mesh's
 _STEPS = (0.01, 10.0, 60)  # of a parameter, relative: the first, the largest, and how many
@@ -80,7 +80,7 @@ def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch 
         Receives a line.
     """
     if error.flight is None or not error.partial.get("missed") or not error.partial.get("settled", True):
-        return error  # what is no least miss tells of no limit
+        return error  # what is no least miss says nothing of a limit
     watch = watch or ignore_events
     watch("looking for the limit that stands in the way")
     try:

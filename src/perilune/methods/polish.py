@@ -1,10 +1,10 @@
 """Indirect solution of a direct answer: its structure, and Newton's method on the conditions along each arc.
 
 A direct answer has costates, and so starts the indirect method. That needs no fine mesh: the first one is tried before
-any refinement, a refined one where it tells another structure, and at last the best one, whether or not refinement got
+any refinement, a refined one where it shows another structure, and at last the best one, whether or not refinement got
 as far as was asked; one of many switches that starts no Newton also by way of smooth controls. What Newton's method
 reaches replaces the direct answer if it is a minimum that keeps every bound and condition and is no worse than the mesh
-can tell; else the direct answer stays, and says so.
+can show; else the direct answer stays, and says so.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ either side is listed, and the answer must be the best of it: a proof that *noth
 
 Where the answer has contact points or boundary arcs, its costates jump, and methods give them in different
 ways along an arc: with the multiplier of S, or of S^(q). On a mesh the jumps are spread. There curves and free
-parameters are compared with an answer of the problem restated with the same arcs (`touched`), in which costates are
-unique; the other method solves that from its own answer. The times of the boundary arcs are fixed: J is flat in them
-to third order.
+parameters are compared with an answer of the problem restated with the same arcs (`restate_with_contacts`), in which
+costates are unique; the other method solves that from its own answer. The times of the boundary arcs are fixed: J is
+flat in them to third order.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def check_agreement(
     other
         The other method; None takes the direct one for an answer of an indirect method, and the reverse.
     arcs
-        The answer cut into its arcs, and these, as `touched.restate_with_contacts` has them, where it has some.
+        The answer cut into its arcs, and these, as `restate_with_contacts` has them, where it has some.
     """
     other = _default_other_method(solution) if other is None else other
     rivals, reason = _rival_solutions(solution, other)

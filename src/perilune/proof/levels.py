@@ -1,6 +1,6 @@
 """Levels of a proof: which checks it runs, what they reach, and the record that it makes of them.
 
-Level 1 (`feasible`): the exported control is flown again. Level 2 (`extremal`): the first-order conditions
+Level 1 (`feasible`): the exported control is integrated again. Level 2 (`extremal`): the first-order conditions
 hold along the exported curves; `switching`: for the control. Level 3 (`second_order`, `resolved`): the extremal is
 locally optimal. Level 4 (`crossed`): another method agrees. Each check has a value, a limit 3 to 10 times above the
 error of a good answer, so that it can fail, and a meaning; a NaN fails.
@@ -155,7 +155,7 @@ def _checks_in_order(
 def _local_optimality_checks(
     parts: Solution, kept: dict[int, KeptConditions], idle: dict[int, KeptConditions], strict: Sequence[Check]
 ) -> Iterator[Check]:
-    """Yield the checks of level 3 that need no other solve, those of the multipliers of touches among them.
+    """Yield the checks of level 3 that need no other solve, those of the multipliers of contact points among them.
 
     Where one is next to nothing, or that of a condition which holds the control for a moment, the second variation has
     to be positive without that condition: J - J* >= L - L* with multipliers of the right sign, strictly or not. Else

@@ -66,7 +66,7 @@ def _find_again(
 ) -> Extremal | None:
     """Return the extremal that Newton reaches from a guess, if it is the listed one and, where asked, is proved."""
     try:
-        with np.errstate(all="ignore"):  # of unknowns that nobody has looked at
+        with np.errstate(all="ignore"):  # of unknowns that were not checked before
             found = resolve(solution.problem, guess)
     except (PeriluneError, ArithmeticError, np.linalg.LinAlgError):
         return None

@@ -341,7 +341,7 @@ def _direction_vector(
 def _formula(
     graph: Graph, phase: Phase, H: GraphExpression, control: Bounded
 ) -> tuple[GraphExpression, GraphExpression] | None:
-    """dH/du and d2H/du2 of a scalar, if H is quadratic in it and the least for it alone is that of all together."""
+    """dH/du and d2H/du2 of a scalar, if H is quadratic in it and its minimum over it is that over all together."""
     key, free = ("u", control.name), {("u", name) for name in phase.control_names}
     slope = graph.gradient(H, [key])[0]
     curvature = graph.gradient(slope, [key])[0]

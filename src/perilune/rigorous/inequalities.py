@@ -40,7 +40,7 @@ class Statement:
     where
         Where it is not proved, in words.
     slack
-        By so much it may fall below 0 at an end where it touches its limit; 0 where it does not.
+        By so much it may fall below 0 at an end where it is at its limit; 0 where it does not.
     """
 
     words: str
@@ -160,7 +160,7 @@ class FlightLimits:
         at = i + side
         if at < 0 or (side and self.boundary.pieces[at].phase != self.boundary.pieces[i].phase):
             return 0
-        # What no formula gives of the control begins again with an arc: behind the costate stands something else.
+        # What no formula gives of the control begins afresh with each arc: behind the costate stands something else.
         arc = self.boundary.arcs[at]
         count = 2 * arc.half if side else len(arc.rates)
         known = {("z", j): arc.graph.input(("end", at, j)) for j in range(count)}

@@ -35,8 +35,8 @@ from perilune.rigorous.taylor import Ball
 
 _ZERO = 1e-9  # of the largest unknown: what is smaller may be zero
 _FARTHEST, _SMALLER = 1e-6, 4  # of an unknown, at most so far; boxes that are tried, each 1000 times smaller
-_QUADRATIC = 1e4  # a step of Newton's method, beside the square of the one before; 210 at most on answered problems
-_REMAINDER = 1e-9  # of a step, beside the radius of the box: what hundreds leave in a bad frame is still less
+_QUADRATIC = 1e4  # a Newton step, relative to the square of the one before; 210 at most on answered problems
+_REMAINDER = 1e-9  # of a step, relative to the radius of the box: what hundreds leave in a bad frame is still less
 Tell = Callable[[str], None]
 
 
@@ -144,7 +144,7 @@ def refine_root(boundary: BoundaryProblem, y: Sequence[Ball], settings: ProofEff
         y = ball_centres([a - b for a, b in zip(y, change, strict=True)])
         tell(f"Newton's method in {settings.bits} bits: step {largest:.2g}, {sum(map(len, chosen))} steps of the flow")
         # What converges only linearly is not the function that its derivatives are of: one of the two is cut off. An
-        # unknown that is small beside the others may come out once as if it did, and not again.
+        # unknown that is small relative to the others may come out once as if it did, and not again.
         slow = number > 0 and largest > max(enough, _QUADRATIC * moved[-2] ** 2)
         if slow and slowly:
             raise NotProved("Newton's method in many digits does not converge quadratically", got=f"steps {moved}")

@@ -16,7 +16,7 @@ W exists, that no junction has too little weight, and that Phi_xx - W is positiv
 (Zeidan, *Sufficient conditions for the generalized problem of Bolza*, 1983; Maurer, Pickenhain, *Second-order
 sufficient conditions for control problems with mixed control-state constraints*, 1995). W = Lambda X^-1 with the
 tangents (X, Lambda) of the canonical equations that begin with (1, W); it exists as long as X is regular (`regular`).
-They begin again with every step, where W may be replaced by a larger one: what lies before is still no less. As X
+They restart with every step, where W may be replaced by a larger one: what lies before is still no less. As X
 begins with 1, nothing is singular at the start; large M come as close as one likes to the condition that no point is
 conjugate to it. Where no formula gives scalars w, (dx, dlambda) move them by dw = -H_ww^-1 H_wz dz where a step
 begins; H_ww > 0 there, and it stays so, as w' divides by the pivots of its elimination all along.
@@ -252,7 +252,7 @@ def _propagate_bound(
 
     Each step begins with X = 1 and an exact W, hardly larger than where the one before ends it: tangents of a whole arc
     would be lost by wrapping, whatever W is like. Where z is at the times is known from the flight, as
-    `_without_constants` has it: by steps alone it would be lost too. Steps are halved where V is not enclosed, or X not
+    `_without_constants` has it: by steps only it would be lost too. Steps are halved where V is not enclosed, or X not
     seen to be regular.
     """
     own, half = _without_constants(range(len(z)), arc), arc.half

@@ -27,7 +27,7 @@ TRUSTED = (
 )
 _DIGITS = 30
 _CLAIMED = 27  # digits of a certificate
-_ROOM, _ROOM_OF_BOX = 1e-26, 1e-20  # beside a value, and beside the box that holds no other root
+_ROOM, _ROOM_OF_BOX = 1e-26, 1e-20  # relative to a value, and to the box that holds no other root
 
 
 def _ball(value: Ball) -> str:

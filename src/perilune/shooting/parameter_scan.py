@@ -2,8 +2,8 @@
 
 Cho et al. 2015 solve for the root of the transversality condition (19) directly; but a root may be a maximum, a
 minimum, or dominated by another. Along the family of extremals with q held, the residual of (19) *is* dJ/dq. Its sign
-changes are the interior extremals, its slope there tells minimum from maximum of J, and its sign at the bounds shows
-whether the bound itself is an extremal (Karush, Kuhn, Tucker).
+changes are the interior extremals, its slope there distinguishes minimum from maximum of J, and its sign at the bounds
+shows whether the bound itself is an extremal (Karush, Kuhn, Tucker).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class HeldFamily:
 def scan_family(
     family: HeldFamily, first: Member, bounds: tuple[float, float], points: int
 ) -> tuple[list[ExtremalRoot], list[Member]]:
-    """Continue from `first` towards both bounds; return the extremals met, and the members visited.
+    """Continue from `first` towards both bounds; return the extremals found, and the members visited.
 
     Parameters
     ----------

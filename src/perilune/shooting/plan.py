@@ -15,8 +15,9 @@ Free parameters and end conditions that are ranges may be *held*, each lane of a
 row is  mask (value - held value) + (1 - mask) row,  with mask and held value among the parameters of the closing.
 
 Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out. The legs of a
-phase that settles (`perilune.shooting.contracting_phases`) have states only, and its transversality condition is met at
-its start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T), and Phi the product of those of its legs.
+phase that settles (`perilune.shooting.contracting_phases`) have states only, and its transversality condition is
+imposed at its start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T), and Phi the product of those of
+its legs.
 """
 
 from __future__ import annotations

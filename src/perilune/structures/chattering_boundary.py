@@ -26,7 +26,7 @@ def find_chattering_arc(solution: Solution) -> str | None:
     Parameters
     ----------
     solution
-        A restated problem's, whose phases hold what they ride along; with costates.
+        A restated problem's, whose phases hold the conditions of their boundary arcs; with costates.
     """
     for phase, flown in zip(solution.problem.phases, solution.trajectories, strict=True):
         if not phase.held_conditions or flown.costate is None or flown.duration <= 0:

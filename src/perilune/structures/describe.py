@@ -33,7 +33,7 @@ def with_names(solution: Solution, structure: Structure | None = None) -> Soluti
     solution
         Of the user's problem.
     structure
-        What it rides along and touches of conditions on states, with the times of this solution; nothing where None.
+        Its boundary arcs and contact points, with the times of this solution; nothing where None.
     """
 
     def found() -> tuple[NamedArc, ...]:

@@ -1,9 +1,9 @@
 """Detection of boundary arcs and contact points in an answer without arcs, such as a direct one: S >= 0 active.
 
 On a mesh S is near 0 and not 0: between its points S falls below 0, and bulges above by some times as much. A flight
-that *touches* S = 0 leaves it like t^2: S is below 4 times a level for twice as long as below it. One that *rides
-along* is there for about as long. What the control moves in its first derivative is never touched, as no condition on
-the state says so: it is ridden, if only for a moment.
+with a *contact point* S = 0 leaves it like t^2: S is below 4 times a level for twice as long as below it. On a
+*boundary arc* it is there for about as long. What the control moves in its first derivative has no contact points, as
+no condition on the state says so: it has a boundary arc, if only for a moment.
 """
 
 from __future__ import annotations
@@ -40,20 +40,20 @@ from perilune.structures.detect_regimes import (
 from perilune.structures.structure import Arc, Structure, conditions_of, margins, plain_bounds, steering_controls
 
 NEAR = (1e-4, 5e-2)  # of what S goes through: as near as counts at least and at most, whatever the mesh
-BULGE = 8.0  # times what S falls below 0 it may rise above on an arc that is ridden; 1 to 6 were met
-POINTS = 2000  # of a phase, beside the nodes of its tables
+BULGE = 8.0  # times what S falls below 0 it may rise above on a boundary arc; 1 to 6 were observed
+POINTS = 2000  # of a phase, in addition to the nodes of its tables
 ROUNDING = 1e-8  # of what S goes through: less below 0 is not broken
 _CLOSER = 33  # times between the neighbours of a look at which S is least: 16 times as close, 256 times as exact
 _ROUNDED = 1e-12  # of the times looked at: those nearer to each other are one
 CLOSEST = 4  # times that is done: from a share 1/200 of a phase on, it ends below the last digit of a time
 EXACTLY = 1e-9  # of the size of S, to which an answer is judged
-WIDER, STAYS = 4.0, 0.6  # a wider level; ridden where the flight stays for such a share of the time below the wider one
+WIDER, STAYS = 4.0, 0.6  # a wider level; a boundary arc where such a share of the time is spent below the wider one
 STAYS_EXACTLY = 0.4  # the same of a level wider by its cube: what goes to zero like t^4 stays for 0.35
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """A condition that is ridden from `begin` to `end` [s] of a phase, or touched at both."""
+    """Boundary arc of a condition from `begin` to `end` [s] of a phase, or a contact point at both."""
 
     name: str
     begin: float
@@ -89,7 +89,7 @@ def detect_structures(problem: Problem, solution: Solution, least: float = NEAR[
 
     Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds; so
     where a burn or a coast lasts but for an instant of its phase.
-    Next to a touch a mesh wavers where nothing is singular: there singular arcs are read only off exact tables.
+    Next to a contact point a mesh wavers where nothing is singular: there singular arcs are read only off exact tables.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def detect_structures(problem: Problem, solution: Solution, least: float = NEAR[
     without = _assemble_structure(problem, solution, met, nothing)
     touched = any(arc.touches for arcs in without.phases for arc in arcs)
     stays = [read_stays(solution, k) for k in range(len(problem.phases))]
-    # Beside a slow switch the gain is small for long: exact tables that never leave the bounds are singular nowhere.
+    # Near a slow switch the gain is small for long: exact tables that never leave the bounds are singular nowhere.
     told = touched or (least < NEAR[0] and not any(leaves_bounds(solution, k) for k in range(len(met))))
     by_level = {level: [own[level] for own in stays] for level in ((EXACT,) if told else (EXACT, *LEVELS))}
     structures = {
@@ -155,7 +155,7 @@ def _remembered_structures(guess: _Guess, least: float) -> tuple[Structure, ...]
 
 
 def _switched_stays(problem: Problem, solution: Solution, k: int, met: Sequence[Contact]) -> list[Stay]:
-    """Return the bounds that the one switched scalar of phase k is on, except where it keeps what is ridden."""
+    """Return the bounds that the one switched scalar of phase k is on, except where it keeps a boundary arc."""
     ridden = sorted((c for c in met if c.ridden), key=lambda c: c.begin)
     known = linear_scalars(problem, k)
     if not ridden or len(known) != 1 or solution.trajectories[k].costate is None:
@@ -188,7 +188,7 @@ def _assemble_structure(
 
 
 def _follows_from_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
-    """Return True if a condition is ridden while all scalars are on their bounds, which keep to it by themselves."""
+    """Return True if a condition stays active while all scalars are on their bounds, which keep to it by themselves."""
     names = {s.control for s in stays}
     here = [s for s in stays if s.begin < 0.5 * (contact.begin + contact.end) < s.end]
     return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
@@ -372,9 +372,10 @@ def _time_below(t: Vector, room: Vector, first: int, last: int, level: float) ->
 def arcs_of(
     problem: Problem, k: int, found: Sequence[Contact], duration: float, stays: Sequence[Stay] = ()
 ) -> tuple[Arc, ...]:
-    """Return the arcs of phase k between the times at which something begins, ends or is touched.
+    """Return the arcs of phase k between the times at which something begins, ends or is in contact.
 
-    What is ridden at once is named in the order in which the problem states it, so that the same arcs read the same.
+    Conditions active at once are named in the order in which the problem states it, so that the same arcs read the
+    same.
 
     Parameters
     ----------

@@ -1,12 +1,12 @@
 """Detection of bang and singular arcs of scalar controls from an answer with costates, and their revision.
 
-Of a scalar that enters the dynamics linearly H tells by how much one bound is worse than the other,
+Of a scalar that enters the dynamics linearly H shows by how much one bound is worse than the other,
 
     gain = H(upper) - H(lower) = Phi (upper - lower),       Phi = dH/du:
 
 and the control is at its upper bound where that is negative, at its lower where it is positive. At a switch the gain
 crosses zero: it is below 4 times a level for 4 times as long as below it. Along a singular arc it stays there, however
-the control of a mesh chatters, and beyond both ends it leaves zero like t^2, which tells where they are.
+the control of a mesh chatters, and beyond both ends it leaves zero like t^2, which shows where they are.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from perilune.problem.tracing.lie_derivatives import depends_linearly_on_control
 from perilune.structures.structure import Regimes, Structure
 
 # Of the size of the gain: so small it is zero, on better and on worse meshes. Its size is what it reaches while the
-# control is on a bound, on the bound where that is less and on the other: where a state rides along a bound of its own
-# a mesh tells costates of any size, and along a short arc hardly more than its noise.
+# control is on a bound, on the bound where that is less and on the other: where a state is on a bound of its own
+# a mesh gives costates of any size, and along a short arc hardly more than its noise.
 EXACT = (0, 0.0)  # by the breaks of tables that have an arc between any two of them
 LEVELS = tuple((size, level) for size in (0, 1) for level in (2e-3, 5e-3, 1e-2, 2e-2, 4e-2, 8e-2))
 WIDER, STAYS = 4.0, 0.5  # a wider level; singular where the gain stays for such a share of the time below the wider one
@@ -145,7 +145,7 @@ def brief_stays(solution: Solution, k: int) -> list[Stay]:
 
 
 def seen_stays(solution: Solution, k: int) -> list[Stay]:
-    """Return the bounds that the one scalar of phase k is on, as the places in its range tell them, however rough."""
+    """Return the bounds that the one scalar of phase k is on, as the places in its range show them, however rough."""
     known = linear_scalars(solution.problem, k)
     if len(known) != 1:
         return []
@@ -301,7 +301,7 @@ def stays_of(structure: Structure, k: int) -> list[Stay]:
 
 
 def regimes_at(stays: Sequence[Stay], t: float, held: Collection[str] = ()) -> Regimes:
-    """Return the regime of each scalar at a time; `held` are those that hold what is ridden then.
+    """Return the regime of each scalar at a time; `held` are those that keep boundary arcs then.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def regimes_at(stays: Sequence[Stay], t: float, held: Collection[str] = ()) -> R
     t
         Time [s].
     held
-        Names of scalars that hold what is ridden then.
+        Names of scalars that keep boundary arcs then.
     """
     here = [s for s in stays if s.begin < t < s.end]
     free = {s.control: "singular" if s.regime == "held" else s.regime for s in here}

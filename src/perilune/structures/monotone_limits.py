@@ -4,9 +4,9 @@ Where S(x) >= 0 falls along every flight, S' = dS/dx . f <= 0 whatever the contr
 keeps S(x(T)) >= 0 at the end of its phase. The problem with this range among its end conditions has the same flights,
 and is an isoperimetric problem: the multiplier of the limit is one number, and the costates are continuous. Without it
 the costate of a state that only counts would be zero (`perilune.problem.tracing.costate_signs`), and no arc of the
-flight rides along the limit or touches it on the way.
+flight has a boundary arc or contact point of the limit on the way.
 
-Limits on what an end condition reads stay as they are, and those on what alone the objective reads, such as the dry
+Limits on what an end condition reads stay as they are, and those on what only the objective reads, such as the dry
 mass where the least propellant is asked for.
 
 Source: isoperimetric constraints, Bryson and Ho (1975), section 3.1.
@@ -109,7 +109,7 @@ def _monotone_limits(problem: Problem, k: int, linear: bool) -> Iterator[str]:
 
 
 def _is_tighter_in_next_phase(problem: Problem, k: int, name: str) -> bool:
-    """Return True if phase k + 1 begins with no more left of this limit, as far as points drawn at random tell.
+    """Return True if phase k + 1 begins with no more left of this limit, as far as points drawn at random show.
 
     Then the end of phase k need not say it. One that is tighter before, or that starts again, is a budget of its own.
     """
@@ -132,7 +132,7 @@ def _read_components(expression: Expression | None) -> set[tuple[str, str]]:
 
 
 def _is_monotone(problem: Problem, phase: Phase, change: Expression) -> bool:
-    """Return True if S' is nowhere positive, as far as points drawn at random tell.
+    """Return True if S' is nowhere positive, as far as points drawn at random show.
 
     That it is asks for nothing: the range at the end says what holds anyway.
     """

@@ -5,9 +5,9 @@ Each has a free duration; their sum is the user's: where that is a free paramete
 formula, and its range becomes a range of the sum; where it is given, or belongs to another phase too, the sum has to
 be equal to it.
 
-A condition that is ridden decides the control there (`Phase.held`), and is no path condition of that arc. On the others
-it stays one, as the arc that leads to it needs it: without S >= 0 the cost has no minimum at the time of entry, but a
-slope that vanishes and does not change its sign (`perilune.conditions.junction_conditions`).
+The condition of a boundary arc decides the control there (`Phase.held`), and is no path condition of that arc. On the
+others it stays one, as the arc that leads to it needs it: without S >= 0 the cost has no minimum at the time of entry,
+but a slope that vanishes and does not change its sign (`perilune.conditions.junction_conditions`).
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def restate(problem: Problem, structure: Structure, *, repeated: bool = True, va
     Raises
     ------
     PeriluneError
-        If the structure is none of the problem's, no control acts on one of its conditions, or a condition is touched
-        that can only be ridden, as the control acts on its first derivative.
+        If the structure is none of the problem's, no control acts on one of its conditions, or a condition has a
+        contact point that admits boundary arcs only, as the control acts on its first derivative.
     """
     check_arc_structure(problem, structure)
     return _Restated(problem, structure, repeated, varied).problem()
@@ -330,7 +330,7 @@ class _Restated:
     def _met(
         self, arc: Arc, following: Arc | None, conditions: Mapping[str, Condition]
     ) -> Iterator[tuple[Variable, Expression]]:
-        """Yield what vanishes at the end of an arc: conditions touched there, and those that are ridden next."""
+        """Yield what vanishes at the end of an arc: conditions in contact, and those of boundary arcs that follow."""
         entered = () if following is None else following.along
         for name in arc.touches:
             found = conditions[name]

@@ -5,8 +5,8 @@ Along an arc of order q the control minimises L = H - eta S^(q) with S^(q) = 0, 
     mu = (-1)^q d^q eta/dt^q.
 
 Where it is negative J falls as S grows, and nothing but the statement of the arc keeps the flight there. Eta is read
-off dH/du along the tangents of the control, by least squares with all that is held or met there, and differentiated as
-a polynomial between any two breaks of the control's table.
+off dH/du along the tangents of the control, by least squares with all that is held or active there, and differentiated
+as a polynomial between any two breaks of the control's table.
 
 Source: Bryson and Ho (1975), section 3.11.
 """
@@ -26,7 +26,7 @@ from perilune.structures.detect_regimes import runs_by_kind
 from perilune.structures.structure import Condition
 
 _DEGREE, _NODES = 12, 33  # of a polynomial, and where eta is read for it
-_ROUGH = 1e-5  # of the largest eta: farther off a polynomial tells nothing
+_ROUGH = 1e-5  # of the largest eta: farther off a polynomial shows nothing
 _STEP, _ON = 1e-6, 1e-6  # of the size of a control: a difference, and as near to a bound or a condition as counts
 _LOOKS = 400  # times of a piece
 WRONG = (
@@ -42,7 +42,7 @@ def paying_intervals(solved: Solution, index: int, condition: Condition) -> list
     solved
         An extremal of a problem restated.
     index
-        Number of the phase that rides along the condition.
+        Number of the phase that is the boundary arc of the condition.
     condition
         The condition; the answer is known for those of order 1 and 2.
     """

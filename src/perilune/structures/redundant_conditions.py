@@ -1,7 +1,7 @@
 """Redundant end conditions, which the boundary arc that ends there implies already.
 
-Who rides along the ground to the site ends at its height, and has no vertical speed there: S = 0 and S' = 0 hold all
-along the arc. Stated twice, a condition has no multiplier of its own, and no Newton's method finds one; a proof may
+A boundary arc along the ground to the site ends at its height, and has no vertical speed there: S = 0 and S' = 0 hold
+all along the arc. Stated twice, a condition has no multiplier of its own, and no Newton's method finds one; a proof may
 state it as often as it likes.
 """
 
@@ -25,7 +25,7 @@ _TRIED, _ALIKE = 8, 1e-9  # states, and how far a multiple of another may be off
 def repeated_ends(
     problem: Problem, k: int, arc: Arc, conditions: dict[str, Condition], varied: Collection[str] = ()
 ) -> frozenset[int]:
-    """Return the end conditions of phase k, by number, that are multiples of a ridden S, or of a rate below S^(q).
+    """Return the numbers of end conditions of phase k that are multiples of a boundary arc's S or a rate below S^(q).
 
     Found at states drawn at random about the canonical units; parameters have their values, but for free ones and those
     that are `varied`: an end at x1 is no end at the bound l because both have one value now.

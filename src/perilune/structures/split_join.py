@@ -125,7 +125,7 @@ def join_solution(problem: Problem, restated: Solution, structure: Structure, *,
     -------
     Solution
         In the user's phases, unverified. Of its multipliers those of the user's conditions are
-        kept; those of touches and entries are the jumps of its costates.
+        kept; those of contact points and entries are the jumps of its costates.
     """
     check_arc_structure(problem, structure)
     counts, multipliers = [len(arcs) for arcs in structure.phases], dict[str, float]()

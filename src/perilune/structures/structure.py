@@ -1,9 +1,9 @@
 """Structure of an answer: the arcs of each phase, with their active conditions and contact points.
 
-On an *arc* nothing of the state is held, or it rides *along* conditions: path conditions, or bounds of states, S >= 0
-that are 0 all along it. Of order q (`perilune.problem.tracing.lie_derivatives`) such an arc is entered with S = S' =
-... = S^(q-1) = 0, and S^(q) = 0 says what the control does on it. At the end of an arc a condition may be *touched*: S
-= 0 and S' = 0.
+On an *arc* nothing of the state is held, or it is a boundary arc *along* conditions: path conditions, or bounds of
+states, S >= 0 that are 0 all along it. Of order q (`perilune.problem.tracing.lie_derivatives`) such an arc is entered
+with S = S' = ... = S^(q-1) = 0, and S^(q) = 0 says what the control does on it. At the end of an arc a condition may
+have a *contact point*: S = 0 and S' = 0.
 
 Source: Bryson, Ho, *Applied Optimal Control*, 1975, sections 3.11 to 3.13.
 """
@@ -37,12 +37,12 @@ class Arc:
     Parameters
     ----------
     along
-        Names of the conditions that it rides along, as `conditions_of` has them.
+        Names of the conditions whose boundary arc it is, as `conditions_of` has them.
     touches
-        Names of those that are touched at its end.
+        Names of those with a contact point at its end.
     regimes
-        Scalar controls that are on a bound, or singular, all along it, or held by what it rides along; of the others
-        the control law decides.
+        Scalar controls that are on a bound, or singular, all along it, or held by its boundary conditions; of the
+        others the control law decides.
     until
         When it ends, in seconds from the beginning of its phase, as far as that is known; NaN otherwise.
     """
@@ -92,17 +92,17 @@ class Structure:
 
     @property
     def switched(self) -> bool:
-        """Return True if scalars hold what is ridden, and are on a bound everywhere else."""
+        """Return True if scalars keep boundary arcs, and are on a bound everywhere else."""
         regimes = [regime for arcs in self.phases for arc in arcs for _, regime in arc.regimes]
         return "held" in regimes and "singular" not in regimes
 
     @property
     def plain(self) -> bool:
-        """Return True if nothing is ridden or touched, and no phase is cut."""
+        """Return True if there is no boundary arc or contact point, and no phase is cut."""
         return all(len(arcs) == 1 and not (arcs[0].along or arcs[0].touches or arcs[0].regimes) for arcs in self.phases)
 
     def named(self, k: int) -> tuple[str, ...]:
-        """Return every condition that is ridden or touched in phase k, once each."""
+        """Return every condition with a boundary arc or contact point in phase k, once each."""
         return tuple(dict.fromkeys(name for arc in self.phases[k] for name in (*arc.along, *arc.touches)))
 
     def ends(self, k: int, duration: float) -> list[float]:
@@ -123,7 +123,7 @@ class Structure:
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
-    """A condition that a flight may ride along or touch: a path condition, or the bound of a state.
+    """A condition that may have boundary arcs or contact points: a path condition, or the bound of a state.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class Condition:
 
     @property
     def steered(self) -> bool:
-        """Return True if a control moves it. Else its phase's begin determines it: touched, and never ridden."""
+        """Return True if a control moves it. Else its phase's start determines it: it has contact points only."""
         return depends_on_control(self.values[-1])
 
     def rated(self, i: int, prefix: str, time: float) -> Variable:
@@ -217,7 +217,7 @@ def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, C
 
 
 def steering_controls(condition: Condition) -> set[str]:
-    """Return the components of the control that keep a condition while it is ridden."""
+    """Return the components of the control that keep a condition along its boundary arc."""
     return {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
 
 

@@ -28,7 +28,7 @@ from perilune.structures.split_join import JoinedTrajectories
 from perilune.structures.structure import SIDES, Arc, Structure, conditions_of, steering_controls
 
 _MOST_ORDER = (
-    2  # of a condition whose multiplier is known while it is ridden (`perilune.atlas.evaluate.multiplier_signs`)
+    2  # of a condition whose multiplier is known along its boundary arc (`perilune.atlas.evaluate.multiplier_signs`)
 )
 
 

@@ -35,7 +35,7 @@ from perilune.structures.multiphase import sums_of
 Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held
 _SIDES = 1.0, -1.0  # what `Borders.sides` has for what is held at its lower bound, and at its upper one
 _DIFFERENCE = 1e-4  # of the range of a parameter: where differences of bounds are taken
-_MISSED = 1e-4  # of 1 + its size: a cell that gives a bound by so much wrong gives J so that it tells nothing
+_MISSED = 1e-4  # of 1 + its size: a cell that gives a bound by so much wrong gives J so roughly that it shows nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ class Borders:
         lower[:free], upper[:free] = own.lower[:free], own.upper[:free]
         lower[plan.free :], upper[plan.free :] = own.lower[free:], own.upper[free:]
         for i, name in enumerate(problem.free_names):
-            if name in chart.names:  # what varies is where it is told to be
+            if name in chart.names:  # what varies is where it was set
                 lower[i], upper[i] = -np.inf, np.inf
         self._lower, self._upper = lower, upper
         self.names: list[str] = [*chart.free.free_names, *(ends[row].name for row, _ in chart.conditions.ranges)]
@@ -163,7 +163,7 @@ class Borders:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # of NumPy's functions CasADi warns, and has its own idea of them
                 self._state(SimpleNamespace(**told), lower, upper, SYMBOLIC)
-        except Exception:  # whatever a user's own function, which may use NumPy alone, makes of symbols
+        except Exception:  # whatever a user's own function, which may use NumPy only, makes of symbols
             return None
         return compile_map(ca.Function("bounds", [point, given], [lower.T, upper.T]))
 
@@ -186,7 +186,7 @@ class Borders:
         return [(i, low / size if bounded else None, high / size) for i, low, high, size, bounded in told]
 
     def sides(self, sheets: Sequence[Sheet]) -> Matrix:
-        """Return the side at which each branch holds each of what can be held, (branches, k); see `atlas.standing`."""
+        """Return the side at which each branch holds each of what can be held, (branches, k); see `BoundStatus`."""
         found = np.zeros((len(sheets), self.chart.shooting.plan.held))
         for row, sheet in zip(found, sheets, strict=True):
             for name, side in sheet.holds.items():

@@ -2,7 +2,7 @@
 
 A parameter that varies is a free one that is held (`perilune.problem.parametric`). So its value is a lane's own,
 its column of the inverse Jacobian is dY/dp, and its row of the stationarity conditions dJ/dp along the family of
-extremals. Derivatives by several parameters are differences of these, at points beside the extremal on its tangent
+extremals. Derivatives by several parameters are differences of these, at points near the extremal on its tangent
 plane.
 """
 

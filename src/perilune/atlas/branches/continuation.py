@@ -42,7 +42,7 @@ class StraightContinuation:
     sides
         On which side of folds each lane stays; either, if None. With them it is asked whether a long step leads back.
     near
-        How far a root may lie from the tangent plane, of 1 + |y|, beside half of the step.
+        How far a root may lie from the tangent plane, of 1 + |y|, in addition to half of the step.
     astray
         Times as far Newton's method may lead on the way; anywhere if None.
     rough

@@ -40,7 +40,7 @@ Drawn = tuple[tuple[float, ...], Mapped]  # values of the axes [SI], and the ans
 Refused = dict[tuple[float, ...], str]  # values of the axes [SI], and why a query has no answer there
 
 LEVEL = 3
-USUAL, _ONE_OF = 10, 100  # proofs of a build at most, unless it is told how many; and of so many nodes one
+USUAL, _ONE_OF = 10, 100  # proofs of a build at most, unless it is given how many; and of so many nodes one
 _THIN = 1e-3  # canonical
 _DOUBT = 0.01
 _TRIES = 50  # nodes that are looked at for each that is wanted
@@ -249,7 +249,7 @@ def draw_sample(
         with kept.claimed("sample") as ours:
             missing = count - sum(line["asked"] for line in sample_lines(atlas))
             if ours and missing > 0:
-                rng = np.random.default_rng()  # another each time, so that nobody can choose what is looked at
+                rng = np.random.default_rng()  # another each time, so that what is looked at cannot be chosen
                 refused = Refused()
                 drawn = certify_solutions(drawn_at_random(atlas, missing, rng, refused), executor, watch)
                 thin = certify_solutions(drawn_thin(atlas, missing, rng), executor, watch)

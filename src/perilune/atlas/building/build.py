@@ -83,7 +83,7 @@ def build(
         Receives lines of text, and each iteration of what the survey solves (`perilune.core.callbacks`).
     bricks
         How many there are along each axis, for as many as that can be computed at once; 8 of one axis, 4 along each of
-        two, 2 of more, if it is not told. Those of an atlas that is there stay.
+        two, 2 of more, if it is not given. Those of an atlas that is there stay.
     sample
         How many answers at nodes drawn at random are proved to level 3 at the end, and as many of those with a thin
         margin (`perilune.atlas.building.audit`); by default one for a hundred nodes and at most ten.
@@ -112,7 +112,7 @@ def build(
         )  # fmt: skip
     require_count(sample)
     if chosen := {axis.name: axis.low for axis in region.axes if axis.name in problem.free_names}:
-        problem = problem.with_given(**chosen)  # an axis is told, not chosen
+        problem = problem.with_given(**chosen)  # an axis is given, not chosen
     kept = AtlasStore(require_path(store, "the directory of an atlas"))
     document = stated_problem_document(problem)
     refuse_moving_ranges(problem, as_kept := reread_problem(document), region)
@@ -187,7 +187,7 @@ def _complete_round(
         known = len(there)
         there = _node_counts(kept, region, survey)
         if len(there) == known and not there.keys() >= named.keys():
-            time.sleep(PATIENCE)  # what is missing is at work elsewhere; who dies there lets go of it
+            time.sleep(PATIENCE)  # what is missing is computed elsewhere; a process that dies there releases it
 
 
 def _node_counts(kept: AtlasStore, region: Region, survey: Mapping[str, Any]) -> dict[str, int]:

@@ -150,7 +150,7 @@ def merge(
         into.write_lines(lines)
         into.begin(header)
 
-    if (kept.directory / HEADER).exists():  # it stays until the whole of the new one lies beside it
+    if (kept.directory / HEADER).exists():  # it stays until the whole of the new one is complete
         with fresh_directory(kept.directory.resolve(), force=True) as work:
             write(AtlasStore(work))
             clear_atlas(kept.directory)

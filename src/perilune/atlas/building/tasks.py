@@ -37,7 +37,7 @@ class Task:
     Parameters
     ----------
     problem, names, widths, course, times
-        The chart, and how finely it is flown again.
+        The chart, and the steps of its independent re-integration.
     sheets
         All sheets of the chart.
     low, high

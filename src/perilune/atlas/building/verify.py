@@ -97,14 +97,14 @@ def verify_atlas(
     sample
         How many nodes are proved; 459 of 459 is 99 % at 99 %.
     seed
-        Of the draw; by default another each time, so that nobody can choose what is looked at.
+        Of the draw; by default another each time, so that what is looked at cannot be chosen.
     watch
         Receives lines of text.
 
     Raises
     ------
     PeriluneError
-        If there is no survey, so that nobody knows what should be there.
+        If there is no survey, so that it is unknown what should be there.
     """
     d, damaged, nodes, good = len(atlas.region.axes), list[str](), 0, 0
     if not (charts := atlas.survey["charts"]):

@@ -29,7 +29,7 @@ from perilune.problem.problem import Problem
 from perilune.shooting.contracting_phases import settling_equations
 
 FAR = 1e30  # stands for infinity: nothing was looked at yet
-# The least condition, the least gain of another control, the least and most H, the least multiplier of what is ridden.
+# The least condition, the least gain of another control, the least and most H, the least multiplier of boundary arcs.
 NOTHING_SEEN = (FAR, FAR, FAR, -FAR, FAR)
 _NEARLY = 1e-3  # canonical: what a flight by finer steps may mend
 _SUBSTEPS = (2, 4, 6, 8)

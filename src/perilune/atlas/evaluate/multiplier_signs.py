@@ -57,7 +57,7 @@ class BoundaryArcCondition:
     rates
         S, ..., S^(q - 1).
     entered
-        Names of the multipliers of S = 0, ..., S^(q - 1) = 0 where it is met inside one of the user's phases.
+        Names of the multipliers of S = 0, ..., S^(q - 1) = 0 where it is entered inside one of the user's phases.
     """
 
     name: str
@@ -169,7 +169,7 @@ class ChartBoundaryArcs:
             found.append(ca.jtimes(found[-1], symbol, rate))
         return [ca.substitute(each, symbol, z) for each in found]
 
-    # -- where a condition is met and left ----------------------------------------------------------------------------
+    # -- where a boundary arc begins and ends --------------------------------------------------------------------------
 
     def turns(self, y: ca.SX, begins: Sequence[ca.SX], ends: Sequence[ca.SX], p: ca.SX) -> ca.SX:
         """Return terms that are not negative if S is not, just before and behind a boundary arc or contact point.
@@ -280,7 +280,7 @@ class ChartBoundaryArcs:
 
     def _unexplained(self, joint: int, at: ca.SX, y: ca.SX, p: ca.SX) -> ca.SX:
         """Return the projection that removes the part of a costate jump that the user's conditions explain."""
-        if joint == 0:  # only what a free parameter moves at the start has to be met
+        if joint == 0:  # only what a free parameter moves at the start has to be satisfied
             known = trace_parameters(self.stated)
             own = [known.free[i] for i, name in enumerate(self.stated.free_names) if name not in self.chart.names]
             start = column(self.stated.start(known.record, SYMBOLIC))

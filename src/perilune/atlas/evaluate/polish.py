@@ -28,14 +28,14 @@ from perilune.atlas.evaluate.reintegrate import BoundReintegration, ChartReinteg
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import Map, compile_map
 
-_DONE = 1e-5  # relative: a step that leaves its own square; what is left of it the independent re-integration tells
+_DONE = 1e-5  # relative: a step that leaves its own square; what is left of it the independent re-integration measures
 _MOST = 6  # steps
 _SHRINKS = 0.25  # by so much at least from step to step
 _CLOSE = 1e-10  # relative: farther from the extremal y makes another step
 _FLOWN = 1e-6  # canonical, by which the independent re-integration of what breaks the path may miss its ends
 # Of Newton's method: its last step, whether all have shrunk, whether it goes on, and how many there were.
 _LENGTH, _SHRINKING, _GOING, _STEPS = range(4)
-# What is told of an extremal: see `Polished`; whether to fly once more.
+# What is stated of an extremal: see `Polished`; whether to integrate once more.
 _ANSWERS, _DOUBTFUL, _BREAKING, _SHORT, _GAINS, _POOR, _BOUND, _AWAY = range(8)
 _COST = MarchedMargins._fields.index("cost")
 _LOST = 0.5  # of 1 + |y|: a longer step is of no use
@@ -112,7 +112,7 @@ class Polished:
 
     @property
     def answers(self) -> NDArray[np.bool_]:
-        """Return True for those that keep bounds and path, and whose independent re-integrations meet the end conditions."""
+        """Return True for those that keep bounds and path and, integrated independently, meet the end conditions."""
         return self.told[:, _ANSWERS] > 0.0
 
     @property

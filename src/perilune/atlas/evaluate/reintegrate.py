@@ -220,14 +220,14 @@ class ChartReintegration:
         return tuple(found)
 
     def begun(self, k: int) -> Map:
-        """Compile `march.start_function`."""
+        """Compile `midpoint_march.start_function`."""
         if k not in self._begun:
             self._begun[k] = compile_map(start_function(self.conditions, k))
         return self._begun[k]
 
     @cached_property
     def ended(self) -> Map:
-        """Compile `march.end_function`."""
+        """Compile `midpoint_march.end_function`."""
         return compile_map(end_function(self.conditions, self._rides))
 
     def march(self, k: int, mode: int) -> Map:

@@ -51,7 +51,7 @@ from perilune.core.callbacks import Watch, ignore_events
 
 _KINKED = 2**9  # the shortest edge of a cell where the switches on the way change
 _WORST = 2**8  # the same of sheets that are no minima
-_MOST_BRANCHES = 32  # of all sheets together, beside the first of each
+_MOST_BRANCHES = 32  # of all sheets together, in addition to the first of each
 
 
 class BrickSubdivision:

@@ -176,7 +176,7 @@ class Lattice:
         return replace(cells, corners=self.corners(cells.branch, cells.low, cells.size))
 
     def _of_another(self, branch: Whole, places: Whole, y: Matrix) -> NDArray[np.bool_]:
-        """Return True where a later branch meets a node of another, beyond which it would only repeat that one."""
+        """Return True where a later branch reaches a node of another, beyond which it would only repeat that one."""
         found = np.zeros(len(branch), dtype=bool)
         for own in np.unique(branch[branch >= len(self.all_sheets)]).tolist():
             mine = np.nonzero(branch == own)[0]
@@ -286,7 +286,7 @@ def accept_cells(
     unlike[~stepped, :, -1] = 0.0  # J is looked at where the unknowns are good
     passed = stepped & (near | beyond | ~minimum)
     lane, share = _test_locations(cells, passed & minimum)
-    if len(lane):  # most are told without a step, which takes as long again
+    if len(lane):  # most are decided without a step, which takes as long again
         told = _confirmed_places(lattice, select_cells(cells, lane), share, beyond[lane])
         lane, share = lane[~told], share[~told]
     if len(lane):

@@ -1,7 +1,7 @@
 """Active-set correction of an extremal that violates bounds, or gains by leaving one.
 
 It is held at the bounds that it is beyond and released from those that it gains by leaving, and Newton's method goes on
-from there, until neither is left. Its J tells if a known answer is the same, or better.
+from there, until neither is left. Its J shows if a known answer is the same, or better.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ _STEPS = 16  # of a way from bound to bound
 _ROUNDS = 2  # over the ranges of several parameters
 _BETWEEN = 8  # parts of a step in which J is looked for where it is less than at both ends
 _NOTHING = 1e-9  # of 1 + |J|: a slope that is none
-_BESIDE = 2.0**-10  # of a range: within that no other well is looked for
+_BESIDE = 2.0**-10  # of a range: within that no other minimum is looked for
 
 
 @dataclass
@@ -158,7 +158,7 @@ class MinimumSearch:
         """Search along each of the parameters between bounds, beginning at the answers, for lower minima of J.
 
         Returns the answers themselves where there is none, and chart -1 where no flight is known in part of a range or
-        the lower minimum is not found. Several parameters are searched in turn, the others held, from the least J met
+        the lower minimum is not found. Several parameters are searched in turn, the others held, from the least J found
         so far.
 
         Parameters

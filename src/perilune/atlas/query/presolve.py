@@ -40,7 +40,7 @@ def point_feasibility(problem: Problem, names: Sequence[str]) -> Allowed:
         return lambda points: np.ones(len(points), dtype=bool)
     try:
         traced = _traced_comparisons(problem, names)
-    except Exception:  # whatever a user's own comparisons, which may use NumPy alone, make of symbols
+    except Exception:  # whatever a user's own comparisons, which may use NumPy only, make of symbols
         return lambda points: _compare_at_points(problem, names, points)
     mapped, given = compile_map(traced), np.array([[own.value for own in problem.given.values()]])
 

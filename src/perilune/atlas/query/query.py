@@ -70,7 +70,7 @@ class Atlas(AtlasReader):
         tried, doubts, breaking, outside, gaining = (list[Candidate]() for _ in range(5))
         best = None
         for offer in offers:
-            # Beside an answer that is better by more than what the cells can be wrong by, the others need no polish.
+            # Next to an answer that is better by more than what the cells can be wrong by, the others need no polish.
             if best is not None and clearly_worse(offer.cost, best.cost):
                 break
             if offer.breaks:

@@ -419,7 +419,7 @@ def cells_reproduce(cells: Cells, nodes: Nodes, step: Vector, places: Whole, y: 
     """
     share = (places - cells.low) / cells.size
     there = interpolated(nodes.rows("terms", cells.corners), share, cells.size * step)[:, :-1]
-    with np.errstate(over="ignore", invalid="ignore"):  # beside a fold slopes may be anything
+    with np.errstate(over="ignore", invalid="ignore"):  # near a fold slopes may be anything
         return np.linalg.norm(there - y, axis=1) <= _ALIKE * (1.0 + np.linalg.norm(y, axis=1))
 
 

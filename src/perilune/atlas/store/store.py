@@ -341,7 +341,7 @@ class AtlasStore:
         try:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                ours = file.stat().st_ino == os.fstat(handle).st_ino  # else who held it before has removed it
+                ours = file.stat().st_ino == os.fstat(handle).st_ino  # else its former holder has removed it
             except OSError:
                 ours = False
             yield ours
@@ -450,7 +450,7 @@ def _unreadable_atlas_file(name: str, error: OSError) -> PeriluneError:
 
 def _damaged_atlas(name: str, got: str) -> PeriluneError:
     again = "the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again"
-    if name.startswith("survey-"):  # without its line nobody knows where branches are
+    if name.startswith("survey-"):  # without its line it is unknown where branches are
         again = "remove its line from manifest.jsonl, and give the order that built it again: atlas build ... --resume"
     return PeriluneError(
         f"a shard of the atlas is damaged: {name}", got=got, expected="the file as it was written", advice=again

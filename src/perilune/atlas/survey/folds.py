@@ -34,7 +34,7 @@ _FIRST, _LONGEST, _SHORTEST = 0.01, 0.1, 1e-6  # steps, in lengths of (y / (1 + 
 _STEPS, _CORRECTIONS = 60, 6
 _CLOSE = 1e-9  # relative: a correction that is the last
 _BENT = 0.9  # the least cosine between tangents at both ends of a step
-_CLEAR = 0.05  # of s: how far behind a fold an extremal is told
+_CLEAR = 0.05  # of s: how far behind a fold an extremal is distinguished
 _BACK = 0.1  # of s, behind the start, which may lie before a fold at once
 
 
@@ -125,14 +125,14 @@ def classify_behind_folds(
     problem, region
         The problem, and the region that is mapped.
     said
-        Its chart, as the survey's line has it, with its branch alone.
+        Its chart, as the survey's line has it, with its branch only.
     values, y
         Of the axes and its unknowns, canonical.
 
     Returns
     -------
     Nature
-        A local optimum or locally worst; `UNPROVED` where its second variation does not tell.
+        A local optimum or locally worst; `UNPROVED` where its second variation does not decide.
     """
     charted = OpenChart(problem, region, said)
     polished = charted.polish(values[None], np.zeros(1, dtype=np.int64), y[None])

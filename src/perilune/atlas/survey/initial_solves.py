@@ -190,7 +190,7 @@ class Scan:
         shape = (len(self.names), len(self._points), _STEPS + 1)
         self._met: NDArray[np.bool_] = np.zeros(shape, dtype=bool)  # by extremals
         self._flown: NDArray[np.bool_] = np.zeros(shape, dtype=bool)
-        self._known: dict[str, NDArray[np.float64]] = {}  # unknowns of what was met, by what it goes through
+        self._known: dict[str, NDArray[np.float64]] = {}  # unknowns of the extremals found, by what they go through
 
     def add(
         self,

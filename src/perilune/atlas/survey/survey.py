@@ -42,10 +42,10 @@ from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal, Nature
 
-_MOST_SHEETS = 64  # of a chart, beside those on which answers of solves lie
+_MOST_SHEETS = 64  # of a chart, in addition to those on which answers of solves lie
 _AROUND = 4  # walks of a branch that are followed around the folds at which they ended
 _BESIDE = 3  # corners from which it is tried whether an extremal lies on a branch
-_AGAIN, _ROUNDING = 16, 1e-13  # extremals beside one, and how far, relative, that are on its side of folds
+_AGAIN, _ROUNDING = 16, 1e-13  # extremals near one, and how far, relative, that are on its side of folds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,7 @@ class Survey:
     watch
         Receives lines of text, and each iteration of what is solved.
     widths
-        Lengths of ranges [SI] by which canonical units are chosen; those of the region if it is not told.
+        Lengths of ranges [SI] by which canonical units are chosen; those of the region if it is not given.
 
     Attributes
     ----------

@@ -3,8 +3,8 @@
 CasADi keeps an SX function as a tape of elementary operations that reuse work slots. Here the tape becomes a
 list of values in which each is computed once (value numbering: equal operations on equal values are one
 value), so the physics, its derivatives and its variational columns share all that they have in common. Three
-rewrites make it cheaper without touching its meaning beyond a rounding: several divisions by one value become
-one reciprocal, constant powers become products and square roots, and what depends on parameters alone is
+rewrites make it cheaper and keep its meaning but for rounding: several divisions by one value become
+one reciprocal, constant powers become products and square roots, and what depends on parameters only is
 hoisted out (`hoist`).
 
 Choices by which CasADi writes tables are read off them (`tables`).
@@ -91,7 +91,7 @@ class _Numbering:
         return number
 
     def const(self, value: float) -> int:
-        # The sign of zero and NaN are part of a constant; their bits tell them apart where == does not.
+        # The sign of zero and NaN are part of a constant; their bits distinguish them where == does not.
         return self.append(("const", float(value).hex()))
 
     def value(self, number: int) -> float | None:

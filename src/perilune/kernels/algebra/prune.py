@@ -1,6 +1,6 @@
 """Removal of decoupled equations before anything is compiled.
 
-The sparsity of dz'/dz is a graph of who needs whom. What neither the wanted outputs nor the rates of what
+The sparsity of dz'/dz is a dependency graph. What neither the wanted outputs nor the rates of what
 they need depend on (downrange angle, a costate that only accumulates) is dropped; what never changes (the
 costate of a cyclic coordinate) becomes a parameter, or a number where its value is known. The rest is the
 same computation.

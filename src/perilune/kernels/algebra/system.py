@@ -35,14 +35,14 @@ from perilune.kernels.algebra.program import Program, trace_function
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """A zero crossing to be met.
+    """A zero crossing to be located.
 
     Parameters
     ----------
     function
         SX ``casadi.Function`` (z, p) -> g, a scalar, smooth near its zero.
     levels
-        Where it is met at another value of g than 0: mode -> value.
+        Where it occurs at another value of g than 0: mode -> value.
     direction
         -1: g falls through zero as the flight proceeds, +1: rises, 0: either.
     terminal
@@ -241,7 +241,7 @@ class ArcSystem:
 
     @property
     def course(self) -> str:
-        """Return a key of how events are met, whatever they are: all that the stepping loop depends on."""
+        """Return a key of how events are located, whatever they are: all that the stepping loop depends on."""
         met = [
             (e.direction, e.terminal, e.steady, bool(e.levels), *map(e.watched, range(len(self.modes))))
             for e in self.events
@@ -254,7 +254,7 @@ class ArcSystem:
         return [(event, before) for event, before, _ in self.transitions if not self.events[event].steady]
 
     def transition(self, event: int, before: int) -> Any:
-        """Return (Y, p) -> Y after an event met in a mode, one of those `carried`."""
+        """Return (Y, p) -> Y after an event in a mode, one of those `carried`."""
         import casadi as ca
 
         z, p, (slope, change, gradient), after = self._saltation(event, before)

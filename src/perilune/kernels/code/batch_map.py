@@ -44,7 +44,7 @@ class BoundMap:
         self, inputs: Sequence[Matrix], widths: Sequence[int], bind: Callable[[BoundMap], Callable[[], Any]]
     ) -> None:
         self.inputs = inputs
-        self.lanes: int = max(map(len, inputs)) if all(map(len, inputs)) else 0  # beside none one row serves none
+        self.lanes: int = max(map(len, inputs)) if all(map(len, inputs)) else 0  # one row serves no empty array
         self.outputs: tuple[Matrix, ...] = tuple(np.empty((self.lanes, m)) for m in widths)
         self._evaluate = bind(self)
 

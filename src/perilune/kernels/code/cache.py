@@ -3,11 +3,11 @@
 A file is one object: a line that says what it is, the SHA-256 digest of the content, and the content. Its
 name is the digest of all that the code depends on: expressions, this package's own source, processor and
 versions. Writing goes to a file of its own that is then renamed, so that a second process or a killed writer
-never shows half a file; a file whose digest does not fit is removed and made again. Nothing is ever unpickled. Where
-the files grow beyond `MOST_BYTES`, those that were not used for longest go, those of older versions first of all.
+never shows half a file; a file whose digest does not fit is removed and compiled again. Nothing is ever unpickled.
+Where the files grow beyond `MOST_BYTES`, those that were not used for longest go, those of older versions first of all.
 
 The directory is that of the operating system for caches, or the environment variable ``PERILUNE_CACHE``, which
-may also be ``off``. It must be writable by its owner alone, since code from it is run.
+may also be ``off``. It must be writable by its owner only, since code from it is run.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def _object_digest(name: str, body: bytes) -> bytes:
 
 
 def _is_private_to_user(path: Path) -> bool:
-    """Return True if nobody but this user could have written it (where the operating system says)."""
+    """Return True if only this user could have written it (where the operating system says)."""
     if not hasattr(os, "getuid"):
         return True
     status = path.stat()

@@ -7,7 +7,7 @@ alone, which lets a product and a sum fuse. The flags that assume no NaN are lef
 seen.
 
 The name of a value is a string of a type of its own, and memory is typed by what lies in it, so that a type checker
-tells a mask from a vector before LLVM does.
+distinguishes a mask from a vector before LLVM does.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from perilune.kernels.code.ir import NUM, Bits, Num, Vec, Writer
 #: Called in the C library, lane by lane; value: number of arguments.
 LIBRARY = {"pow": 2, "asinh": 1, "acosh": 1, "atanh": 1, "log1p": 1, "expm1": 1, "hypot": 2}
 
-#: One lane alone: the C library is accurate to a rounding and as quick.
+#: For a single lane: the C library is accurate to a rounding and as quick.
 _SCALAR_LIBRARY = {
     "sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "atan2": 2,
     "sinh": 1, "cosh": 1, "tanh": 1, "exp": 1, "log": 1,

@@ -1,8 +1,9 @@
 """Arcs bound to arrays: integrated from and into the same arrays as often as wanted, without allocation.
 
-Machine code is told where its arrays lie, once. A batch is bound, flown and read; a shooting iteration, which flies one
-arc thousands of times, keeps the binding, fills the arrays of its `Request` again and flies again. What was returned
-before is thereby overwritten: copy what has to outlive the next flight. A binding belongs to one thread at a time.
+Machine code is given the addresses of its arrays once. A batch is bound, integrated and read; a shooting iteration,
+which flies one arc thousands of times, keeps the binding, fills the arrays of its `Request` again and runs again. What
+was returned before is thereby overwritten: copy what has to outlive the next flight. A binding belongs to one thread at
+a time.
 
     flight = engine.bind(request)       # once, and kept
     request.z0[:] = start
@@ -52,7 +53,7 @@ class BoundArcs:
     info
         `INFO` of each lane, (lanes, 5).
     log
-        Number and time of each event met, (lanes, MAX_EVENTS, 2); beyond those of this flight they are not this one's.
+        Number and time of each event, (lanes, MAX_EVENTS, 2); beyond those of this flight they are not this one's.
     """
 
     def __init__(
@@ -117,11 +118,11 @@ class Engine(Protocol):
         columns: ArrayLike | None = None,
         **settings: Any,
     ) -> Arcs:
-        """Fly a batch of arcs; see `kernels.flight.engine.NativeEngine.propagate`."""
+        """Fly a batch of arcs; see `perilune.kernels.flight.engine.NativeEngine.propagate`."""
         ...
 
     def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> DenseArc:
-        """Fly one arc and return it as a function of time; see `kernels.flight.dense.DenseArc`."""
+        """Fly one arc and return it as a function of time; see `perilune.kernels.flight.dense.DenseArc`."""
         ...
 
     def bind(self, asked: Request) -> BoundArcs:

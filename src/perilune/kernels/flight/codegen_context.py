@@ -1,7 +1,7 @@
 """Data shared by the writers of a flight's machine code: sizes, table, buffers, calls of the equations.
 
 `driver` writes the steps, `crossing` the events and `lanes` the way in and out; each works on a `Frame`. Nothing of it
-is known before it runs but how events are met, and where the numbers of the equations are.
+is known before it runs but how events are located, and where the numbers of the equations are.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from perilune.kernels.code.ir import INT, NUM, Index, Int, Mask, Num, Ptr, T, Va
 from perilune.kernels.flight.records import EQUATIONS, TABLE, ArcStatus
 
 # Stages 1 and 2 are not needed after stage 4, nor stage 3 for the end of the step: the last three take their
-# memory. All that a step of four lanes touches should stay within a first cache of 32 KiB.
+# memory. All that a step of four lanes reads and writes should stay within a first cache of 32 KiB.
 SLOT = {**{i: i for i in range(10)}, 10: 1, 11: 2, 12: 3}
 
 
@@ -36,7 +36,7 @@ def blend(w: Writer, mask: Mask, source: Ptr[Vec], target: Ptr[Vec], count: Inde
 
 
 class CallTable:
-    """The table that a call takes, read in the order of `arcs.TABLE`: numbers, and addresses of arrays of doubles."""
+    """The table that a call takes, in the order of `records.TABLE`: numbers, and addresses of arrays of doubles."""
 
     def __init__(self, w: Writer) -> None:
         table = Ptr("%table", INT)

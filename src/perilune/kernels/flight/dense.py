@@ -125,6 +125,6 @@ def dense_arc(end: Arcs, nodes: Matrix, rates: Rates) -> DenseArc:
         mode=mode,
         end=end,
         _pieces=np.concatenate([np.array(low), high]),
-        # An event at the very end leaves a step without length, which is asked for its start alone.
+        # An event at the very end leaves a step without length, which is asked for its start only.
         _lengths=np.where(h[:, 0] == 0.0, 1.0, h[:, 0]),
     )

@@ -2,7 +2,7 @@
 
 The lanes of a group step together, each with its own step, error, acceptance and end; a lane that has ended
 takes steps of length zero until its group is done. The error of z alone sets the step (the scaled norm of
-Hairer's code); the columns S ride along, and because their stages solve the exact derivative of the discrete
+Hairer's code); the columns S are carried along, and because their stages solve the exact derivative of the discrete
 steps they are the derivative of what was computed, to the order of the method. Values that are not finite
 make the error NaN: the step is refused and shortened, and where no shorter step helps the lane ends as
 NON_FINITE.

@@ -3,8 +3,8 @@
 Four lanes are the width that measures fastest (the stages of eight leave the first cache). One arc goes with the code
 for four, which takes a tenth longer than code of its own would: so it is what it is among many, to the last bit. Only
 the nodes of a dense arc are written by code for one lane. The equations of each pair (columns or not, lanes) are an
-object of their own, compiled when first asked for; the loop that steps them is that of all whose events are met alike,
-which for a small system would be most of its code.
+object of their own, compiled when first asked for; the loop that steps them is that of all whose events are located
+alike, which for a small system would be most of its code.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class NativeEngine:
         threads
             Cores to use; None: all, where the batch is wide enough.
         **settings
-            `rtol`, `atol` (1e-12; numbers or one for each lane) for the local error of z: columns ride along;
+            `rtol`, `atol` (1e-12; numbers or one for each lane) for the local error of z: columns are carried along;
             `fixed_steps` takes that many equal steps instead; `max_steps` attempts; `mode` at the start.
 
         Raises
@@ -168,7 +168,7 @@ class NativeEngine:
         return dense_arc(arcs, nodes[: arcs.steps[0]], lambda z, mode: self._rates(z, asked.p[0], mode))
 
     def bind(self, asked: Request, nodes: Matrix | None = None) -> BoundArcs:
-        """Return what flies a request as often as is wanted; see `kernels.flight.bound`.
+        """Return what flies a request as often as is wanted; see `perilune.kernels.flight.bound_buffers`.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ class _CompiledSystem(NamedTuple):
 
 
 def _stepping_loop(system: ArcSystem, width: int) -> native.MachineCode:
-    """Return the stepping loop of all systems whose events are met alike."""
+    """Return the stepping loop of all systems whose events are located alike."""
     name = disk.object_key("arcs", system.course, str(width), *native.host_processor(), *native.code_versions())
     if name not in _loops:
 

@@ -6,7 +6,7 @@ step that ends short of the zero is kept and the next aims at it by Newton's met
 by whole DOP853 steps, with the accuracy of the arc itself (the interpolant of order 7 would lose some), the
 columns come along, and the event fires where |g/g'| is below `TOLERANCE` of the duration. Two crossings
 inside one step are looked for where the cubic dips through zero, or so near to it that it may err: the step then ends
-there, and shorter ones tell.
+there, and shorter ones decide.
 
 After an event the field, the events and (by `ArcSystem.transition`) state and columns are those of the new
 mode.
@@ -26,7 +26,7 @@ from perilune.kernels.flight.records import MAX_EVENTS, ArcStatus
 TOLERANCE = 1e-13
 _AFTER = 1e-150  # stands for "just beyond zero": the sign of g after its own event; products of it stay finite
 _DOUBTED = 0.03  # of g at the ends: so near to zero a cubic over a long step may err in whether it dips through
-_SHORT = 1e4  # times that: a step in which g changes by its rounding alone, if at all
+_SHORT = 1e4  # times that: a step in which g changes by its rounding only, if at all
 _BISECTIONS = 20  # after them Newton has two steps to the last digit
 # A refused step becomes shorter at least by this: where a flight grazes its zero, g beyond it is rounding for a while.
 _WHOLE = 1.0 - 1e-5
@@ -106,7 +106,7 @@ class EventCrossings:
         step = w.intrinsic("fabs", h)
         away = w.mul(step, w.intrinsic("fabs", w.div(g1, rate1)))
         near = w.either(w.compare("ole", away, resolution), w.compare("oeq", g1, zero))
-        # Where g is as flat as beside a double zero it is rounding before it is as near: no step lowers it any more.
+        # Where g is as flat as near a double zero it is rounding before it is as near: no step lowers it any more.
         short = w.compare("ole", step, w.mul(resolution, w.const(_SHORT)))
         lower = w.compare("olt", w.intrinsic("fabs", g1), w.intrinsic("fabs", g0))
         left = w.compare(

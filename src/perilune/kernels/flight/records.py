@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from perilune.core.arrays import Batch, Matrix, Vector
 from perilune.core.errors import PeriluneError
 
-#: Events recorded for each lane; an arc that meets more ends with `ArcStatus.STEP_LIMIT`.
+#: Events recorded for each lane; an arc with more ends with `ArcStatus.STEP_LIMIT`.
 MAX_EVENTS = 64
 #: Step attempts allowed to an arc when nothing else is asked.
 MAX_STEPS = 5000
@@ -41,8 +41,8 @@ TABLE = (
     "log",
     "nodes",
 )
-#: What equations tell of themselves in a table of their own, behind which are their transitions: how many numbers there
-#: are, where the entries of S kept in Y lie within an array (nz, nc), and where their functions are.
+#: What equations state of themselves in a table of their own, behind which are their transitions: how many numbers
+#: there are, where the entries of S kept in Y lie within an array (nz, nc), and where their functions are.
 EQUATIONS = ("nz", "n", "np", "nc", "constants", "offsets", "fill", "field", "crossings")
 #: What is reported of each lane, as doubles.
 INFO = ("time", "status", "steps", "mode", "events")
@@ -80,7 +80,7 @@ class Arcs:
     mode
         Mode at the end, (lanes,), int64.
     event_index, event_time
-        Events met in order, (lanes, MAX_EVENTS): their index (-1: none) and their time (NaN: none).
+        Events in order, (lanes, MAX_EVENTS): their index (-1: none) and their time (NaN: none).
     """
 
     z: Matrix

@@ -1,6 +1,6 @@
 """Right-hand side of a system as machine code, which the stepping loop calls through a table of addresses.
 
-The loop is the same for all systems whose events are met alike, and compiled once for them; here is what is a
+The loop is the same for all systems whose events are located alike, and compiled once for them; here is what is a
 system's own.
 """
 
@@ -17,7 +17,7 @@ _OFFSETS = "@offsets"
 
 
 def equations_module(system: ArcSystem, width: int) -> str:
-    """Return the IR of ``void equations(ptr table)``, which fills the table of `arcs.EQUATIONS`, and of what it names.
+    """Return the IR of ``void equations(ptr table)``, which fills the table `records.EQUATIONS`, and of what it names.
 
     ``fill(p, constants)`` evaluates what depends on the parameters only; ``field(constants, mode, Y, spare, Y')``,
     ``crossings(constants, z, z', mode, (g, g'))`` and the transitions ``(constants, Y, Y after)`` take those constants.

@@ -1,8 +1,8 @@
 """Engine without a compiler: SciPy's DOP853 on CasADi's functions, lane by lane, some hundred times slower.
 
-The equations are those of the machine code (`algebra.system`), the steps are SciPy's. An event is looked for on the
-dense output of a step, then flown to, its time moved by Newton's method until the event function vanishes there. Two
-crossings inside one step are found where the event function turns between the ends.
+The equations are those of the machine code (`perilune.kernels.algebra.system`), the steps are SciPy's. An event is
+looked for on the dense output of a step, then flown to, its time moved by Newton's method until the event function
+vanishes there. Two crossings inside one step are found where the event function turns between the ends.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from perilune.kernels.flight.records import MAX_EVENTS, Arcs, ArcStatus, Request
 
 _FINEST = 100 * np.finfo(float).eps  # the least relative tolerance that SciPy takes
 _AFTER = 1e-150  # stands for "just beyond zero"
-_NEAR = 1e-13  # how near to the zero, as a fraction of the duration, an event is met
+_NEAR = 1e-13  # how near to the zero, as a fraction of the duration, an event is located
 
 
 class ScipyEngine:
@@ -106,7 +106,7 @@ class _SystemFunctions:
 
 
 class _Lane:
-    """One arc in flight: its time, Y, mode, the events met and the starts of its steps."""
+    """One arc in flight: its time, Y, mode, its events and the starts of its steps."""
 
     def __init__(self, functions: _SystemFunctions, asked: Request, lane: int) -> None:
         system = functions.system
@@ -117,7 +117,7 @@ class _Lane:
         self.steps, self.most, self.fixed = 0, asked.max_steps, asked.fixed_steps
         self.met: list[tuple[float, float]] = []
         self.nodes: list[Vector] = []
-        share = np.sqrt(system.nz / len(self.y))  # the error is that of z: the columns ride along
+        share = np.sqrt(system.nz / len(self.y))  # the error is that of z: the columns are carried along
         self.rtol = max(share * asked.rtol[lane], _FINEST)
         self.atol = np.full(len(self.y), np.inf)
         if not self.fixed:

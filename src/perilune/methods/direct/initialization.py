@@ -31,7 +31,7 @@ BRIEF, PATIENT = 60, 150
 CONVINCED = 2
 # Of its typical duration: what a phase has left that has shrunk to nothing.
 VANISHED = 1e-3
-# A condition violated by less, in canonical units, is met.
+# A condition violated by less, in canonical units, is satisfied.
 MISSED = 1e-7
 # Relative error of a mesh beyond which its answer is no flight.
 ROUGHEST = 0.05
@@ -100,7 +100,7 @@ class FirstMesh:
             elif nearest.converged and nearest.violation > MISSED and start.counts:
                 (vanished if self.vanished(nearest) else misses).append((start.program, nearest))
         self.settled = bool(misses)
-        # One start alone may owe its miss to the mesh.
+        # A single start may owe its miss to the mesh.
         counted = sum(start.counts for start in starts)
         self.all_missed = CONVINCED <= counted == len(misses) + len(vanished) and self.guess is None
         if len(misses) >= CONVINCED and len(tries) == 1:
@@ -158,7 +158,7 @@ class FirstMesh:
         flown = simulate_guess(self.problem, free, lines)
         if flown is None:
             return None
-        # Who asks for no refinement has chosen the mesh.
+        # Without refinement the mesh is the user's choice.
         counts = fitting_segments(flown)
         meshes = [Mesh.uniform(count, NODES) if s.refine else Mesh.uniform(s.segments, s.nodes) for count in counts]
         program = self.run.program(tuple(meshes))

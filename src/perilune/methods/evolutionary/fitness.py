@@ -102,7 +102,7 @@ class ControlFitness:
             return cost + PRICE * miss
 
     def guess(self, genes: Vector) -> Solution:
-        """Return one individual as a `Solution` without costates; it meets the dynamics, not the end."""
+        """Return one individual as a `Solution` without costates; it satisfies the dynamics, not the end."""
         problem, found = self.problem, []
         for phase, _, duration, states, controls in self._flights(genes[None, :]):
             time = np.linspace(0.0, 1.0, STEPS + 1) * duration[0] * problem.scales.time
@@ -187,7 +187,7 @@ class CostateFitness:
         return self._solved(genes)[1]
 
     def guess(self, genes: Vector) -> Solution:
-        """Return one individual as a `Solution` with costates; it meets the dynamics, not the end conditions."""
+        """Return one individual as a `Solution` with costates; it satisfies the dynamics, not the end conditions."""
         problem, conditions = self.problem, self.conditions
         y = self._solved(genes[None, :])[0][0]
         free = free_values(problem, conditions, y)
@@ -271,7 +271,7 @@ class CostateFitness:
 
 
 def _end_misses(problem: Problem, conditions: Sequence[Variable], values: Matrix) -> Matrix:
-    """Return by how much canonical values (n, N) of end conditions are not met: themselves, but for ranges."""
+    """Return the violation of end conditions by canonical values (n, N): themselves, but for ranges."""
     scales = [problem.size_of(c) for c in conditions]
     p = problem.parameters({})
     missed = [c.missed(v * scale, p) / scale for c, v, scale in zip(conditions, values, scales, strict=False)]

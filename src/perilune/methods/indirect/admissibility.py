@@ -22,11 +22,11 @@ from perilune.problem.variables import Variable
 from perilune.shooting.shooting_function import Root
 from perilune.structures.detect_arcs import CLOSEST, refine_minima
 
-_POINTS = 201  # of a phase, at which its conditions are looked at first, beside its switches
+_POINTS = 201  # of a phase, at which its conditions are looked at first, in addition to its switches
 _BEFORE = 1e-9  # of the phase: how long before a switch
 _SLACK, ALLOWED = 1e-9, 1e-10  # canonical; the second is what the proof allows
 _GRAZED = 0.5 * ALLOWED  # as its flight is another, and rounds otherwise
-_NO_FLIGHT = 1e-6  # of its typical length: what vanishes meets all conditions where nothing is asked of its end
+_NO_FLIGHT = 1e-6  # of its typical length: what vanishes satisfies all conditions where nothing is asked of its end
 _ACCURACY = 1e-11  # of the flights that are looked at
 
 
@@ -80,7 +80,7 @@ class AdmissibilityTest:
                 yield ConstraintViolation(name=free.name, text=text, miss=much, unit=free.unit, canonical=canonical)
         settings = {"rtol": _ACCURACY, "atol": _ACCURACY}
         found = self._on_the_way(propagate_in_one_piece(self.problem, self.conditions, root.y, **settings), values)
-        if _exceeds_slack(found):  # where errors grow, one flight alone may break what its pieces keep
+        if _exceeds_slack(found):  # where errors grow, a single flight may break what its pieces keep
             with suppress(NotConvergedError):
                 found = self._on_the_way(
                     propagate_for_export(self.problem, self.conditions, root, _SLACK, **settings), values
@@ -98,7 +98,7 @@ class AdmissibilityTest:
         switches = np.array(arc.switches)
         t = np.unique([*np.linspace(0.0, far, _POINTS), *switches, *np.maximum(switches - _BEFORE * far, 0.0)])
         found = list[ConstraintViolation]()
-        for _ in range(1 + CLOSEST):  # what is broken for a moment alone, where a limit begins to bind
+        for _ in range(1 + CLOSEST):  # what is broken for a moment only, where a limit begins to bind
             with np.errstate(all="ignore"):  # where errors grow, the flight may lead where the physics is not defined
                 found, between = self._looked(phase, extremal, arc, t, p)
             if _exceeds_slack(found) or not len(between):

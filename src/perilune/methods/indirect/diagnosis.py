@@ -34,7 +34,7 @@ _BROKEN = "every extremal found breaks a condition"
 NO_EXTREMAL = "no extremal was found (a flight that meets every condition of an optimum)"
 CHATTERS = "no best flight was found: it chatters, or switches more often than any mesh follows"
 _STATIONARITY, _TRANSVERSALITY = "stationarity in ", ": transversality of "  # as `conditions.residuals` names them
-_ARRIVED = 1e-4  # canonical: an end that is missed by less is met, as far as messages go
+_ARRIVED = 1e-4  # canonical: an end that is missed by less is satisfied, as far as messages go
 NOT_ISOLATED = "extremals are not isolated here: beside one lie others with the same J (spare time, a free angle)"
 
 

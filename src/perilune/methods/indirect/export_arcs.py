@@ -1,7 +1,7 @@
 """Exported flight of a root: in one piece, or in several where errors grow too much.
 
-A root of single shooting meets the end conditions to rounding of its own flight. Flown once more, with another
-tolerance, it ends beside them by that rounding times the growth of errors in states and costates together: 1e-15 times
+A root of single shooting satisfies the end conditions to rounding of its own flight. Integrated again, with another
+tolerance, it misses them by that rounding times the growth of errors in states and costates together: 1e-15 times
 1e7 on an entry with much lift. Where that shows, the root is found again by multiple shooting, and each piece is flown
 from its own start; what is left is a gap of rounding between two pieces. Where the phases are too many to be cut, as
 those of a flight along a limit are, the root is moved by its last digits instead (`correct_last_digits`).
@@ -28,7 +28,7 @@ from perilune.shooting.propagate import Equations, arc_engine, mode_at, propagat
 from perilune.shooting.shooting_function import Root, Shooting
 
 _FINE = {"rtol": 1e-13, "atol": 1e-13}  # of the arcs that are exported
-_FINEST = {"rtol": 1e-14, "atol": 1e-14}  # the same where a phase settles, as `shooting.flyer.Split` flies them
+_FINEST = {"rtol": 1e-14, "atol": 1e-14}  # the same where a phase settles (`perilune.shooting.integrate_plan.Split`)
 _MISSED = 2e-11  # canonical, of what a flight leaves at its end: five times below the limit of the proof
 _MENDED = 0.1  # of that, which the flight in pieces may leave
 _SEGMENTS = 6
@@ -103,7 +103,7 @@ class PropagatedPhase:
 def propagate_in_one_piece(
     problem: Problem, conditions: Conditions, y: Vector, **settings: float
 ) -> list[PropagatedPhase]:
-    """Propagate from the unknowns y, whatever is met; a phase that settles is in several pieces.
+    """Propagate from the unknowns y, whatever events occur; a phase that settles is in several pieces.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def _propagate_settling(
 def propagate_for_export(
     problem: Problem, conditions: Conditions, root: Root, allowed: float = _MISSED, **settings: float
 ) -> list[PropagatedPhase]:
-    """Propagate a root, in pieces where one alone leaves more at its ends than is allowed, canonical.
+    """Propagate a root, in pieces where a single one leaves more at its ends than is allowed, canonical.
 
     Parameters
     ----------

@@ -165,7 +165,7 @@ class Indirect(SearchSettings):
         return solution if found is None else replace(found, extremals=(*found.extremals, *solution.extremals[1:]))
 
     def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:
-        """Return the extremal that an unguided direct solution leads to, where better than an extremal that is no minimum."""
+        """Return the extremal found from an unguided direct solution, if better than this one, which is no minimum."""
         search = Search(self, problem, watch or ignore_events)
         rough = search.coarse.solve()
         if rough is None or not rough.objective < solution.objective:
@@ -202,7 +202,7 @@ class Indirect(SearchSettings):
                 found += filter(None, [polish.followed(rough, structure, set())])
                 if found:
                     break
-        except (PeriluneError, ArithmeticError, ValueError) as error:  # a guess of numbers that nobody would fly
+        except (PeriluneError, ArithmeticError, ValueError) as error:  # a guess of numbers that no flight has
             search.tried.append(f"arcs that the problem's model knows: {error}".partition("\n")[0])
         return found
 
@@ -240,7 +240,7 @@ def _merge_searches(found: Sequence[Solution], search: Search) -> Solution:
 
 
 def _may_be_structured(guess: Solution) -> bool:
-    """Return True if a guess may touch or ride along a condition on states; an indirect one says so itself."""
+    """Return True if a guess may have contact points or boundary arcs; an indirect one says so itself."""
     return (
         isinstance(guess.trajectories, JoinedTrajectories)  # an atlas's answer of arcs, too
         or guess.statistics.rung.endswith(STRUCTURE)

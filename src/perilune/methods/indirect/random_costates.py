@@ -201,14 +201,14 @@ def continue_from_guess(trials: Trials, guess: Solution, y: Vector) -> tuple[Vec
 def beside_flat(trials: Trials, y: Vector, choice: Vector) -> Root | None:
     """Return the root of a moved start with what a flat optimum hardly changes held; None where there is none.
 
-    J of a neighbour whose parameter is held tells a curvature, to which what is held would add: of that none either.
+    J of a neighbour whose parameter is held shows a curvature, to which what is held would add: of that none either.
 
     Parameters
     ----------
     trials
         Of a neighbour.
     y, choice
-        Unknowns of the extremal beside it, and what that holds.
+        Unknowns of the neighbouring extremal, and what that holds.
     """
     problem, shooting = trials.problem, trials.shooting
     names = {offset_of(state.name) for state in problem.phases[0].states} & {*problem.given}

@@ -58,7 +58,7 @@ def compose_solution(
         Of the run; `rung` says whether a guess led to the root. The residual is added.
     """
     ranked = drop_mirror_images(conditions, sorted(found, key=lambda f: (not f.minimum, f.root.cost)))
-    # Beside what is locally worst something better is near: none that it outdoes is the best.
+    # Near a locally worst extremal there is a better one: none that is worse than it is the best.
     unit, guessed, least = objective_scale(problem), statistics.rung == "guess", min(f.root.cost for f in ranked)
     extremals = tuple(
         Extremal(
@@ -87,7 +87,7 @@ def compose_solution(
 def drop_mirror_images(conditions: Conditions, ranked: Iterable[ExtremalRoot]) -> list[ExtremalRoot]:
     """Return the extremals whose J or free parameters differ.
 
-    Mirror images, or a coast flown before the burn or behind it, are one extremal to whoever reads the list.
+    Mirror images, or a coast flown before the burn or behind it, are one extremal to a reader of the list.
     """
     kept: list[ExtremalRoot] = []
     for found in ranked:

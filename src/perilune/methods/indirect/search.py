@@ -55,10 +55,10 @@ from perilune.shooting.parameter_scan import ExtremalRoot, HeldFamily, same_vect
 from perilune.shooting.shooting_function import Root
 
 _MOST_FOLLOWED = 24  # extremals from which families along other parameters are followed
-_MOST_OUTDOING = 6  # extremals that break the path, in whose wells what keeps it is looked for
-_LITTLE = 1e-2  # canonical: what is broken by more a mesh has seen, and its flight tells the arcs that keep it
+_MOST_OUTDOING = 6  # extremals that break the path, in whose basins admissible ones are looked for
+_LITTLE = 1e-2  # canonical: what is broken by more a mesh has seen, and its flight shows the arcs that keep it
 _ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported
-_NEXT = 40  # evaluations of Newton's method from an extremal to one beside it: who takes more is led elsewhere
+_NEXT = 40  # evaluations of Newton's method from an extremal to a neighbour: with more it is led elsewhere
 
 
 @dataclass
@@ -81,7 +81,7 @@ class Search:
         self.followed: list[ExtremalRoot] = []  # along all parameters between bounds, where there are several
         self.base: Member | None = None
         self.rung: str = ""
-        # By extremals met with the scanned parameter held, and these; which search answered; what it is dominated by.
+        # By extremals found with the scanned parameter held, and these; which search answered; what it is dominated by.
         self.broken: list[ConstraintViolation] = []
         self.breaking: list[Root] = []
         self.answering: Search = self
@@ -325,7 +325,7 @@ class Search:
         search = self._keeping(held) if held else self
         y = unknowns_of_guess(search.settings, search.trials, guess)
         found = search._near(y, active_set_of_guess(search.trials, guess, y), guess)
-        # A neighbour touches what its guess touches.
+        # A neighbour has the contact points of its guess.
         if not is_neighbour(self.problem) and (more := search._worth_keeping(found)):
             search, root = search._keeping(more), found[0].root
             found = search._near(root.y, root.choice)
@@ -389,7 +389,7 @@ class Search:
     def _lost(self, root: Root) -> bool:
         """Return True if a neighbour, no further than rounding from its guess, is lost as that grows beyond all use.
 
-        Of what settles the derivatives are rough: a fall that climbs again before it is down is met only in pieces.
+        Of what settles the derivatives are rough: a fall that climbs again before it is down is found only in pieces.
         """
         shooting = self.trials.shooting
         return shooting.plan.settles or shooting.rounding(root) or not np.isfinite(root.residual).all()

@@ -1,19 +1,18 @@
 """Refinement of a rough answer to an extremal: detect arcs, reformulate the problem, apply Newton, revise arcs.
 
-A condition on states alone is kept by riding along it or touching it, which no single smooth arc does; nor does one
+A pure state condition is kept by boundary arcs or contact points, which no single smooth arc does; nor does one
 know when a control becomes singular, as H says nothing of it then. The structure is read off the direct method's answer
 (`perilune.structures.detect_arcs`, `perilune.structures.detect_regimes`), and each of its arcs becomes a phase. The
 extremal of that shows whether it is the right one, and changes it by rule, a bounded number of times:
 
-- a touch whose multiplier has the wrong sign is none: the condition holds nothing back there;
-- an arc of no length is a touch, or none where its condition cannot be touched;
-- an arc is left where the multiplier of its condition becomes negative (`perilune.structures.multiplier_signs`); where
-it is so
-  all along, the condition is touched where the arc begins and ends;
+- a contact point whose multiplier has the wrong sign is none: the condition holds nothing back there;
+- an arc of no length is a contact point, or none where its condition admits none;
+- an arc is left where the multiplier of its condition becomes negative (`perilune.structures.multiplier_signs`);
+  where it is so all along, contact points remain where the arc begins and ends;
 - an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
-- touches between which the condition is not left are an arc along it;
-- a condition that is broken elsewhere is touched there too, and one that is broken beside its touch is ridden;
-- where a condition is ridden to the end, first it is only touched where that begins.
+- contact points between which the condition is not left are a boundary arc;
+- a condition that is broken elsewhere has a contact point there too; one broken next to its contact, a boundary arc;
+- a boundary arc to the end is first tried as a contact point where it begins.
 
 Bounds and conditions of the control the law of each arc keeps by itself, as far as it can hold them; an extremal that
 breaks one is no answer.
@@ -71,9 +70,9 @@ from perilune.structures.structure import Condition, Structure, conditions_of, m
 ATTEMPTS, MOST_ARCS = 6, 12
 _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
 _EXACT = 1e-7  # the same of what a neighbour begins with, which is on it or is not
-_BESIDE = 0.1  # of the time for which a condition is broken: so near to that a touch lies beside it
+_BESIDE = 0.1  # of the time for which a condition is broken: so near to that a contact point belongs to it
 _ROUGH = 1e-2  # relative mesh error from which on a finer mesh is asked first
-_FINE = 1e-3  # relative mesh error up to which a finer one tells no more
+_FINE = 1e-3  # relative mesh error up to which a finer one shows no more
 _WITHOUT_NEWTON = 1e-8  # relative mesh error up to which a flight of a structure is one without Newton's method
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 _FEW = 2  # arcs of multiple shooting in a trial that is to be cheap
@@ -127,7 +126,7 @@ class StructureRefinement:
         return None
 
     def _hopping(self, rough: Solution, structure: Structure) -> Solution | None:
-        """Return the extremal that touches where what is ridden to the end begins, if there is one.
+        """Return the extremal with a contact point where a boundary arc to the end begins, if there is one.
 
         A mesh resolves no hop of centimetres, and along the arc that it shows Newton's method takes seconds to fail.
         """
@@ -148,7 +147,7 @@ class StructureRefinement:
         return answer if answer is not None and all(self._leaves(answer, *at) for at in hopped) else None
 
     def _leaves(self, answer: Solution, k: int, name: str) -> bool:
-        """Return whether a condition is left behind its last touch: one that is not left is ridden after all."""
+        """Return True if a condition is left behind its last contact point; else it has a boundary arc after all."""
         known, (t, room) = answer.trajectories, margin_along(answer, k, name)
         assert isinstance(known, JoinedTrajectories), "of arcs"
         touch = max((c.end for c in _structure_contacts(known.structure, k) if c.name == name), default=0.0)
@@ -175,8 +174,8 @@ class StructureRefinement:
     def _known(self, rough: Solution) -> Iterator[Solution]:
         """Yield the rough answer, and of some that of a finer mesh: the better one first.
 
-        Where a control wavers between its bounds it may be singular, or held by a condition on states; what rides along
-        one may touch it twice. A rougher mesh shows it worse, so that a finer one comes last in any case.
+        Where a control wavers between its bounds it may be singular, or held by a condition on states; a boundary arc
+        of one may be two contact points. A rougher mesh shows it worse, so that a finer one comes last in any case.
         """
         exact = self.guessed or self.brief
         wavers = not exact and stays_between_bounds(rough)
@@ -309,7 +308,7 @@ class StructureRefinement:
             Pseudospectral(refine=0).near,
             Pseudospectral(segments=4, nodes=6, refine=refine, tolerance=1e-3).near,
         ]
-        if structure.switched:  # every arc is smooth and known, but for the costates of what is ridden
+        if structure.switched:  # every arc is smooth and known, but for the costates of boundary arcs
             meshes.insert(0, partial(Pseudospectral(segments=4, nodes=5, refine=0).near, close=True))
         # Most answers are near enough as they are; from others it leaps to an extremal of another structure.
         for mesh in (None,) if self.brief else (None, *meshes):
@@ -393,7 +392,7 @@ class StructureRefinement:
         return found
 
     def _ridden(self, way: ConstraintMargins, k: int, known: Sequence[Contact], found: list[Contact]) -> list[Contact]:
-        """Return the contacts, touches that the extremal does not leave between them joined to one arc."""
+        """Return the contacts; contact points between which the extremal does not leave are joined to one arc."""
         for name in {c.name for c in known}:
             condition, (t, room) = conditions_of(self.problem, k, (name,))[name], way.room_along(k, name)
             near = np.abs(room) <= margin_rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))
@@ -413,10 +412,11 @@ class StructureRefinement:
 def _keep_paying_parts(
     contact: Contact, condition: Condition, last: float, worth: list[tuple[float, float]] | None
 ) -> Iterator[Contact]:
-    """Yield the parts of an arc that pay [s of the arc], or touches in its place; itself where this is unknown.
+    """Yield the parts of an arc that pay [s of the arc], or contact points in its place; itself where this is unknown.
 
-    Who rides to the end of the phase and gains by leaving for a time g before, returns there: with mu linear in time
-    the hop begins q/(q + 1) g before mu changes sign (for x^(q) = u). Where that is before the arc a touch is left.
+    An arc to the end of the phase that gains by leaving for a time g before, returns there: with mu linear in time
+    the hop begins q/(q + 1) g before mu changes sign (for x^(q) = u). Where that is before the arc a contact point is
+    left.
     """
     length, order = contact.end - contact.begin, condition.order
     parts = [(0.0, length)] if worth is None else list(worth)
@@ -435,7 +435,7 @@ def _keep_paying_parts(
 
 
 def _structure_contacts(structure: Structure, k: int) -> Iterator[Contact]:
-    """Yield what a structure with times rides along and touches in phase k."""
+    """Yield boundary arcs and contact points of a structure with times in phase k."""
     begin = 0.0
     for arc in structure.phases[k]:
         for name in arc.along:

@@ -32,7 +32,7 @@ _CHANGED = 6e-10  # of H, by all errors together, where the proof allows 1e-9
 _LOOKS, _DIFFERENCE = 16, 1e-6  # nodes of a phase, and of a control in canonical units
 _NOTHING = 1e-12  # of a duration: a shorter piece is none
 _GOES_ON = 1e-7  # of a control: a smaller step at a switch is none
-_CLEAR, _DECADES = 1e-6, 8  # a control that changes by less in that is told; how much longer a moment is looked at
+_CLEAR, _DECADES = 1e-6, 8  # a control that changes by less in that is clear; how much longer a moment is looked at
 
 _TURNS, _TURN = 2001, 2 * math.pi  # points at which it is seen how an angle goes on
 _NO_TIME = 1e-6  # of its typical duration: what a phase takes that the optimum does without
@@ -262,11 +262,11 @@ def _arc_nodes(
     """Return times, and state, costate and control there with their rates, canonical; a switch stands there twice.
 
     Where a velocity is free the costate that points the thrust vanishes at the end, and rounding lets it pass through
-    zero just before: the control at an end of the phase is the one a moment inside, where rounding tells it.
+    zero just before: the control at an end of the phase is the one a moment inside, where rounding decides it.
     """
     n, half, duration = extremal.state_count, extremal.half, arc.duration
     nothing = _NOTHING * duration
-    # One that is met as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
+    # One that occurs as the phase begins or ends (a table may end on the ground) leaves no piece of its own.
     inside = [t for t in arc.switches if abs(t - 0.5 * duration) < (0.5 - _NOTHING) * duration]
     # Nor do two controls that switch at once, as what is pulled one way and pushed the other, leave one between them.
     inside = [t for before, t in pairwise([-np.inf, *sorted(inside)]) if t - before > nothing]

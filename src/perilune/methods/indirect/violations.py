@@ -19,7 +19,7 @@ from perilune.problem.variables import Free, Variable
 from perilune.structures.detect_arcs import state_conditions
 from perilune.structures.structure import Structure, conditions_of, margins, steering_controls
 
-_LOOKS = 201  # times of a phase, beside the nodes of its tables
+_LOOKS = 201  # times of a phase, in addition to the nodes of its tables
 # Of a bound: how it is broken, and beyond it; what keeps it, and what makes it wider.
 _SIDES = {"lower": ("falls", "below", "at least", "lower"), "upper": ("rises", "above", "at most", "raise")}
 _BROKEN = 1e-8  # canonical, of tables: what is broken by less the proof may judge, which flies them again
@@ -59,7 +59,7 @@ class ConstraintViolation:
 def violation_by_control(structure: Structure, whole: Solution) -> ConstraintViolation | None:
     """Return what the control of an extremal of arcs breaks that its law does not keep to, or None.
 
-    Such are conditions of the path that the law cannot hold, and the bounds of a scalar that keeps what is ridden.
+    Such are conditions of the path that the law cannot hold, and the bounds of a scalar that keeps a boundary arc.
     """
     problem = whole.problem
     for k, (phase, arcs) in enumerate(zip(problem.phases, structure.phases, strict=True)):

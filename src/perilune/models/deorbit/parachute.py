@@ -53,7 +53,7 @@ def parachute_link(x: Any, p: Any, xp: Any) -> Sequence[Any]:
 
 
 def parachute_outputs(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
-    """Values of `told.PLACED` without the path angle, which is nearly straight down."""
+    """Values of `outputs.PLACED` without the path angle, which is nearly straight down."""
     return told.position_outputs(with_steady_velocity(x, p, xp, air=air), u, p, xp)[:-1]
 
 
@@ -63,7 +63,7 @@ def inertial_descent(x: Any, u: Any, t: Any, p: Any, xp: Any, *, air: Air) -> Se
 
 
 def parachute_results(first: Any, last: Any, p: Any, xp: Any, *, names: Sequence[str], air: Air) -> Sequence[Any]:
-    """`told.return_results` of a flight that ends below a parachute."""
+    """`outputs.return_results` of a flight that ends below a parachute."""
     return told.return_results(first, with_steady_velocity(last, p, xp, air=air), p, xp, names=names)
 
 

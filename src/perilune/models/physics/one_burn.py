@@ -50,7 +50,7 @@ def one_burn_wastes(
     Parameters
     ----------
     position, velocity, axis, r_site
-        As for `limits.compare_stopping_distance`.
+        As for `delta_v_bounds.compare_stopping_distance`.
     p, m
         Parameters of a descent, and the maths namespace.
     """

@@ -61,7 +61,7 @@ def check_feasibility(solution: Solution, flown: Sequence[tuple[PhaseData, Reint
     solution
         What is claimed.
     flown
-        Of `flight.reintegrate`.
+        Of `repropagate.reintegrate`.
     """
     for arc, flight in flown:
         yield from _check_times(arc)
@@ -117,7 +117,7 @@ def _check_states(arc: PhaseData, flight: Reintegration) -> Iterator[Check]:
 
 
 def _first_missed_jump(arc: PhaseData) -> str:
-    """The first jump of the rates at which the table of the state has no break: whoever flew it did not see it."""
+    """The first jump of the rates at which the table of the state has no break: its integration missed it."""
     time = arc.trajectory.state.time
     breaks = time[1:][np.diff(time) == 0]
     for crossing in arc.crossings:

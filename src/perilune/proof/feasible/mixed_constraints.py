@@ -1,6 +1,6 @@
 """Mixed state-control constraints, and the multipliers of the active ones.
 
-Where a path condition c(x, u, p) >= 0 is met it is *active*; what a phase holds, c = 0, is active all along: u
+Where a path condition c(x, u, p) >= 0 is zero it is *active*; what a phase holds, c = 0, is active all along: u
 minimises H among the controls that keep it. Along the tangents of the control (Karush-Kuhn-Tucker)
 
     dH/du = sum of mu_i dc_i/du,   mu_i >= 0 for c_i >= 0, of any sign for c_i = 0, and 0 where it is not active,

@@ -42,7 +42,7 @@ def hessian(function: Callable[[Any], Any], z: Matrix, scale: Vector) -> Any:
 
 
 def significant_size(unit: Any, weight: Any) -> Any:
-    """Return by how many of its sizes a quantity must change to tell in J, where the flight hardly moves in it; >= 1.
+    """Return by how many of its sizes a quantity must change to show in J, where the flight hardly moves in it; >= 1.
 
     What stands still, or drifts by a billionth of its unit, says nothing of how far it could go: by its own size no
     slope would be seen in it. So it is judged by what changes J by all of itself, and by its unit at most.

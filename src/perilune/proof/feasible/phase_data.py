@@ -102,7 +102,7 @@ class PhaseData:
     @cached_property
     def path_scale(self) -> Vector:
         """Sizes of the path conditions [SI]."""
-        by_control = self.allowed.of_path if self.allowed else 0.0  # one that is met all along goes through nothing
+        by_control = self.allowed.of_path if self.allowed else 0.0  # one that is active all along goes through nothing
         return self._condition_sizes("path", self.phase.path_conditions, by_control)
 
     @cached_property

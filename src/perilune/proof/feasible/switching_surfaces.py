@@ -169,7 +169,7 @@ class Guarded:
     def _resolved(self, pieces: Pieces) -> tuple[Pieces, Matrix]:
         """Pieces so small that every guard has the signs of the cubic through its values there, and those values.
 
-        Else it may dip through zero where nobody looks, and the piece is halved: while the cubic is as close to zero as
+        Else it may dip through zero between the points, and the piece is halved: while the cubic is as close to zero as
         it is to the guard, at the ends of the piece or at the points of both halves.
         """
         found, values, own = [], [], self.guards(*self._read(pieces))[0]

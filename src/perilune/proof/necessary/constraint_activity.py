@@ -13,7 +13,7 @@ import numpy as np
 from perilune.core.arrays import Vector
 from perilune.proof.feasible.phase_data import PhaseData
 
-LEAST = 1e-3  # of its size: what a condition goes through at least, as one that is met all along goes through nothing
+LEAST = 1e-3  # of its size: what a condition goes through at least; one that is active all along goes through nothing
 _NEAR = 1e-4  # of what it is elsewhere: so near to it a condition is looked at all along
 
 
@@ -25,7 +25,7 @@ def table_edges(arc: PhaseData) -> Vector:
 
 
 def may_meet_condition(arc: PhaseData) -> bool:
-    """Return True if a path condition or a bound of a state is met at an edge, or half way between two."""
+    """Return True if a path condition or a bound of a state is active at an edge, or half way between two."""
     edges = table_edges(arc)
     some = np.union1d(edges, [0.5 * (a + b) for a, b in pairwise([0.0, *edges.tolist(), arc.duration])])
     return any(

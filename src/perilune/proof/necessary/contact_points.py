@@ -1,16 +1,16 @@
 """Contact points and boundary arcs of pure state conditions: their multipliers are jumps of the costates.
 
-Where S(x, p) >= 0 is touched, at a time of the flight's own choice,
+Where S(x, p) >= 0 has a contact point, at a time of the flight's own choice,
 
     lam(t-) = lam(t+) + nu dS/dx,   nu <= 0,   H(t-) = H(t+),
 
 nu being the change of J as the condition is moved, J + nu S. The flight is cut there, and at the beginning and the end
 of every boundary arc S = 0, and proved as an answer of the problem restated with these arcs as phases
 (`perilune.structures.multiphase`), whose conditions at the cuts are S = 0 and its derivatives. Where to cut is found
-here, by the tables themselves. A neighbour of the flight that does not touch S pays to first order where nu < 0
+here, by the tables themselves. A neighbour of the flight without the contact pays to first order where nu < 0
 strictly.
 
-Boundary arcs have files of their own (`ridden`, `rides`).
+Boundary arcs have files of their own (`boundary_arc` here, `boundary_arcs` in `perilune.proof.sufficient`).
 
 Source: Bryson and Ho (1975), sections 3.11-3.13; Hartl, Sethi, Vickson (1995), sections 4 and 5.
 """
@@ -40,14 +40,14 @@ from perilune.structures.multiphase import restate
 from perilune.structures.split_join import split_solution
 from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds, steering_controls
 
-_ON = 1e-7  # of what a condition goes through: it is met
+_ON = 1e-7  # of what a condition goes through: it is active
 _HELD = 1e-7  # of the most that its rate with the control in it is: that vanishes
 _SAID = 1e-6  # of the costates where a phase ends, scaled: what end conditions leave of them is nothing
 _JUMP = 1e-9  # of a costate's size: less is no jump
-MET = 1e-9  # of its size: a condition that is met, or its rate
-SIDEWAYS = 1e-6  # of a multiplier, of what H told: it is continuous there to a double root only
+MET = 1e-9  # of its size: a condition that is active, or its rate
+SIDEWAYS = 1e-6  # of a multiplier, relative to that from H, which is continuous there to a double root only
 _LOOKS = 200  # times of an arc
-STRICT = 1e-6  # of J per condition, canonical: a touch with a smaller multiplier may be none
+STRICT = 1e-6  # of J per condition, canonical: a contact point with a smaller multiplier may be none
 
 
 def restate_with_contacts(solution: Solution) -> tuple[Solution, Structure]:
@@ -85,7 +85,7 @@ def _contact_times(arc: PhaseData, name: str, S: Expression) -> Iterator[Contact
     if not met.any():
         return
     condition = conditions_of(arc.problem, arc.index, (name,))[name]
-    # Between two touches, or a touch and its end, a flight may stay that near and ride along nothing.
+    # Between two contact points, or one and the end, a flight may stay that near without a boundary arc.
     rate = np.abs(_condition_along(arc, condition.values[-1], t))
     held, order = met & (rate <= _HELD * rate.max()), condition.order
     ends = [0.0, *edges.tolist(), arc.duration]
@@ -124,7 +124,7 @@ def _condition_size(arc: PhaseData, name: str) -> float:
 
 
 def _kept_by_control_bounds(arc: PhaseData, condition: Condition, begin: float, end: float) -> bool:
-    """Return True if a met condition has no multiplier: the controls that move it are on bounds, lam does not jump.
+    """Return True if an active condition has no multiplier: the controls that move it are on bounds, lam does not jump.
 
     An empty tank stays empty while the engine is off. The checks are then made without the condition.
     """
@@ -148,7 +148,7 @@ def _costates_jump(arc: PhaseData, time: float) -> bool:
 
 
 def check_contact_multipliers(solution: Solution, parts: Solution, structure: Structure) -> Iterator[Check]:
-    """Checks of levels 2 and 3: the multipliers at what is touched.
+    """Checks of levels 2 and 3: the multipliers at contact points.
 
     Parameters
     ----------

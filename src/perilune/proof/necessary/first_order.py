@@ -51,7 +51,7 @@ COSTATE_LIMIT = 1e-9
 STATIONARY_LIMIT = 1e-9
 ACTIVE = 1e-9  # a free parameter or a range this close to its bound, in canonical units, lies on it
 INSIDE = 2  # of a range
-# A condition is said to be active where it is met this closely for a while, 2 % of the flight. A direct answer keeps a
+# A condition is said to be active where it is zero this closely for a while, 2 % of the flight. A direct answer keeps a
 # limit at its nodes and may leave it between them: by 30 times its mesh error, measured.
 _TOUCHING, _MESH, _WHILE = 1e-6, 50.0, 0.02
 
@@ -64,7 +64,7 @@ def check_extremality(solution: Solution, flown: Sequence[tuple[PhaseData, Reint
     solution
         What is claimed.
     flown
-        Of `flight.reintegrate`.
+        Of `repropagate.reintegrate`.
     """
     if any(t.costate is None for t in solution.trajectories):
         yield Check(
@@ -222,7 +222,7 @@ def _check_transversality(arc: PhaseData, known: Vector | float) -> Check:
     sizes = np.maximum(1.0, np.abs(left) @ _sizes_at_end(arc, known))
     missed = np.abs(phase_end_multipliers(arc)[1])
     lam = arc.costate(np.array([arc.duration]))[:, 0] / arc.costate_scale
-    # What the missing part would have to be counts too where lam itself says that a state does not tell.
+    # What the missing part would have to be counts too where lam itself says that a state has no influence.
     many = significant_size(arc.units / arc.state_scale, np.abs(lam) + missed)
     # As often as the missing part counts, so do errors of what follows that it is made of.
     missed, sizes = many * missed, np.maximum(sizes, many * (np.abs(left) @ np.broadcast_to(known, len(lam))))

@@ -1,8 +1,8 @@
 """Boundary arcs of a flight: checks of their multipliers to first order, and their variations to second order.
 
-Where an arc begins or ends the costates of S itself (`ridden`) may jump, as at a contact point (`touched`), only by
-nu dS/dx with nu <= 0. Where a phase ends there its end conditions may take any part of the jump, and at the start of
-the flight all that no free parameter moves.
+Where an arc begins or ends the costates of S itself (`boundary_arc`) may jump, as at a contact point
+(`contact_points`), only by nu dS/dx with nu <= 0. Where a phase ends there its end conditions may take any part of the
+jump, and at the start of the flight all that no free parameter moves.
 
 **To second order** every feasible flight close by has
 
@@ -11,21 +11,22 @@ the flight all that no free parameter moves.
 as S >= 0 and the measure of mu and nu is none that is negative; and those for which dL = int S d(eta) is not of first
 order keep dS = 0 wherever mu > 0 or nu < 0. So it is enough that d2L > 0 for all variations with dS = 0 there, and that
 L is strictly convex in *all* that may vary of the control, also in what leaves the arc. The times at which arcs begin
-and end do not join in: in time normalised over the phase they stay where they are, and who leaves the arc earlier is a
+and end do not join in: in time normalised over the phase they stay where they are, and leaving the arc earlier is a
 variation like others. What keeps S^(q) = 0 along an arc and S = ... = S^(q-1) = 0 where it begins has dS = 0 on it; and
 there d2L is the second variation of the flight restated. Where mu is not strictly positive dS is left open, but for
 times of a strict jump: Bryson and Denham's arc has mu = 0 and two jumps.
 
-At a touch with nu next to nothing it is enough as well that d2L > 0 for all variations whether they keep dS = 0 or not,
-the time of the touch being that of the least S: J - J* >= L - L* holds for nu <= 0, and no strict sign is asked for.
+At a contact point with negligible nu it is enough as well that d2L > 0 for all variations whether they keep dS = 0 or
+not, the time of the contact being that of the least S: J - J* >= L - L* holds for nu <= 0, and no strict sign is asked
+for.
 
-So it is at a touch where S'' is next to nothing: to let its time vary gains what S'' takes, nu (dS')^2/S'', and where
-that is most of a variation nothing can be distinguished from rounding.
+So it is at a contact point where S'' is negligible: to let its time vary gains what S'' takes, nu (dS')^2/S'', and
+where that is most of a variation nothing can be distinguished from rounding.
 
 Where H is linear in a scalar control, and S of order 1, that convexity fails, and another order of things holds: as
 S' determines the control, all of the second variation is in S, and mu > 0 up to both ends of the arc makes every S > 0
 pay to first order. What is left are the times, at which the control jumps: the restated flight's second variation with
-all of them free, that at which S = 0 is met by its own condition.
+all of them free, that at which S = 0 is reached by its own condition.
 
 Source: Bryson and Ho (1975), section 3.11; Hartl, Sethi, Vickson (1995), sections 4 and 5; Maurer (1981), First and
 second order sufficient optimality conditions in mathematical programming and optimal control, Math. Programming Study
@@ -57,13 +58,13 @@ from perilune.structures.multiphase import sums_of, with_sums
 from perilune.structures.structure import Condition, Structure, conditions_of
 
 _LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried
-_TURNS = 1e-3  # of the most that S'' is before a touch: what turns no faster is as near to an arc as to a touch
-_STEADY, _CLEAR = 1e-5, 1e-3  # of the size of a control: a jump that is none, and one that tells when an arc begins
+_TURNS = 1e-3  # of the most that S'' is before a contact: what turns no faster is as near to an arc as to a contact
+_STEADY, _CLEAR = 1e-5, 1e-3  # of the size of a control: a jump that is none, and one that shows when an arc begins
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoundaryArcs:
-    """Boundary arcs and contact points of a flight that `touched.restate_with_contacts` has cut.
+    """Boundary arcs and contact points of a flight that `restate_with_contacts` has cut.
 
     Attributes
     ----------
@@ -72,7 +73,7 @@ class BoundaryArcs:
     along
         Boundary arcs along each of its parts.
     touches
-        Conditions touched at the end of each.
+        Conditions with a contact point at the end of each.
     begins
         Numbers of the parts with which the user's phases begin.
     """
@@ -85,7 +86,7 @@ class BoundaryArcs:
 
     @classmethod
     def of(cls, solution: Solution, parts: Solution, structure: Structure) -> BoundaryArcs:
-        """Build from the results of `touched.restate_with_contacts`."""
+        """Build from the results of `restate_with_contacts`."""
         sums = sums_of(solution.problem, structure)
         along, touches, begins = list[tuple[BoundaryArc, ...]](), list[tuple[Condition, ...]](), set[int]()
         for k, arcs in enumerate(structure.phases):
@@ -217,7 +218,7 @@ class BoundaryArcs:
         Parameters
         ----------
         idle
-            Whether they keep touches, too, whose multipliers are next to nothing.
+            Whether they also keep contact points whose multipliers are negligible.
         """
         found = {}
         for k, along in enumerate(self.along):
@@ -226,7 +227,7 @@ class BoundaryArcs:
             loose = [] if idle else self._idle(k)
             if along or ahead or self._turns(k) or any(slow) or loose:
                 left = [*loose, *(name for r in ahead for name in self._left(r))]
-                # Where the time of a touch does not vary nor does that of its least value: it is kept in the mean.
+                # Where the time of a contact does not vary nor does that of its least value: it is kept in the mean.
                 left += [name for name in self._touch_rates(k) if self._turns(k + 1) or slow[1]]
                 found[k] = KeptConditions(
                     rides=tuple(r.rate for r in along),
@@ -248,7 +249,7 @@ class BoundaryArcs:
         return before != after
 
     def _slow(self, joint: int) -> bool:
-        """Return True if a condition touched at a joint hardly turns there: its time hardly matters, and is fixed."""
+        """Return True if a condition in contact at a joint hardly turns there: its time hardly matters and is fixed."""
         touches = self.touches[joint - 1] if self.inner(joint) else ()
         if not touches:
             return False
@@ -275,11 +276,11 @@ class BoundaryArcs:
         return float((np.abs(jump[:, 0]) / after.control_scale).max())
 
     def _touch_rates(self, k: int) -> list[str]:
-        """Names of the conditions S' = 0 of what is touched at the end of a part."""
+        """Names of the conditions S' = 0 of contact points at the end of a part."""
         return [condition.rated(1, "touch_", 1.0).name for condition in self.touches[k]]
 
     def _idle(self, k: int) -> list[str]:
-        """Names of the conditions S = 0 of what is touched at the end of a part with a multiplier next to nothing."""
+        """Names of the conditions S = 0 of contact points at the end of a part whose multipliers are negligible."""
         part = self.arcs[k]
         nu = phase_end_multipliers(part)[0] * part.end_scale / part.objective_scale
         rows = [c.name for c in part.phase.end_conditions]

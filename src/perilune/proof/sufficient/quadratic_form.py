@@ -46,7 +46,7 @@ def _kernel_basis(constraints: Matrix) -> Matrix:
 def destabilising_eigenvalue(form: Matrix, constraints: Matrix, m: int) -> tuple[float, int]:
     """Largest destabilising eigenvalue (above); and of how many.
 
-    It is infinite where a free parameter alone already gains, and NaN where it costs nothing to second order.
+    It is infinite where a free parameter by itself already gains, and NaN where it costs nothing to second order.
 
     Parameters
     ----------

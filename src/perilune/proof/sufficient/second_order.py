@@ -85,7 +85,7 @@ def check_local_optimality(solution: Solution, kept: Mapping[int, KeptConditions
     solution
         An extremal with costates.
     kept
-        Of `rides.BoundaryArcs.kept`, where it rides along conditions on states.
+        Of `BoundaryArcs.kept`, where it has boundary arcs.
     """
     arcs = [PhaseData(solution=solution, index=k) for k in range(len(solution.problem.phases))]
     inner = unbounded_parameters(solution, arcs)

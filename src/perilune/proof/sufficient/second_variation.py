@@ -147,7 +147,7 @@ class VariationPiece:
     """First and second derivatives of an arc between breaks, at the middles of steps.
 
     Steps are equal, of `lengths` (N,) that add up to 1; finer ones on which no control varies are threes of the fourth
-    order (`_fourth_order_lengths`), as a coast may last a thousand times as long as the burns beside it.
+    order (`_fourth_order_lengths`), as a coast may last a thousand times as long as the burns next to it.
 
     Time is divided by the length of the piece. `F` (n, d, N): derivatives of the length times f; `W` (d, d, N): of
     the length times L; `yields` (d, N): those of the length times mu.c, of
@@ -222,7 +222,7 @@ class VariationPiece:
         found = (
             goh_transform(self.F, self.W, n + m + int(columns[0]), (n, m), right - left) if len(columns) == 1 else None
         )
-        # A kink of the rates within the arc would break B; a condition that is held beside it changes with it.
+        # A kink of the rates within the arc would break B; a condition that is held along with it changes with it.
         if found is None or self.held or (self.crossing is not None and impulse is None):
             self.settled = False
             return

@@ -2,7 +2,7 @@
 
 lam(0) = dJ*/dx0      against central differences of J over problems whose initial state is shifted; what else is
                       free, but for durations, is held: by the envelope theorem choosing it again changes nothing;
-                      and so is what an optimum hardly tells, as a wait (`perilune.shooting.flat_direction`).
+                      and so is what an optimum hardly determines, as a wait (`perilune.shooting.flat_direction`).
                       A bound of a duration that holds nothing back is left out, as neighbours may take longer
 d2J*/dp2 > 0          over problems with a free parameter held to either side of its optimum
 """
@@ -35,8 +35,8 @@ START_SHIFT = 3e-6  # canonical; central differences err by its square: 4e-8 at 
 # Of what a state reaches: so much it rounds as a neighbour is solved, 20 times the last digit measured.
 _ROUNDS = 1e-14
 _J_ROUNDS = 1e-12  # of J: its neighbours on both sides, and twice itself
-# Of the shift: a start five metres above its site bends within five metres, and Newton's method meets neighbours of an
-# optimum that hardly tells one wait from another within millimetres. Rounding of J allows no smaller one.
+# Of the shift: a start five metres above its site bends within five metres, and Newton's method finds neighbours of an
+# optimum that hardly distinguishes one wait from another within millimetres. Rounding of J allows no smaller one.
 _SHARES = (1.0, 0.1, 0.01, 0.001)
 PARAMETER_SHIFT = 2e-3
 COSTATE_LIMIT = 1e-6
@@ -104,7 +104,7 @@ def _check_initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Ch
                 for s in (shift, -shift)
             )
             ahead = _neighbour_objective(resolve, next(sides), solution)
-            # Where one side has no answer the other, which takes as long to fail, tells nothing.
+            # Where one side has no answer the other, which takes as long to fail, shows nothing.
             return (
                 (ahead - _neighbour_objective(resolve, next(sides), solution)) / (2 * shift)
                 if np.isfinite(ahead)
@@ -122,7 +122,7 @@ def _check_initial_costates(solution: Solution, resolve: Resolve) -> Iterator[Ch
             if np.isfinite(change) and not abs(nearest[1] - lam) <= abs(change - lam):
                 nearest = shift, change
             if abs(change - lam) * size <= limit:
-                # Along a flat optimum no wider shift is met: the other states begin with what is.
+                # Along a flat optimum no wider shift is needed: the other states begin with what is.
                 shares.sort(key=lambda other: abs(_SHARES.index(other) - _SHARES.index(share)))
                 break
         yield Check(

@@ -3,7 +3,7 @@
 Where H is linear in a scalar u and its slope vanishes for a while, the second variation has no du^2 in it and its
 control du may be an impulse. With y the integral of du, and xi = dx - B y, B = f_u, by parts
 
-    2 int du L_u.dx = [2 y L_ux xi + y^2 L_ux B] + int 2 y M xi + R y^2 (beside what is there already),
+    2 int du L_u.dx = [2 y L_ux xi + y^2 L_ux B] + int 2 y M xi + R y^2 (in addition to what is there already),
     xi' = f_x xi + (f_x B - B') y,        M = B' L_xx - (L_ux)' - L_ux f_x,
     R = B' L_xx B - 2 L_ux (f_x B - B') - (L_ux B)'
 
@@ -13,7 +13,7 @@ arc u jumps to a bound; as the times of that are free, du may be an impulse ther
 is left with dx = xi + B h, h = y at the end and an impulse together, a free parameter. What has a parameter in it goes
 as what has a state in it that is constant.
 
-On the bounds beside the arc the slope leaves zero like t^2: it is measured by that.
+On the bounds next to the arc the slope leaves zero like t^2: it is measured by that.
 
 Source: Goh, *Necessary conditions for singular extremals*, SIAM J. Control 4, 1966; Aronna, Bonnans, Dmitruk, Lotito,
 *Quadratic order conditions for bang-singular extremals*, Numer. Algebra Control Optim. 2, 2012 (theorem 5.5).
@@ -34,7 +34,7 @@ from perilune.proof.feasible.mixed_constraints import ON_BOUND
 from perilune.proof.feasible.phase_data import PhaseData
 
 _LOOKS = 20  # times of a stretch between two edges
-_INNER = (0.31, 0.5)  # of a range: where H is compared with its chord, which u^3 meets in the middle
+_INNER = (0.31, 0.5)  # of a range: where H is compared with its chord, which u^3 intersects in the middle
 _LINEAR = 1e-9  # of its terms: H bends less in a control that is linear in it
 _MIXED = 1e-7  # of the largest second derivative of L: less is none, as differences have it
 STRETCH = 1e-3  # of a phase: nearer to a singular arc its slope, which leaves zero like t^2, is rounding
@@ -135,7 +135,8 @@ def goh_transform(F: Any, W: Any, column: int, sizes: tuple[int, int], length: f
 
     Returns
     -------
-    The new F and W, and the leap at the end of the piece; None where L bends in the control, alone or with another.
+    The new F and W, and the leap at the end of the piece; None where L is curved in the control, by itself or with
+    another.
     """
     n, m = sizes
     count, others = F.shape[2], [i for i in range(n + m, F.shape[1]) if i != column]

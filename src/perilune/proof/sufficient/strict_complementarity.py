@@ -15,7 +15,7 @@ than its share of that, so that the chord has the place of |S| wherever it is le
 
 **Ends of the flight.** S vanishes where the flight ends if nothing there says what u moves, as a lift does the velocity
 of a flight that may arrive at any. That is a switch at the end: beyond it u is on its other bound, for no time. A
-flight that switches tau before the end costs D tau^2/2 as one beside any other switch, and moves its end as far. So an
+flight that switches tau before the end costs D tau^2/2 as one near any other switch, and moves its end as far. So an
 end with S = 0 is strict where dS/dt != 0, and its arc of length 0 belongs to the second variation (`variations`), which
 must be positive whatever the sign of tau: that is more than is needed, as tau cannot be negative. A jump to any other
 value between the bounds moves less at the same price. The same holds at the start, and where |S| is almost 0 at an
@@ -51,7 +51,7 @@ from perilune.proof.necessary.minimum_principle import (
 from perilune.proof.sufficient.singular_arcs import Singular, distance_slopes
 
 STRICT_LIMIT = -1e-4
-_BRIEF = 1e-6  # of the flight: beside a switch by so little |S| says nothing
+_BRIEF = 1e-6  # of the flight: as near to a switch as that |S| says nothing
 _LOOKS = 101  # times at which |S| is sized
 _CHORD_ROUNDING = 1e-6  # of the slope: where H is a straight line in u its chord differs by rounding
 
