@@ -139,7 +139,7 @@ class MixedConstraints:
 
     def active(self, x: Matrix, u: Matrix) -> Any:
         """Return True where each condition is active, (r, N)."""
-        rows = self.values(x, u, m=NUMERIC, dtype=float)
+        rows = self.values(x, u, xp=NUMERIC, dtype=float)
         return (np.abs(rows) <= ON_BOUND * self.sizes[:, None]) | self.equal[:, None]
 
     def multipliers(self, x: Matrix, u: Matrix, lam: Matrix) -> Multipliers:
