@@ -16,7 +16,7 @@ from perilune.methods.evolutionary.hybrid import Hybrid
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import Bounded
 from perilune.problem.variables import Variable
-from test_descent import PENG_STEERING, peng
+from problems.peng import PENG_STEERING, peng
 from test_indirect import impossible_steering, tangent_steering
 
 BOX = np.full(2, 5.0)

@@ -11,7 +11,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Free, Given, Variable
 from problems.answered import Answered
-from test_descent import peng
+from problems.peng import peng
 
 
 def meditch() -> Problem:
