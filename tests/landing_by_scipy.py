@@ -18,7 +18,8 @@ from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landin
 from perilune.models.physics.bodies import Body
 from perilune.problem.problem import Problem
 from perilune.problem.results.hermite_nodes import hermite_nodes
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 
 STEP = 1e-40
 MOON = Body(name="moon", gravitational_parameter=4902.7779e9, radius=1738.14e3, rotation_rate=2.6617e-6)

@@ -22,8 +22,8 @@ _EXPORTS = {
     "Table": "perilune.core.maths",
     "Finding": "perilune.problem.presolve",
     "Solution": "perilune.problem.results.solution",
-    "Trajectory": "perilune.problem.results.solution",
-    "Curve": "perilune.problem.results.solution",
+    "Trajectory": "perilune.problem.results.trajectory",
+    "Curve": "perilune.problem.results.trajectory",
     "Result": "perilune.problem.results.solution",
     "Statistics": "perilune.problem.results.solution",
     "NamedArc": "perilune.problem.results.arc_sequence",
@@ -151,7 +151,8 @@ if TYPE_CHECKING:
     from perilune.problem.problem import Problem
     from perilune.problem.results.arc_sequence import NamedArc
     from perilune.problem.results.extremal import Extremal, Nature
-    from perilune.problem.results.solution import Curve, Result, Solution, Statistics, Trajectory
+    from perilune.problem.results.solution import Result, Solution, Statistics
+    from perilune.problem.results.trajectory import Curve, Trajectory
     from perilune.problem.tolerance import Tolerance
     from perilune.problem.variables import Free, Given, Variable
     from perilune.problem.verification import Check, Verification

@@ -40,13 +40,14 @@ from perilune.atlas.evaluate import polish
 from perilune.atlas.evaluate.midpoint_march import extrapolated_step
 from perilune.atlas.evaluate.reintegrate import ChartReintegration
 from perilune.atlas.hermite import binary_digits, interpolated
-from perilune.atlas.query.batch import Answered
+from perilune.atlas.query.batch_answers import Answered
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.query.reader import LoadedBrick
 from perilune.atlas.region import region_of
 from perilune.atlas.store.cells import WHOLE, Status
+from perilune.atlas.store.checksums import with_checksum
 from perilune.atlas.store.manifest import written_line
-from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore, with_checksum
+from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.atlas.survey.neighbour_seeds import Key, seeds_for_neighbours
 from perilune.cli import run_command_line
 from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError

@@ -20,7 +20,7 @@ from perilune.atlas import extend
 from perilune.atlas.building import build as building
 from perilune.atlas.grid import nodes as trying
 from perilune.atlas.query import reader as read
-from perilune.atlas.query.batch import Answered, Answers
+from perilune.atlas.query.batch_answers import Answered, Answers
 from perilune.atlas.query.minimum_search import KnownExtremals, MinimumSearch
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.store.cells import WHOLE

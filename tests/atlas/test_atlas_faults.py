@@ -28,7 +28,7 @@ from perilune.atlas.building.extend import extend
 from perilune.atlas.building.merge import merge
 from perilune.atlas.building.verify import verify_atlas
 from perilune.atlas.query import reader as read
-from perilune.atlas.query.batch import Answered
+from perilune.atlas.query.batch_answers import Answered
 from perilune.atlas.query.query import open_atlas
 from perilune.atlas.store.cells import Status
 from perilune.atlas.store.manifest import is_cut_off, read_line, written_line

@@ -25,9 +25,10 @@ from perilune.atlas.building.merge import merge
 from perilune.atlas.building.verify import verify_atlas
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.region import region_of, wider
+from perilune.atlas.store.checksums import CHECKSUM, with_checksum
 from perilune.atlas.store.manifest import written_line
-from perilune.atlas.store.store import CHECKSUM, HEADER, MANIFEST, AtlasStore, with_checksum
-from perilune.atlas.survey.survey import SurveyedChart
+from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
+from perilune.atlas.survey.surveyed_chart import SurveyedChart
 from perilune.cli import run_command_line
 from perilune.core.errors import PeriluneError
 from perilune.solve import solve

@@ -13,7 +13,8 @@ import pytest
 import perilune as pl
 from perilune import PeriluneError
 from perilune.atlas.branches.arc_sequence import ArcSequence
-from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.borders import Borders
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart, Holds
 from perilune.atlas.building import build as building
 from perilune.atlas.building.extend import extend

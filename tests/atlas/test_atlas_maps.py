@@ -14,7 +14,7 @@ from matplotlib.image import imread
 from cho import cho_landing
 from command_line import read_json
 from perilune.atlas.building import build as building
-from perilune.atlas.query.batch import Answered
+from perilune.atlas.query.batch_answers import Answered
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.query.slices import sliced
 from perilune.cli import run_command_line

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.atlas.branches.branch import Borders
+from perilune.atlas.branches.borders import Borders
 from perilune.atlas.branches.chart import Chart
 from perilune.atlas.query.presolve import point_feasibility
 from perilune.problem.presolve import Finding, is_possible, preflight

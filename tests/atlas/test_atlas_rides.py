@@ -16,7 +16,8 @@ import pytest
 import perilune as pl
 from perilune import Indirect, Problem, Scales
 from perilune.atlas.branches.arc_sequence import PLAIN, arc_sequence_of
-from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.borders import Borders
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart, Holds
 from perilune.atlas.building import build as building
 from perilune.atlas.building.tasks import Task, compute_brick

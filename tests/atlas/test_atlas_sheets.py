@@ -13,17 +13,20 @@ import pytest
 
 from cho import cho_landing
 from perilune.atlas.branches.arc_sequence import ArcSequence
-from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.borders import Borders
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart
 from perilune.atlas.building import build as building
 from perilune.atlas.building.tasks import Task, compute_brick
-from perilune.atlas.query.batch import Answered
+from perilune.atlas.query.batch_answers import Answered
 from perilune.atlas.query.query import open_atlas
 from perilune.atlas.region import region_of
-from perilune.atlas.store.cells import WHOLE, Cells, Nodes, Status, cells_reproduce
+from perilune.atlas.store.cell_coverage import cells_reproduce
+from perilune.atlas.store.cells import WHOLE, Cells, Nodes, Status
 from perilune.atlas.survey.folds import around_folds
 from perilune.atlas.survey.initial_solves import RegionSolver
-from perilune.atlas.survey.survey import Survey, SurveyedChart
+from perilune.atlas.survey.survey import Survey
+from perilune.atlas.survey.surveyed_chart import SurveyedChart
 from perilune.core.callbacks import ignore_events
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.results.extremal import Nature

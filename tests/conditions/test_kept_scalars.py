@@ -17,7 +17,8 @@ from scipy.optimize import brentq
 import perilune as pl
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import attainable_conditions, derive
-from perilune.conditions.scalar_regimes import Scalar, _condition_zeros_on_line, minimise_interior_scalars, pivots
+from perilune.conditions.scalar_minimum import _condition_zeros_on_line, minimise_interior_scalars
+from perilune.conditions.scalar_regimes import Scalar, pivots
 from perilune.methods.indirect.admissibility import AdmissibilityTest
 from perilune.problem.controls import Settled
 from perilune.shooting.shooting_function import Shooting

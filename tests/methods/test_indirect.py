@@ -14,16 +14,13 @@ from newton_toys import toy
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.core.callbacks import Iteration
-from perilune.core.errors import (
-    NotConvergedError,
-    Outcome,
-    PeriluneError,
-)
+from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
+from perilune.methods.indirect.exported_phases import _reconcile_switch_values
 from perilune.methods.indirect.indirect import Indirect
-from perilune.methods.indirect.unknowns import _reconcile_switch_values
 from perilune.problem.problem import Problem
 from perilune.problem.results.hermite_nodes import hermite_nodes
-from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve
 from perilune.problem.variables import Free, Given, Variable
 from perilune.shooting.continuation import Member, follow_family
 from perilune.shooting.newton import Columns, newton

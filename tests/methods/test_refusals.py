@@ -16,12 +16,7 @@ import perilune as pl
 from cho import CHO_MOON
 from command_line import HYBRID, read_json, snapshot
 from perilune.cli import run_command_line
-from perilune.core.errors import (
-    InfeasibleError,
-    NotConvergedError,
-    Outcome,
-    PeriluneError,
-)
+from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.core.units import format_bound
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.diagnosis import active_path_condition, explain_refusal
@@ -34,7 +29,8 @@ from perilune.problem.controls import Bounded
 from perilune.problem.display.quantity_names import stating_keys
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution, Statistics, Trajectory
+from perilune.problem.results.solution import Solution, Statistics
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Given, Variable
 from perilune.scenario import load_file
 from perilune.solve import solve

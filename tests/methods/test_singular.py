@@ -15,8 +15,9 @@ from perilune.core.callbacks import ignore_events
 from perilune.methods.indirect.search import Search
 from perilune.problem.results.solution import Solution
 from perilune.structures.detect_arcs import detect_structures
-from perilune.structures.detect_regimes import EXACT, Stay, _between_breaks, read_stays, revised_stays
+from perilune.structures.detect_regimes import EXACT, Stay, _between_breaks, read_stays
 from perilune.structures.multiphase import restate
+from perilune.structures.revise_regimes import revised_stays
 from perilune.structures.split_join import join_solution
 from perilune.structures.structure import Arc, Structure
 from problems.goddard import FOOT, goddard

@@ -13,10 +13,11 @@ import perilune as pl
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import CERES, MERCURY
-from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file
-from perilune.structures.detect_arcs import broken_intervals
+from perilune.structures.state_margins import broken_intervals
 from problems.constrained import (
     brachistochrone,
     brachistochrone_truth,

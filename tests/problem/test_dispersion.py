@@ -32,7 +32,8 @@ from perilune.models.deorbit.records import (
 from perilune.models.physics.atmosphere import tabulated
 from perilune.models.physics.bodies import EARTH
 from perilune.problem.display.views import Disturbance
-from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve
 from return_by_scipy import backwards, fly
 
 ORBIT = ReturnOrbit(

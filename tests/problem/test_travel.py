@@ -14,7 +14,8 @@ import pytest
 
 from perilune.core.errors import Outcome, PeriluneError
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve
 from perilune.solve import prove, solve
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 import perilune as pl
-from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve
 
 NODES = 400  # of an arc
 Formula = Callable[[Any], Any]

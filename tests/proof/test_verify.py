@@ -17,7 +17,8 @@ from perilune.models.landing.problem import Retro, mass_consistency_checks
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Verification
 from perilune.proof.sufficient.sensitivities import check_neighbours

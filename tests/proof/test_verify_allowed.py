@@ -19,7 +19,8 @@ from perilune.core.errors import Outcome
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check, Verification
 from perilune.solve import verify

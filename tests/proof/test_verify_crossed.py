@@ -13,7 +13,8 @@ from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.structure_search import StructureRefinement
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
-from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve
 from perilune.problem.verification import Check, Verification
 from perilune.proof.cross_check import check_agreement
 from perilune.solve import prove, solve, verify

@@ -14,7 +14,8 @@ from perilune.core.errors import Outcome
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Given, Variable
 from perilune.proof.sufficient import second_variation as variations
 from perilune.solve import solve, verify

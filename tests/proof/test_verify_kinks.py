@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 
 import perilune as pl
 from perilune.core.maths import NUMERIC
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.feasible.switching_surfaces import Guarded

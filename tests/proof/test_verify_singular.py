@@ -10,7 +10,8 @@ import pytest
 from scipy.optimize import brentq
 
 import perilune as pl
-from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve
 from perilune.problem.variables import Given, Variable
 from perilune.problem.verification import Check, Verification
 from problems.goddard import goddard

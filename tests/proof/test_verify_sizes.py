@@ -10,7 +10,8 @@ import pytest
 import perilune as pl
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import Body
-from perilune.proof.feasible.repropagate import MOST_GROWTH, _error_growth, reintegrate
+from perilune.proof.feasible.deviations import MOST_GROWTH, _error_growth
+from perilune.proof.feasible.repropagate import reintegrate
 
 PHOBOS = Body(name="phobos", gravitational_parameter=7.087e5, radius=11.1e3, rotation_rate=2.28e-4)
 

@@ -17,11 +17,13 @@ from perilune.models.precision.problem import Corridor
 from perilune.problem.controls import Bounded
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Given, Variable
+from perilune.proof.feasible.deviations import state_deviation
 from perilune.proof.feasible.feasibility import STATE_LIMIT
 from perilune.proof.feasible.phase_data import PhaseData
-from perilune.proof.feasible.repropagate import reintegrate, state_deviation
+from perilune.proof.feasible.repropagate import reintegrate
 from perilune.proof.feasible.sample_points import (
     POINTS,
     UP_TO,

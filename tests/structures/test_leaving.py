@@ -15,7 +15,8 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.structure_search import StructureRefinement
-from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve
 from perilune.structures.multiphase import restate
 from perilune.structures.multiplier_signs import paying_intervals
 from perilune.structures.split_join import split_solution

@@ -17,8 +17,9 @@ from perilune.io.save import solution_document
 from perilune.problem.results.arc_sequence import format_arcs
 from perilune.problem.results.solution import Solution
 from perilune.structures.detect_arcs import detect_structure
-from perilune.structures.detect_regimes import Stay, _close_gaps
+from perilune.structures.detect_regimes import Stay
 from perilune.structures.multiphase import restate
+from perilune.structures.revise_regimes import _close_gaps
 from perilune.structures.split_join import join_solution, split_solution
 from perilune.structures.structure import Arc, Structure
 from problems.constrained import (

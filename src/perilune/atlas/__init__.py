@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from perilune.atlas.building.extend import extend
     from perilune.atlas.building.merge import merge
     from perilune.atlas.query.answer import Mapped, Query
-    from perilune.atlas.query.batch import Answered, Answers
+    from perilune.atlas.query.batch_answers import Answered, Answers
     from perilune.atlas.query.query import Atlas, open_atlas as open
     from perilune.atlas.query.slices import Slice, sliced
 
@@ -30,8 +30,8 @@ _HOME = {
     "Atlas": ("query.query", "Atlas"),
     "Mapped": ("query.answer", "Mapped"),
     "Query": ("query.answer", "Query"),
-    "Answers": ("query.batch", "Answers"),
-    "Answered": ("query.batch", "Answered"),
+    "Answers": ("query.batch_answers", "Answers"),
+    "Answered": ("query.batch_answers", "Answered"),
     "Slice": ("query.slices", "Slice"),
     "sliced": ("query.slices", "sliced"),
 }

@@ -10,9 +10,7 @@ for each kink of the dynamics (`perilune.problem.casadi_trace.trace_sides`). Eve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from itertools import accumulate
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -23,15 +21,15 @@ from perilune.conditions.active_constraints import (
     attainable_as_equality,
     multiplier_term,
 )
-from perilune.conditions.control_law import ControlLaw, minimising_control
+from perilune.conditions.control_law import minimising_control
 from perilune.conditions.known_costates import known_hamiltonian_terms, weighing_costates
+from perilune.conditions.mode_events import events_between_modes, number_of_mode, select_by_mode
 from perilune.conditions.singular_control import Motion
 from perilune.core.arrays import Vector
 from perilune.core.errors import PeriluneError
 from perilune.kernels import Event
 from perilune.problem.casadi_trace import (
     SYMBOLIC,
-    Kinked,
     Parameters,
     canonical_given,
     column,
@@ -43,8 +41,6 @@ from perilune.problem.controls import Bounded, Regime, scalars
 from perilune.problem.perturbed import start_offsets, without_start_offsets
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-
-_REFRACTIONS = 7  # steps of Newton's method for the costate behind a surface; a step too many changes nothing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -247,7 +243,7 @@ def canonical_equations(
                 )
             reports.append(function("report", control, ca.jtimes(control, z, rate), value))
         laws.append(law)
-    events = tuple(_events(dynamics, laws, flows, z, function))
+    events = tuple(events_between_modes(dynamics, laws, flows, z, function))
     return PhaseExtremal(
         modes=tuple(function("rhs", rate) for rate in flows),
         solved=tuple(solved),
@@ -258,7 +254,7 @@ def canonical_equations(
         held=tuple(held for law in laws for held in law.held),
         events=events,
         settles=not phase.controls and all(e.jump is None for e in events) and _is_dissipative(flows, z),
-        mode=function("mode", _mode(dynamics, laws, flows, z)),
+        mode=function("mode", number_of_mode(dynamics, laws, flows, z)),
         state_count=n,
         constants=constants,
         periodic=tuple(sorted({at for law in laws for at in law.periodic})),
@@ -278,110 +274,6 @@ def _nan_without_room(rate: ca.SX, u: ca.SX, z: ca.SX, room: ca.SX) -> ca.SX:
         if ca.depends_on(rate[i], u):
             lost[i] = ca.if_else(ca.mmin(ca.vertcat(*changing)) >= 0, 0.0, np.nan)
     return lost
-
-
-def _mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX) -> ca.SX:
-    """Return the number of the mode at a point: the side of each choice, and there the regimes in which H is least.
-
-    Exactly on a knot it is the side to which the flight moves.
-    """
-    number, first = ca.SX(0.0), 0
-    for sides, law in zip(dynamics.sides, laws, strict=True):
-        own = flows[first : first + len(law.control)]
-        flow = select_by_mode(own, law.mode)
-
-        def beyond(margin: ca.SX, flow: ca.SX = flow) -> ca.SX:
-            rate = ca.jtimes(margin, z, flow)
-            rate_of_rate = ca.jtimes(rate, z, flow)
-            return ca.if_else(margin == 0, ca.if_else(rate == 0, rate_of_rate, rate), margin) > 0
-
-        here = ca.SX(1.0)
-        for side, choice in zip(sides, dynamics.choices, strict=True):
-            if side:
-                here = ca.logic_and(here, beyond(choice.argument - choice.knots[side - 1]))
-            if side < len(choice.knots):
-                here = ca.logic_and(here, ca.logic_not(beyond(choice.argument - choice.knots[side])))
-        number = ca.if_else(here, first + law.begun(z, own), number)
-        first += len(law.control)
-    return number
-
-
-def select_by_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
-    """Return the value that belongs to the number of a mode."""
-    chosen = values[0]
-    for k, value in enumerate(values[1:], 1):
-        chosen = ca.if_else(mode == k, value, chosen)
-    return chosen
-
-
-def _events(
-    dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX, function: Callable[..., ca.Function]
-) -> Iterator[Event]:
-    """Yield the events that lead from mode to mode: the control's transitions, kinks, and jumps of the rates."""
-    firsts = list(accumulate((len(law.control) for law in laws), initial=0))
-    grouped: dict[tuple[str, int, bool], Event] = {}
-
-    def together(
-        expression: ca.SX, direction: int, steady: bool, switches: dict[int, int], level: float | None = None
-    ) -> None:
-        """Add to the event of the same function, its value `level` in the modes switched from."""
-        S = function("S", expression)
-        key = S.serialize(), direction, steady
-        known = grouped.get(key, Event(function=S, direction=direction, steady=steady))
-        levels = {} if level is None else dict.fromkeys(switches, level)
-        grouped[key] = replace(known, switches={**known.switches, **switches}, levels={**known.levels, **levels})
-
-    for first, law in zip(firsts, laws, strict=False):
-        for way in law.transitions:
-            switches = {first + a: first + b for a, b in way.switches.items()}
-            together(way.function, way.direction, way.steady, switches)
-    jumping = list[Event]()
-    for number, (sides, law) in enumerate(zip(dynamics.sides, laws, strict=True)):
-        for i, choice in enumerate(dynamics.choices):
-            for side, direction in ((sides[i] + 1, 1), (sides[i] - 1, -1)):
-                if not 0 <= side <= len(choice.knots):
-                    continue
-                other = dynamics.sides.index((*sides[:i], side, *sides[i + 1 :]))
-                knot = choice.knots[min(side, sides[i])]
-                if choice.steady and law.regimes == laws[other].regimes:
-                    # A control's regime changes by its own event: H goes on without a jump, its slopes unless bent.
-                    switches = {firsts[number] + k: firsts[other] + k for k in range(len(law.regimes))}
-                    together(choice.argument, direction, not choice.bent, switches, knot)
-                    continue
-                margin, behind = choice.argument - knot, flows[firsts[other] : firsts[other + 1]]
-                for before in range(firsts[number], firsts[number + 1]):
-                    reached, least = _cross_rate_jump(z, margin, flows[before], behind, laws[other].mode)
-                    for k in range(len(behind)):
-                        # Each mode behind has its own event, without effect where H is not least in it.
-                        met = margin if len(behind) == 1 else ca.if_else(least == k, margin, -direction)
-                        jumping.append(
-                            Event(
-                                function=function("kink", met),
-                                direction=direction,
-                                switches={before: firsts[other] + k},
-                                jump=function("jump", reached),
-                            )
-                        )
-    yield from grouped.values()
-    yield from jumping
-
-
-def _cross_rate_jump(z: ca.SX, margin: ca.SX, before: ca.SX, behind: list[ca.SX], least: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return z beyond a surface g = 0 on which the rates jump, and which of the modes `behind` it is in.
-
-    lambda+ = lambda- - nu g_x, and H goes on as it was; nu is 0 where the rates are continuous (Bryson, Ho 1975,
-    section 3.7). As the control behind the surface is the one that is best for lambda+, nu is found by Newton's method:
-    dH+/dnu = -g_x . f+, H being stationary in the control.
-    """
-    half = z.numel() // 2
-    x, lam = z[:half], z[half:]
-    normal, kept = ca.gradient(margin, x), ca.dot(lam, before[:half])
-    rates = select_by_mode([rate[:half] for rate in behind], least)
-    at = lam
-    for _ in range(_REFRACTIONS):
-        rate = ca.substitute(rates, lam, at)
-        at = at - (ca.dot(at, rate) - kept) / ca.dot(normal, rate) * normal
-    return ca.vertcat(x, at), ca.substitute(least, lam, at)
 
 
 def _constraints_by_name(function: str, phase: Phase, x: ca.SX, u: ca.SX, p: Parameters) -> dict[str, ca.SX]:

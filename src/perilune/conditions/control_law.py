@@ -27,6 +27,7 @@ import numpy as np
 
 from perilune.conditions.active_constraints import Held, depends_on_direction, enumerate_active_sets, require_attainable
 from perilune.conditions.boundary_arc_control import boundary_arc_control
+from perilune.conditions.scalar_minimum import minimise_interior_scalars
 from perilune.conditions.scalar_regimes import (
     FREE,
     INSIDE,
@@ -36,7 +37,6 @@ from perilune.conditions.scalar_regimes import (
     combinations,
     is_factor,
     is_periodic,
-    minimise_interior_scalars,
     no_control_law_error,
     satisfies_conditions,
 )

@@ -26,7 +26,7 @@ from perilune.problem.controls import admissible, admissible_rates, control_scal
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.hermite_nodes import hermite_nodes
-from perilune.problem.results.solution import Curve, Trajectory
+from perilune.problem.results.trajectory import Curve, Trajectory
 
 # Curves are never asked for more than this, canonical: rounding of the polynomials is near.
 FINEST = 1e-11

@@ -31,7 +31,8 @@ from perilune.problem.controls import control_scales, control_slices
 from perilune.problem.initial_guess import fitting_guess
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Trajectory
 
 # First durations tried without an initial guess, as multiples of the typical ones.
 STRETCHES = (1.0, 1.6, 0.6, 2.8)

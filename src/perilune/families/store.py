@@ -34,7 +34,8 @@ from perilune.io.json_checks import array, enumeration_member, part, refuse_entr
 from perilune.io.load import read_answer, read_trajectories
 from perilune.io.save import answer_document, program_versions
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Trajectory
 from perilune.problem.verification import Verification
 
 if TYPE_CHECKING:

@@ -19,7 +19,8 @@ import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.maths import NUMERIC
-from perilune.problem.results.solution import Solution, Trajectory, full
+from perilune.problem.results.solution import Solution, full
+from perilune.problem.results.trajectory import Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)

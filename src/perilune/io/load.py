@@ -46,7 +46,8 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.arc_sequence import NamedArc
 from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Curve, Solution, Statistics, Trajectory
+from perilune.problem.results.solution import Solution, Statistics
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.tolerance import Tolerance, unit_of
 from perilune.problem.variables import Given
 from perilune.problem.verification import LEVEL_NAMES, Verification, format_failed_checks

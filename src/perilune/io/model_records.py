@@ -13,7 +13,8 @@ from typing import Any
 from perilune.core.errors import PeriluneError
 from perilune.core.fields import Quantity, record_keys, record_of_values, record_values, section_of
 from perilune.io.json_checks import finite_number, part, refuse_entry, short_text
-from perilune.models.catalogue import KINDS, Section, kind_named, kind_names, unknown_kind
+from perilune.models.catalogue import KINDS, kind_named, kind_names, unknown_kind
+from perilune.models.kind import Section
 from perilune.models.physics.bodies import Body, recognise_body
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Given

@@ -29,7 +29,8 @@ from perilune.io.problem_json import physics_document
 from perilune.problem.controls import Bounded, Direction
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution, Trajectory, results_between
+from perilune.problem.results.solution import Solution, results_between
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.tolerance import unit_of
 from perilune.problem.verification import Check, Verification
 

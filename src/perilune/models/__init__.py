@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from perilune.core.facade import public_names
 
 if TYPE_CHECKING:
-    from perilune.models.catalogue import Kind, Section
     from perilune.models.deorbit.opportunities import Opportunity, opportunities
     from perilune.models.deorbit.problem import deorbit_entry
     from perilune.models.deorbit.records import (
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
         Transition,
     )
     from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
+    from perilune.models.kind import Kind, Section
     from perilune.models.landing.problem import Orbit, hybrid_landing
     from perilune.models.physics.atmosphere import Air
     from perilune.models.physics.bodies import (
@@ -55,7 +55,7 @@ _HOME = {
     "descent.problem": "Ignition Site Steering powered_descent",
     "precision.problem": "Approach precision_landing",
     "precision.path_constraints": "Corridor",
-    "catalogue": "Kind Section",
+    "kind": "Kind Section",
     "precision.final_descent": "FinalDescent",
     "physics.atmosphere": "Air",
     "deorbit.records": "Atmosphere Heating Interface Landing Limits Manoeuvre Parachute Returner Separation Transition",

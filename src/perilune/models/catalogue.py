@@ -5,144 +5,26 @@ Nothing else knows of them: the reader of scenarios, the templates and the refer
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, is_dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, wraps
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from perilune.core.errors import PeriluneError, UnknownKindError, unknown_name
-from perilune.core.fields import Key, parameter_name, record, record_keys
-from perilune.core.validation import require_type
+from perilune.core.fields import parameter_name
 from perilune.models.deorbit import records as deorbit
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.descent.problem import Choices, Ignition, Site, Steering, powered_descent
+from perilune.models.kind import Kind, Section, Undecided
 from perilune.models.landing.problem import LandingSite, Orbit, hybrid_landing
 from perilune.models.physics.bodies import BODIES, PLANETS, Body, OblateBody, Planet, UniformGravity
 from perilune.models.physics.vehicle import Retro, Throttle, Vehicle
 from perilune.models.precision.final_descent import FinalDescent
 from perilune.models.precision.problem import Approach, Corridor, precision_landing
 from perilune.problem.problem import Problem
-from perilune.problem.tolerance import Tolerance
 
 GROUP = "perilune.models"  # of entry points
-PROOF = "proof"  # the section that is no part of the problem
-
-
-@record("problem")
-class Undecided:
-    """Section ``problem`` of a kind that leaves nothing to choose."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """A section of a file.
-
-    Parameters
-    ----------
-    record
-        Class of its record.
-    required
-        Whether it must be there.
-    otherwise
-        Its record where it is left out.
-    known
-        Records that may be stated only by their name.
-    instead
-        Class of another record that the section may state.
-    absent
-        When it may be left out, in words.
-    """
-
-    record: type
-    required: bool = True
-    otherwise: Any = None
-    known: Mapping[str, Any] = field(default_factory=dict)
-    instead: type | None = None
-    absent: str = "may be left out"
-
-    def __post_init__(self) -> None:
-        """Refuse what declares no keys."""
-        for stated in (self.record, self.instead):
-            if stated is not None and not (isinstance(stated, type) and is_dataclass(stated)):
-                raise PeriluneError(
-                    "a section is stated by a record", got=repr(stated)[:80], expected="a class below @record(...)"
-                )
-
-    @property
-    def keys(self) -> Mapping[str, Key]:
-        """Return all keys that the section may have, in order."""
-        return {**record_keys(self.record), **self._others}
-
-    @property
-    def _others(self) -> Mapping[str, Key]:
-        return {} if self.instead is None else record_keys(self.instead)
-
-    @property
-    def alone(self) -> tuple[str, ...]:
-        """Keys that stand in place of the others."""
-        return (
-            *(("name",) if self.known else ()),
-            *(key for key in self._others if key not in record_keys(self.record)),
-        )
-
-    def stated(self, keys: Iterable[str]) -> type:
-        """Class of the record that has these keys; where no one class has them all, of the first."""
-        found = set(keys)
-        return self.instead if self.instead and found and found <= self._others.keys() else self.record
-
-
-@dataclass(frozen=True, kw_only=True)
-class Kind:
-    """Kind of problem that a file can state.
-
-    Parameters
-    ----------
-    name, about
-        ``problem.kind``, and what it is.
-    sections
-        Those of the problem by name, in the order of a file.
-    make
-        Called with the record of each section by the section's name.
-    example
-        Values that together are a problem worth solving, where they differ from the examples of the records; a key or
-        a section that may be left out is shown in the template as one to be used if it is here.
-    package
-        Which package brings it, as is found where it is loaded; "" of perilune's own.
-    """
-
-    name: str
-    about: str
-    sections: Mapping[str, Section]
-    make: Callable[..., Problem]
-    example: Mapping[str, str]
-    package: str = ""
-
-    def __post_init__(self) -> None:
-        """Refuse what no file could state."""
-        sections: Any = self.sections  # of a package, that may bring anything
-        if not isinstance(sections, Mapping) or not all(isinstance(found, Section) for found in sections.values()):
-            raise PeriluneError(
-                f"the sections of the kind {self.name} are not what a file has", got=repr(sections)[:80],
-                expected="a dictionary of Section(record=...) by their names",
-            )  # fmt: skip
-        if "problem" not in sections or PROOF in sections:
-            raise PeriluneError(
-                f"the sections of the kind {self.name} are not what a file has", got=", ".join(map(str, sections)),
-                expected=f"problem, which states the kind, among them, and {PROOF} not: every file may have that",
-            )  # fmt: skip
-        require_type(
-            self.example, Mapping, f"what the example of the kind {self.name} can be", '{"section.key": "value"}'
-        )
-        known = [f"{name}.{key}" for name, section in self.in_file.items() for key in section.keys]
-        for key in self.example:
-            if key not in known:
-                raise unknown_name(f"key, which the example of the kind {self.name} has,", key, known)
-
-    @property
-    def in_file(self) -> Mapping[str, Section]:
-        """Return all sections of a file: those of the problem, and that of its proof."""
-        return {**self.sections, PROOF: Section(record=Tolerance, required=False, otherwise=Tolerance())}
 
 
 def _make_hybrid(

@@ -12,7 +12,8 @@ from perilune.core.errors import Outcome, PeriluneError, unknown_name
 from perilune.core.validation import check_call, require_type
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 
 BY_HAND = "by hand"
 

@@ -37,7 +37,8 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from perilune.rigorous.boundary_value_problem import BoundaryProblem, Differentiated, arc_duration
+from perilune.rigorous.boundary_equations import arc_duration
+from perilune.rigorous.boundary_value_problem import BoundaryProblem, Differentiated
 from perilune.rigorous.enclosure import ball_identity
 from perilune.rigorous.enclosure_step import NotEnclosed, enclose_step
 from perilune.rigorous.equations import CanonicalArc, ProblemReader

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from flint import ctx
 
 from perilune.problem.results.solution import Solution
-from perilune.rigorous.boundary_value_problem import BoundaryProblem, boundary_problem
+from perilune.rigorous.boundary_equations import boundary_problem
+from perilune.rigorous.boundary_value_problem import BoundaryProblem
 from perilune.rigorous.candidate import sides_of, suggested_pieces, unknowns_of
 from perilune.rigorous.enclosure_step import NotEnclosed
 from perilune.rigorous.exact_tape import Unsupported

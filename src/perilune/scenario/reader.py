@@ -8,7 +8,8 @@ from typing import Any
 
 from perilune.core.errors import PeriluneError, unknown_name
 from perilune.core.fields import Key, Quantity, TextField, record_keys, record_of_values, with_key_named
-from perilune.models.catalogue import HYBRID, KINDS, PROOF, Kind, Section, kind_named
+from perilune.models.catalogue import HYBRID, KINDS, kind_named
+from perilune.models.kind import PROOF, Kind, Section
 from perilune.models.physics.bodies import Body, recognise_body
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from perilune.core.errors import PeriluneError
 from perilune.core.fields import Key, Quantity
 from perilune.core.validation import check_call, wrong_type_error
-from perilune.models.catalogue import KINDS, Kind, Section, kind_named, kind_names, one_line_error, unknown_kind
+from perilune.models.catalogue import KINDS, kind_named, kind_names, one_line_error, unknown_kind
+from perilune.models.kind import Kind, Section
 from perilune.scenario.reader import names_files, names_of, problem_of, tolerance_of
 from perilune.scenario.text import parse
 

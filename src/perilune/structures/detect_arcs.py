@@ -11,19 +11,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from types import SimpleNamespace
-from typing import Any
 from weakref import ref
 
 import numpy as np
 
-from perilune.core.arrays import Matrix, Vector
-from perilune.core.maths import NUMERIC
+from perilune.core.arrays import Vector
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution, full
-from perilune.problem.tracing.lie_derivatives import depends_on_control
-from perilune.problem.tracing.tape import Expression
-from perilune.problem.tracing.traced_problem import TracedProblem
+from perilune.problem.results.solution import Solution
 from perilune.structures.detect_regimes import (
     EXACT,
     LEVELS,
@@ -34,19 +28,16 @@ from perilune.structures.detect_regimes import (
     linear_scalars,
     read_stays,
     regimes_at,
+    runs_by_kind,
     seen_stays,
     stays_around_singular,
 )
-from perilune.structures.structure import Arc, Structure, conditions_of, margins, plain_bounds, steering_controls
+from perilune.structures.state_margins import margin_along, state_conditions
+from perilune.structures.structure import Arc, Structure, conditions_of, margins, steering_controls
 
 NEAR = (1e-4, 5e-2)  # of what S goes through: as near as counts at least and at most, whatever the mesh
 BULGE = 8.0  # times what S falls below 0 it may rise above on a boundary arc; 1 to 6 were observed
-POINTS = 2000  # of a phase, in addition to the nodes of its tables
-ROUNDING = 1e-8  # of what S goes through: less below 0 is not broken
-_CLOSER = 33  # times between the neighbours of a look at which S is least: 16 times as close, 256 times as exact
-_ROUNDED = 1e-12  # of the times looked at: those nearer to each other are one
 CLOSEST = 4  # times that is done: from a share 1/200 of a phase on, it ends below the last digit of a time
-EXACTLY = 1e-9  # of the size of S, to which an answer is judged
 WIDER, STAYS = 4.0, 0.6  # a wider level; a boundary arc where such a share of the time is spent below the wider one
 STAYS_EXACTLY = 0.4  # the same of a level wider by its cube: what goes to zero like t^4 stays for 0.35
 
@@ -194,32 +185,6 @@ def _follows_from_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
     return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
 
 
-def state_conditions(problem: Problem, k: int) -> list[str]:
-    """Return the names of the conditions of phase k on states only."""
-    return [name for name, (_, value, _) in margins(problem, k).items() if not depends_on_control(value)]
-
-
-def is_constant_condition(problem: Problem, k: int, name: str) -> bool:
-    """Return True if a condition does not change along phase k, as no state in it does: that of a mass on a coast.
-
-    Parameters
-    ----------
-    problem, k
-        The problem and the number of the phase.
-    name
-        Name of the condition, as `margins` has it.
-    """
-    return _is_constant(problem.form, k, problem.phases[k].state_names, margins(problem, k)[name][1])
-
-
-@lru_cache(maxsize=256)
-def _is_constant(form: TracedProblem, k: int, names: tuple[str, ...], value: Expression) -> bool:
-    tape = form.expressions[k, "dynamics"].tape
-    rates = [tape.instructions[at] for at in tape.outputs]
-    moved = {n for n, op in zip(names, rates, strict=True) if op[0] != "const" or float(op[1]) != 0.0}
-    return not any(op[0] == "x" and op[1] in moved for op in value.tape.instructions)
-
-
 def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
     """Yield where a condition of phase k is at its limit on the way; a start or an end that lies on it is none.
 
@@ -235,7 +200,7 @@ def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0])
     t, room = margin_along(solution, k, name)
     least, most = share * float(np.ptp(room)), NEAR[1] * float(np.ptp(room))
     near = min(max(-BULGE * float(room.min()), least), most)
-    for first, last in _runs_of_true(room <= near):
+    for first, last in runs_by_kind(room <= near):
         inside = first > 0 and last < len(t) - 1
         length = _time_below(t, room, first, last, near)
         stays = length > STAYS * _time_below(t, room, first, last, WIDER * near)
@@ -251,116 +216,9 @@ def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0])
             yield Contact(name=name, begin=at, end=at, ridden=False)
 
 
-def broken_intervals(t: Vector, room: Vector, size: float) -> Iterator[tuple[float, float, float]]:
-    """Yield where a condition is broken by more than rounding: from when to when, and when the most [s].
-
-    `size` is that of S.
-
-    Parameters
-    ----------
-    t
-        Times [s], (n,).
-    room
-        S at these times [SI], (n,).
-    size
-        Size of S [SI].
-    """
-    for first, last in _runs_of_true(room < -margin_rounding(room, size)):
-        yield float(t[first]), float(t[last]), float(t[first + int(np.argmin(room[first : last + 1]))])
-
-
-def refine_minima(t: Vector, room: Vector, slack: float) -> Vector:
-    """Return times around each minimum of S at which S may still vanish unseen: more of them, between the looks.
-
-    Between looks a smooth S is less than at the least of them by an eighth of what it rises to the farther neighbour,
-    about; where that is nothing, or S is far above it, there is nothing to see.
-
-    Parameters
-    ----------
-    t, room
-        Times, in order, and S there.
-    slack
-        By which S may fall below zero.
-
-    Returns
-    -------
-    Vector
-        Times; none where the looks were close enough.
-    """
-    if len(t) < 2:
-        return t[:0]
-    # Of two times that rounding parts neither is the other's neighbour: what lies behind them would go unseen.
-    apart = np.append(True, np.diff(t) > _ROUNDED * (t[-1] - t[0]))
-    t, room = t[apart], room[apart]
-    before, behind = np.append(room[0], room[:-1]), np.append(room[1:], room[-1])
-    rise = np.maximum(before, behind) - room
-    low = (room <= before) & (room <= behind) & (rise > slack) & (room < rise)
-    around = [np.linspace(t[max(i - 1, 0)], t[min(i + 1, len(t) - 1)], _CLOSER) for i in np.nonzero(low)[0]]
-    return np.concatenate([*around, t[:0]])
-
-
-def margin_rounding(room: Vector, size: float) -> float:
-    """Return what counts as rounding of S along a phase; that of its `size` where S goes through little.
-
-    Parameters
-    ----------
-    room
-        S along a phase [SI], (n,).
-    size
-        Size of S [SI].
-    """
-    return max(ROUNDING * float(np.ptp(room)), EXACTLY * size)
-
-
-def margin_along(solution: Solution, k: int, name: str) -> tuple[Vector, Vector]:
-    """Return times of a phase [s] and S there [SI].
-
-    Parameters
-    ----------
-    solution, k
-        The solution and the number of the phase.
-    name
-        Name of a condition on states only, as `margins` has it.
-    """
-    flown = solution.trajectories[k]
-    t = np.union1d(flown.time, np.linspace(0.0, flown.duration, POINTS))
-    return t, margin_at(solution.problem, solution.parameters, k, name, t, np.asarray(flown.state(t)).T)
-
-
-def margin_at(problem: Problem, p: Any, k: int, name: str, t: Vector, x: Matrix) -> Vector:
-    """Return S of a condition on states only at times of phase k [SI], from the states there, (n, times).
-
-    Parameters
-    ----------
-    problem
-        The problem.
-    p
-        Record of its parameters in SI.
-    k
-        Number of the phase.
-    name
-        Name of a condition on states only, as `margins` has it.
-    t
-        Times [s], (times,).
-    x
-        States at these times [SI], (n, times).
-    """
-    phase, value = problem.phases[k], margins(problem, k)[name][1]
-    bounds = {given: g.value for given, g in plain_bounds(problem).items()}
-    known: Any = SimpleNamespace(**vars(p), **bounds)
-    u = np.zeros(len(phase.control_names))  # which stands in none
-    return full(value(phase.state_record(*x), phase.control_record(*u), known, NUMERIC)[0], t)
-
-
-def _runs_of_true(near: Any) -> list[tuple[int, int]]:
-    """Return the first and last index of each run of true values."""
-    edges = np.diff(np.concatenate([[False], near, [False]]).astype(int))
-    return list(zip(np.nonzero(edges == 1)[0].tolist(), (np.nonzero(edges == -1)[0] - 1).tolist(), strict=True))
-
-
 def _time_below(t: Vector, room: Vector, first: int, last: int, level: float) -> float:
     """Return how long S stays below a level about the points from `first` to `last` [s]."""
-    low, high = next((a, b) for a, b in _runs_of_true(room <= level) if a <= first <= b)
+    low, high = next((a, b) for a, b in runs_by_kind(room <= level) if a <= first <= b)
     begin, end = float(t[low]), float(t[high])
     if low > 0:
         begin = float(np.interp(-level, -room[low - 1 : low + 1], t[low - 1 : low + 1]))

@@ -29,6 +29,15 @@ from perilune.problem.tracing.tape import Expression, Recorder
 from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS, roles_of
 from perilune.problem.variables import Free, Variable
 from perilune.structures.detect_regimes import settle_scalar
+from perilune.structures.part_durations import (
+    part_durations,
+    part_name,
+    range_of_sum,
+    sum_of_parameters,
+    summed_durations,
+    sums_of,
+    with_sums,
+)
 from perilune.structures.redundant_conditions import repeated_ends
 from perilune.structures.structure import (
     Arc,
@@ -101,7 +110,7 @@ def _resummed_phases(restated: Problem, problem: Problem, structure: Structure) 
     phases, most = list(restated.phases), {f.name: f.upper for f in restated.free}
     for name, k in summed_durations(problem, structure).items():
         of, at = problem.free[problem.free_names.index(name)], sum(map(len, structure.phases[: k + 1])) - 1
-        one, (lower, upper), stated = of.lower == of.upper, _range_of_sum(of), phases[at].end_conditions
+        one, (lower, upper), stated = of.lower == of.upper, range_of_sum(of), phases[at].end_conditions
         if stated and (was := stated[-1]).name == name:
             alike = not one if was.ranged else one and most[part_durations(problem, structure, k)[0]] == upper
             if was.ranged and alike and (was.lower, was.upper) != (lower, upper):
@@ -114,10 +123,6 @@ def _resummed_phases(restated: Problem, problem: Problem, structure: Structure) 
                 what, got=format_value_range((lower, upper), of.unit), advice="solve there from nothing"
             )
     return restated.phases if all(new is old for new, old in zip(phases, restated.phases, strict=True)) else phases
-
-
-def _range_of_sum(of: Free) -> tuple[float, float]:
-    return (of.lower if of.lower > 0 else -math.inf), of.upper  # none of the durations is negative
 
 
 def refuse_unstated_ends(
@@ -145,54 +150,6 @@ def refuse_unstated_ends(
                 expected="an end where that is ridden, as of the flight that is known",
                 advice="solve at these values from nothing",
             )
-
-
-def part_name(name: str, j: int, count: int) -> str:
-    """Return the name of the j-th of so many parts of a phase, or of its duration.
-
-    Parameters
-    ----------
-    name
-        Name of the phase, or of its duration.
-    j
-        Number of the part, from 0.
-    count
-        Number of the parts.
-    """
-    return name if count == 1 else f"{name}-{j + 1}"
-
-
-def part_durations(problem: Problem, structure: Structure, k: int) -> tuple[str, ...]:
-    """Return the names of the durations of the parts of phase k.
-
-    Parameters
-    ----------
-    problem, structure
-        The user's problem and its arcs.
-    k
-        Number of the phase.
-    """
-    count, name = len(structure.phases[k]), problem.phases[k].duration
-    if count == 1:
-        return (name,)
-    shared = problem.duration_names.count(name) > 1
-    own = f"{name}.{problem.phases[k].name}" if shared else name
-    return tuple(part_name(own, j, count) for j in range(count))
-
-
-def summed_durations(problem: Problem, structure: Structure) -> dict[str, int]:
-    """Return free durations that are sums of new ones, each with the number of the phase whose parts it sums."""
-    found: dict[str, int] = {}
-    for k, phase in enumerate(problem.phases):
-        if phase.duration in problem.free_names and len(structure.phases[k]) > 1:
-            found.setdefault(phase.duration, k)
-    whole = {p.duration for p, arcs in zip(problem.phases, structure.phases, strict=True) if len(arcs) == 1}
-    return {name: k for name, k in found.items() if name not in whole}
-
-
-def sums_of(problem: Problem, structure: Structure) -> dict[str, tuple[str, ...]]:
-    """Return free durations that are sums, with the names of the new ones that they sum."""
-    return {name: part_durations(problem, structure, k) for name, k in summed_durations(problem, structure).items()}
 
 
 @dataclass
@@ -354,19 +311,19 @@ class _Restated:
         if len(durations) == 1:
             return
         recorder, name = Recorder(), phase.duration
-        total = _sum_of_parameters(recorder, durations)
+        total = sum_of_parameters(recorder, durations)
         if self.sums.get(name) == tuple(durations):
             of = next(f for f in self.user.free if f.name == name)
             if of.lower == of.upper:
                 total = recorder.do("sub", total, of.lower)
                 yield Variable(name=name, unit="s"), Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
                 return
-            lower, upper = _range_of_sum(of)
+            lower, upper = range_of_sum(of)
             if math.isfinite(lower) or math.isfinite(upper):
                 whole = Variable(name=name, unit="s", lower=lower, upper=upper)
                 yield whole, Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
             return
-        said = _sum_of_parameters(recorder, self.sums[name]) if name in self.sums else recorder.input("p", name)
+        said = sum_of_parameters(recorder, self.sums[name]) if name in self.sums else recorder.input("p", name)
         yield Variable(name=name, unit="s"), Expression(recorder.tape([total - said]), ("x", "p"), origin="a duration")
 
     def _rough(self, k: int) -> list[Expression | None]:
@@ -408,22 +365,3 @@ def _arc_controls(phase: Phase, arc: Arc) -> tuple[Control, ...]:
 def _identity_link(phase: Phase) -> Expression:
     recorder = Recorder()
     return Expression(recorder.tape([recorder.input("x", n) for n in phase.state_names]), ("x", "p"), origin="identity")
-
-
-def _sum_of_parameters(recorder: Recorder, names: Sequence[str]) -> Any:
-    total, *others = [recorder.input("p", name) for name in names]
-    for other in others:
-        total = recorder.do("add", total, other)
-    return total
-
-
-def with_sums(expression: Expression, sums: Mapping[str, Sequence[str]]) -> Expression:
-    """Return an expression with sums of new durations in place of the user's."""
-    inside = [name for name in sums if ("p", name) in expression.tape.instructions]
-    if not inside:
-        return expression
-    recorder = Recorder()
-    values = run_expression(
-        expression, recorder, {("p", name): _sum_of_parameters(recorder, sums[name]) for name in inside}
-    )
-    return Expression(recorder.tape(values), expression.roles, expression.scalar, expression.origin)

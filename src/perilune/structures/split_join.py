@@ -17,10 +17,12 @@ from perilune.core.errors import Outcome, PeriluneError
 from perilune.core.lazy import Deferred
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.verification import Verification
 from perilune.structures.describe import with_names
-from perilune.structures.multiphase import part_durations, part_name, restate, summed_durations
+from perilune.structures.multiphase import restate
+from perilune.structures.part_durations import part_durations, part_name, summed_durations
 from perilune.structures.structure import Structure, check_arc_structure
 
 _NEAR = 1e-9  # of a phase: a cut so near to a node is at it

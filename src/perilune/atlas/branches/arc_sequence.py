@@ -23,7 +23,8 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal
 from perilune.problem.results.solution import Solution
 from perilune.structures.detect_regimes import WRONG, gain_along, linear_scalars
-from perilune.structures.multiphase import part_name, restate
+from perilune.structures.multiphase import restate
+from perilune.structures.part_durations import part_name
 from perilune.structures.split_join import JoinedTrajectories
 from perilune.structures.structure import SIDES, Arc, Structure, conditions_of, steering_controls
 

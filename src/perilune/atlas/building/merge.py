@@ -33,8 +33,9 @@ from perilune.atlas.branches.schema import (
 )
 from perilune.atlas.building.audit import LEVEL
 from perilune.atlas.region import Axis, Region
+from perilune.atlas.store.checksums import digest_of, end_line, seal_of
 from perilune.atlas.store.manifest import damage_text
-from perilune.atlas.store.store import HEADER, AtlasStore, clear_atlas, digest_of, end_line, seal_of
+from perilune.atlas.store.store import HEADER, AtlasStore, clear_atlas
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.errors import PeriluneError
 from perilune.core.units import format_quantity

@@ -24,7 +24,8 @@ import casadi as ca
 import numpy as np
 
 from perilune.atlas.branches.chart import Chart
-from perilune.conditions.canonical_equations import PhaseExtremal, minimising_control_at, select_by_mode
+from perilune.conditions.canonical_equations import PhaseExtremal, minimising_control_at
+from perilune.conditions.mode_events import select_by_mode
 from perilune.conditions.pontryagin import Conditions
 from perilune.problem.casadi_trace import (
     SYMBOLIC,
@@ -37,7 +38,7 @@ from perilune.problem.casadi_trace import (
 )
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.tape import Expression
-from perilune.structures.multiphase import part_name, sums_of, with_sums
+from perilune.structures.part_durations import part_name, sums_of, with_sums
 from perilune.structures.structure import Condition, conditions_of
 
 NOTHING = 1e-7  # of 1 + |eta|: a multiplier so little below zero is rounding

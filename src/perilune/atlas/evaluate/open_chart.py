@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.branches.arc_sequence import arc_sequence_from
-from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.borders import Borders
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart
 from perilune.atlas.branches.schema import sheets_of, widths_of
 from perilune.atlas.evaluate.polish import Polished, Polisher
@@ -24,7 +25,8 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics
 from perilune.shooting.parameter_scan import ExtremalRoot
 from perilune.shooting.shooting_function import Root
-from perilune.structures.multiphase import renumber_restated, sums_of
+from perilune.structures.multiphase import renumber_restated
+from perilune.structures.part_durations import sums_of
 from perilune.structures.split_join import join_solution
 from perilune.structures.structure import margins
 

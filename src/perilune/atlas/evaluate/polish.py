@@ -20,8 +20,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.branches.borders import Borders
 from perilune.atlas.branches.bound_status import SLACK, conjunction
-from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart, orientation
 from perilune.atlas.evaluate.midpoint_march import MarchedMargins
 from perilune.atlas.evaluate.reintegrate import BoundReintegration, ChartReintegration, ReintegratedExtremals

@@ -25,26 +25,28 @@ from perilune.atlas.evaluate.reintegrate import SLACK
 from perilune.atlas.grid.bound_crossing import Crossings
 from perilune.atlas.grid.nodes import FINEST, Lattice, accept_cells, path_amid
 from perilune.atlas.hermite import binary_digits
-from perilune.atlas.store.cells import (
+from perilune.atlas.store.cell_coverage import (
     ANSWERING,
+    Extremal,
+    arrays_of,
+    cells_reproduce,
+    covered_by_branches,
+    ending_layers,
+    torn_edges,
+)
+from perilune.atlas.store.cells import (
     WHOLE,
     Cells,
     Cut,
-    Extremal,
     Nodes,
     Status,
     Whole,
-    arrays_of,
-    cells_reproduce,
     clearly_below,
     concatenate_cells,
-    covered_by_branches,
-    ending_layers,
     leaves_of,
     same_unknowns,
     select_cells,
     shortest_ending_edge,
-    torn_edges,
 )
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch, ignore_events

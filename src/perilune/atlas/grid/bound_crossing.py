@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.borders import Borders
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart, Extremals
 from perilune.atlas.grid.nodes import Lattice
 from perilune.atlas.hermite import binary_digits

@@ -14,12 +14,14 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.borders import Borders
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart, Extremals, Holds
 from perilune.atlas.branches.continuation import follow_sheets
 from perilune.atlas.evaluate.reintegrate import ChartReintegration
 from perilune.atlas.hermite import binary_digits, interpolated, scaled_third_derivatives
-from perilune.atlas.store.cells import WHOLE, Cells, Cut, Extremal, Nodes, Whole, found_in_branches, select_cells
+from perilune.atlas.store.cell_coverage import Extremal, found_in_branches
+from perilune.atlas.store.cells import WHOLE, Cells, Cut, Nodes, Whole, select_cells
 from perilune.core.arrays import Matrix, Vector
 
 _SEEN = ("residual", "path", "minimum", "drift")  # of independent re-integrations: columns of nodes

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.branch import Borders
+from perilune.atlas.branches.borders import Borders
 from perilune.atlas.branches.continuation import Lanes
 from perilune.atlas.evaluate.open_chart import OpenChart
 from perilune.atlas.evaluate.reintegrate import SLACK

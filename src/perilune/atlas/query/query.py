@@ -17,7 +17,8 @@ import numpy as np
 
 from perilune.atlas.evaluate.midpoint_march import MarchedMargins
 from perilune.atlas.query.answer import Mapped, Query
-from perilune.atlas.query.batch import Answers, answer_points, clearly_worse, equal_cost
+from perilune.atlas.query.batch import answer_points
+from perilune.atlas.query.batch_answers import Answers, clearly_worse, equal_cost
 from perilune.atlas.query.candidates import Candidate, candidates_in_doubt, dominates_known
 from perilune.atlas.query.minimum_search import KnownExtremals
 from perilune.atlas.query.reader import SERVING, AtlasReader, are_possible_answers

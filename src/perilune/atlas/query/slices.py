@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.query.batch import Answered, Answers
+from perilune.atlas.query.batch_answers import Answered, Answers
 from perilune.atlas.query.query import Atlas
 from perilune.atlas.query.reader import SERVING
 from perilune.atlas.region import Axis

@@ -18,13 +18,21 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.atlas.store.checksums import CHECKSUM, FORMAT, end_line, sealed_header, with_checksum
+from perilune.atlas.store.file_errors import (
+    damaged_shard_error,
+    unreadable_file_error,
+    unusable_atlas_error,
+    unwritable_atlas_error,
+)
+from perilune.atlas.store.file_locks import locked_file
 from perilune.atlas.store.manifest import (
     damage_text,
     is_cut_off,
@@ -40,15 +48,8 @@ from perilune.io.atomic_files import finite, json_text, refuse_name_of_file
 from perilune.io.format import LARGEST_FILE
 from perilune.io.json_checks import tree
 
-try:
-    import fcntl
-except ImportError:  # Windows: two builders may compute the same block there
-    fcntl = None
-
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
-FORMAT: dict[str, str | int] = {"name": "perilune-atlas", "version": 6}
 PATIENCE = 0.2  # seconds between looks at what another builder does
-CHECKSUM = "sha256"  # of all else in the header
 _OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
 _ANEW = "build the atlas anew: perilune atlas build ... --force"
 
@@ -84,9 +85,9 @@ class AtlasStore:
             there = (self.directory / HEADER).exists()
             if (header is None or not there) and not all(is_atlas_file(path.name) for path in self.directory.iterdir()):
                 got = "an atlas and other files" if there else "files, and no atlas"
-                raise _unusable_atlas(self.directory, got, "a new or empty directory")
+                raise unusable_atlas_error(self.directory, got, "a new or empty directory")
         except OSError as error:
-            raise _unusable_atlas(self.directory, str(error.strerror), "a directory that you may write") from error
+            raise unusable_atlas_error(self.directory, str(error.strerror), "a directory that you may write") from error
         if header is None or not there:
             return
         said, found = json.loads(json.dumps(finite(dict(header)))), self.header()
@@ -95,12 +96,12 @@ class AtlasStore:
             got, advice = f"an atlas of other {', '.join(differs)}", "choose another directory"
             if differs == ["axes"]:
                 advice = f"perilune atlas extend makes ranges wider, and completes what was made so; or {advice}"
-            raise _unusable_atlas(self.directory, got, "the same atlas", advice)
+            raise unusable_atlas_error(self.directory, got, "the same atlas", advice)
 
     def begin(self, header: Mapping[str, Any]) -> None:
         """Write the header, unless another builder did; arguments and errors of `prepare`."""
         if not (self.directory / HEADER).exists():
-            self._put(HEADER, json_text(_sealed_header(header)).encode())
+            self._put(HEADER, json_text(sealed_header(header)).encode())
         self.prepare(header)
 
     def leave(self) -> None:
@@ -167,7 +168,7 @@ class AtlasStore:
         except FileNotFoundError:
             return []
         except OSError as error:
-            raise _unreadable_atlas_file(MANIFEST, error) from error
+            raise unreadable_file_error(MANIFEST, error) from error
         whole = content[: content.rfind(b"\n") + 1]
         self._read += len(whole)
         for line in whole.splitlines():
@@ -272,7 +273,7 @@ class AtlasStore:
             finally:
                 os.close(handle)
         except OSError as error:
-            raise _unwritable_atlas(MANIFEST, error) from error
+            raise unwritable_atlas_error(MANIFEST, error) from error
 
     def write_lines(self, lines: Iterable[Mapping[str, Any]]) -> None:
         """Write the whole manifest at once, in place of an existing one."""
@@ -312,42 +313,23 @@ class AtlasStore:
         name = str(said.get("file"))
         path = self.directory / name
         if not _OURS.fullmatch(name):
-            raise _damaged_atlas(name[:60], "no name of a shard")
+            raise damaged_shard_error(name[:60], "no name of a shard")
         try:
             altered = check and hashlib.sha256(path.read_bytes()).hexdigest() != said.get("sha256")
             found = None if altered else np.load(path, mmap_mode="r", allow_pickle=False)
         except PermissionError as error:
-            raise _unreadable_atlas_file(name, error) from error
+            raise unreadable_file_error(name, error) from error
         except (OSError, ValueError, EOFError) as error:
-            raise _damaged_atlas(name, str(error)[:80]) from error
+            raise damaged_shard_error(name, str(error)[:80]) from error
         if found is None:
-            raise _damaged_atlas(name, "another content than its checksum says")
+            raise damaged_shard_error(name, "another content than its checksum says")
         if found.dtype != dtype or found.ndim != 1 or len(found) != said.get("rows"):
-            raise _damaged_atlas(name, f"{found.dtype} {found.shape}"[:80])
+            raise damaged_shard_error(name, f"{found.dtype} {found.shape}"[:80])
         return found
 
-    @contextlib.contextmanager
-    def claimed(self, name: str) -> Iterator[bool]:
-        """Lock a block; yields False if another process has it. A process that dies releases its lock."""
-        if fcntl is None:
-            yield True
-            return
-        file = self.directory / f".claim-{name}"
-        try:
-            handle = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
-        except OSError as error:
-            raise _unwritable_atlas(file.name, error) from error
-        _claims.add(handle)
-        try:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                ours = file.stat().st_ino == os.fstat(handle).st_ino  # else its former holder has removed it
-            except OSError:
-                ours = False
-            yield ours
-        finally:
-            _claims.discard(handle)
-            os.close(handle)
+    def claimed(self, name: str) -> contextlib.AbstractContextManager[bool]:
+        """Lock a brick for the block; it has False if another process holds the brick."""
+        return locked_file(self.directory / f".claim-{name}")
 
     def settled(self, name: str) -> None:
         """Remove the file by which a block was claimed; another process finds the finished block."""
@@ -373,46 +355,7 @@ class AtlasStore:
         except OSError as error:
             with contextlib.suppress(OSError):
                 temporary.unlink()
-            raise _unwritable_atlas(name, error) from error
-
-
-_claims = set[int]()  # files by which this process holds what it computes
-
-
-def _release_inherited_locks() -> None:
-    """Release inherited locks in a forked worker, which may outlive its builder."""
-    for handle in _claims:
-        os.close(handle)
-    _claims.clear()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_release_inherited_locks)
-
-
-def digest_of(said: Any) -> str:
-    """Return the SHA-256 of a tree as JSON with sorted keys."""
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
-
-
-def end_line(survey: Mapping[str, Any], bricks: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the line by which a builder states that these are all blocks, so that a lost line shows."""
-    return {"kind": "end", "survey": survey["digest"], "bricks": len({line["name"] for line in bricks})}
-
-
-def with_checksum(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a header with the checksum of its content."""
-    said = {name: value for name, value in header.items() if name != CHECKSUM}
-    return {**said, CHECKSUM: digest_of(said)}
-
-
-def seal_of(header: Mapping[str, Any]) -> str:
-    """Return the checksum that a header will have."""
-    return _sealed_header(header)[CHECKSUM]
-
-
-def _sealed_header(header: Mapping[str, Any]) -> dict[str, Any]:
-    return with_checksum({"format": FORMAT, **finite(dict(header))})
+            raise unwritable_atlas_error(name, error) from error
 
 
 def clear_atlas(directory: Path) -> None:
@@ -426,32 +369,3 @@ def clear_atlas(directory: Path) -> None:
 def is_atlas_file(name: str) -> bool:
     """Return True if a file of this name belongs to an atlas."""
     return name in (HEADER, MANIFEST) or name.startswith((".claim-", ".writing-")) or bool(_OURS.fullmatch(name))
-
-
-def _unusable_atlas(place: Path, got: str, expected: str, advice: str = "choose another directory") -> PeriluneError:
-    return PeriluneError(f"this atlas cannot be used: {place}", got=got, expected=expected, advice=advice)
-
-
-def _unwritable_atlas(name: str, error: OSError) -> PeriluneError:
-    helps = "look at its rights" if isinstance(error, PermissionError) or error.errno == errno.EROFS else "make space"
-    return PeriluneError(
-        "the atlas cannot be written", got=f"{name}: {error.strerror}",
-        expected="a directory that you may write, with space left",
-        advice=f"what is there is kept: {helps}, and give the same order again (atlas build: with --resume)",
-    )  # fmt: skip
-
-
-def _unreadable_atlas_file(name: str, error: OSError) -> PeriluneError:
-    return PeriluneError(
-        f"a file of the atlas cannot be read: {name}", got=str(error.strerror), expected="a file that you may read",
-        advice="look at its rights",
-    )  # fmt: skip
-
-
-def _damaged_atlas(name: str, got: str) -> PeriluneError:
-    again = "the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again"
-    if name.startswith("survey-"):  # without its line it is unknown where branches are
-        again = "remove its line from manifest.jsonl, and give the order that built it again: atlas build ... --resume"
-    return PeriluneError(
-        f"a shard of the atlas is damaged: {name}", got=got, expected="the file as it was written", advice=again
-    )

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.borders import Borders
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart
 from perilune.atlas.evaluate.open_chart import OpenChart
 from perilune.atlas.region import Region

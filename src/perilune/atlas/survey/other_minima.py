@@ -10,7 +10,8 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.branch import Borders, Sheet
+from perilune.atlas.branches.borders import Borders
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart, Holds
 from perilune.atlas.branches.continuation import MOST, Lanes, StraightContinuation, line_places
 from perilune.atlas.evaluate.open_chart import OpenChart

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from perilune.atlas.branches.arc_sequence import ArcSequence
-from perilune.atlas.branches.branch import Borders, Sheet, held_at
+from perilune.atlas.branches.borders import Borders, held_at
+from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart, Extremals
 from perilune.atlas.branches.continuation import (
     MOST,
@@ -26,14 +25,20 @@ from perilune.atlas.branches.continuation import (
     follow_sheets,
     walks_from_one_extremal,
 )
-from perilune.atlas.branches.schema import seed_type
 from perilune.atlas.evaluate.reintegrate import ChartReintegration
-from perilune.atlas.grid.bound_crossing import continuing_sheets
 from perilune.atlas.region import Region
 from perilune.atlas.store.cells import WHOLE, same_unknowns
 from perilune.atlas.survey.folds import around_folds, classify_behind_folds
 from perilune.atlas.survey.initial_solves import RegionSolver, SolvedPoint, scanned_names, scanned_points
 from perilune.atlas.survey.other_minima import minima_around, other_minima
+from perilune.atlas.survey.surveyed_chart import (
+    InteriorSeed,
+    SurveyedChart,
+    chart_entry,
+    merge_surveyed_chart,
+    with_expected_branches,
+    with_minimum_found,
+)
 from perilune.conditions.pontryagin import attainable_conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
@@ -46,45 +51,6 @@ _MOST_SHEETS = 64  # of a chart, in addition to those on which answers of solves
 _AROUND = 4  # walks of a branch that are followed around the folds at which they ended
 _BESIDE = 3  # corners from which it is tried whether an extremal lies on a branch
 _AGAIN, _ROUNDING = 16, 1e-13  # extremals near one, and how far, relative, that are on its side of folds
-
-
-@dataclass(frozen=True, kw_only=True)
-class SurveyedChart:
-    """Chart of the region with its branches, and the corners that they reach.
-
-    Attributes
-    ----------
-    sheets
-        Branches in the order in which they were found.
-    y
-        Unknowns of each at the corners of blocks, NaN where it does not reach, (branches, corners, n).
-    times
-        Multiples of steps in their independent re-integrations
-        (`perilune.atlas.evaluate.reintegrate.ChartReintegration`).
-    widths
-        Widths of the `Chart` [SI].
-    small
-        Extremals of branches that reach no corner.
-    """
-
-    chart: Chart
-    borders: Borders
-    sheets: tuple[Sheet, ...]
-    y: NDArray[np.float64]
-    widths: Vector
-    times: tuple[int, ...] = ()
-    small: tuple[InteriorSeed, ...] = ()
-
-
-@dataclass(frozen=True)
-class InteriorSeed:
-    """Extremal inside a block: its branch, the block and place in its lattice, parameters there, and unknowns."""
-
-    sheet: int
-    brick: tuple[int, ...]
-    place: NDArray[np.int64]
-    values: Vector
-    y: Vector
 
 
 @dataclass
@@ -150,7 +116,7 @@ class Survey:
             found = self._with_wells(found, corners)
         if not found.sheets:
             return found
-        found = _with_expected_sheets(found, corners / chart.scale)
+        found = with_expected_branches(found, corners / chart.scale)
         at = np.nonzero(np.isfinite(found.y[:, :, 0]))
         values = np.vstack([corners[at[1]] / chart.scale, *(one.values for one in found.small)])
         y = chart.whole(values, np.vstack([found.y[at], *(one.y for one in found.small)]))
@@ -223,7 +189,7 @@ class Survey:
                 sheet = replace(sheet, nature=Nature.WORST)
             number = self._known(known, sheet, corners / chart.scale, values, start.y[0])
             if number is not None:
-                known = _with_minimum_found(known, number, sheet)
+                known = with_minimum_found(known, number, sheet)
             else:
                 told_by_solve = sheet.nature is not Nature.UNPROVED
                 if not told_by_solve:
@@ -236,7 +202,11 @@ class Survey:
                     continue
                 count = np.isfinite(y[:, 0]).sum()
                 self.watch(f"{sheet.label}: at {count} corners of bricks")
-                known = _merge_sheet(known, sheet, y) if count else self._with_small(known, sheet, values, start.y[0])
+                known = (
+                    merge_surveyed_chart(known, sheet, y)
+                    if count
+                    else self._with_small(known, sheet, values, start.y[0])
+                )
                 # Two that reach no corner, on both sides of a fold, would lead to one another for ever.
                 around += behind if count or told_by_solve else []
         return known
@@ -350,60 +320,3 @@ def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
     choice = found.roots.choice[again]
     beside = chart.told_of(found.values[again], chart.shooting.at(chart.whole(found.values[again], y), chart.p, choice))
     return bool((beside.orientation != found.orientation[0]).any())
-
-
-def _with_minimum_found(known: SurveyedChart, number: int, sheet: Sheet) -> SurveyedChart:
-    """Return the chart with one of its branches marked as a minimum, if that was not known."""
-    if known.sheets[number].minimum or not sheet.minimum or sheet.nature is Nature.UNPROVED:
-        return known
-    sheets = list(known.sheets)
-    sheets[number] = replace(sheets[number], nature=sheet.nature)
-    return replace(known, sheets=tuple(sheets))
-
-
-def _merge_sheet(known: SurveyedChart, sheet: Sheet, y: Matrix) -> SurveyedChart:
-    """Return the chart with a branch at corners, (corners, n), added.
-
-    With one extremal in common it is a known branch. If it differs from that elsewhere, as around a cusp, the others
-    are kept as those of another branch.
-    """
-    for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
-        if other.alike(sheet):
-            if (common := same_unknowns(y, there)).any():
-                known = _with_minimum_found(replace(known, y=known.y.copy()), number, sheet)
-                known.y[number] = np.where(np.isfinite(there), there, y)
-                y = np.where((common | ~np.isfinite(there[:, 0]))[:, None], np.nan, y)
-    if not np.isfinite(y[:, 0]).any():
-        return known
-    return replace(known, sheets=(*known.sheets, sheet), y=np.concatenate([known.y, y[None]]))
-
-
-def _with_expected_sheets(known: SurveyedChart, corners: Matrix) -> SurveyedChart:
-    """Add the branches that would continue known ones across bounds; blocks find if there are any."""
-    sheets, small = list(known.sheets), {one.sheet: (one.values, one.y) for one in known.small}
-    for number, (sheet, y) in enumerate(zip(known.sheets, known.y, strict=True)):
-        first = int(np.isfinite(y[:, 0]).argmax())
-        at = small.get(number, (corners[first], y[first]))
-        for other in continuing_sheets(known.borders, sheet, *at) if sheet.minimum else ():
-            if not any(one.minimum and one.alike(other) for one in sheets):
-                sheets.append(other)
-    none = np.full((len(sheets) - len(known.sheets), *known.y.shape[1:]), np.nan)
-    return replace(known, sheets=tuple(sheets), y=np.concatenate([known.y, none]))
-
-
-def chart_entry(found: SurveyedChart) -> dict[str, Any]:
-    """Return the entry of a chart in a survey's line."""
-    sheets = [{"holds": dict(s.holds), "orientation": s.orientation, "nature": s.nature.name} for s in found.sheets]
-    said = {"widths": found.widths.tolist(), "times": list(found.times), "unknowns": found.y.shape[2]}
-    return {**found.chart.course.document(), **said, "sheets": sheets}
-
-
-def seed_rows(places: NDArray[np.int64], found: SurveyedChart) -> NDArray[Any]:
-    """Return the shard of branches at corners of blocks, and of branches that reach none."""
-    sheet, corner = np.nonzero(np.isfinite(found.y[:, :, 0]))
-    rows = np.zeros(len(sheet) + len(found.small), dtype=seed_type(places.shape[1], found.y.shape[2]))
-    first = rows[: len(sheet)]
-    first["sheet"], first["corner"], first["y"] = sheet, places[corner], found.y[sheet, corner]
-    for row, one in zip(rows[len(sheet) :], found.small, strict=True):
-        row["sheet"], row["corner"], row["place"], row["y"] = one.sheet, one.brick, one.place, one.y
-    return rows

@@ -34,12 +34,14 @@ from perilune.core.arrays import Batch, Matrix, Vector
 from perilune.core.errors import Outcome
 from perilune.core.maths import NUMERIC
 from perilune.methods.indirect.export_arcs import propagate_in_one_piece
-from perilune.methods.indirect.unknowns import assemble_trajectories, free_values, scaled_end_multipliers
+from perilune.methods.indirect.exported_phases import assemble_trajectories
+from perilune.methods.indirect.unknowns import free_values, scaled_end_multipliers
 from perilune.problem.casadi_trace import canonical_given, free_scales, state_scales
 from perilune.problem.controls import control_scales
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Variable
 from perilune.shooting.propagate import arc_engine, reduced_equations
 

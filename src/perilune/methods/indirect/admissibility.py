@@ -13,14 +13,16 @@ from perilune.conditions.pontryagin import Conditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import NotConvergedError
 from perilune.methods.indirect.export_arcs import PropagatedPhase, propagate_for_export, propagate_in_one_piece
-from perilune.methods.indirect.unknowns import free_values, minimising_controls, objective_scale
+from perilune.methods.indirect.exported_phases import minimising_controls
+from perilune.methods.indirect.unknowns import free_values, objective_scale
 from perilune.methods.indirect.violations import ConstraintViolation, bound_violations, violations_along
 from perilune.problem.casadi_trace import state_scales
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
 from perilune.shooting.shooting_function import Root
-from perilune.structures.detect_arcs import CLOSEST, refine_minima
+from perilune.structures.detect_arcs import CLOSEST
+from perilune.structures.state_margins import refine_minima
 
 _POINTS = 201  # of a phase, at which its conditions are looked at first, in addition to its switches
 _BEFORE = 1e-9  # of the phase: how long before a switch

@@ -19,8 +19,9 @@ from perilune.problem.display.quantity_names import objective_text
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.variables import Variable
-from perilune.structures.detect_arcs import find_contacts, state_conditions
+from perilune.structures.detect_arcs import find_contacts
 from perilune.structures.detect_regimes import stays_between_bounds
+from perilune.structures.state_margins import state_conditions
 
 _SEGMENTS = 8  # of a phase; of several phases together at first
 _FOLLOWED = 1e-3  # relative mesh error up to which a mesh has followed a flight, and a finer one shows no other

@@ -12,15 +12,12 @@ from perilune.core.arrays import Vector
 from perilune.core.errors import Outcome
 from perilune.core.lazy import Deferred
 from perilune.methods.indirect.export_arcs import PropagatedStates, propagate_for_export
-from perilune.methods.indirect.unknowns import (
-    assemble_trajectories,
-    free_values,
-    objective_scale,
-    scaled_end_multipliers,
-)
+from perilune.methods.indirect.exported_phases import assemble_trajectories
+from perilune.methods.indirect.unknowns import free_values, objective_scale, scaled_end_multipliers
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Solution, Statistics, Trajectory
+from perilune.problem.results.solution import Solution, Statistics
+from perilune.problem.results.trajectory import Trajectory
 from perilune.shooting.parameter_scan import ExtremalRoot, same_vector
 from perilune.shooting.shooting_function import Root
 

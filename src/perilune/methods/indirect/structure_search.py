@@ -45,15 +45,23 @@ from perilune.problem.results.solution import Solution
 from perilune.structures.chattering_boundary import find_chattering_arc
 from perilune.structures.detect_arcs import (
     CLOSEST,
-    EXACTLY,
     NEAR,
-    POINTS,
     Contact,
     arcs_of,
-    broken_intervals,
     detect_own_structures,
     detect_structures,
     find_contacts,
+)
+from perilune.structures.detect_regimes import stays_between_bounds, stays_of
+from perilune.structures.multiphase import refuse_unstated_ends, renumber_restated, restate
+from perilune.structures.multiplier_signs import paying_intervals
+from perilune.structures.part_durations import part_name
+from perilune.structures.revise_regimes import revised_stays
+from perilune.structures.split_join import JoinedTrajectories, join_solution, split_solution, structure_with_times
+from perilune.structures.state_margins import (
+    EXACTLY,
+    POINTS,
+    broken_intervals,
     is_constant_condition,
     margin_along,
     margin_at,
@@ -61,10 +69,6 @@ from perilune.structures.detect_arcs import (
     refine_minima,
     state_conditions,
 )
-from perilune.structures.detect_regimes import revised_stays, stays_between_bounds, stays_of
-from perilune.structures.multiphase import part_name, refuse_unstated_ends, renumber_restated, restate
-from perilune.structures.multiplier_signs import paying_intervals
-from perilune.structures.split_join import JoinedTrajectories, join_solution, split_solution, structure_with_times
 from perilune.structures.structure import Condition, Structure, conditions_of, margins
 
 ATTEMPTS, MOST_ARCS = 6, 12

@@ -17,8 +17,8 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.shooting.newton import FINEST
 from perilune.shooting.shooting_function import Root
-from perilune.structures.detect_regimes import PAIR
-from perilune.structures.multiphase import part_durations
+from perilune.structures.part_durations import part_durations
+from perilune.structures.revise_regimes import PAIR
 from perilune.structures.structure import Structure
 
 _LONGEST = 2.0  # times as long as a pair is tried

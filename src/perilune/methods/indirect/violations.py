@@ -16,7 +16,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.variables import Free, Variable
-from perilune.structures.detect_arcs import state_conditions
+from perilune.structures.state_margins import state_conditions
 from perilune.structures.structure import Structure, conditions_of, margins, steering_controls
 
 _LOOKS = 201  # times of a phase, in addition to the nodes of its tables

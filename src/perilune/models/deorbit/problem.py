@@ -9,14 +9,11 @@ below it. `flight_time` counts from ignition; a coast before it has a time of it
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import cache, partial
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
-import numpy as np
-
 from perilune.core.arrays import Physics
-from perilune.core.errors import PeriluneError
 from perilune.core.units import STANDARD_GRAVITY, Scales
 from perilune.core.validation import check_call, require_records
 from perilune.models.deorbit import (
@@ -27,7 +24,8 @@ from perilune.models.deorbit import (
     outputs as told,
     parachute as parachutes,
 )
-from perilune.models.deorbit.ballistic_fall import entry_end_altitude, fall
+from perilune.models.deorbit.duration_ranges import return_time_ranges
+from perilune.models.deorbit.phases import DURATION_NAMES, continuity_link, entry_link, entry_phase, vacuum_phase
 from perilune.models.deorbit.presolve import compare_return
 from perilune.models.deorbit.records import (
     Aim,
@@ -43,30 +41,15 @@ from perilune.models.deorbit.records import (
     Separation,
     Transition,
     engine_exhaust_speed,
-    least_mass_left,
 )
-from perilune.models.deorbit.site_passes import apsis_radii
 from perilune.models.deorbit.trajectory_atmosphere import rough_air
-from perilune.models.landing.problem import mass_state
-from perilune.models.physics import atmosphere, ellipsoid
+from perilune.models.physics import atmosphere
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.bodies import EARTH, Planet, catalogue_name
-from perilune.models.physics.coast import SHORTEST
-from perilune.models.physics.delta_v_budget import SPENT
-from perilune.models.physics.vehicle import THROTTLE, Throttle
+from perilune.models.physics.vehicle import Throttle
 from perilune.problem.parameters import given_of
-from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
-
-_DURATIONS = {
-    "coast": "coast_time",
-    "burn": "burn_time",
-    "drift": "drift_time",
-    "entry": "entry_time",
-    "parachute": "parachute_time",
-}
-_CONDITIONS = {"altitude": "m", "speed": "m/s", "angle": "rad"}
+from perilune.problem.variables import Free, Given
 
 
 def _total_time(x: Any, p: Any, xp: Any) -> Any:
@@ -101,151 +84,6 @@ def _return_start(p: Any, xp: Any, *, angles: Physics) -> Sequence[Any]:
     angle, node = angles(p, xp)
     position, velocity = orbit.orbit_state(angle, node, p, xp)
     return *position, *velocity, p.vehicle_mass
-
-
-def _next_phase_link(x: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """The next phase begins where one ends."""
-    return tuple(x)
-
-
-def _entry_link(x: Any, p: Any, xp: Any, *, heat: bool, weighed: bool) -> Sequence[Any]:
-    """Return the link into the air: the entering mass, and if counted a heat load of 0 and the whole vehicle's mass."""
-    entering = *tuple(x)[:-1], getattr(p, "separation_mass", x.m)
-    return *entering, *((0.0,) if heat else ()), *((x.m,) if weighed else ())
-
-
-def _interface_conditions(interface: Interface, *, left: str | None) -> tuple[Variable, ...]:
-    found = [Variable(name="interface_altitude", unit="m")]
-    for name in ("speed", "angle"):
-        fixed, lower, upper = (getattr(interface, f"{name}{ending}") for ending in ("", "_lower", "_upper"))
-        if fixed is None and lower is None and upper is None:
-            continue
-        bounds: dict[str, Any] = {}
-        if lower is not None:
-            bounds["lower"] = f"interface_{name}_lower"
-        if upper is not None:
-            bounds["upper"] = f"interface_{name}_upper"
-        found.append(Variable(name=f"interface_{name}", unit=_CONDITIONS[name], **bounds))
-    if left is not None:
-        found.append(Variable(name="mass_left", unit="kg", lower=left))
-    return tuple(found)
-
-
-def _vacuum_phase(name: str, *, last: bool, interface: Interface, left: str | None, throttled: bool) -> Phase:
-    """A phase between the orbit and the interface, under thrust or without; `left` names what its end must weigh."""
-    burns = name == "burn"
-    outputs = told.PLACED + ((told.PUSHED,) if burns else ())
-    return Phase(
-        name=name,
-        states=(*flight.STATES, mass_state(False)),
-        controls=(flight.STEERING, *((THROTTLE,) if throttled else ())) if burns else (),
-        dynamics=flight.burn_rates if burns else flight.coast_rates,
-        duration=_DURATIONS[name],
-        end=flight.interface_end_values if last else None,
-        end_conditions=_interface_conditions(interface, left=left if throttled else None) if last else (),
-        path=None if name == "coast" else flight.height_above_interface,
-        path_conditions=() if name == "coast" else (Variable(name="height_above_interface", unit="m"),),
-        outputs=told.burn_outputs if burns else told.position_outputs,
-        output_variables=outputs,
-        integrals=told.burn_loss_rates if burns else None,
-        integral_variables=SPENT if burns else (),
-        marks=told.interface_outputs if last else None,
-        mark_variables=told.AT_INTERFACE if last else (),
-        inertial=told.inertial_burn if burns else told.inertial_without_thrust,
-    )
-
-
-def _entry_phase(
-    air: Air, *, bank: str | None, nose: bool, kept: tuple[Variable, ...], placed: bool, limits: Limits, opens: bool
-) -> Phase:
-    names = flight.SITE if placed else flight.SITE[:1]
-    ends = ("height_above_opening",) if opens else names
-    limited = [name for name in flight.LIMITED if getattr(limits, name) is not None]
-    return Phase(
-        name="entry",
-        states=(*flight.STATES, mass_state(False), *kept),
-        controls=() if bank is None else (flight.BANKS[bank],),
-        dynamics=partial(flight.entry_rates, air=air),
-        duration=_DURATIONS["entry"],
-        end=flight.parachute_opening_end if opens else flight.site_arrival,
-        end_conditions=(
-            *(Variable(name=name, unit="m") for name in ends),
-            Variable(name="opening_speed" if opens else "landing_speed", unit="m/s", upper="site_speed_upper"),
-        ),
-        marks=told.opening_outputs if opens else None,
-        mark_variables=told.AT_OPENING if opens else (),
-        path=partial(flight.entry_path_margins, air=air) if limited else flight.depth_below_interface,
-        path_conditions=(
-            _IN_THE_AIR,
-            *(_limit_variable(name, limits) for name in limited),
-        ),
-        outputs=partial(told.entry_outputs, air=air),
-        output_variables=(*told.PLACED, *told.FELT, *((told.HEATED,) if nose else ())),
-        integrals=partial(told.heat_load_rate, air=air) if nose else None,
-        integral_variables=(told.HEAT_LOAD,) if nose else (),
-        inertial=told.inertial_without_thrust,
-    )
-
-
-_LEVEL = 1e-12  # rad, of an orbit above the equator
-_IN_THE_AIR = Variable(
-    name="depth_below_interface", unit="m", description="negative where the entry leaves the air again"
-)
-_PARTS = 20  # of a limit: so many g0, the unit of a load, are a hard entry, and its touch is as well told
-
-
-def _limit_variable(name: str, limits: Limits) -> Variable:
-    """Return the variable of a limit's margin, with a scale of its own where mass and radius give a poor one."""
-    own = float(getattr(limits, name)) / _PARTS if name in ("heat_rate", "dynamic_pressure") else None
-    return Variable(name=f"{name}_left", unit=flight.LIMITED[name], scale=own)
-
-
-def _return_ranges(
-    p: Any, xp: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
-) -> dict[str, tuple[float, float, Callable[[], float]]]:
-    """Bounds and orders of magnitude of the times; refuses a manoeuvre where the orbit never comes."""
-    checks.refuse_below_centre(p.interface_altitude if air is None else entry_end_altitude(p), p.body_radius)
-    highest = math.asin(math.sin(p.orbit_inclination))
-    low, _ = apsis_radii(p)
-    low = xp.fmax(low, p.body_radius)  # what is lower is refused as such
-    if hasattr(p, "manoeuvre_latitude") and not highest > _LEVEL:
-        raise PeriluneError(
-            "an orbit above the equator has no ascending and no descending side", got="orbit.inclination = "
-            f"{math.degrees(p.orbit_inclination):g} deg, and a [manoeuvre] on a pass",
-            expected="orbit.node_longitude and orbit.argument_of_latitude in place of [manoeuvre]",
-            advice="or another orbit.inclination",
-        )  # fmt: skip
-    reaches = not hasattr(p, "manoeuvre_latitude")
-    if not reaches and abs(ellipsoid.geocentric(p.manoeuvre_latitude, low, p, xp)) < highest:
-        with np.errstate(invalid="ignore"):  # higher up on an ellipse it may be beyond after all
-            reaches = bool(np.isfinite(angles(p, xp)[0]))
-    if not reaches:
-        raise PeriluneError(
-            "the orbit never comes to the latitude of the manoeuvre",
-            got=f"{math.degrees(p.manoeuvre_latitude):g} deg",
-            expected=f"less than {math.degrees(highest):g} deg, which the inclination allows",
-            advice="a lower manoeuvre.latitude, or another orbit.inclination",
-        )
-    burnt = (p.vehicle_mass - least_mass_left(p)) * times.engine_exhaust_speed(p) / p.vehicle_thrust
-    if hasattr(p, "throttle_lower"):
-        burnt = burnt / p.throttle_lower if p.throttle_lower > 0 else math.inf
-    longest = {"burn_time": burnt}
-    if coasts := "coast" in names:
-        longest["coast_time"] = getattr(p, "orbit_longest_coast", math.inf)
-    if drifts := "drift" in names:
-        longest["drift_time"] = getattr(p, "transition_longest_coast", math.inf)
-    if air is not None:
-        longest["entry_time"] = 10 * fall(p, air).time
-        if hasattr(p, "parachute_altitude"):
-            longest["parachute_time"] = 10 * parachutes.typical_parachute_time(p, air)
-    least = {"coast_time": SHORTEST, "drift_time": SHORTEST}
-    inside = {"coast_time": 0.98}  # of its longest: by how late it begins a flight knows its site
-    typical = cache(partial(times.typical_times, p, angles, air, coasts=coasts, drifts=drifts))
-
-    def likely(name: str) -> float:
-        return min(typical()[name], inside.get(name, 0.9) * longest[name])
-
-    return {name: (least.get(name, 0.0), most, partial(likely, name)) for name, most in longest.items()}
 
 
 @check_call
@@ -341,7 +179,7 @@ def deorbit_entry(
     weighed = throttle is not None and separation is not None
     kept = flight.extra_entry_states(heat=heat, weighed=weighed)
     phases = [
-        _vacuum_phase(name, last=name == above[-1], interface=interface, left=left, throttled=throttle is not None)
+        vacuum_phase(name, last=name == above[-1], interface=interface, left=left, throttled=throttle is not None)
         for name in above
     ]  # fmt: skip
     if flown is not None and site is not None:
@@ -349,11 +187,11 @@ def deorbit_entry(
         bank = (vehicle.bank or "free") if lifts else None
         bound = limits or Limits()
         opens = parachute is not None
-        phases.append(_entry_phase(flown, bank=bank, nose=nose, kept=kept, placed=placed, limits=bound, opens=opens))
+        phases.append(entry_phase(flown, bank=bank, nose=nose, kept=kept, placed=placed, limits=bound, opens=opens))
         if parachute is not None:
             phases.append(parachutes.parachute_phase(flown, kept=kept, placed_=placed))
-    enter = partial(_entry_link, heat=heat, weighed=weighed)
-    links = [{"entry": enter, "parachute": parachutes.parachute_link}.get(name, _next_phase_link) for name in names[1:]]
+    enter = partial(entry_link, heat=heat, weighed=weighed)
+    links = [{"entry": enter, "parachute": parachutes.parachute_link}.get(name, continuity_link) for name in names[1:]]
     told_results = partial(told.return_results, names=names)
     if parachute is not None and flown is not None:
         told_results = partial(parachutes.parachute_results, names=names, air=flown)
@@ -366,7 +204,7 @@ def deorbit_entry(
         links=tuple(links),
         start=partial(_return_start, angles=angles),
         given=given,
-        free=tuple(Free(name=_DURATIONS[name], unit="s") for name in names),
+        free=tuple(Free(name=DURATION_NAMES[name], unit="s") for name in names),
         objective=objective,
         objective_unit=objective_unit,
         objective_scale=_objective_size_for_time(objective_unit, time),
@@ -380,7 +218,7 @@ def deorbit_entry(
         preflight=partial(
             compare_return, angles=angles, air=flown, drifts="drift" in names, standard=_is_the_earth(body)
         ),
-        ranges=partial(_return_ranges, angles=angles, air=flown, names=names),
+        ranges=partial(return_time_ranges, angles=angles, air=flown, names=names),
         rough_flight=partial(times.rough_trajectory, angles=angles, air=flown, names=names, heat=heat),
         scales=Scales(length=float(body.radius), time=time, mass=float(vehicle.mass)),
     )

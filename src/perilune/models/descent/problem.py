@@ -23,8 +23,10 @@ from perilune.core.fields import quantity, record, span, text_field
 from perilune.core.maths import NUMERIC, comparison_fails
 from perilune.core.units import Scales
 from perilune.core.validation import check_call, require_records
-from perilune.models.descent.coordinates import AXIS, CARTESIAN, OUTPUTS, SPHERICAL, steered_path, variables_of_unit
+from perilune.models.descent.cartesian import CARTESIAN, steered_path
+from perilune.models.descent.coordinates import AXIS, OUTPUTS, variables_of_unit
 from perilune.models.descent.rough_landing import rough_landing
+from perilune.models.descent.spherical import SPHERICAL
 from perilune.models.landing.problem import mass_state
 from perilune.models.physics.bodies import MOON, Body, catalogue_name, with_j2
 from perilune.models.physics.coast import COAST_TIME, FREE, LONGEST, at_ignition, coast_range, with_coast

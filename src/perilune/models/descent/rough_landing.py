@@ -20,7 +20,8 @@ from perilune.models.descent.two_impulses import landing_start_of, two_impulses
 from perilune.models.physics.delta_v_bounds import exhaust_speed, greatest_thrust
 from perilune.problem.initial_guess import guess
 from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Curve, Solution
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve
 from perilune.structures.structure import Arc, Structure
 
 if TYPE_CHECKING:

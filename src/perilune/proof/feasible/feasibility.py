@@ -19,8 +19,9 @@ from perilune.core.maths import NUMERIC
 from perilune.problem.controls import control_slices
 from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Check
+from perilune.proof.feasible.deviations import MOST_GROWTH
 from perilune.proof.feasible.phase_data import PhaseData, end_slopes, free_size, objective_slope, slopes_at
-from perilune.proof.feasible.repropagate import MOST_GROWTH, Reintegration, smooth_pieces
+from perilune.proof.feasible.repropagate import Reintegration, smooth_pieces
 from perilune.proof.feasible.sample_points import (
     ENDS,
     cubic_turning_points,

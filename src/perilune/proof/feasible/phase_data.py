@@ -16,29 +16,23 @@ from perilune.problem.controls import control_scales, normalised
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.magnitudes import BEYOND, ROUNDS, STILL, reached_sizes, supported_scale, supported_unit
-from perilune.problem.results.solution import Curve, Solution, Trajectory
+from perilune.problem.results.solution import Solution
+from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Free, Variable
 from perilune.proof.feasible.mixed_constraints import ON_BOUND, MixedConstraints
+from perilune.proof.feasible.piece_refinement import halve_until_settled
 from perilune.proof.feasible.sample_points import (
     BLOCK,
-    IN_HALVES,
     POINTS,
     WEIGHTS,
     Pieces,
     Sampled,
     Slopes,
-    interpolating_cubics,
-    polynomial,
     slopes_joined,
     time_just_before,
 )
 from perilune.proof.feasible.switching_surfaces import GuardCrossing, Guarded
 
-# Halves of a piece may differ from the whole by so much, scaled, before they are looked at apart; by how much they
-# still do is no error that is forgotten, but part of every difference that is reported.
-_SETTLED = 1e-13
-_BENT = 1e-10  # rates times the width of a piece, scaled: how far they may be from a cubic
-_HALVINGS, _MOST_OPEN = 60, 4000
 _SAMPLES = 16  # nodes at which conditions are asked how the states round in them
 _TRIED = 100  # of the pieces: whether a condition depends on the control
 
@@ -311,31 +305,11 @@ class PhaseData:
         halves, added up, scaled, (rows,).
         """
         pieces = Pieces.between([self.cut.left, self.crossed], self.duration)
-        parts = [self._settled(pieces[k : k + BLOCK]) for k in range(0, len(pieces), BLOCK)]
+        parts = [halve_until_settled(self.slopes, pieces[k : k + BLOCK]) for k in range(0, len(pieces), BLOCK)]
         found = Pieces.joined([piece for part in parts for piece in part[0]])
         slopes = slopes_joined([rates for part in parts for rates in part[1]])
         order = np.argsort(found.left, kind="stable")
         return found[order], slopes[order], np.sum([part[2] for part in parts], axis=0)
-
-    def _settled(self, pieces: Pieces) -> tuple[list[Pieces], list[Slopes], Vector]:
-        own, found, slopes, still = self.slopes(pieces), [], [], np.zeros(())
-        for left in range(_HALVINGS, -1, -1):
-            finer = self.slopes(halves := pieces.halves)
-            whole, parts = (s.rows() @ WEIGHTS * p.width for s, p in ((own, pieces), (finer, halves)))
-            difference = np.abs(whole - parts.reshape(*whole.shape, 2).sum(axis=-1))
-            # What vanishes at the points, and integrates to nothing over either half, shows at those of the halves.
-            bent = polynomial(interpolating_cubics(own.rows())[:, :, None], IN_HALVES) - finer.rows().reshape(
-                *whole.shape, 8
-            )
-            again = (difference > _SETTLED).any(axis=0) | (np.abs(bent).max(axis=2) * pieces.width > _BENT).any(axis=0)
-            again &= (left > 0) & (len(pieces) < _MOST_OPEN)
-            found.append(pieces[~again])
-            slopes.append(own[~again])
-            still = still + difference[:, ~again].sum(axis=1)
-            if not again.any():
-                break
-            pieces, own = halves[np.repeat(again, 2)], finer[np.repeat(again, 2)]
-        return found, slopes, still
 
     @cached_property
     def sampled(self) -> Sampled:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
-from perilune.problem.results.solution import Curve
+from perilune.problem.results.trajectory import Curve
 
 
 def _collocation_rule(count: int) -> tuple[Vector, Vector, Matrix]:

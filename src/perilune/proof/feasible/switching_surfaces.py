@@ -24,7 +24,7 @@ from perilune.core.arrays import Matrix, Vector
 from perilune.core.complex_step import complex_step_jacobian
 from perilune.problem.controls import normalised
 from perilune.problem.phase import Phase
-from perilune.problem.results.solution import Trajectory
+from perilune.problem.results.trajectory import Trajectory
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.sample_points import (
     ENDS,

@@ -35,9 +35,10 @@ from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.constraint_activity import LEAST, table_edges
 from perilune.proof.necessary.first_order import STATIONARY_LIMIT, phase_end_multipliers
 from perilune.proof.necessary.minimum_principle import on_bounds
-from perilune.structures.detect_arcs import POINTS, Contact, arcs_of
+from perilune.structures.detect_arcs import Contact, arcs_of
 from perilune.structures.multiphase import restate
 from perilune.structures.split_join import split_solution
+from perilune.structures.state_margins import POINTS
 from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds, steering_controls
 
 _ON = 1e-7  # of what a condition goes through: it is active

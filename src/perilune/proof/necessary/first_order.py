@@ -33,6 +33,7 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.variables import Free
 from perilune.problem.verification import Check
 from perilune.proof.feasible.branch_guards import watched_rates
+from perilune.proof.feasible.deviations import MOST_GROWTH, Deviation, costate_deviation
 from perilune.proof.feasible.numerics import significant_size
 from perilune.proof.feasible.phase_data import (
     PhaseData,
@@ -42,7 +43,7 @@ from perilune.proof.feasible.phase_data import (
     objective_slope,
     slopes_at_end,
 )
-from perilune.proof.feasible.repropagate import MOST_GROWTH, Deviation, Reintegration, costate_deviation
+from perilune.proof.feasible.repropagate import Reintegration
 from perilune.proof.feasible.sample_points import time_just_before
 from perilune.proof.necessary.minimum_principle import HAMILTONIAN_LIMIT, check_minimality, limit_derivatives
 

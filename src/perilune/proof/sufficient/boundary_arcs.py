@@ -54,7 +54,7 @@ from perilune.proof.necessary.contact_points import MET, SIDEWAYS, STRICT
 from perilune.proof.necessary.first_order import phase_end_multipliers, unbounded_parameters
 from perilune.proof.necessary.minimum_principle import control_sizes, hamiltonian_gain, product_of
 from perilune.proof.sufficient.second_variation import KeptConditions
-from perilune.structures.multiphase import sums_of, with_sums
+from perilune.structures.part_durations import sums_of, with_sums
 from perilune.structures.structure import Condition, Structure, conditions_of
 
 _LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried
