@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 from collections.abc import Mapping, Set
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -36,6 +37,8 @@ ROOMS = (
     "cli",
     "__main__",
 )
+# Rooms that are entered by their face only: what `room/__init__.py` lists, so many names at most.
+FACED, MOST_NAMES = ("kernels", "conditions", "methods", "proof", "rigorous"), 15
 FACE = "__init__"  # of the package: it names what is handed on, lazily
 FILES = sorted(SOURCE.rglob("*.py"))
 MATHEMATICS = ROOMS[: ROOMS.index("models")]
@@ -93,6 +96,17 @@ def test_rooms_are_built_upwards(path: Path) -> None:
     assert room in ROOMS, f"{room} has no place: name it in ROOMS and in docs/architecture.md"
     above = {m for m in imported(path) if room_of(m) in ROOMS[ROOMS.index(room) + 1 :]}
     assert not above, f"{module_of(path)} imports from above: {sorted(above)}"
+
+
+@pytest.mark.parametrize("room", FACED)
+def test_a_room_with_a_face_is_entered_by_it(room: str) -> None:
+    """Its own files import one another; all others only what it lists."""
+    names = importlib.import_module(f"perilune.{room}").__all__
+    assert 0 < len(names) <= MOST_NAMES
+    for path in FILES:
+        if room_of(module_of(path)) not in (room, FACE):
+            inner = {m for m in imported(path) if m.startswith(f"{room}.")}
+            assert not inner, f"{module_of(path)} imports {sorted(inner)}"
 
 
 def circle(graph: Mapping[str, Set[str]]) -> list[str]:

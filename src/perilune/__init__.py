@@ -136,10 +136,7 @@ if TYPE_CHECKING:
     from perilune.io.exports.writing import export
     from perilune.io.load import load
     from perilune.io.save import save
-    from perilune.methods.direct.pseudospectral import Pseudospectral
-    from perilune.methods.evolutionary.genetic import Genetic
-    from perilune.methods.evolutionary.hybrid import Hybrid
-    from perilune.methods.indirect.indirect import Indirect
+    from perilune.methods import Genetic, Hybrid, Indirect, Pseudospectral
     from perilune.models.physics.bodies import MOON
     from perilune.problem.controls import Bounded, Direction
     from perilune.problem.display import views

@@ -27,8 +27,7 @@ from perilune.core.validation import (
     require_type,
     wrong_type_error,
 )
-from perilune.methods.indirect.indirect import Indirect
-from perilune.methods.method import Method
+from perilune.methods import Indirect, Method
 from perilune.problem.display.quantity_names import objective_text
 from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.problem.problem import Problem
@@ -42,8 +41,8 @@ TIME_LIMIT = 600.0  # s, where none is stated: the hardest answers take a minute
 SECOND_VARIATION = ("conjugate_point", "second_variation", "nothing_gained")  # checks of level 3
 
 if TYPE_CHECKING:
-    from perilune.methods.direct.pseudospectral import Pseudospectral
-    from perilune.proof.sufficient.sensitivities import Resolve
+    from perilune.methods import Pseudospectral
+    from perilune.proof import Resolve
 
 
 @check_call
@@ -104,7 +103,7 @@ def solve(
             stated = with_budgets(problem, linear=False)
             return _solved_and_proved(method_or_default(method), stated, guess, level, tolerance, work)
         except NotConvergedError as error:
-            from perilune.methods.binding_limit import with_binding_limit
+            from perilune.methods import with_binding_limit
 
             # Of the problem as it came: a limit that is said at the end too gives nowhere alone.
             raise with_binding_limit(problem, error, work) from None
@@ -176,7 +175,7 @@ def _run_method(method: Method, problem: Problem, guess: Solution | None, watch:
     try:
         if not getattr(method, "polish", False):
             return method.run(problem, guess, watch)
-        from perilune.methods.polish import solve_and_polish  # and with it the direct method, and much of SciPy
+        from perilune.methods import solve_and_polish
 
         return solve_and_polish(cast("Pseudospectral", method), problem, guess, watch)
     except NotConvergedError:
@@ -281,7 +280,7 @@ def _keep_confirmed_extremals(solution: Solution) -> tuple[Solution, tuple[str, 
     """Return the solution with the confirmed ones of its listed extremals, and notes on the others."""
     if not solution.listed:
         return solution, ()
-    from perilune.proof.recheck import confirm_listed_extremals
+    from perilune.proof import confirm_listed_extremals
 
     extremals, notes = confirm_listed_extremals(solution, _solve_again)
     return replace(solution, extremals=extremals, listed=()), notes
@@ -311,7 +310,7 @@ def verify(
     watch
         Is told of what takes long.
     """
-    from perilune.proof.levels import examine
+    from perilune.proof import examine
 
     require_type(solution, Solution, "a solution to verify")
     require_callable(resolve, "what solves again")
@@ -339,7 +338,7 @@ def _theorem() -> Callable[[Verification, Solution, Watch | None], Verification]
         If ball arithmetic is not installed.
     """
     try:
-        from perilune.rigorous.verified import add_theorem_checks
+        from perilune.rigorous import add_theorem_checks
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "flint":
             raise

@@ -11,11 +11,10 @@ import numpy as np
 
 from perilune.atlas.query.answer import Mapped
 from perilune.atlas.query.query import Atlas
-from perilune.conditions.canonical_equations import extremal_parameters
+from perilune.conditions import extremal_parameters
 from perilune.core.callbacks import Iteration, Watch, ignore_events
 from perilune.core.errors import CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
-from perilune.methods.indirect.result import Curves
-from perilune.methods.indirect.violations import solution_violations
+from perilune.methods import Curves, solution_violations
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.variables import Given

@@ -7,9 +7,9 @@ solution = atlas.query(vehicle_thrust=440.0)
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from perilune.core.facade import public_names
+from perilune.core.facade import deferred, public_names
 
 if TYPE_CHECKING:
     from perilune.atlas.building.build import build
@@ -21,20 +21,6 @@ if TYPE_CHECKING:
     from perilune.atlas.query.query import Atlas, open_atlas as open
     from perilune.atlas.query.slices import Slice, sliced
 
-_HOME = {
-    "build": ("building.build", "build"),
-    "export": ("building.export", "export"),
-    "extend": ("building.extend", "extend"),
-    "merge": ("building.merge", "merge"),
-    "open": ("query.query", "open_atlas"),
-    "Atlas": ("query.query", "Atlas"),
-    "Mapped": ("query.answer", "Mapped"),
-    "Query": ("query.answer", "Query"),
-    "Answers": ("query.batch_answers", "Answers"),
-    "Answered": ("query.batch_answers", "Answered"),
-    "Slice": ("query.slices", "Slice"),
-    "sliced": ("query.slices", "sliced"),
-}
 __all__ = [
     "Answered",
     "Answers",
@@ -50,15 +36,19 @@ __all__ = [
     "sliced",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Import on first use: opening the package costs nothing."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    module, attribute = _HOME[name]
-    return getattr(import_module(f"{__name__}.{module}"), attribute)
+__getattr__ = deferred(
+    __name__,
+    {
+        "building.build": "build",
+        "building.export": "export",
+        "building.extend": "extend",
+        "building.merge": "merge",
+        "query.query": "open=open_atlas Atlas",
+        "query.answer": "Mapped Query",
+        "query.batch_answers": "Answers Answered",
+        "query.slices": "Slice sliced",
+    },
+)
 
 
 def __dir__() -> list[str]:

@@ -22,10 +22,10 @@ def diagnosis(clear_cache: bool) -> CommandAnswer:
     from importlib.util import find_spec
 
     from perilune.io.save import program_versions
-    from perilune.kernels.code import cache
+    from perilune.kernels import clear_cache as clear, report_cache
 
-    removed = cache.clear_cache() if clear_cache else None
-    kept, compiles = cache.report_cache(), find_spec("llvmlite") is not None
+    removed = clear() if clear_cache else None
+    kept, compiles = report_cache(), find_spec("llvmlite") is not None
     parts = {part: all(map(find_spec, modules)) for part, modules in PARTS.items()}
     document: dict[str, Any] = {
         "versions": program_versions(),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from perilune.core.errors import PeriluneError, unknown_name
 
 if TYPE_CHECKING:
-    from perilune.methods.method import Method
+    from perilune.methods import Method
 
 # What each method can be told; of the hybrid the seed is the search's, the others are the direct method's.
 SETTINGS: dict[str, tuple[str, ...]] = {
@@ -41,15 +41,14 @@ def method_of(name: str, settings: Mapping[str, Any] | None = None) -> Method:
                 advice=having,
             )
     if name == "indirect":
-        from perilune.methods.indirect.indirect import Indirect
+        from perilune.methods import Indirect
 
         return Indirect(**chosen)
-    from perilune.methods.direct.pseudospectral import Pseudospectral
+    from perilune.methods import Pseudospectral
 
     if name == "direct":
         return Pseudospectral(**chosen)
-    from perilune.methods.evolutionary.genetic import Genetic
-    from perilune.methods.evolutionary.hybrid import Hybrid
+    from perilune.methods import Genetic, Hybrid
 
     seed = {key: chosen.pop(key) for key in ("seed",) if key in chosen}
     return Hybrid(Genetic(**seed), Pseudospectral(**chosen))

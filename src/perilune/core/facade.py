@@ -6,13 +6,40 @@ its room imports nothing that draws, and nothing is loaded before it is used.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
 from typing import Any
 
 
 def public_names(public: Iterable[str]) -> list[str]:
     """Return the names that ``dir`` shows of a module: public ones, loaded or not yet, and no other import."""
     return sorted({*public, "__all__", "__doc__"})
+
+
+def deferred(package: str, home: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package whose public names are imported on first use: opening it costs nothing.
+
+    Parameters
+    ----------
+    package
+        Its dotted name.
+    home
+        By submodule, the names that are defined there, separated by blanks; ``public=own`` where the submodule calls it
+        otherwise.
+    """
+    places = dict[str, tuple[str, str]]()
+    for module, names in home.items():
+        for name in names.split():
+            public, _, own = name.partition("=")
+            places[public] = (f"{package}.{module}", own or public)
+
+    def attribute(name: str) -> Any:
+        if name not in places:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module, own = places[name]
+        return getattr(import_module(module), own)
+
+    return attribute
 
 
 def method_function(name: str) -> Callable[..., Any]:

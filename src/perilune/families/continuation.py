@@ -11,8 +11,7 @@ from dataclasses import replace
 
 from perilune.core.arrays import Vector
 from perilune.core.callbacks import Watch
-from perilune.methods.indirect.indirect import Indirect
-from perilune.methods.indirect.search import Search
+from perilune.methods import Indirect, Search
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.shooting.active_set import ActiveSetBounds

@@ -18,8 +18,7 @@ from perilune.core.units import format_quantity
 from perilune.families.continuation import Continuation
 from perilune.families.executors import Call, Submits, report_lost_worker, run_on_executor, run_serially
 from perilune.families.family import FamilyPoint, failed_point
-from perilune.methods.indirect.indirect import Indirect
-from perilune.methods.method import Method
+from perilune.methods import Indirect, Method
 from perilune.problem.display.quantity_names import free_name
 from perilune.problem.presolve import Finding, preflight, refuse_impossible, select_findings
 from perilune.problem.problem import Problem

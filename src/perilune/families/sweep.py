@@ -17,7 +17,7 @@ from perilune.families.executors import Submits
 from perilune.families.family import Family, FamilyPoint, Over, member_values
 from perilune.families.members import Members
 from perilune.families.store import FamilyStore
-from perilune.methods.method import Method
+from perilune.methods import Method
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS

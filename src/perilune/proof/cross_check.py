@@ -24,7 +24,7 @@ import numpy as np
 from perilune.core.callbacks import sign_of_life
 from perilune.core.errors import PeriluneError
 from perilune.core.units import quotient_unit
-from perilune.methods.method import Method
+from perilune.methods import Method
 from perilune.problem.perturbed import fix_free_parameters
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -95,8 +95,7 @@ def check_agreement(
 
 def _default_other_method(solution: Solution) -> Method:
     """The other method where none is named."""
-    from perilune.methods.direct.pseudospectral import Pseudospectral
-    from perilune.methods.indirect.indirect import Indirect
+    from perilune.methods import Indirect, Pseudospectral
 
     # What a file says of its method is not known here; level 3 has asked the indirect one about the neighbours.
     direct = solution.method == "pseudospectral" and not solution.statistics.claimed
@@ -130,7 +129,7 @@ def _without_conditions(phase: Phase, names: Collection[str]) -> Phase:
 
 def _rival_solutions(solution: Solution, other: Method) -> tuple[list[Solution], str]:
     """Answers of the other method, and where there are none the reason."""
-    from perilune.methods.indirect.indirect import Indirect
+    from perilune.methods import Indirect
 
     try:
         first = other.run(solution.problem, solution if isinstance(other, Indirect) else None, sign_of_life)

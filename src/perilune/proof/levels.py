@@ -16,7 +16,7 @@ import numpy as np
 from perilune.core.callbacks import sign_of_life
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import require_level
-from perilune.methods.method import Method
+from perilune.methods import Method
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import Tolerance

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.core.errors import PeriluneError
-from perilune.methods.indirect.indirect import Indirect
+from perilune.methods import Indirect
 from perilune.problem.results.extremal import Extremal, Nature
 from perilune.problem.results.solution import Solution
 from perilune.proof.levels import examine

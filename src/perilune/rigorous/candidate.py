@@ -13,8 +13,7 @@ from flint import arb
 
 from perilune.problem.controls import Bounded, scalars
 from perilune.problem.results.solution import Solution
-from perilune.proof.feasible.phase_data import PhaseData
-from perilune.proof.necessary.terminal_bounds import end_bound_multipliers
+from perilune.proof import PhaseData, end_bound_multipliers
 from perilune.rigorous.boundary_value_problem import ArcPiece, BoundaryProblem, Sides
 from perilune.rigorous.exact_tape import Unsupported
 from perilune.rigorous.taylor import Ball

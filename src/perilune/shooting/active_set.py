@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.problem.problem import Problem

@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.canonical_equations import PhaseExtremal
+from perilune.conditions import PhaseExtremal
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import DenseArc
 from perilune.shooting.propagate import Equations, arc_engine, mode_at, propagate_arc

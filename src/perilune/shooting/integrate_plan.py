@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions
 from perilune.core.arrays import Batch, Matrix, Vector
 from perilune.kernels import LANES, BoundArcs, Engine, Request, compile_map
 from perilune.shooting import newton

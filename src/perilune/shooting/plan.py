@@ -29,7 +29,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import LANES, Engine, Request
 from perilune.shooting.contracting_phases import MOST_STEPS, settling_equations

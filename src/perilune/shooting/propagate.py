@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.canonical_equations import PhaseExtremal
+from perilune.conditions import PhaseExtremal
 from perilune.core.arrays import Vector
 from perilune.kernels import DenseArc, Engine, Event, compile_arcs, prune
 

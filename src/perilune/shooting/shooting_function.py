@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Iteration, Watch
 from perilune.shooting.integrate_plan import fleet, jacobians

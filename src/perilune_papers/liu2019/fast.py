@@ -21,8 +21,7 @@ from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.core.errors import PeriluneError
-from perilune.methods.evolutionary.genetic import Genetic
-from perilune.methods.indirect.neighboring import Nearby
+from perilune.methods import Genetic, Nearby
 from perilune.problem.problem import Problem
 from perilune.solve import solve
 from perilune_papers.liu2019.members import ManoeuvreMember, predict_by_cubic

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from perilune.core.callbacks import Watch
-from perilune.methods.evolutionary.genetic import Genetic
-from perilune.methods.evolutionary.hybrid import Hybrid
-from perilune.methods.indirect.indirect import Indirect
+from perilune.methods import Genetic, Hybrid, Indirect
 from perilune.problem.problem import Problem
 from perilune.solve import solve
 from perilune_papers.liu2019.case import site_fixed, site_free

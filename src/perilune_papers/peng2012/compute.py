@@ -16,10 +16,7 @@ from perilune.core.callbacks import Watch
 from perilune.core.errors import Outcome, PeriluneError
 from perilune.core.maths import NUMERIC
 from perilune.direct.collocation import rule
-from perilune.methods.direct.pseudospectral import Pseudospectral
-from perilune.methods.evolutionary.fitness import ControlFitness
-from perilune.methods.evolutionary.genetic import Genetic
-from perilune.methods.evolutionary.hybrid import Hybrid
+from perilune.methods import ControlFitness, Genetic, Hybrid, Pseudospectral
 from perilune.models.physics.rotating_frame import combine, heading_axes, spherical_coordinates
 from perilune.problem.results.solution import Solution
 from perilune.solve import solve

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from perilune.conditions.active_constraints import Held
-from perilune.conditions.pontryagin import attainable_conditions, derive
+from perilune.conditions import Held, attainable_conditions, derive
 from perilune.core.errors import PeriluneError
-from perilune.methods.indirect.result import Curves
+from perilune.methods import Curves
 from perilune.problem.controls import Bounded
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal

@@ -20,7 +20,7 @@ from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import PeriluneError
 from perilune.core.maths import NUMERIC
 from perilune.kernels import Map, compile_map
-from perilune.methods.indirect.random_costates import SIGNED
+from perilune.methods import SIGNED
 from perilune.problem.casadi_trace import SYMBOLIC, free_scales
 from perilune.shooting.active_set import limits_of
 from perilune.structures.part_durations import sums_of

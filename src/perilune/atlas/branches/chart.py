@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.branches.arc_sequence import PLAIN, ArcSequence
 from perilune.atlas.hermite import binary_digits
-from perilune.conditions.canonical_equations import extremal_parameters
-from perilune.conditions.pontryagin import Conditions, derive
+from perilune.conditions import Conditions, derive, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.problem.parametric import parametric_problem, sizes_of
 from perilune.problem.problem import Problem

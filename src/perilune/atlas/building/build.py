@@ -35,7 +35,7 @@ from perilune.families.executors import (
 from perilune.io.load import reread_problem
 from perilune.io.presolve_json import comparisons_document, same_comparisons
 from perilune.io.save import program_versions, stated_problem_document
-from perilune.methods.indirect.indirect import Indirect
+from perilune.methods import Indirect
 from perilune.problem.problem import Problem
 
 TOLERANCE = 1e-9  # relative, to which one step of Newton's method leads from what a cell gives

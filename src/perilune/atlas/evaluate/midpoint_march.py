@@ -20,8 +20,7 @@ import numpy as np
 from perilune.atlas.branches.bound_status import SLACK, conjunction
 from perilune.atlas.evaluate import midpoint_march as singular
 from perilune.atlas.evaluate.multiplier_signs import NOTHING, ChartBoundaryArcs
-from perilune.conditions.canonical_equations import PhaseExtremal, hamiltonian_at, limit_symbols
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions, PhaseExtremal, hamiltonian_at, limit_symbols
 from perilune.problem.casadi_trace import SYMBOLIC, column, elements, trace_parameters
 from perilune.problem.controls import Bounded, Settled, control_slices, scalars
 from perilune.problem.phase import Phase

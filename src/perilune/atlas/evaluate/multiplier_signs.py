@@ -24,9 +24,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.atlas.branches.chart import Chart
-from perilune.conditions.canonical_equations import PhaseExtremal, minimising_control_at
-from perilune.conditions.mode_events import select_by_mode
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions, PhaseExtremal, minimising_control_at, select_by_mode
 from perilune.problem.casadi_trace import (
     SYMBOLIC,
     Parameters,

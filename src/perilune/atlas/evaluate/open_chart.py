@@ -18,8 +18,7 @@ from perilune.atlas.evaluate.polish import Polished, Polisher
 from perilune.atlas.evaluate.reintegrate import ChartReintegration
 from perilune.atlas.region import Region
 from perilune.core.arrays import Matrix, Vector
-from perilune.methods.indirect.indirect import Indirect
-from perilune.methods.indirect.result import compose_solution
+from perilune.methods import Indirect, compose_solution
 from perilune.problem.casadi_trace import free_scales
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics

@@ -32,7 +32,7 @@ from perilune.atlas.evaluate.midpoint_march import (
     step_settling,
 )
 from perilune.atlas.evaluate.multiplier_signs import ChartBoundaryArcs
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import Map, compile_map
 from perilune.shooting.newton import Lanes

@@ -28,7 +28,7 @@ from perilune.core.errors import PeriluneError
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Statistics
-from perilune.proof.sufficient.second_order import check_local_optimality
+from perilune.proof import check_local_optimality
 from perilune.shooting.parameter_scan import ExtremalRoot
 
 _FIRST, _LONGEST, _SHORTEST = 0.01, 0.1, 1e-6  # steps, in lengths of (y / (1 + |y|), s)

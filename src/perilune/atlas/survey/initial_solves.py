@@ -26,8 +26,7 @@ from perilune.atlas.survey.other_minima import HeldFamilies
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.core.errors import PeriluneError
-from perilune.methods.indirect.indirect import Indirect
-from perilune.methods.indirect.search import Search
+from perilune.methods import Indirect, Search
 from perilune.problem.display.quantity_names import free_name
 from perilune.problem.perturbed import narrow_free_parameters
 from perilune.problem.presolve import preflight, refuse_impossible

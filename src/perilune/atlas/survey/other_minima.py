@@ -17,7 +17,7 @@ from perilune.atlas.branches.continuation import MOST, Lanes, StraightContinuati
 from perilune.atlas.evaluate.open_chart import OpenChart
 from perilune.atlas.evaluate.reintegrate import SLACK
 from perilune.core.arrays import Matrix, Vector
-from perilune.methods.indirect.random_costates import SIGNED
+from perilune.methods import SIGNED
 from perilune.problem.results.extremal import Nature
 from perilune.structures.structure import margins
 

@@ -39,11 +39,11 @@ from perilune.atlas.survey.surveyed_chart import (
     with_expected_branches,
     with_minimum_found,
 )
-from perilune.conditions.pontryagin import attainable_conditions
+from perilune.conditions import attainable_conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.core.errors import PeriluneError
-from perilune.methods.indirect.indirect import Indirect
+from perilune.methods import Indirect
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal, Nature
 

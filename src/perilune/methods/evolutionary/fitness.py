@@ -28,8 +28,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.canonical_equations import extremal_parameters
-from perilune.conditions.pontryagin import derive
+from perilune.conditions import derive, extremal_parameters
 from perilune.core.arrays import Batch, Matrix, Vector
 from perilune.core.errors import Outcome
 from perilune.core.maths import NUMERIC

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.conditions.canonical_equations import PhaseExtremal
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions, PhaseExtremal
 from perilune.core.arrays import Vector
 from perilune.core.errors import NotConvergedError
 from perilune.methods.indirect.export_arcs import PropagatedPhase, propagate_for_export, propagate_in_one_piece

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import BEST_MISSES, InfeasibleError, NotConvergedError, PeriluneError
 from perilune.core.maths import NUMERIC

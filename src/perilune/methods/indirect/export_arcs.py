@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions.canonical_equations import extremal_parameters
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import NotConvergedError
 from perilune.kernels import DenseArc

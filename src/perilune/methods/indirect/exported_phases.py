@@ -11,8 +11,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.canonical_equations import PhaseExtremal, extremal_parameters
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions, PhaseExtremal, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.methods.indirect.export_arcs import PropagatedPhase
 from perilune.methods.indirect.unknowns import free_values, objective_scale

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import PeriluneError
 from perilune.methods.indirect.duration_continuation import FinalTimeContinuation

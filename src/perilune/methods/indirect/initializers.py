@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from perilune.conditions.active_constraints import Held
+from perilune.conditions import Held
 from perilune.core.arrays import Matrix
 from perilune.core.errors import InfeasibleError
 from perilune.methods.indirect.coarse_direct import Coarse

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from perilune.conditions.canonical_equations import extremal_parameters
+from perilune.conditions import extremal_parameters
 from perilune.core.arrays import Matrix
 from perilune.core.errors import PeriluneError, unknown_name
 from perilune.core.maths import NUMERIC

@@ -7,9 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from perilune.conditions.active_constraints import Held
-from perilune.conditions.canonical_equations import extremal_parameters
-from perilune.conditions.pontryagin import Conditions, derive
+from perilune.conditions import Conditions, Held, derive, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Iteration, Watch
 from perilune.methods.indirect.unknowns import joints_from_solution

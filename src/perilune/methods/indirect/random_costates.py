@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.conditions.canonical_equations import extremal_parameters
+from perilune.conditions import extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.settings import SearchSettings

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import Outcome
 from perilune.core.lazy import Deferred

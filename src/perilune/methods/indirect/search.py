@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.conditions.active_constraints import Held
-from perilune.conditions.pontryagin import attainable_conditions
+from perilune.conditions import Held, attainable_conditions
 from perilune.core.arrays import Vector
 from perilune.core.callbacks import Watch
 from perilune.core.errors import NotConvergedError, PeriluneError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions import Conditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import PeriluneError
 from perilune.problem.casadi_trace import canonical_free, free_scales, state_scales
