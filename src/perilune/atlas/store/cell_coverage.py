@@ -1,4 +1,4 @@
-"""Which extremals the cells of a brick reproduce, and where its sheets are torn or end."""
+"""Coverage of extremals by the cells of a block (brick), and where its sheets are torn or end."""
 
 from __future__ import annotations
 
