@@ -132,7 +132,7 @@ def test_sensitivities_are_exact(chart: Chart) -> None:
     problem = cho_landing()
     best = solve(problem, level=0)
     values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
-    y = chart.told(np.array(best.extremals[0].unknowns))[None]
+    y = chart.from_problem_unknowns(np.array(best.extremals[0].unknowns))[None]
     nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
     here = chart.solve(values, y, nothing)
     assert here.converged[0] and here.cost[0] * problem.objective_size == pytest.approx(best.objective, rel=1e-12)
@@ -156,7 +156,7 @@ def test_a_parameter_far_from_its_canonical_unit_is_told_by_its_share_of_a_size(
     for width in (1e-7 * problem.given[names[0]].value, problem.given[names[0]].value):
         chart = Chart(problem, names, np.array([width, 300.0]))
         values = np.array([[problem.given[name].value for name in names]]) / chart.scale
-        y = chart.told(np.array(best.extremals[0].unknowns))[None]
+        y = chart.from_problem_unknowns(np.array(best.extremals[0].unknowns))[None]
         here = chart.solve(values, y, Holds(np.zeros(2 * chart.shooting.plan.held)))
         assert here.converged[0]
         slopes.append(here.cost_slopes[0] / chart.scale)
@@ -169,15 +169,15 @@ def test_a_second_flight_ends_where_the_first_does_and_sees_what_is_wrong(chart:
     best = solve(problem, level=0)
     values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
     nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
-    here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
+    here = chart.solve(values, chart.from_problem_unknowns(np.array(best.extremals[0].unknowns))[None], nothing)
     again = ChartReintegration(chart)
     good = again(here.roots.y, chart.p[None], here.roots.choice)
-    assert good.seen.good[0] and good.seen.residual[0] < 1e-11 and good.seen.drift[0] < 1e-12
-    assert good.seen.cost[0] == pytest.approx(here.cost[0], rel=1e-11)
+    assert good.margins.good[0] and good.margins.residual[0] < 1e-11 and good.margins.drift[0] < 1e-12
+    assert good.margins.cost[0] == pytest.approx(here.cost[0], rel=1e-11)
     for place in chart.active:  # every unknown matters
         wrong = here.roots.y.copy()
         wrong[0, place] += 1e-6 * (1 + abs(wrong[0, place]))
-        assert not again(wrong, chart.p[None], here.roots.choice).seen.good[0]
+        assert not again(wrong, chart.p[None], here.roots.choice).margins.good[0]
 
 
 def precision(**more: float) -> Problem:
@@ -195,11 +195,11 @@ def test_a_second_flight_goes_over_switches_and_sees_a_broken_path() -> None:
     again = ChartReintegration(chart)
     for slope, kept in ((problem.given["corridor_slope"].value, True), (np.radians(30.0), False)):
         values[0, 1] = slope
-        here = chart.solve(values, chart.told(np.array(best.extremals[0].unknowns))[None], nothing)
+        here = chart.solve(values, chart.from_problem_unknowns(np.array(best.extremals[0].unknowns))[None], nothing)
         flown = again(here.roots.y, chart.p[None], here.roots.choice)
-        assert flown.seen.residual[0] < 1e-10 and flown.seen.minimum[0] > -1e-9
+        assert flown.margins.residual[0] < 1e-10 and flown.margins.minimum[0] > -1e-9
         assert [modes for _, _, modes in flown.arcs] == [(1, 0, 1)]  # full, least, full thrust
-        assert bool(flown.seen.path[0] >= -1e-9) is kept
+        assert bool(flown.margins.path[0] >= -1e-9) is kept
 
 
 # -- answers ----------------------------------------------------------------------------------------------------------
@@ -224,11 +224,11 @@ def test_one_lane_is_polished_as_it_is_among_many_and_stays_as_it_was_found(atla
     together = charted.polish(values, which, guess)
     alone = [charted.polish(values[i : i + 1], which[:1], guess[i : i + 1]) for i in range(12)]
     assert 0 < together.reached.sum() < 12
-    for name in ("y", "choice", "course", "told", "passed", "slopes", "reached"):
+    for name in ("y", "choice", "course", "verdicts", "passed", "slopes", "reached"):
         np.testing.assert_array_equal(
             np.vstack([getattr(one, name) for one in alone]).squeeze(), np.vstack(getattr(together, name)).squeeze()
         )
-    np.testing.assert_array_equal(np.vstack([one.flown.shown for one in alone]), together.flown.shown)
+    np.testing.assert_array_equal(np.vstack([one.reintegrated.shown for one in alone]), together.reintegrated.shown)
 
 
 def test_where_newton_stops_near_an_extremal_it_goes_on_from_there(
@@ -242,7 +242,10 @@ def test_where_newton_stops_near_an_extremal_it_goes_on_from_there(
     assert charted.polish(values, which, guess * 1.03).reached.sum() < far.reached.sum() == 8
     np.testing.assert_array_equal(far.reached, near.reached)
     np.testing.assert_allclose(far.y[far.reached], near.y[near.reached], rtol=1e-9, atol=1e-9)
-    assert far.steps[far.reached].sum() > near.steps[near.reached].sum() and (far.away[far.reached] > 0.005).all()
+    assert (
+        far.steps[far.reached].sum() > near.steps[near.reached].sum()
+        and (far.relative_error[far.reached] > 0.005).all()
+    )
 
 
 def test_the_answer_jumps_where_the_retro_burn_stops_paying(atlas: Atlas) -> None:

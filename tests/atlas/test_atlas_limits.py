@@ -107,7 +107,7 @@ def test_values_and_derivatives_move_with_every_bound_that_is_held() -> None:
     borders = Borders(chart)
     known = pl.solve(haul(True)).unknowns
     assert known is not None
-    found = chart.solve(values, chart.told(np.array(known))[None].repeat(2, axis=0), holds(values))
+    found = chart.solve(values, chart.from_problem_unknowns(np.array(known))[None].repeat(2, axis=0), holds(values))
     terms = chart.terms(found, holds)
     assert found.converged.all()
     high, patience, longest = values.T

@@ -124,17 +124,17 @@ def test_who_meets_or_leaves_what_is_ridden_at_another_time_is_no_answer(
     value = problem.given[name].value
     chart = Chart(problem, [name], np.array([0.1 * value]), course)
     again, held = ChartReintegration(chart), chart.shooting.plan.held
-    y, values = chart.told(np.array(extremals[0].unknowns))[None], np.array([[value]]) / chart.scale
+    y, values = chart.from_problem_unknowns(np.array(extremals[0].unknowns))[None], np.array([[value]]) / chart.scale
     here = chart.solve(values, y, Holds(_nothing(chart)))
     flown = again(here.roots.y, chart.p[None], here.roots.choice)
-    assert flown.seen.good[0] and flown.seen.pays[0] >= 0
+    assert flown.margins.good[0] and flown.margins.least_multiplier[0] >= 0
     holds = _nothing(chart)
     at = chart.free.free_names.index(f"T-{arc + 1}")
     holds[0, at], holds[0, held + at] = 1.0, here.roots.y[0, chart.conditions.free_at][at] + later
     moved = chart.solve(values, here.y, Holds(holds), limit=40)
     assert moved.converged[0]
     flown = again(moved.roots.y, chart.p[None], moved.roots.choice)
-    assert not flown.seen.good[0] or flown.seen.pays[0] < -SLACK
+    assert not flown.margins.good[0] or flown.margins.least_multiplier[0] < -SLACK
 
 
 def test_behind_a_fold_nothing_is_mapped_that_flies_an_arc_backwards_everywhere() -> None:
@@ -147,7 +147,7 @@ def test_behind_a_fold_nothing_is_mapped_that_flies_an_arc_backwards_everywhere(
     course, extremals = arc_sequence_of(Indirect().answer(search), search.answering.keep)
     chart = Chart(problem, ["ceiling"], np.array([0.1]), course)
     y, values = (
-        chart.told(np.array(extremals[0].unknowns))[None],
+        chart.from_problem_unknowns(np.array(extremals[0].unknowns))[None],
         np.array([[0.12], [0.16], [0.18], [0.3]]) / chart.scale,
     )
     nothing, found = _nothing(chart), [y]
@@ -306,11 +306,11 @@ def test_a_singular_control_that_is_the_worst_is_told() -> None:
         search = Search(Indirect(), nearest_to_zero(), ignore_events)
         course, extremals = arc_sequence_of(Indirect().answer(search), search.answering.keep)
         chart = Chart(problem, ["start"], np.array([0.1]), course)
-        y = chart.told(np.array(extremals[0].unknowns))[None]
+        y = chart.from_problem_unknowns(np.array(extremals[0].unknowns))[None]
         flown = ChartReintegration(chart)(
             chart.whole(np.array([[1.0]]) / chart.scale, y), chart.p[None], _nothing(chart)
         )
-        assert bool(flown.seen.pays[0] > 0) is (way > 0)
+        assert bool(flown.margins.least_multiplier[0] > 0) is (way > 0)
 
 
 def _nothing(chart: Chart) -> Matrix:

@@ -75,7 +75,7 @@ def test_a_merge_keeps_the_proofs_of_nodes_whose_bricks_it_takes(built: Path, tm
     kept = [one.values for one in own if one.values != (450.0,)] + [one.values for one in others]
     assert sorted(one.values for one in sample.kept) == sorted(kept) and len(kept) >= 3
     told = f"{len(kept)} of {len(kept)} drawn of the atlases that were merged proved to level 3"
-    assert told in sample.told(atlas)
+    assert told in sample.describe(atlas)
     lost = 1 + len(before) - len(kept)
     assert any(
         note.startswith(f"{lost} of the proofs of the merged atlases are dropped") for note in atlas.survey["notes"]
@@ -158,7 +158,7 @@ def test_places_that_a_query_refuses_are_counted_and_said(
     build(cho_landing(), THRUST, copy, sample=4)
     assert [line["refused"] for line in proofs(copy)] == [0, 1]
     atlas = open_atlas(copy)
-    assert "of 5 places that were drawn 1 are refused" in "\n".join(sample_of(atlas).told(atlas))
+    assert "of 5 places that were drawn 1 are refused" in "\n".join(sample_of(atlas).describe(atlas))
 
 
 def test_what_is_not_proved_is_said(

@@ -433,8 +433,8 @@ def test_an_answer_beside_what_breaks_the_path_is_not_followed(region: Path, mon
 
     expected = [solve(site_fixed().with_given(**dict(zip(AXES, p, strict=True))), level=0).objective for p in points]
     ways = list[int]()
-    way = MinimumSearch._way
-    monkeypatch.setattr(MinimumSearch, "_way", lambda *args: (ways.append(1), way(*args))[1])
+    way = MinimumSearch._best_along_lines
+    monkeypatch.setattr(MinimumSearch, "_best_along_lines", lambda *args: (ways.append(1), way(*args))[1])
     assert asked() == pytest.approx(expected, rel=1e-10)
     assert not ways
     monkeypatch.setattr(descending, "_BESIDE", -1.0)

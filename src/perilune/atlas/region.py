@@ -67,7 +67,7 @@ class Axis:
         """Return the range in words: ``vehicle.thrust from 430 N to 450 N``."""
         return f"{self.key} from {format_value_range(self.edges, self.unit)}"
 
-    def told(self, value: float) -> str:
+    def format_value(self, value: float) -> str:
         """Format a value of it [SI]."""
         return f"{self.key} {format_quantity(value, self.unit)}"
 
@@ -149,9 +149,9 @@ class Region:
         ]
         return np.column_stack(columns)
 
-    def told(self, values: Iterable[float]) -> str:
+    def format_point(self, values: Iterable[float]) -> str:
         """Format a point [SI]."""
-        return ", ".join(axis.told(value) for axis, value in zip(self.axes, values, strict=True))
+        return ", ".join(axis.format_value(value) for axis, value in zip(self.axes, values, strict=True))
 
     def outside(self, values: Sequence[float]) -> str | None:
         """Describe the first value of a point that lies outside; None for a point of the region."""
@@ -247,7 +247,7 @@ def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> Non
                 raise PeriluneError(
                     f"the range of {key_of(f.name)} follows from what varies, by a function that an atlas cannot keep",
                     got=f"{format_quantity(f.lower, f.unit)} to {format_quantity(f.upper, f.unit)} where "
-                    f"{region.told(list(at.values()))}",
+                    f"{region.format_point(list(at.values()))}",
                     expected=f"{format_quantity(here.lower, here.unit)} to {format_quantity(here.upper, here.unit)} "
                     f"there, as it is kept",
                     advice="state a range that holds everywhere, and what binds as an end condition whose limit is a "

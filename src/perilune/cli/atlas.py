@@ -200,7 +200,7 @@ def _run_atlas_plot(typed: Namespace) -> CommandAnswer:
     total = len(shown.answers.good)
     lines = [
         f"slice over {' and '.join(axis.key for axis in shown.axes)}"
-        + "".join(f", {axis.told(shown.at[axis.name])}" for axis in atlas.region.axes if axis.name in shown.at),
+        + "".join(f", {axis.format_value(shown.at[axis.name])}" for axis in atlas.region.axes if axis.name in shown.at),
         *(f"  {100 * count / total:5.1f} %  {text}" for text, count in shown.counts.items()),
         f"written to {typed.out}: {', '.join(drawn)}" if drawn else "--out DIR writes its figures",
     ]  # fmt: skip
@@ -269,7 +269,7 @@ def _atlas_description(atlas: Atlas, **more: str) -> CommandAnswer:
     for text in notes:
         print_note(text)
     sample = sample_of(atlas)
-    lines += sample.told(atlas)
+    lines += sample.describe(atlas)
     proofs = {
         "drawn": len(sample.drawn), "proved": sample.proved, "share": sample.share, "thin_nodes": sample.thin_nodes,
         "thin_drawn": len(sample.thin), "kept": len(sample.kept), "refused": sample.refused,

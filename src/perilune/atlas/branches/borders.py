@@ -67,7 +67,7 @@ class Borders:
             for i, c in enumerate(self._ranged, plan.free) if c.name in sums
         ]  # fmt: skip
         self._chosen = chosen if problem.ranges is not None else []
-        self._told = problem.ranges is not None or any(
+        self._vary = problem.ranges is not None or any(
             isinstance(x, str) for c in self._ranged for x in (c.lower, c.upper)
         )
         unknowns = [name for name, _ in chart.conditions.unknowns]
@@ -77,7 +77,7 @@ class Borders:
         """Return lower and upper bounds of what can be held, canonical, (lanes, k) each."""
         chart, given = self.chart, self._given
         lower, upper = self._lower[None].repeat(len(values), axis=0), self._upper[None].repeat(len(values), axis=0)
-        if not self._told:
+        if not self._vary:
             return lower, upper
         if (traced := self._traced) is not None:
             return traced(values, self._numbers)  # pyright: ignore[reportReturnType] - two of them
@@ -97,7 +97,7 @@ class Borders:
 
     def bind(self, values: Matrix) -> tuple[Limits, Callable[[], None]]:
         """Return bounds, and a function that fills them for values of the parameters, which it reads at each call."""
-        if self._told and self._traced is not None:
+        if self._vary and self._traced is not None:
             bound = self._traced.bind(values, self._numbers)
             lower, upper = bound.outputs
             return (lower, upper), bound
@@ -105,7 +105,7 @@ class Borders:
         lower, upper = (bound[None].repeat(len(values), axis=0) for bound in (self._lower, self._upper))
 
         def fill() -> None:
-            if self._told:
+            if self._vary:
                 lower[:], upper[:] = self.at(values)
 
         return (lower, upper), fill

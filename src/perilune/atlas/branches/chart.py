@@ -204,7 +204,7 @@ class Chart:
         """Return the optimality conditions of the problem itself, whose parameters do not vary."""
         return derive(self.problem, self.course.keep)
 
-    def told(self, unknowns: Vector) -> Vector:
+    def from_problem_unknowns(self, unknowns: Vector) -> Vector:
         """Return the unknowns of this chart, given those of the problem itself."""
         named = dict(zip(self.own.unknowns, unknowns, strict=True))
         names = [self.conditions.unknowns[i] for i in self.active]
@@ -224,7 +224,7 @@ class Chart:
         """
         settings = {"limit": 12, "accuracy": FINEST, **settings}
         roots = self.shooting.solve(self.whole(values, y), self.p, self.choice(values, holds), **settings)
-        return self.told_of(values, roots, holds.moves)
+        return self.extremals_from(values, roots, holds.moves)
 
     def at(self, values: Matrix, y: Matrix, holds: Holds) -> Extremals:
         """Evaluate conditions and derivatives at points that need not be roots.
@@ -239,9 +239,9 @@ class Chart:
             Parameters held in addition.
         """
         roots = self.shooting.at(self.whole(values, y), self.p, self.choice(values, holds))
-        return self.told_of(values, roots, holds.moves)
+        return self.extremals_from(values, roots, holds.moves)
 
-    def told_of(self, values: Matrix, roots: Roots, moves: NDArray[np.float64] | None = None) -> Extremals:
+    def extremals_from(self, values: Matrix, roots: Roots, moves: NDArray[np.float64] | None = None) -> Extremals:
         """Return extremals with their derivatives from evaluated points, roots or not.
 
         The slopes of a parameter that moves held values (`Holds`) include the columns and dJ/d(value) of those.

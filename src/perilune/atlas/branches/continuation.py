@@ -112,7 +112,7 @@ class StraightContinuation:
             stride[some] *= np.where(good, 2.0, 0.5)
         return share
 
-    def along(
+    def follow(
         self, targets: Matrix, steps: int, shortest: float
     ) -> tuple[NDArray[np.float64], Matrix, NDArray[np.float64]]:
         """Lead all lanes to other places; return `y`, `cost` and `rises` at all steps, NaN once a lane is lost."""

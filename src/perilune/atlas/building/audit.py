@@ -107,7 +107,7 @@ class Sample:
         """Return the answers that are not proved."""
         return tuple(one for one in (*self.drawn, *self.thin, *self.kept) if not one.proved)
 
-    def told(self, atlas: Atlas) -> list[str]:
+    def describe(self, atlas: Atlas) -> list[str]:
         """Describe the sample in sentences."""
         lines = [proved_text(self.proved, len(self.drawn))] if self.drawn else []
         lines += refused_text(self.refused, len(self.drawn))
@@ -152,7 +152,7 @@ def refused_text(refused: int, drawn: int) -> list[str]:
 
 def unproved_samples_text(atlas: Atlas, one: Certificate) -> str:
     """Describe an answer that is not proved: its point, level and failed checks."""
-    return f"at {atlas.region.told(one.values)}: level {one.level}, not {', '.join(one.failed[:3])}"
+    return f"at {atlas.region.format_point(one.values)}: level {one.level}, not {', '.join(one.failed[:3])}"
 
 
 def numbers_of_thin_nodes(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.int64]:

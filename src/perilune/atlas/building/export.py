@@ -140,7 +140,7 @@ class NodeTable:
             "tolerance": repr(atlas.tolerance),
             "survey": str(atlas.survey.get("digest", "")),
             "sheets": json.dumps(self.sheets),
-            "proofs": "; ".join(sample_of(atlas).told(atlas)),
+            "proofs": "; ".join(sample_of(atlas).describe(atlas)),
             **names,
         }
 

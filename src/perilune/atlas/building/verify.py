@@ -138,5 +138,5 @@ def verify_atlas(
     return AtlasVerification(
         shards=len(shards), damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),
         drawn=len(found), unproved=unproved, ended=ended, refused=len(refused),
-        refusals=tuple(f"at {atlas.region.told(at)}: {why}" for at, why in list(refused.items())[:_TOLD]),
+        refusals=tuple(f"at {atlas.region.format_point(at)}: {why}" for at, why in list(refused.items())[:_TOLD]),
     )  # fmt: skip

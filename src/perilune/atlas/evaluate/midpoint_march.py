@@ -63,7 +63,7 @@ class MarchedMargins(NamedTuple):
     minimum: Any
     drift: Any
     cost: Any
-    pays: Any
+    least_multiplier: Any
     residual: Any
     good: Any
     nearly: Any
@@ -162,7 +162,7 @@ def step_along(rides: ChartBoundaryArcs, k: int, mode: int) -> ca.Function:
         ca.fmin(state[size + 1], minimum),
         ca.fmin(state[size + 2], value),
         ca.fmax(state[size + 3], value),
-        ca.mmin(ca.vertcat(state[size + 4], *rides.pays(k, mode, z, numbers), *bent)),
+        ca.mmin(ca.vertcat(state[size + 4], *rides.arc_multipliers(k, mode, z, numbers), *bent)),
     ]
     out = ca.vertcat(after, *seen)
     return ca.Function("step", [state, numbers, free, h], [ca.cse(out)])
@@ -248,7 +248,7 @@ def _margins_at(
             for limit, named in zip(state.limits(p.record), stated, strict=True)
         )
         room.append((share * x[i] - low, high - share * x[i]))
-    if rides.along[k] or rides.singular(k):  # which may ask for more than there is
+    if rides.boundary_arcs[k] or rides.singular(k):  # which may ask for more than there is
         room += [(u[i] - limits[k][c.name][0], limits[k][c.name][1] - u[i]) for i, c in scalars(phase.controls)]
     finite = [ca.SX(e) for pair in room for e in pair if not (ca.SX(e).is_constant() and not np.isfinite(float(e)))]
     conditions = ca.vertcat(ca.SX(0, 1), path, *finite)
@@ -263,7 +263,7 @@ def _margins_at(
     of_limits = ca.Function(
         "limits", known, [ca.vertcat(ca.SX(0, 1), *(e for pair in limits[k].values() for e in pair))]
     )
-    eta, always = rides.multipliers(k, mode, z, numbers), rides.always(k)
+    eta, always = rides.multipliers(k, mode, z, numbers), rides.held_places(k)
     others = []
     for other in _admissible_controls(phase, control, of_limits(given, free, plain)):
         there, allowed, told = value(where, other, costate, given, free, plain)

@@ -86,7 +86,7 @@ class ChartBoundaryArcs:
         self._arcs = (
             () if structure is None else tuple((k, arc) for k, arcs in enumerate(structure.phases) for arc in arcs)
         )
-        self.along: tuple[tuple[BoundaryArcCondition, ...], ...] = tuple(
+        self.boundary_arcs: tuple[tuple[BoundaryArcCondition, ...], ...] = tuple(
             tuple(self._of(part)) for part in range(len(self.conditions.phases))
         )
 
@@ -137,25 +137,25 @@ class ChartBoundaryArcs:
 
     # -- along an arc -------------------------------------------------------------------------------------------------
 
-    def pays(self, part: int, mode: int, z: ca.SX, numbers: ca.SX) -> list[ca.SX]:
+    def arc_multipliers(self, part: int, mode: int, z: ca.SX, numbers: ca.SX) -> list[ca.SX]:
         """Return the multiplier mu of the condition of each boundary arc, over 1 + |eta|."""
         extremal, found = self.conditions.phases[part], list[ca.SX]()
-        for ride in self.along[part]:
+        for ride in self.boundary_arcs[part]:
             rates = self._eta(extremal, ride, mode, z, numbers)
             found.append((-1) ** ride.order * rates[ride.order] / (1 + ca.fabs(rates[0])))
         return found
 
     def multipliers(self, part: int, mode: int, z: ca.SX, numbers: ca.SX) -> ca.SX:
         """Return eta of all conditions that a phase holds; zero for those that the user states as held."""
-        extremal, rows = self.conditions.phases[part], [ride.row for ride in self.along[part]]
+        extremal, rows = self.conditions.phases[part], [ride.row for ride in self.boundary_arcs[part]]
         found = ca.SX.zeros(len(self.stated.phases[part].held_conditions), 1)
         if rows:
             found[rows] = extremal.multipliers[mode](z, numbers)[rows]
         return found
 
-    def always(self, part: int) -> list[int]:
+    def held_places(self, part: int) -> list[int]:
         """Return the places of the user's held conditions among all that a phase holds."""
-        ridden = {ride.row for ride in self.along[part]}
+        ridden = {ride.row for ride in self.boundary_arcs[part]}
         return [i for i in range(len(self.stated.phases[part].held_conditions)) if i not in ridden]
 
     def _eta(
@@ -210,8 +210,8 @@ class ChartBoundaryArcs:
         """
         least, aside = list[ca.SX](), list[ca.SX]()
         for joint in range(len(ends) + 1):
-            before = self.along[joint - 1] if joint else ()
-            after = self.along[joint] if joint < len(ends) else ()
+            before = self.boundary_arcs[joint - 1] if joint else ()
+            after = self.boundary_arcs[joint] if joint < len(ends) else ()
             if before or after:
                 nu, left = self._jump(joint, y, begins, ends, p)
                 least += [-ca.mmax(nu / (1 + ca.fabs(nu)))] if nu.numel() else []
@@ -229,15 +229,15 @@ class ChartBoundaryArcs:
         n, inner = x_of[0].numel(), not (first or last or joint in self._begins)
         fall, cones = ca.SX.zeros(n, 1), dict[str, ca.SX]()
         if not first:
-            for ride in self.along[joint - 1]:
+            for ride in self.boundary_arcs[joint - 1]:
                 slopes = self._slopes(joint - 1, ride, x_of[0], y, p)
-                fall += self._beside(joint - 1, ride, slopes, ends[joint - 1], p)
+                fall += self._own_costate_terms(joint - 1, ride, slopes, ends[joint - 1], p)
                 cones[ride.name] = slopes[0]
         if not last:
             back = ca.SX.eye(n) if first or inner else self._back(joint, x_of[0], y, p)
-            for ride in self.along[joint]:
+            for ride in self.boundary_arcs[joint]:
                 slopes = [ca.mtimes(back.T, s) for s in self._slopes(joint, ride, x_of[-1], y, p)]
-                fall -= self._beside(joint, ride, slopes, begins[joint], p)
+                fall -= self._own_costate_terms(joint, ride, slopes, begins[joint], p)
                 for name, slope in zip(ride.entered, slopes, strict=False):
                     fall += y[[known for known, _ in self.conditions.unknowns].index(name)] * slope
                 if not inner or ride.name not in cones:
@@ -254,7 +254,9 @@ class ChartBoundaryArcs:
         nu = ca.solve(ca.mtimes(C.T, C), ca.mtimes(C.T, fall))
         return nu, fall - ca.mtimes(C, nu)
 
-    def _beside(self, part: int, ride: BoundaryArcCondition, slopes: Sequence[ca.SX], z: ca.SX, p: ca.SX) -> ca.SX:
+    def _own_costate_terms(
+        self, part: int, ride: BoundaryArcCondition, slopes: Sequence[ca.SX], z: ca.SX, p: ca.SX
+    ) -> ca.SX:
         """Return the terms of the costates of S itself in addition to the others."""
         extremal = self.conditions.phases[part]
         each = [self._eta(extremal, ride, mode, z, p) for mode in range(len(extremal.modes))]
@@ -294,7 +296,7 @@ class ChartBoundaryArcs:
         slopes = ca.jacobian(psi[stated], x).T
         slopes = slopes[:, [j for j in range(slopes.size2()) if not slopes[:, j].is_zero()]]
         free = self._users_free(y)
-        given = self._told(y, p)[0]
+        given = self._given_and_free(y, p)[0]
         names = list(self.stated.given)
         own = given[[names.index(name) for name in self.user.given]]
         slopes = ca.Function("psi", [x, known.given, known.free], [ca.densify(slopes)])(at, own, free)
@@ -311,9 +313,9 @@ class ChartBoundaryArcs:
     ) -> list[ca.SX]:
         """Evaluate expressions in symbols and the parameters of the chart's problem."""
         traced = ca.Function("at", [*symbols, known.given, known.free], list(expressions))
-        return list(traced.call([*values, *self._told(y, p)]))
+        return list(traced.call([*values, *self._given_and_free(y, p)]))
 
-    def _told(self, y: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def _given_and_free(self, y: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the given numbers and the free parameters of the problem of the chart."""
         return p[: len(self.stated.given)], y[self.conditions.free_at]
 

@@ -111,7 +111,7 @@ class OpenChart:
         at[:, : self.chart.shooting.plan.free] = whole[:, self.chart.conditions.free_at]
         return self.borders.short(whole, at, limits)
 
-    def met(self, number: int, values: Matrix, y: Matrix, cost: Vector) -> Vector:
+    def polished_cost(self, number: int, values: Matrix, y: Matrix, cost: Vector) -> Vector:
         """Return J of extremals of a branch, solved by Newton's method from what cells give; `cost` where it fails.
 
         Cells in which extremals break the path are not cut, so what their corners give is rough.
@@ -158,7 +158,7 @@ class OpenChart:
         """Return a polished extremal as a root of the problem itself, in which the axes are given."""
         return Root(
             y=self.own_unknowns(polished.y)[0],
-            residual=polished.flown.seen.residual[:1],
+            residual=polished.reintegrated.margins.residual[:1],
             inverse=np.full((0, 0), np.nan),
             slopes=np.zeros(len(self._free)),
             ranges=np.zeros(0),

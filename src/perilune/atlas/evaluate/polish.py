@@ -70,11 +70,11 @@ class Polished:
     y: Matrix
     choice: Matrix
     course: Matrix
-    told: Matrix
+    verdicts: Matrix
     passed: Matrix
     slopes: Matrix
     reached: NDArray[np.bool_]
-    flown: ReintegratedExtremals
+    reintegrated: ReintegratedExtremals
 
     @property
     def rough(self) -> NDArray[np.int64]:
@@ -84,27 +84,27 @@ class Polished:
         one leaves more.
         """
         stopped = ~self.reached & (self.course[:, _LENGTH] <= _NEAR)
-        missed = np.maximum(self.flown.seen.residual, self.bound) > SLACK
+        missed = np.maximum(self.reintegrated.margins.residual, self.bound) > SLACK
         return np.nonzero(stopped | self.reached & missed)[0]
 
     def put(self, lanes: NDArray[np.int64], by: Polished) -> None:
         """Replace some lanes by others, which begin where they stopped."""
         by.course[:, _STEPS] += self.course[lanes, _STEPS]
-        for name in ("y", "choice", "course", "told", "passed", "slopes", "reached"):
+        for name in ("y", "choice", "course", "verdicts", "passed", "slopes", "reached"):
             getattr(self, name)[lanes] = getattr(by, name)
-        self.flown.replace(lanes, by.flown)
+        self.reintegrated.replace(lanes, by.reintegrated)
 
     def copy(self) -> Polished:
         """In arrays of its own."""
         return Polished(
-            y=self.y.copy(), choice=self.choice.copy(), course=self.course.copy(), told=self.told.copy(),
-            passed=self.passed.copy(), slopes=self.slopes, reached=self.reached, flown=self.flown.copy(),
+            y=self.y.copy(), choice=self.choice.copy(), course=self.course.copy(), verdicts=self.verdicts.copy(),
+            passed=self.passed.copy(), slopes=self.slopes, reached=self.reached, reintegrated=self.reintegrated.copy(),
         )  # fmt: skip
 
     @property
     def cost(self) -> Vector:
         """Return J of the independent re-integration, canonical."""
-        return self.flown.shown[:, _COST]
+        return self.reintegrated.shown[:, _COST]
 
     @property
     def steps(self) -> Vector:
@@ -114,7 +114,7 @@ class Polished:
     @property
     def answers(self) -> NDArray[np.bool_]:
         """Return True for those that keep bounds and path and, integrated independently, meet the end conditions."""
-        return self.told[:, _ANSWERS] > 0.0
+        return self.verdicts[:, _ANSWERS] > 0.0
 
     @property
     def doubtful(self) -> NDArray[np.bool_]:
@@ -122,7 +122,7 @@ class Polished:
 
         They were not reached, or lie within their branch but are not confirmed by their independent re-integrations.
         """
-        return self.told[:, _DOUBTFUL] > 0.0
+        return self.verdicts[:, _DOUBTFUL] > 0.0
 
     @property
     def breaking(self) -> NDArray[np.bool_]:
@@ -130,17 +130,17 @@ class Polished:
 
         A flight that keeps the path may still be better than other branches.
         """
-        return self.told[:, _BREAKING] > 0.0
+        return self.verdicts[:, _BREAKING] > 0.0
 
     @property
     def short(self) -> NDArray[np.bool_]:
         """Return True for those that are extremals but for a negative arc duration."""
-        return self.told[:, _SHORT] > 0.0
+        return self.verdicts[:, _SHORT] > 0.0
 
     @property
     def gains(self) -> NDArray[np.bool_]:
         """Return True for those that can be flown, but gain by leaving an active bound: a better flight exists."""
-        return self.told[:, _GAINS] > 0.0
+        return self.verdicts[:, _GAINS] > 0.0
 
     @property
     def beyond(self) -> NDArray[np.bool_]:
@@ -153,12 +153,12 @@ class Polished:
     @property
     def bound(self) -> Vector:
         """Return the bound on the error of y relative to the extremal, (lanes,)."""
-        return self.told[:, _BOUND]
+        return self.verdicts[:, _BOUND]
 
     @property
-    def away(self) -> Vector:
+    def relative_error(self) -> Vector:
         """Return the relative error of what the cell gave, (lanes,)."""
-        return self.told[:, _AWAY]
+        return self.verdicts[:, _AWAY]
 
 
 class Polisher:
@@ -195,7 +195,7 @@ class Polisher:
             begins, lanes = polished.y[rough][:, active], which[rough]
             polished.put(rough, again := self._polished(values[rough], lanes, begins))
             away = np.linalg.norm(again.y[:, active] - guess[rough], axis=1)
-            polished.told[rough, _AWAY] = away / (1.0 + np.linalg.norm(again.y[:, active], axis=1))
+            polished.verdicts[rough, _AWAY] = away / (1.0 + np.linalg.norm(again.y[:, active], axis=1))
         return polished
 
     def _polished(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
@@ -257,11 +257,11 @@ class Polisher:
         return found
 
     @cached_property
-    def told(self) -> Map:
+    def judgement(self) -> Map:
         """Compile the judgement of lanes by their independent re-integrations and inverse Jacobians.
 
         (y, choice, rows of `ReintegratedExtremals`, J^-1, guess, reached, sides, lower and upper bounds) -> y behind a
-        step of what is left, `Polished.told`, and `Polished.passed`.
+        step of what is left, `Polished.verdicts`, and `Polished.passed`.
         """
         chart, plan, borders, s = self.chart, self.chart.shooting.plan, self.borders, self.borders.symbols
         n = len(plan.active)
@@ -281,7 +281,7 @@ class Polisher:
         at, rises = ca.vertcat(y[free.start : free.stop], ranges), ca.vertcat(rates, -y[self.multipliers])
         s = s._replace(at=at, rises=rises, held=choice[: plan.held], touched=y[borders.touched])
         sound = seen.residual <= _FLOWN
-        paying, kept = seen.pays >= -SLACK, seen.path >= -SLACK
+        paying, kept = seen.least_multiplier >= -SLACK, seen.path >= -SLACK
         inside = ca.logic_and(s.margin >= -SLACK, paying)
         own, outside = ca.logic_and(reached, inside), ca.logic_and(reached, ca.logic_not(inside))
         answers = conjunction(own, seen.good, bound <= SLACK)
@@ -314,9 +314,9 @@ class _BoundPolisher:
         whole, self._inverse = self._advance.outputs[2], row[:, plan.columns.inverse]
         self._reflight = BoundReintegration(own.reflights, whole, p, self._choice, own.reflights.times)
         known = self._inverse, guess, reached, sides, *limits
-        self._told = own.told.bind(whole, self._choice, *self._reflight.rows, *known)
+        self._judgement = own.judgement.bind(whole, self._choice, *self._reflight.rows, *known)
         self._going, self._close = self._advance.outputs[1][:, _GOING], self._advance.outputs[3][:, 0]
-        self._poor, self._varied = self._told.outputs[1][:, _POOR], np.array(chart.varied_at)
+        self._poor, self._varied = self._judgement.outputs[1][:, _POOR], np.array(chart.varied_at)
         self._moves = bool(own.moving.any())
 
     def __call__(self, values: Matrix, which: NDArray[np.int64], guess: Matrix) -> Polished:
@@ -338,18 +338,18 @@ class _BoundPolisher:
         reached = (self._close > 0.0) & (turned == own.orientations[which])
         self._reached[:, 0] = reached
         flown = self._reflight()
-        self._told()
-        mended, told, passed = self._told.outputs
+        self._judgement()
+        mended, told, passed = self._judgement.outputs
         if self._poor.any():  # what it misses says where to
             poor = np.nonzero(self._poor)[0]
             whole[poor] = mended[poor]
             flown.replace(poor, own.reflights.finer(whole[poor], own.chart.p[None], self._choice[poor]))
-            self._told()
+            self._judgement()
         slopes = flown.rates[:, self._varied]
         if self._moves and own.moving[which].any() and (moves := own.borders.moves(self._sides, values)) is not None:
             rises = np.hstack([flown.rates, -whole[:, own.multipliers]])
             slopes = slopes + np.einsum("ldk,lk->ld", moves, rises)
         return Polished(
-            y=whole, choice=self._choice, course=course, told=told, passed=passed, slopes=slopes, reached=reached,
-            flown=flown,
+            y=whole, choice=self._choice, course=course, verdicts=told, passed=passed, slopes=slopes, reached=reached,
+            reintegrated=flown,
         )  # fmt: skip

@@ -76,7 +76,7 @@ class ReintegratedExtremals:
         return self.residuals, self.shown, self.rates, self.ranges
 
     @property
-    def seen(self) -> MarchedMargins:
+    def margins(self) -> MarchedMargins:
         """Return margins and errors, (lanes,) each."""
         return MarchedMargins(*self.shown.T)
 
@@ -91,7 +91,7 @@ class ReintegratedExtremals:
         return np.array([known[text] for text in told], dtype=np.int64)
 
     @property
-    def told(self) -> str:
+    def violation(self) -> str:
         """Describe the largest violation of the first extremal."""
         first = MarchedMargins(*self.shown[0].tolist())
         against = {
@@ -139,12 +139,12 @@ class ChartReintegration:
         self.conditions: Conditions = chart.conditions
         self.times: tuple[int, ...] = tuple(times) or (1,) * len(self.conditions.phases)
         self._idle: dict[tuple[int, ...], list[tuple[tuple[Matrix, Matrix, Matrix], BoundReintegration]]] = {}
-        self._begun: dict[int, Map] = {}
+        self._start_maps: dict[int, Map] = {}
         self._marches: dict[tuple[int, int], Map] = {}
         self._jumps: dict[tuple[int, int], Map] = {}
 
     @cached_property
-    def _rides(self) -> ChartBoundaryArcs:
+    def _boundary_arcs(self) -> ChartBoundaryArcs:
         return ChartBoundaryArcs(self.chart)
 
     @cached_property
@@ -163,19 +163,19 @@ class ChartReintegration:
         choice
             Which free parameters, then ranges, are held, and not chosen, and their values, (lanes, 2 k).
         """
-        return self._flown(y, p, choice, self.times)
+        return self._propagate(y, p, choice, self.times)
 
     def finer(self, y: Matrix, p: Matrix, choice: Matrix) -> ReintegratedExtremals:
         """Integrate again, and by finer steps where violations are as small as coarse steps may cause."""
-        found = self._flown(y, p, choice, self.times)
-        if (poor := np.nonzero(found.seen.nearly)[0]).size:
+        found = self._propagate(y, p, choice, self.times)
+        if (poor := np.nonzero(found.margins.nearly)[0]).size:
             numbers = p if len(p) == 1 else p[poor]
             found.replace(
-                poor, self._flown(y[poor], numbers, choice[poor], tuple(_FINER * times for times in self.times))
+                poor, self._propagate(y[poor], numbers, choice[poor], tuple(_FINER * times for times in self.times))
             )
         return found
 
-    def _flown(self, y: Matrix, p: Matrix, choice: Matrix, times: tuple[int, ...]) -> ReintegratedExtremals:
+    def _propagate(self, y: Matrix, p: Matrix, choice: Matrix, times: tuple[int, ...]) -> ReintegratedExtremals:
         if len(y) != 1:
             return BoundReintegration(self, y, p, choice, times)()
         idle = self._idle.setdefault(times, [])  # of one lane; pop and append are atomic
@@ -219,22 +219,22 @@ class ChartReintegration:
             before = fine
         return tuple(found)
 
-    def begun(self, k: int) -> Map:
+    def start_map(self, k: int) -> Map:
         """Compile `midpoint_march.start_function`."""
-        if k not in self._begun:
-            self._begun[k] = compile_map(start_function(self.conditions, k))
-        return self._begun[k]
+        if k not in self._start_maps:
+            self._start_maps[k] = compile_map(start_function(self.conditions, k))
+        return self._start_maps[k]
 
     @cached_property
     def ended(self) -> Map:
         """Compile `midpoint_march.end_function`."""
-        return compile_map(end_function(self.conditions, self._rides))
+        return compile_map(end_function(self.conditions, self._boundary_arcs))
 
     def march(self, k: int, mode: int) -> Map:
         """Compile `STEPS` steps of a phase in a mode."""
         if (k, mode) not in self._marches:
             step = step_settling if self.conditions.phases[k].settles else step_along
-            self._marches[k, mode] = compile_map(step(self._rides, k, mode), times=STEPS)
+            self._marches[k, mode] = compile_map(step(self._boundary_arcs, k, mode), times=STEPS)
         return self._marches[k, mode]
 
     def over_switches(
@@ -288,8 +288,8 @@ class _MarchedPhase:
         self._own, self._k, self._times = own, k, times
         (y, self._p, _), self._steps = given, np.empty((len(given[0]), 1))
         self._free = y[:, own.conditions.free_at]
-        self._begun = own.begun(k).bind(*given)
-        self._start, self._z, self._duration = self._begun.outputs
+        self._start_map = own.start_map(k).bind(*given)
+        self._start, self._z, self._duration = self._start_map.outputs
         self._switches = bool(own.conditions.phases[k].events)
         self._all: list[Arcs] = [(np.arange(len(y)), (0,))]
         if self._switches:
@@ -300,7 +300,7 @@ class _MarchedPhase:
 
     def __call__(self) -> list[Arcs]:
         """March the phase; return lanes with their sequences of modes."""
-        self._begun()
+        self._start_map()
         if self._switches:
             duration = self._duration[:, 0]
             return self._own.over_switches(self._k, self.state, self._z, duration, self._p, self._free, self._times)

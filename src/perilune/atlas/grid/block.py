@@ -97,7 +97,7 @@ class BrickSubdivision:
         waves = [] if before is None else [before]
         new = self._sown(sheet, place, y, before)
         self.lattice.solved(sheet[new], place[new], y[new], np.full(len(new), np.inf))
-        self._begun(sheet[new], place[new])
+        self._note_interior_starts(sheet[new], place[new])
         self._entered = [(int(sheet[i]), place[i], y[i]) for i in new]
         if not self.nodes.count:  # where the side of a fold is rounding, none may be of its sheet
             return Cut(nodes={}, cells=self.lattice.wholes(np.empty(0, dtype=np.int64)), own=tuple(self.lattice.own))
@@ -117,7 +117,7 @@ class BrickSubdivision:
             if not len(cells):
                 if (branch := self._branched(done)) is not None:
                     waves.append(branch)
-                elif (on := self._gone_on(done)) is not None:
+                elif (on := self._continue_beyond_bounds(done)) is not None:
                     waves, cells = [on[0]], on[1]
                 else:
                     return self._finished(done)
@@ -129,7 +129,7 @@ class BrickSubdivision:
         doubt on answers that are worse.
         """
         status, corners = done.status.copy(), done.corners.copy()
-        status[self._crossings.untold(done)] = Status.ONE_STEP
+        status[self._crossings.unanswered_cells(done)] = Status.ONE_STEP
         for i in np.nonzero(status == Status.TORN)[0].tolist():
             layers = self._ending[done.box(i)] | bool(self._left) | self._given_by_none(done, i)
             status[i] = Status.ENDS if layers.any() else Status.ABSENT
@@ -171,7 +171,7 @@ class BrickSubdivision:
                 taken.append((number, at, row))
         return new
 
-    def _led_to(self) -> bool:
+    def _grow_branches(self) -> bool:
         """Grow branches by waiting extremals to which one leads where it has no node; return True if any grew."""
         which, places, y = arrays_of(self._left)
         waiting = np.ones(len(which), dtype=bool)
@@ -179,11 +179,11 @@ class BrickSubdivision:
             mine = waiting & np.array([sheet.alike(own) for sheet in self.lattice.all_sheets])[which]
             keys = self.lattice.keys(np.array(branch), places)
             lanes = np.nonzero(mine & (self.nodes.numbers(keys) < 0))[0]
-            begin = self.nodes.beside(branch, places[lanes], self.ending)
+            begin = self.nodes.nearest_continuable(branch, places[lanes], self.ending)
             lanes, begin = lanes[begin >= 0], begin[begin >= 0]
             if len(lanes):
-                guess, spread = self.nodes.along_slopes(begin, places[lanes], self.step)
-                led, good = self.lattice.led(np.full(len(lanes), branch), places[lanes], guess, spread)
+                guess, spread = self.nodes.extrapolate(begin, places[lanes], self.step)
+                led, good = self.lattice.solve_near(np.full(len(lanes), branch), places[lanes], guess, spread)
                 lanes = lanes[good & same_unknowns(y[lanes], led.y)]
                 lanes = lanes[np.unique(keys[lanes], return_index=True)[1]]
                 self.lattice.solved(np.full(len(lanes), branch), places[lanes], y[lanes], np.full(len(lanes), np.inf))
@@ -199,14 +199,14 @@ class BrickSubdivision:
         self._left += self._passed_over(done)
         had = self.lattice.had(done, self._left).tolist()
         self._left = [one for one, known in zip(self._left, had, strict=True) if not known]
-        if self._left and self._led_to():
+        if self._left and self._grow_branches():
             return select_cells(done, np.zeros(0, dtype=np.int64))
         if not self._left or len(self.lattice.own) >= self.count + _MOST_BRANCHES:
             return None
         sheet, place, y = self._left.pop(0)
-        return self._begun_with(self.lattice.another_branch(sheet), place[None], y[None])
+        return self._whole_block_cell(self.lattice.another_branch(sheet), place[None], y[None])
 
-    def _begun_with(self, branch: int, place: Whole, y: Matrix) -> Cells:
+    def _whole_block_cell(self, branch: int, place: Whole, y: Matrix) -> Cells:
         """Return the whole block as a cell of a branch that is known only at places inside it."""
         which = np.full(len(place), branch)
         self.lattice.solved(which, place, y, np.full(len(place), np.inf))
@@ -227,23 +227,23 @@ class BrickSubdivision:
 
     # -- across bounds --------------------------------------------------------------------------------------------
 
-    def _begun(self, sheet: Whole, place: Whole) -> None:
+    def _note_interior_starts(self, sheet: Whole, place: Whole) -> None:
         """Note where sheets begin other than at corners."""
         inside = ((place != 0) & (place != WHOLE)).any(axis=1)
         for number in np.unique(sheet[inside]).tolist():
             known = self._inside.get(number, np.empty((0, self.lattice.d), dtype=np.int64))
             self._inside[number] = np.vstack([known, place[inside & (sheet == number)]])
 
-    def _gone_on(self, done: Cells) -> tuple[Cells, Cells] | None:
+    def _continue_beyond_bounds(self, done: Cells) -> tuple[Cells, Cells] | None:
         """Return finished cells and cells to look at, with sheets that continue others across bounds; None without any.
 
         A cell that says that there is no answer of a sheet where there is one is halved.
         """
         first, wrong, count = list[Cells](), [np.empty(0, dtype=np.int64)], len(self._left)
-        for sheet, place, y in self._crossings.met(done):
-            self._begun(np.full(len(place), sheet), place)
+        for sheet, place, y in self._crossings.continuations(done):
+            self._note_interior_starts(np.full(len(place), sheet), place)
             if sheet not in done.branch:
-                first.append(self._begun_with(sheet, place, y))
+                first.append(self._whole_block_cell(sheet, place, y))
                 continue
             self._left += zip([sheet] * len(place), place, y, strict=True)
             for branch in self.lattice.alike(sheet):
@@ -276,8 +276,8 @@ class BrickSubdivision:
         if not len(cell):
             return found
         places, branch = cells.low[cell] + binary_digits(self.lattice.d)[end] * cells.size[cell], cells.branch[cell]
-        led, good = self.lattice.led(
-            branch, places, *self.nodes.along_slopes(cells.corners[cell, begin], places, self.step)
+        led, good = self.lattice.solve_near(
+            branch, places, *self.nodes.extrapolate(cells.corners[cell, begin], places, self.step)
         )
         there = self.nodes.rows("terms", cells.corners[cell, end])[:, 0, :-1]
         differs = good & ~same_unknowns(there, led.y)
@@ -333,7 +333,7 @@ class BrickSubdivision:
                 met |= self.nodes.has(
                     self.lattice.keys(np.array(other), places), y, self.nodes.count if other < own else first
                 )
-            self.nodes.met = np.append(self.nodes.met, mine[met])
+            self.nodes.run_into = np.append(self.nodes.run_into, mine[met])
         return first
 
     def _judged(self, cells: Cells) -> tuple[Whole, Whole]:

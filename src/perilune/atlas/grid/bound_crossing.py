@@ -86,7 +86,7 @@ def _orientation_across_bounds(
     for number, k in enumerate(let_go, 1):
         each[number:, k] = 0.0
     roots = shooting.at(Y, chart.p, each)
-    sign = float(chart.told_of(values, roots).orientation[-1])
+    sign = float(chart.extremals_from(values, roots).orientation[-1])
     for number, k in enumerate(let_go, 1):
         if k < plan.free:
             curvature = shooting.curvature(roots[number], k)
@@ -119,7 +119,7 @@ class Crossings:
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
         self._bounds = lattice.borders.bounds
-        self._seen = np.empty(0, dtype=np.int64)  # ways that were looked at, from nodes to others
+        self._examined = np.empty(0, dtype=np.int64)  # ways that were looked at, from nodes to others
         self._lost = set[tuple[int, int]]()  # sheets and bounds behind which Newton's method led to nothing
         self._others = {
             (number, column): list(self._going_on(sheet, name, side))
@@ -137,7 +137,7 @@ class Crossings:
             if other.minimum and other.holds == holds:
                 yield number
 
-    def met(self, done: Cells) -> Iterator[tuple[int, Whole, Matrix]]:
+    def continuations(self, done: Cells) -> Iterator[tuple[int, Whole, Matrix]]:
         """Yield extremals that continue cells across bounds, sheet by sheet, for crossings since the last call.
 
         Parameters
@@ -186,8 +186,8 @@ class Crossings:
         away = (binary_digits(self._lattice.d)[outside][:, None] != binary_digits(self._lattice.d)).sum(axis=2)
         inside = np.where(within[row], away, corners.shape[1]).argmin(axis=1)
         way, new = np.unique((corners[row, inside] << 32) + corners[row, outside], return_index=True)
-        new = new[~np.isin(way, self._seen)]
-        self._seen = np.union1d(self._seen, way)
+        new = new[~np.isin(way, self._examined)]
+        self._examined = np.union1d(self._examined, way)
         return cells[row[new]], inside[new], outside[new]
 
     def _reached(self, done: Cells, cell: Whole, inside: Whole, outside: Whole) -> _PlacesBeyondBounds | None:
@@ -200,7 +200,7 @@ class Crossings:
         whole: NDArray[np.bool_] = np.all(done.corners[cell] >= 0, axis=1)
 
         def given(ways: Whole, place: Whole) -> tuple[Matrix, NDArray[np.bool_]]:
-            y, _ = nodes.along_slopes(first[ways], place, lattice.step)
+            y, _ = nodes.extrapolate(first[ways], place, lattice.step)
             if (full := whole[ways]).any():
                 y[full] = nodes.guesses(done, cell[ways[full]], place[full], lattice.step)[0]
             values = lattice.values(place)
@@ -209,7 +209,7 @@ class Crossings:
 
         def met(ways: Whole, place: Whole) -> tuple[Matrix, NDArray[np.bool_]]:
             y, crossed = given(ways, place)
-            root, good = lattice.led(branch[ways], place, y, np.full(len(ways), np.inf))
+            root, good = lattice.solve_near(branch[ways], place, y, np.full(len(ways), np.inf))
             beyond = borders.crossed(lattice.sheets, branch[ways], root)
             return np.where(good[:, None], root.y, y), np.where(good[:, None], beyond, crossed)
 
@@ -231,10 +231,10 @@ class Crossings:
     def _solved(self, sheet: int, place: Whole, y: Matrix) -> tuple[Extremals, NDArray[np.bool_], NDArray[np.bool_]]:
         """Solve a sheet at places from extremals of others; return extremals, and masks of its own and of answers."""
         which, anywhere = np.full(len(place), sheet), np.full(len(place), np.inf)
-        found, good = self._lattice.led(which, place, y, anywhere)
+        found, good = self._lattice.solve_near(which, place, y, anywhere)
         return found, good, good & (self._lattice.borders.margins_of(self._lattice.all_sheets, which, found) >= 0)
 
-    def untold(self, done: Cells) -> Whole:
+    def unanswered_cells(self, done: Cells) -> Whole:
         """Return the numbers of unanswered cells of sheets that crossed a bound behind which no sheet was found.
 
         An unknown answer there may be better.

@@ -68,11 +68,11 @@ class Lattice:
         if before is not None:
             self.nodes.add(self.keys(before.nodes["branch"], before.nodes["place"]), **before.nodes)
             self.own = list(before.own)
-        self._told()
+        self._update_branches()
 
     # -- branches -------------------------------------------------------------------------------------------------
 
-    def _told(self) -> None:
+    def _update_branches(self) -> None:
         """Update the sheet, side of folds and minimality of each branch."""
         self.sheets: list[Sheet] = [self.all_sheets[number] for number in self.own]
         self.orientations: Vector = np.array([sheet.orientation for sheet in self.sheets])
@@ -81,7 +81,7 @@ class Lattice:
     def another_branch(self, sheet: int) -> int:
         """Add a branch of a sheet and return its number."""
         self.own.append(sheet)
-        self._told()
+        self._update_branches()
         return len(self.own) - 1
 
     def alike(self, sheet: int) -> list[int]:
@@ -133,7 +133,7 @@ class Lattice:
             cell, places = cell[once], places[once]
         if near is not None:
             begin = [self.nodes.nearest(near[i], at) for i, at in zip(cell.tolist(), places, strict=True)]
-            guess, spread = self.nodes.along_slopes(np.array(begin), places, self.step)
+            guess, spread = self.nodes.extrapolate(np.array(begin), places, self.step)
         elif wholes is not None:
             guess, spread = self.nodes.guesses(wholes, cell // 2, places, self.step)
         else:
@@ -151,7 +151,9 @@ class Lattice:
 
         A sheet that bends more from one to the next than its slopes predict does not end there.
         """
-        sound = (cells.corners >= 0) & self.minimum[cells.branch][:, None] & ~np.isin(cells.corners, self.nodes.met)
+        sound = (
+            (cells.corners >= 0) & self.minimum[cells.branch][:, None] & ~np.isin(cells.corners, self.nodes.run_into)
+        )
         sound &= self.nodes.rows("margin", cells.corners) >= 0
         cell, corner = np.nonzero((cells.corners < 0) & sound.any(axis=1, keepdims=True))
         if not len(cell):
@@ -188,7 +190,9 @@ class Lattice:
 
     # -- nodes ----------------------------------------------------------------------------------------------------
 
-    def led(self, branch: Whole, places: Whole, guess: Matrix, spread: Vector) -> tuple[Extremals, NDArray[np.bool_]]:
+    def solve_near(
+        self, branch: Whole, places: Whole, guess: Matrix, spread: Vector
+    ) -> tuple[Extremals, NDArray[np.bool_]]:
         """Solve by Newton's method at places; return the extremals, and True for those of their branch.
 
         Parameters
@@ -226,12 +230,12 @@ class Lattice:
         """
         if not len(branch):
             return
-        found, good = self.led(branch, places, guess, spread)
+        found, good = self.solve_near(branch, places, guess, spread)
         if not good.any():
             return
         here, branch, places = found.of(np.nonzero(good)[0]), branch[good], places[good]
         flown = self.reflights.finer(here.roots.y, self.chart.p[None], here.roots.choice)
-        seen = flown.seen
+        seen = flown.margins
         self.nodes.add(
             self.keys(branch, places),
             branch=branch,
@@ -239,7 +243,7 @@ class Lattice:
             terms=self.chart.terms(
                 here, lambda values: self.borders.holds(self.sheets, branch.repeat(len(values) // len(branch)), values)
             ),
-            margin=np.minimum(self.borders.margins_of(self.sheets, branch, here), seen.pays),
+            margin=np.minimum(self.borders.margins_of(self.sheets, branch, here), seen.least_multiplier),
             length=here.length,
             sequence=flown.sequence,
             **{name: getattr(seen, name) for name in _SEEN},
@@ -326,7 +330,9 @@ def path_amid(lattice: Lattice, cells: Cells) -> Vector:
         return np.empty(0)
     chart = lattice.chart
     values, _, holds, first = _interpolated_and_solved(lattice, cells, np.full(cells.size.shape, 0.5))
-    return lattice.reflights(chart.whole(values, first.stepped), chart.p[None], chart.choice(values, holds)).seen.path
+    return lattice.reflights(
+        chart.whole(values, first.stepped), chart.p[None], chart.choice(values, holds)
+    ).margins.path
 
 
 def _confirmed_places(lattice: Lattice, cells: Cells, share: Matrix, beyond: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -79,7 +79,11 @@ class _AnswerArrays:
         count = len(points)
         self.atlas, self.points = atlas, points
         self.answered = np.full(count, Answered.NONE, dtype=np.int64)
-        self.cost, self.bound, self.away = np.full(count, np.inf), np.full(count, np.nan), np.full(count, np.nan)
+        self.cost, self.bound, self.relative_error = (
+            np.full(count, np.inf),
+            np.full(count, np.nan),
+            np.full(count, np.nan),
+        )
         self.free = np.full((count, len(atlas.problem.free)), np.nan)
         self.sheet, self.steps = np.full(count, -1), np.zeros(count, dtype=np.int64)
         self.slopes, self.of_arcs = np.full(points.shape, np.nan), np.zeros(count, dtype=bool)
@@ -169,7 +173,7 @@ class _AnswerArrays:
         The latter come with a mask of those that cast doubt in any case.
         """
         doubt, of = np.full(len(self.some), np.inf), [offer.charted for offer in offers]
-        better = [self._outdoing(one, offers[one.number]) for one in breaking]
+        better = [self._better_than_known(one, offers[one.number]) for one in breaking]
         told, answers = [(of[one.number], one.lanes, one.short) for one in better], list(zip(of, vouching, strict=True))
         followed, follows = list[tuple[_InadmissibleExtremals, NDArray[np.bool_]]](), bool(self.atlas.descents.names)
         for one, left in zip(better, without_admissible_answer(told, answers, self.of_arcs[self.some]), strict=True):
@@ -178,13 +182,13 @@ class _AnswerArrays:
             followed.append((one.of(its), which[its]))
         return doubt, followed
 
-    def _outdoing(self, one: _InadmissibleExtremals, offer: _BranchCandidates) -> _InadmissibleExtremals:
+    def _better_than_known(self, one: _InadmissibleExtremals, offer: _BranchCandidates) -> _InadmissibleExtremals:
         """Return the extremals that are better than the known answers, by J as Newton's method reaches it."""
         known, charted = self.cost[self.some], offer.charted
         one = one.of(dominates_known(charted, one.cost, known[one.lanes]))
         its = np.nonzero(~one.short)[0]
         values = self.points[self.some[one.lanes[its]]] / charted.chart.scale
-        one.cost[its] = charted.met(offer.sheet, values, one.y[its], one.cost[its])
+        one.cost[its] = charted.polished_cost(offer.sheet, values, one.y[its], one.cost[its])
         return one.of(dominates_known(charted, one.cost, known[one.lanes]))
 
     def _become(
@@ -265,7 +269,7 @@ class _AnswerArrays:
         kept, problem = points[better], atlas.problem
         self.cost[kept] = polished.cost[better]
         self.bound[kept], self.steps[kept] = polished.bound[better], polished.steps[better]
-        self.sheet[kept], self.away[kept] = offer.first + offer.sheet, polished.away[better]
+        self.sheet[kept], self.relative_error[kept] = offer.first + offer.sheet, polished.relative_error[better]
         self.free[kept] = charted.free(polished.y[better])
         self.slopes[kept] = polished.slopes[better] * problem.objective_size / chart.scale
         self.rank[kept], self.of_arcs[points[better & ~alike]] = rank, of_arcs
@@ -315,7 +319,7 @@ class _AnswerArrays:
             free=dict(zip(problem.free_names, self.free.T, strict=True)),
             sheet=np.where(good, self.sheet, -1),
             steps=self.steps,
-            guess_error=np.where(good, self.away, np.nan),
+            guess_error=np.where(good, self.relative_error, np.nan),
             error_bound=np.where(good, self.bound, np.nan),
             slopes=self.slopes,
         )

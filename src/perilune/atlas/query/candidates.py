@@ -69,9 +69,9 @@ class Candidate:
             return f"{sheet} ends in this cell"
         if not polished.reached[0]:
             return f"Newton's method leads to no extremal of {sheet} from what its cell gives"
-        if polished.flown.seen.good[0]:
+        if polished.reintegrated.margins.good[0]:
             return f"the extremal of {sheet} is known to {polished.bound[0]:.1e} alone (relative; limit {SLACK:g})"
-        return f"the second flight does not bear out the extremal of {sheet}: {polished.flown.told}"
+        return f"the second flight does not bear out the extremal of {sheet}: {polished.reintegrated.violation}"
 
 
 def dominates_known(charted: OpenChart, cost: Any, best: Any) -> Any:

@@ -98,7 +98,7 @@ class MinimumSearch:
         self.settles: bool = bool(self.names) and free <= set(self.names)
         self._of = [HeldFamilies(one, self.names) for one in charted]
 
-    def beside(self, points: Matrix, outdoing: KnownExtremals, best: KnownExtremals) -> NDArray[np.bool_]:
+    def best_lies_at(self, points: Matrix, outdoing: KnownExtremals, best: KnownExtremals) -> NDArray[np.bool_]:
         """Return True where the best answer lies at the extremal that breaks the path: there is no line to follow.
 
         Parameters
@@ -216,7 +216,7 @@ class MinimumSearch:
         for bounds in self._bounds(points):
             ends = starts.copy()
             ends[:, k] = bounds[:, k]
-            way = self._way(points, starts, ends, begins, best, _STEPS)
+            way = self._best_along_lines(points, starts, ends, begins, best, _STEPS)
             known &= (way.chart >= 0).all(axis=1)
             lowest, at = way.lowest()
             for row, lane in enumerate(lanes.tolist()):
@@ -272,7 +272,7 @@ class MinimumSearch:
                 values = points[lanes] / one.chart.scale
                 choice = one.chart.choice(values, one.borders.holds(one.sheets, known.sheet[lanes], values))
                 y = one.chart.whole(values, known.y[number][lanes])
-                found[lanes] = one.polish.reflights(y, one.chart.p[None], choice).seen.path >= -SLACK
+                found[lanes] = one.polish.reflights(y, one.chart.p[None], choice).margins.path >= -SLACK
         return found
 
     def _down(
@@ -289,7 +289,7 @@ class MinimumSearch:
         for last in np.unique(steps[~known]).tolist():
             lanes = np.nonzero(~known & (steps == last))[0]
             own = points[lanes], starts[lanes], target[lanes], [y[lanes] for y in begins], best.of(lanes)
-            way = self._way(*own, last)
+            way = self._best_along_lines(*own, last)
             for row, lane in enumerate(lanes.tolist()):
                 none = np.nonzero(way.chart[row] < 0)[0]
                 falls = np.nonzero(way.rises[row] < -_NOTHING * (1.0 + np.abs(way.cost[row])))[0]
@@ -302,7 +302,7 @@ class MinimumSearch:
                     turned.chart[lane], turned.y[number][lane] = number, way.y[number][row, at]
         return known, turned
 
-    def _way(
+    def _best_along_lines(
         self, points: Matrix, starts: Matrix, ends: Matrix, begins: Sequence[Matrix], best: KnownExtremals, steps: int
     ) -> _StraightPaths:
         """Return the best flights of all charts that keep the path, on straight lines from starts to ends."""
@@ -314,14 +314,14 @@ class MinimumSearch:
         own = best.chart
         for number, family in enumerate(self._of):  # first that of the answer, which most often says all
             begin = np.hstack([points / self._charted[number].chart.scale, best.y[number]])
-            self._flown(number, family, np.nonzero(own == number)[0], points, starts, ends, begin, way)
+            self._fill_in_flights(number, family, np.nonzero(own == number)[0], points, starts, ends, begin, way)
         for number, family in enumerate(self._of):
             left = np.nonzero((own != number) & (way.chart < 0).any(axis=1) & np.isfinite(begins[number][:, 0]))[0]
-            self._flown(number, family, left, points, starts, ends, begins[number], way)
+            self._fill_in_flights(number, family, left, points, starts, ends, begins[number], way)
         return way
 
     @staticmethod
-    def _flown(
+    def _fill_in_flights(
         number: int,
         family: HeldFamilies,
         lanes: Lanes,
@@ -334,7 +334,7 @@ class MinimumSearch:
         """Fill in flights of one chart on some lines where they keep the path and are better than others."""
         if not len(lanes):
             return
-        found, cost, rises = family.along(
+        found, cost, rises = family.follow_lines(
             points[lanes], begins[lanes], starts[lanes], ends[lanes], way.chart.shape[1] - 1
         )
         with np.errstate(invalid="ignore"):

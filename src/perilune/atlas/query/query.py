@@ -156,7 +156,7 @@ class Atlas(AtlasReader):
         if (outside := self.region.outside(values)) is not None:
             inside = np.clip(at, self.region.low, self.region.high)
             there = self.query_many(inside[None]).good[0]
-            near = self.region.told(inside.tolist()) if there else self._nearest(inside)
+            near = self.region.format_point(inside.tolist()) if there else self._nearest(inside)
             raise PeriluneError(
                 "the point lies outside of the atlas", got=outside, expected=f"for instance {near}" if near else "",
                 advice="perilune solve answers anywhere; or build an atlas over a larger region",
@@ -214,11 +214,11 @@ class Atlas(AtlasReader):
         alike = [] if best is None else [one for one in tried if equal_cost(one.cost, best.cost)]
         ways = {"follows": bool(self.descents.names), "settles": settles}
         left, followed = candidates_in_doubt(breaking, alike, offers, **ways)
-        if not left and self._beside(at, followed, best):
+        if not left and self._best_lies_at_each(at, followed, best):
             followed = []
         else:
             outdoes = np.inf if best is None else best.cost
-            breaking = [one for one in breaking if dominates_known(one.charted, self._met(at, one), outdoes)]
+            breaking = [one for one in breaking if dominates_known(one.charted, self._polished_cost(at, one), outdoes)]
             left, followed = candidates_in_doubt(breaking, alike, offers, **ways)
         doubts = self._become(at, best, turns, [], tried)
         if not settles:
@@ -226,16 +226,18 @@ class Atlas(AtlasReader):
         left += self._become(at, best, [], followed, tried)
         return doubts + self._unanswered(at, min(tried, key=lambda one: one.cost, default=None), left, tried)
 
-    def _met(self, at: Vector, one: Candidate) -> float:
+    def _polished_cost(self, at: Vector, one: Candidate) -> float:
         """Return J, reached by Newton's method, of a candidate that breaks the path all over its cell."""
         if one.breaks and not one.short and one.y is not None:
             values = (at / one.charted.chart.scale)[None]
-            one.cost = float(one.charted.met(one.number, values, one.y[None], np.array([one.cost]))[0])
+            one.cost = float(one.charted.polished_cost(one.number, values, one.y[None], np.array([one.cost]))[0])
         return one.cost
 
-    def _beside(self, at: Vector, followed: Sequence[Candidate], best: Candidate | None) -> bool:
+    def _best_lies_at_each(self, at: Vector, followed: Sequence[Candidate], best: Candidate | None) -> bool:
         """Return True if the best answer lies at each extremal that would be followed, so that none need be."""
-        return all(self.descents.beside(at[None], self._known(one, -1), self._known(best, -1))[0] for one in followed)
+        return all(
+            self.descents.best_lies_at(at[None], self._known(one, -1), self._known(best, -1))[0] for one in followed
+        )
 
     def _become(
         self,
@@ -315,12 +317,12 @@ class Atlas(AtlasReader):
             return charted.solution(with_given_unchecked(problem, values), roots, statistics)
 
         slopes = polished.slopes[0] * problem.objective_size / charted.chart.scale
-        shown = MarchedMargins(*polished.flown.shown[0].tolist())
+        shown = MarchedMargins(*polished.reintegrated.shown[0].tolist())
         query = Query(
             sheet=best.label,
             met=tuple(offer.label for offer in offers),
             cell=tuple(best.cell.tolist()),
-            guess_error=float(polished.away[0]),
+            guess_error=float(polished.relative_error[0]),
             steps=steps,
             error_bound=float(polished.bound[0]),
             residual=shown.residual,
@@ -340,7 +342,7 @@ class Atlas(AtlasReader):
     def _nothing(self, at: Vector, doubt: Candidate | None) -> PeriluneError:
         """Return the error for a point of the region without an answer."""
         self._refuse_impossible(at)
-        place, got = self.region.brick_of(at), self.region.told(at.tolist())
+        place, got = self.region.brick_of(at), self.region.format_point(at.tolist())
         if broken := self.damage(place):
             return PeriluneError(broken[0], got=got, advice="perilune atlas verify DIR names all that is damaged")
         if self.missing(place):
@@ -369,7 +371,7 @@ class Atlas(AtlasReader):
         away = np.abs((values - at) / (self.region.high - self.region.low)).max(axis=1)
         near = values[np.argsort(away)[:_NEAREST]]
         good = self.query_many(near).good  # another branch may cast doubt on what is one of its own
-        return self.region.told(near[good][0].tolist()) if good.any() else ""
+        return self.region.format_point(near[good][0].tolist()) if good.any() else ""
 
 
 @check_call

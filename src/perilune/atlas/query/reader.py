@@ -60,7 +60,7 @@ class LoadedBrick:
         roots = [(int(cells["sheet"][i]), int(i)) for i in first]
         self.minima: list[tuple[int, int]] = [(number, root) for number, root in roots if sheets[number].minimum]
         self.split: list[int] = halved_at(cells["low"], cells["axis"], cells["child"]).tolist()
-        self._seen: dict[int, _LoadedCell] = {}
+        self._cells: dict[int, _LoadedCell] = {}
 
     @cached_property
     def arrays(self) -> tuple[Whole, Whole, Whole, Whole]:
@@ -118,14 +118,14 @@ class LoadedBrick:
 
     def cell(self, number: int) -> _LoadedCell:
         """Return one of the cells."""
-        found = self._seen.get(number)
+        found = self._cells.get(number)
         if found is None:
-            if len(self._seen) >= _MOST_SEEN:
-                self._seen.clear()
+            if len(self._cells) >= _MOST_SEEN:
+                self._cells.clear()
             said = self.cells[number]
             low, size = said["low"].astype(float), said["size"].astype(float)
             terms = self.nodes["terms"][said["corners"]]
-            found = self._seen[number] = _LoadedCell(low, size, size * self.step, terms.reshape(-1, terms.shape[-1]))
+            found = self._cells[number] = _LoadedCell(low, size, size * self.step, terms.reshape(-1, terms.shape[-1]))
         return found
 
 

@@ -121,7 +121,7 @@ class Nodes:
             name: np.empty(0) for name in ("terms", "margin", "sequence", "path", "branch", "place")
         }
         self.count: int = 0
-        self.met: Whole = np.empty(0, dtype=np.int64)  # those where a later branch has run into another
+        self.run_into: Whole = np.empty(0, dtype=np.int64)  # those where a later branch has run into another
 
     def add(self, keys: Whole, **columns: NDArray[Any]) -> None:
         """Add nodes by their keys."""
@@ -140,7 +140,7 @@ class Nodes:
     def forget(self, key: Whole) -> None:
         """Remove a node that is not of its branch from its place; no branch goes on from it."""
         if (number := self.known.pop(int(key), None)) is not None:
-            self.met = np.append(self.met, number)
+            self.run_into = np.append(self.run_into, number)
 
     def numbers(self, keys: Whole) -> Whole:
         """Return the numbers of nodes by their keys, -1 for missing ones; shape of `keys`."""
@@ -173,7 +173,7 @@ class Nodes:
         """Return a column of nodes."""
         return self._rows[name][numbers]
 
-    def along_slopes(self, numbers: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
+    def extrapolate(self, numbers: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
         """Extrapolate unknowns to places along the slopes of nodes; returns also their change; `step` is canonical.
 
         Parameters
@@ -205,7 +205,7 @@ class Nodes:
         at = (places - cells.low[cell]) / cells.size[cell]
         away = np.abs(at[:, None] - binary_digits(len(step))[None]).sum(axis=2)
         nearest = np.where(corners >= 0, away, np.inf).argmin(axis=1)
-        guess, spread = self.along_slopes(corners[np.arange(len(cell)), nearest], places, step)
+        guess, spread = self.extrapolate(corners[np.arange(len(cell)), nearest], places, step)
         full = (corners >= 0).all(axis=1)
         if full.any():
             terms = self.rows("terms", corners[full])
@@ -217,10 +217,10 @@ class Nodes:
         """Return the number of the node, of some, that is nearest to a place."""
         return int(some[np.abs(self.rows("place", some) - place).sum(axis=1).argmin()])
 
-    def beside(self, branch: int, places: Whole, reach: int) -> Whole:
+    def nearest_continuable(self, branch: int, places: Whole, reach: int) -> Whole:
         """Return the node nearest to each place, (lanes,), from which a branch can go on; -1 with none within reach."""
         goes_on = (self._rows["branch"][: self.count] == branch) & (self._rows["margin"][: self.count] >= 0)
-        goes_on[self.met] = False
+        goes_on[self.run_into] = False
         numbers = np.nonzero(goes_on)[0]
         if not len(numbers):
             return np.full(len(places), -1)
@@ -241,7 +241,7 @@ class Nodes:
         inside = (self._rows["branch"][here] == branch) & (self._rows["margin"][here] >= 0)
         inside &= ((place >= low) & (place <= high)).all(axis=1)
         found = first + np.nonzero(inside)[0]
-        return found[~np.isin(found, self.met)] if len(self.met) else found
+        return found[~np.isin(found, self.run_into)] if len(self.run_into) else found
 
 
 def clearly_below(rows: Matrix, slack: float) -> NDArray[np.bool_]:

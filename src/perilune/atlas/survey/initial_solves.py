@@ -132,7 +132,7 @@ class RegionSolver:
 
     def _solved(self, values: Vector, name: str | None = None, share: float = 0.0) -> SolvedPoint | None:
         """Solve at a point, with a parameter held at a share of its range; None without an answer."""
-        at = f"at {self.region.told(values.tolist())}"
+        at = f"at {self.region.format_point(values.tolist())}"
         try:
             problem = self.problem.with_given(**dict(zip(self.region.names, values.tolist(), strict=True)))
             refuse_impossible(preflight(problem))
@@ -187,8 +187,8 @@ class Scan:
         self.names: list[str] = scanned_names(problem, region) if held_back else []
         self._points = scanned_points(region)
         shape = (len(self.names), len(self._points), _STEPS + 1)
-        self._met: NDArray[np.bool_] = np.zeros(shape, dtype=bool)  # by extremals
-        self._flown: NDArray[np.bool_] = np.zeros(shape, dtype=bool)
+        self._extremals_found: NDArray[np.bool_] = np.zeros(shape, dtype=bool)  # by extremals
+        self._propagated: NDArray[np.bool_] = np.zeros(shape, dtype=bool)
         self._known: dict[str, NDArray[np.float64]] = {}  # unknowns of the extremals found, by what they go through
 
     def add(
@@ -206,9 +206,9 @@ class Scan:
         first = next((e for e in extremals if len(e.unknowns or ()) == len(chart.own.unknowns)), None)
         if first is None:
             return False
-        y = chart.told(np.array(first.unknowns))
-        known = self._known.setdefault(course.text, np.full((*self._met.shape, len(y)), np.nan))
-        before = np.count_nonzero(self._flown)
+        y = chart.from_problem_unknowns(np.array(first.unknowns))
+        known = self._known.setdefault(course.text, np.full((*self._extremals_found.shape, len(y)), np.nan))
+        before = np.count_nonzero(self._propagated)
         said = {**course.document(), "widths": self._widths.tolist(), "times": [], "sheets": []}
         charted = OpenChart(self._problem, self._region, {**said, "unknowns": len(chart.places)})
         with np.errstate(invalid="ignore"):  # of several arcs a duration may have no bound that is held
@@ -221,25 +221,25 @@ class Scan:
         begin = np.concatenate([values / chart.scale, y])
         for at, name in enumerate(own):
             k = self.names.index(name)
-            lanes = np.nonzero(~self._flown[k].all(axis=1))[0]
+            lanes = np.nonzero(~self._propagated[k].all(axis=1))[0]
             if len(lanes):
                 points, begins = self._points[lanes], begin[None].repeat(len(lanes), axis=0)
                 lower, upper = families.bounds(points)
                 starts = families.clipped(points, begins[:, len(values) :], (lower, upper))
                 ends = starts.copy()
                 starts[:, at], ends[:, at] = lower[:, at], upper[:, at]
-                found, cost, _ = families.along(points, begins, starts, ends, _STEPS)
-                self._met[k, lanes] |= (met := np.isfinite(found[:, :, 0]))
+                found, cost, _ = families.follow_lines(points, begins, starts, ends, _STEPS)
+                self._extremals_found[k, lanes] |= (met := np.isfinite(found[:, :, 0]))
                 known[k, lanes] = np.where(met[:, :, None], found, known[k, lanes])
-                self._flown[k, lanes] |= np.isfinite(cost)
-        return bool(np.count_nonzero(self._flown) > before)
+                self._propagated[k, lanes] |= np.isfinite(cost)
+        return bool(np.count_nonzero(self._propagated) > before)
 
     def gap(self) -> tuple[tuple[int, int, int], Vector, str, float] | None:
         """Return the middle of the longest range part with extremals but no flight: place, point [SI], name, share.
 
         Each gap is returned once.
         """
-        gaps, best = self._met & ~self._flown, (0, 0, 0, 0)
+        gaps, best = self._extremals_found & ~self._propagated, (0, 0, 0, 0)
         for k, lane in zip(*np.nonzero(gaps.any(axis=2)), strict=True):
             ends = np.flatnonzero(np.diff(np.concatenate([[0], gaps[k, lane], [0]])))
             length, first = max((end - begin, -begin) for begin, end in ends.reshape(-1, 2).tolist())
@@ -247,6 +247,6 @@ class Scan:
         length, k, lane, first = best
         if not length:
             return None
-        self._flown[k, lane, first : first + length] = True
+        self._propagated[k, lane, first : first + length] = True
         amid = first + (length - 1) // 2
         return (k, lane, amid), self._points[lane], self.names[k], amid / _STEPS

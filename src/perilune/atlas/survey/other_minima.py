@@ -82,7 +82,7 @@ class HeldFamilies:
         places = np.hstack([values, self._at_extremals(values, y)])
         return self._chart.solve(values, y, self._held(np.arange(len(y)), places)).y
 
-    def along(
+    def follow_lines(
         self, points: Matrix, begins: Matrix, starts: Matrix, ends: Matrix, steps: int
     ) -> tuple[NDArray[np.float64], Matrix, Matrix]:
         """Return unknowns, J and dJ along lines from starts to ends; J is NaN where no flight keeps the path.
@@ -105,15 +105,17 @@ class HeldFamilies:
         first[back], last[back] = last[back], first[back]
         walk = StraightContinuation(self._chart, self._held, begin, y, at=self._at, near=_NEAR, rough=_ROUGH)
         if (begin != first).any():
-            walk.along(first, max(steps, _STEPS), _SHORTEST)
-        found, cost, slopes = walk.along(last, steps, _SHORTEST)
+            walk.follow(first, max(steps, _STEPS), _SHORTEST)
+        found, cost, slopes = walk.follow(last, steps, _SHORTEST)
         for rows in (found, cost, slopes):
             rows[back] = rows[back, ::-1]
         rises = np.einsum("lpk,lk->lp", slopes, ends - starts)
         if not self._plain:
             each, own = np.repeat(points, steps + 1, axis=0), found.reshape(-1, found.shape[2])
             cost[
-                ~self._kept(each, own, line_places(starts, ends, steps).reshape(len(each), -1)).reshape(cost.shape)
+                ~self._admissible(each, own, line_places(starts, ends, steps).reshape(len(each), -1)).reshape(
+                    cost.shape
+                )
             ] = np.nan
         return found, cost, rises
 
@@ -123,7 +125,7 @@ class HeldFamilies:
         choice[:, self._at], choice[:, [held + k for k in self._at]] = 1.0, places[:, len(self._chart.names) :]
         return Holds(choice)
 
-    def _kept(self, points: Matrix, y: Matrix, at: Matrix) -> NDArray[np.bool_]:
+    def _admissible(self, points: Matrix, y: Matrix, at: Matrix) -> NDArray[np.bool_]:
         """Return True for flights that keep the path and have no negative arc duration."""
         one, chart = self._charted, self._chart
         good: NDArray[np.bool_] = np.all(np.isfinite(y), axis=1)
@@ -137,9 +139,11 @@ class HeldFamilies:
         margin = one.borders.margins(
             [BARE], np.zeros(len(lanes), dtype=np.int64), found.roots.y, held, rises, choices, one.borders.at(values)
         )
-        seen = one.polish.reflights(chart.whole(values, y[lanes]), chart.p[None], choices).seen
+        seen = one.polish.reflights(chart.whole(values, y[lanes]), chart.p[None], choices).margins
         with np.errstate(invalid="ignore"):
-            good[lanes] = np.minimum(np.minimum(margin, seen.pays), np.minimum(seen.path, seen.minimum)) >= -SLACK
+            good[lanes] = (
+                np.minimum(np.minimum(margin, seen.least_multiplier), np.minimum(seen.path, seen.minimum)) >= -SLACK
+            )
             good[lanes] &= seen.residual <= _FLOWN
         return good
 
@@ -205,7 +209,7 @@ def minima_around(
         return Holds(choice)
 
     walk = StraightContinuation(chart, holds, np.hstack([values, begins]), y, at=at)
-    walk.along(np.hstack([points, begins]), _WAY, _SHORTEST)
+    walk.follow(np.hstack([points, begins]), _WAY, _SHORTEST)
     there = np.nonzero(walk.good)[0]
     yield from other_minima(chart, borders, BARE, points[there], walk.y[there], names)
 
@@ -220,7 +224,7 @@ class _HeldParameterFamily:
         """Yield each minimum on the way to some ends: True if it lies between the bounds, its lane, and unknowns."""
         begins, last = self._at(self._values, y, self._holds), np.column_stack([self._values, ends])
         walk = StraightContinuation(self._chart, self._held, np.column_stack([self._values, begins]), y, at=[self._k])
-        found, cost, slopes = walk.along(last, _STEPS, _SHORTEST)
+        found, cost, slopes = walk.follow(last, _STEPS, _SHORTEST)
         rises = slopes[:, :, 0] * np.sign(ends - begins)[:, None]
         with np.errstate(invalid="ignore"):
             rises = np.where(np.abs(rises) > _NOTHING * (1.0 + np.abs(cost)), rises, 0.0)

@@ -110,7 +110,7 @@ class Survey:
         for point in solved:
             if not point.held:
                 found = self._with(found, corners, point.values, point.extremals)
-        for one in self._begun(found, solved):
+        for one in self._minima_between_bounds(found, solved):
             found = self._with_these(found, corners, [one])
         if course.structure is not None:  # what flies in one piece has its families followed by each solve
             found = self._with_wells(found, corners)
@@ -128,20 +128,22 @@ class Survey:
         for extremal in extremals:
             if extremal.unknowns and len(extremal.unknowns) != len(chart.own.unknowns):
                 self.notes.append(
-                    f"at {self.region.told(at.tolist())}: '{chart.course.text}' is not mapped, as an end condition is"
-                    " one that the arc to the end keeps at these values, and at others not"
+                    f"at {self.region.format_point(at.tolist())}: '{chart.course.text}' is not mapped, as an"
+                    " end condition is one that the arc to the end keeps at these values, and at others not"
                 )
             elif extremal.unknowns:
-                y = chart.told(np.array(extremal.unknowns))
+                y = chart.from_problem_unknowns(np.array(extremal.unknowns))
                 holds = held_at(borders, at / chart.scale, y)
                 left.append((at / chart.scale, y, Sheet(holds=holds, orientation=0.0, nature=extremal.nature)))
         return self._with_these(known, corners, left)
 
-    def _begun(self, known: SurveyedChart, solved: Sequence[SolvedPoint]) -> Iterator[tuple[Vector, Vector, Sheet]]:
+    def _minima_between_bounds(
+        self, known: SurveyedChart, solved: Sequence[SolvedPoint]
+    ) -> Iterator[tuple[Vector, Vector, Sheet]]:
         """Yield minima of J along parameters between bounds, all over the region, from answers with a chart's arcs."""
         chart, borders, names = known.chart, known.borders, scanned_names(self.problem, self.region)
         begins = [
-            (point.values, chart.told(np.array(extremal.unknowns)))
+            (point.values, chart.from_problem_unknowns(np.array(extremal.unknowns)))
             for point in solved
             for extremal in point.extremals
             if len(extremal.unknowns or ()) == len(chart.own.unknowns)
@@ -182,7 +184,7 @@ class Survey:
                 continue
             if _sided_by_rounding(chart, start):
                 said = f"'{chart.course.text or 'a flight of one arc'}' switches by rounding, and is not mapped"
-                self.notes.append(f"at {self.region.told((values * chart.scale).tolist())}: {said}")
+                self.notes.append(f"at {self.region.format_point((values * chart.scale).tolist())}: {said}")
                 continue
             sheet = replace(sheet, orientation=float(start.orientation[0]))
             if curved := chart.shooting.curving_down(start.roots[0], chart.p):
@@ -197,7 +199,7 @@ class Survey:
                     nature = classify_behind_folds(self.problem, self.region, said, values, start.y[0])
                     sheet = replace(sheet, nature=nature)
                 left += _sheets_held_at_ends(borders, sheet, values, start.y[0], curved)
-                y, behind = self._carried(chart, borders, sheet, corners, values, start.y[0])
+                y, behind = self._continue_to_corners(chart, borders, sheet, corners, values, start.y[0])
                 if behind_a_fold and _has_negative_arc(borders, corners / chart.scale, y, values, start.y[0]):
                     continue
                 count = np.isfinite(y[:, 0]).sum()
@@ -228,7 +230,7 @@ class Survey:
         there = (low + place * ((high - low) / WHOLE)) / chart.scale
         beside = continue_sheet_to(chart, known.borders, sheet, values, y, there[None])[0]
         if not np.isfinite(beside[0]):
-            told = self.region.told(at.tolist())
+            told = self.region.format_point(at.tolist())
             self.notes.append(f"at {told}: the sheet '{sheet.label}' goes nowhere from there, and is not mapped")
             return known
         one = InteriorSeed(len(known.sheets), brick, place, there, beside)
@@ -236,7 +238,7 @@ class Survey:
         sheets = (*known.sheets, sheet)
         return replace(known, sheets=sheets, y=np.concatenate([known.y, none]), small=(*known.small, one))
 
-    def _carried(
+    def _continue_to_corners(
         self, chart: Chart, borders: Borders, sheet: Sheet, corners: Matrix, values: Vector, y: Vector
     ) -> tuple[Matrix, list[tuple[Vector, Vector, Sheet]]]:
         """Continue a branch to all corners of blocks, NaN where it ends; also return extremals behind its folds."""
@@ -318,5 +320,7 @@ def _sided_by_rounding(chart: Chart, found: Extremals) -> bool:
     rng, again = np.random.default_rng(0), np.zeros(_AGAIN, dtype=np.int64)
     y = found.y[again] * (1.0 + _ROUNDING * rng.uniform(-1.0, 1.0, (_AGAIN, found.y.shape[1])))
     choice = found.roots.choice[again]
-    beside = chart.told_of(found.values[again], chart.shooting.at(chart.whole(found.values[again], y), chart.p, choice))
+    beside = chart.extremals_from(
+        found.values[again], chart.shooting.at(chart.whole(found.values[again], y), chart.p, choice)
+    )
     return bool((beside.orientation != found.orientation[0]).any())
