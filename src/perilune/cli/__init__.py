@@ -2,7 +2,7 @@
 
 Answers go to stdout, progress and refusals to stderr; with ``--json`` stdout holds exactly one JSON document,
 for a refusal too. Exit codes: 0 done and proved, 1 a fault of this program, 2 bad scenario or usage, 3
-refused, 4 not converged, 5 solved but not proved, 130 interrupted.
+infeasible, 4 not converged, 5 solved but not proved, 130 interrupted.
 
 Everything heavy is imported inside the commands, so that ``--help`` is quick.
 """

@@ -44,7 +44,7 @@ def parse_command_line(arguments: Sequence[str]) -> argparse.Namespace:
     ------
     PeriluneError
         If it is not valid.
-    Told
+    HelpShown
         With the text, if only help or version is wanted.
     """
     words = list(arguments)

@@ -1,7 +1,7 @@
 """Progress and time limits of long computations.
 
 A computation reports to a `Watch`: each iteration, and lines of text. Deep inside of it, where no watch is passed,
-`at_work` is a sign of life for the computation that is at work in this context (`contextvars`): it is told at most once
+`sign_of_life` is one for the computation that is at work in this context (`contextvars`): it is told at most once
 a second, and is where a time limit takes effect. A limit that is not met changes nothing.
 """
 

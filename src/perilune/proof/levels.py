@@ -1,9 +1,9 @@
-"""Levels of a proof: which checks it runs, what they reach, and the record that it makes of them.
+"""Levels of a proof: which checks are run, in which order, and the record of them (its `level` is the one reached).
 
-Level 1 (`feasible`): the exported control is integrated again. Level 2 (`extremal`): the first-order conditions
-hold along the exported curves; `switching`: for the control. Level 3 (`second_order`, `resolved`): the extremal is
-locally optimal. Level 4 (`crossed`): another method agrees. Each check has a value, a limit 3 to 10 times above the
-error of a good answer, so that it can fail, and a meaning; a NaN fails.
+Level 1 (`feasibility`): the exported control is integrated again. Level 2 (`first_order`): the necessary conditions
+hold along the exported curves; `minimum_principle`: for the control. Level 3 (`second_order`, `sensitivities`): the
+extremal is locally optimal. Level 4 (`cross_check`): another method agrees. Each check has a value, a limit 3 to 10
+times above the error of a good answer, so that it can fail, and a meaning; a NaN fails.
 """
 
 from __future__ import annotations

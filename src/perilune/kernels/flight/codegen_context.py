@@ -1,7 +1,7 @@
 """Data shared by the writers of a flight's machine code: sizes, table, buffers, calls of the equations.
 
-`driver` writes the steps, `crossing` the events and `lanes` the way in and out; each works on a `Frame`. Nothing of it
-is known before it runs but how events are located, and where the numbers of the equations are.
+`driver` writes the steps, `event_location` the events and `lanes` the way in and out; each works on a `Frame`. Nothing
+of it is known before it runs but how events are located, and where the numbers of the equations are.
 """
 
 from __future__ import annotations

@@ -8,15 +8,15 @@ that of an impulse at the apogee r_2, against the velocity there, to an ellipse 
 No finite burn does better, and drag begins at the interface only. Oblateness moves the height of a flight by some
 kilometres within a turn: `oblateness_height_shift` stands for that.
 
-*At the interface.* What `bounds` says of its speed and its angle.
+*At the interface.* What `interface_bounds` says of its speed and its angle.
 
-*Limits* of a ballistic entry. What `ballistic` says that every one bears.
+*Limits* of a ballistic entry. What `ballistic_limits` says that every one bears.
 
 *Weak thrust.* How many turns a burn of that change lasts: of more than one it is warned, as it winds down.
 
-*In the air.* What `skip` says of entries that leave it again.
+*In the air.* What `skip_out` says of entries that leave it again.
 
-*Slow enough.* What `fall` says of arriving at the site.
+*Slow enough.* What `ballistic_fall` says of arriving at the site.
 
 *A file of air.* Its densities and those of the standard atmosphere of the body, which differ by less than a factor of
 three between solar minimum and maximum where they are compared: beyond ten a unit is wrong.

@@ -1,8 +1,8 @@
 """Level 1, feasible: the exported control, integrated by another integrator, does what the solution says.
 
-From x(0) = start(p) each phase is flown with the control read from the export (`flight`); the end conditions, the
+From x(0) = start(p) each phase is flown with the control read from the export (`repropagate`); the end conditions, the
 states along the arc, path constraints, bounds and the objective are recomputed only from that flight, inside every
-piece of every table (`pieces`).
+piece of every table (`sample_points`).
 """
 
 from __future__ import annotations

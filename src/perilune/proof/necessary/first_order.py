@@ -9,7 +9,7 @@ With H = lam.f (running costs are states) and Phi = phi + nu.psi at each phase's
 
 A path condition in which the control appears has the multiplier that `allowed` finds, and H - mu.c the place of H in
 lam' and dJ/dp. Any other, or a bound of a state, that is kept has multiplier 0, but for a bound that holds the end of a
-phase, which is made an end condition before (`ended`). One that holds the flight back has
+phase, which is made an end condition before (`terminal_bounds`). One that holds the flight back has
 a multiplier that no table holds: it shows in lam', or in dH/du, and that check fails.
 
 A duration T is a parameter too, T H being the rate per unit of normalised time: its condition gives H its

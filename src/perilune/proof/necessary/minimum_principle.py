@@ -3,7 +3,7 @@
 For a scalar u between bounds S = dH/du is its switching function: 0 between the bounds, >= 0 on the lower, <= 0
 on the upper; where u jumps S is 0, or where H bends in u H is the same before and after. Where a path condition is
 active that the control appears in, L = H - mu.c has the place of H in it (`allowed`), and mu >= 0. That much is
-necessary (level 2); `strict` is more.
+necessary (level 2); `strict_complementarity` is more.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ the same flights. For one that is on the bound only at the end, the multiplier o
 
     lam(T) = dPhi/dx + mu e,    mu <= 0 at a lower bound, >= 0 at an upper one,
 
-and is judged as any other (`extremal`, `second_order`, `resolved`). A bound that the end conditions meet anyway has no
-multiplier of its own.
+and is judged as any other (`first_order`, `second_order`, `sensitivities`). A bound that the end conditions meet anyway
+has no multiplier of its own.
 
 Source: Hartl, Sethi, Vickson (1995), section 4.
 """

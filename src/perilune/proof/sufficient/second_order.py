@@ -14,14 +14,14 @@ free parameters along.
 
 Where a bounded control switches the phase is cut into pieces, and the times t_k of the cuts join p: time is
 normalised on each piece, so they enter f and H as durations do. They have a curvature of their own: the measure
-becomes int du' H_uu du + sum D_k dt_k^2 with D_k > 0 of `strict`. Where no control varies otherwise (bang-bang)
-d2J is the Hessian of the Lagrangian of the finite-dimensional problem in switching times and free parameters, whose
-positivity on the critical cone is sufficient together with the strict conditions of `strict`. A switch may lie at an
-end of the flight, with an arc of no length beyond it. Where the end
+becomes int du' H_uu du + sum D_k dt_k^2 with D_k > 0 of `strict_complementarity`. Where no control varies otherwise
+(bang-bang) d2J is the Hessian of the Lagrangian of the finite-dimensional problem in switching times and free
+parameters, whose positivity on the critical cone is sufficient together with the strict conditions of
+`strict_complementarity`. A switch may lie at an end of the flight, with an arc of no length beyond it. Where the end
 conditions leave no variation at all, only these are needed, and kappa is 0.
 
-On a singular arc the integral of its control has the control's place (`singular`). The control jumps at both ends, the
-times of which have no curvature of their own; what is left of its impulse at the end is a free parameter.
+On a singular arc the integral of its control has the control's place (`singular_arcs`). The control jumps at both ends,
+the times of which have no curvature of their own; what is left of its impulse at the end is a free parameter.
 
 Where the flight crosses a jump of the physics, s(x) = 0, the time of that joins p as well, without a curvature of its
 own: s = 0 there is one more condition to be kept, and nu s of `switch_slopes` one more term of the Lagrangian.
@@ -29,7 +29,7 @@ own: s = 0 there is one more condition to be kept, and nu s of `switch_slopes` o
 On which side of 1 kappa lies does not depend on how time is normalised; how far from it does, where u varies.
 
 The form is discretised on equal steps with a constant control each (implicit midpoint rule), what of the control
-varies as `variations` says. Source:
+varies as `second_variation` says. Source:
 Gelfand and Fomin (1963), sections 27-29; Bryson and Ho (1975), chapter 6; Hestenes (1966); Maurer, Buskens, Kim,
 Kaya (2005) and Osmolovskii and Maurer (2012), chapters 5-7, for switching times, without and with a regular control.
 """

@@ -1,7 +1,7 @@
 """Strict complementarity, level 3: scalars strictly on their bounds, left where the switching function crosses zero.
 
-The strict form of what `switching` checks is the Legendre condition of bang-bang controls, one of the two sufficient
-conditions of level 3:
+The strict form of what `minimum_principle` checks is the Legendre condition of bang-bang controls, one of the two
+sufficient conditions of level 3:
 
     |S| > 0 on a bound, and dS/dt != 0 where u jumps.
 
@@ -16,10 +16,10 @@ than its share of that, so that the chord has the place of |S| wherever it is le
 **Ends of the flight.** S vanishes where the flight ends if nothing there says what u moves, as a lift does the velocity
 of a flight that may arrive at any. That is a switch at the end: beyond it u is on its other bound, for no time. A
 flight that switches tau before the end costs D tau^2/2 as one near any other switch, and moves its end as far. So an
-end with S = 0 is strict where dS/dt != 0, and its arc of length 0 belongs to the second variation (`variations`), which
-must be positive whatever the sign of tau: that is more than is needed, as tau cannot be negative. A jump to any other
-value between the bounds moves less at the same price. The same holds at the start, and where |S| is almost 0 at an
-end: what it adds to the price of tau is positive.
+end with S = 0 is strict where dS/dt != 0, and its arc of length 0 belongs to the second variation (`second_variation`),
+which must be positive whatever the sign of tau: that is more than is needed, as tau cannot be negative. A jump to any
+other value between the bounds moves less at the same price. The same holds at the start, and where |S| is almost 0 at
+an end: what it adds to the price of tau is positive.
 
 Source: Maurer and Osmolovskii (2004), Second order sufficient conditions for time-optimal bang-bang control;
 Osmolovskii and Maurer (2012), chapter 6, for the problem in switching times that this is.
