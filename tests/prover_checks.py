@@ -50,7 +50,7 @@ def settings(order: int = 30, tolerance: float = 1e-44) -> Any:
 def stated(solution: pl.Solution, off: float = 0.0) -> tuple[Any, list[Any]]:
     """The boundary value problem, and a guess that is off by a part of itself."""
     pieces, lengths = room("candidate").suggested_pieces(solution)
-    boundary = room("boundary_value_problem").boundary_problem(
+    boundary = room("boundary_equations").boundary_problem(
         solution.problem, pieces, room("candidate").sides_of(solution)
     )
     return boundary, [value * (1 + off) for value in room("candidate").unknowns_of(solution, boundary, lengths)]
@@ -335,7 +335,7 @@ def swinging(duration: float, free: bool) -> pl.Problem:
 
 def a_minimum(duration: float, free: bool = False) -> bool:
     """Whether the extremal sin(t)/sin(T), or 0 with a free end, is proved to be one."""
-    boundary = room("boundary_value_problem").boundary_problem(
+    boundary = room("boundary_equations").boundary_problem(
         swinging(duration, free), [room("boundary_value_problem").ArcPiece(phase=0, regimes={"u": "interior"})]
     )
     rough = settings(24, 1e-36)

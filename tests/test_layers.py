@@ -16,6 +16,7 @@ SOURCE = Path(__file__).parent.parent / "src"
 ROOMS = (
     "perilune_checker",
     "core",
+    "words",
     "problem",
     "kernels",
     "conditions",

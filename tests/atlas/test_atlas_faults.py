@@ -248,7 +248,7 @@ LIMITED = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
-from perilune.cli import run
+from perilune.cli import run_command_line as run
 sys.exit(run(sys.argv[2:]))
 """
 

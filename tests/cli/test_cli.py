@@ -452,7 +452,7 @@ def test_ctrl_c_before_the_work_has_begun(capsys: pytest.CaptureFixture[str], mo
     def stopped(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(importlib.import_module("perilune.cli.commands"), "deliver", stopped)
+    monkeypatch.setattr(importlib.import_module("perilune.cli.commands"), "emit_answer", stopped)
     assert run_command_line(["solve", HYBRID, "--json"]) == 130
     assert read_json(capsys.readouterr().out)["outcome"] == "INTERRUPTED"
 

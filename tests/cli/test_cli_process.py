@@ -118,7 +118,7 @@ def test_ctrl_c_in_a_destructor_is_not_lost() -> None:
         "    except KeyboardInterrupt:\n"
         "        return 130\n"
         "    return 0\n"
-        "cli.run = work\n"
+        "cli.run_command_line = work\n"
         "cli.main()\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
@@ -145,7 +145,7 @@ def test_ctrl_c_before_there_is_anybody_to_answer_ends_it_without_a_word() -> No
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="a POSIX signal")
 def test_workers_of_a_killed_program_end() -> None:
     """They hold both ends of the queue from which they are told what to do, and would wait for ever."""
-    killed = "import os; from perilune.cli.sweep import workers\n"
+    killed = "import os; from perilune.cli.sweep import worker_pool as workers\n"
     killed += "with workers(2) as pool: pool.submit(abs, -1).result(); os.kill(os.getpid(), 9)"
     one = subprocess.Popen([sys.executable, "-c", killed], env=ENVIRONMENT, stdout=subprocess.PIPE)
     assert one.communicate(timeout=30) == (b"", None)  # whoever lives holds the other end of this
@@ -174,7 +174,7 @@ def run(_):
     begun.wait(20)
     time.sleep(0.2)
     return 0
-cli.run = run
+cli.run_command_line = run
 cli.main()
 """
     done = subprocess.run([sys.executable, "-c", busy], capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
@@ -214,7 +214,7 @@ def test_a_bad_file_answers_quickly_and_small(tmp_path: Path, name: str) -> None
     path.write_bytes(BAD_FILES[name])
     # Not getrusage: its peak survives exec, so it would be that of this test process.
     program = (
-        "import sys, time; from perilune.cli import run\n"
+        "import sys, time; from perilune.cli import run_command_line as run\n"
         "code = run(sys.argv[1:])\n"
         "peak = next(line for line in open('/proc/self/status') if line.startswith('VmHWM'))\n"
         "print(time.process_time(), peak.split()[1], file=sys.stderr)\n"
@@ -307,7 +307,8 @@ def test_a_package_that_was_taken_away_is_named(capsys: pytest.CaptureFixture[st
 def test_a_second_stop_changes_nothing_of_what_was_said() -> None:
     """As what a destructor swallowed comes again, it may come when the program is about to leave."""
     code = (
-        "import os, perilune.cli as c; c.run = lambda _: 130; c.gc.freeze = lambda: os.kill(os.getpid(), 2); c.main()"
+        "import os, perilune.cli as c; c.run_command_line = lambda _: 130; "
+        "c.gc.freeze = lambda: os.kill(os.getpid(), 2); c.main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=30, check=False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
@@ -145,3 +146,26 @@ def test_loading_the_package_loads_nothing_large() -> None:
     program = f"import sys, perilune, perilune.cli; print([n for n in {large.split()} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=ENVIRONMENT, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "name"),
+    [
+        ("perilune.models.bodies", "perilune.models.physics.bodies", "MOON"),
+        ("perilune.words.declared", "perilune.core.fields", "quantity"),
+        ("perilune.problem.declared", "perilune.problem.parameters", "given_of"),
+        ("perilune.methods.pseudospectral", "perilune.methods", "Pseudospectral"),
+    ],
+)
+def test_modules_that_the_manual_named_are_found_at_their_old_place(old: str, new: str, name: str) -> None:
+    """For one minor version, with a warning."""
+    with pytest.warns(DeprecationWarning, match="goes with the next minor version"):
+        found = importlib.import_module(old)
+    assert getattr(found, name) is getattr(importlib.import_module(new), name)
+    sys.modules.pop(old)
+
+
+def test_the_orbit_of_a_return_is_found_by_its_old_name() -> None:
+    records = importlib.import_module("perilune.models.deorbit.records")
+    with pytest.warns(DeprecationWarning, match="ReturnOrbit now"):
+        assert records.Orbit is pl.models.ReturnOrbit

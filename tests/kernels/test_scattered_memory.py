@@ -26,7 +26,7 @@ for piece in small[::2]:
     piece.close()
 x = np.linspace(0.0, 1.0, 40)[None]
 found = compile_map(f, cache=False, backend="native")(x)[0]
-print(native._near(), np.allclose(found, np.array(f(x[0])).ravel(), rtol=1e-9, atol=0.0))
+print(native._allocates_nearby(), np.allclose(found, np.array(f(x[0])).ravel(), rtol=1e-9, atol=0.0))
 """
 
 

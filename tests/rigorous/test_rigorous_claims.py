@@ -39,7 +39,7 @@ def proved(
     rough, root = settings(24, 1e-36), room("krawczyk")
     one = room("boundary_value_problem").ArcPiece
     with ctx.workprec(rough.bits):
-        boundary = room("boundary_value_problem").boundary_problem(
+        boundary = room("boundary_equations").boundary_problem(
             stated, [one(phase=0, regimes=pieces)] if isinstance(pieces, dict) else pieces, sides
         )
         refined = root.refine_root(boundary, [arb(value) for value in guess], rough, lambda _: None)
@@ -121,7 +121,7 @@ def test_an_arc_begins_with_no_control_of_the_one_before_but_by_a_formula() -> N
     )
     pieces = [one(phase=0, regimes={"a": "interior", "b": "interior"}, switched="a"),
               one(phase=0, regimes={"a": "upper", "b": "interior"})]  # fmt: skip
-    boundary = room("boundary_value_problem").boundary_problem(stated, pieces)
+    boundary = room("boundary_equations").boundary_problem(stated, pieces)
     flight = SimpleNamespace(steps=[], ends=[])
     limits = room("inequalities").FlightLimits(boundary, SimpleNamespace(flight=flight, y=[]))
     a, b = boundary.arcs[0].scalars[0], boundary.arcs[1].scalars[1]
@@ -390,7 +390,7 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
     told = [0.0, 0.0, *([np.pi * half_turns, -speed, 0.0] if at_start else [-speed / (2 * side)])]
     rough, root = settings(24, 1e-36), room("krawczyk")
     with ctx.workprec(rough.bits):
-        boundary = room("boundary_value_problem").boundary_problem(
+        boundary = room("boundary_equations").boundary_problem(
             stated, [room("boundary_value_problem").ArcPiece(phase=0, regimes=FREE)]
         )
         refined = root.refine_root(boundary, [arb(v) for v in (-speed, 0.0, 1.0, *told)], rough, lambda _: None)

@@ -138,7 +138,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (checks.meditch_lands, {
             "no H in what a duration costs":
-                ("boundary_value_problem", "if phase.duration in problem.free_names:", "if False:"),
+                ("boundary_equations", "if phase.duration in problem.free_names:", "if False:"),
         }),
         (checks.a_wide_box_is_refused, {
             "Krawczyk unchecked": ("krawczyk", "all(b.contains_interior(k)", "all(b.overlaps(k)"),
@@ -239,7 +239,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
             "times of switches left out":
                 ("second_order", 'for name in self.names if name not', 'for name in problem.free_names if name not'),
             "length of an arc left out of the last":
-                ("boundary_value_problem", "duration = duration - lengths[j]", "duration = duration"),
+                ("boundary_equations", "duration = duration - lengths[j]", "duration = duration"),
         }),
         (optimum.test_a_switch_has_a_slope, {
             "slope at a switch unseen": ("second_order", "zero * slope.value(z, 1) if zero", "sign if zero"),
@@ -286,7 +286,7 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (partial(_convex, 2.0, 1, []), {
             "transversality with the wrong sign":
-                ("boundary_value_problem", "end[half + i] - slope", "end[half + i] + slope"),
+                ("boundary_equations", "end[half + i] - slope", "end[half + i] + slope"),
             "wrong sign of dH/du":
                 ("inequalities", 'bound ({where})", sign * scalar.slope', 'bound ({where})", -sign * scalar.slope'),
         }),
@@ -302,17 +302,17 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (partial(_side, "lower", (2.0, 7.0)), {
             "wrong sign of a multiplier":
-                ("boundary_value_problem", 'nu if side == "upper" else -nu', '-nu if side == "upper" else nu'),
+                ("boundary_equations", 'nu if side == "upper" else -nu', '-nu if side == "upper" else nu'),
         }),
         (partial(_end, "upper", False), {
             "bound of an end on the other side":
-                ("boundary_value_problem", "self.sides.states[phase.name, state.name])", '"lower")'),
+                ("boundary_equations", "self.sides.states[phase.name, state.name])", '"lower")'),
             "bound of an end without its multiplier":
-                ("boundary_value_problem", "psi += [end[i] for", "psi += [self.graph.constant(0) * end[i] for"),
+                ("boundary_equations", "psi += [end[i] for", "psi += [self.graph.constant(0) * end[i] for"),
         }),
         (partial(_end, "lower", False), {
             "multiplier of a bound with the wrong sign":
-                ("boundary_value_problem", 'nu if side == "upper" else -nu', 'nu if c.name != "x" else nu'),
+                ("boundary_equations", 'nu if side == "upper" else -nu', 'nu if c.name != "x" else nu'),
         }),
         (_anyway, {
             "two multipliers of one end": ("proof.necessary.terminal_bounds", "np.linalg.norm(unsaid) > _FELT", "True"),
@@ -325,16 +325,16 @@ MUTANTS: dict[str, tuple[Mutant, Callable[[], object]]] = {
         }),
         (checks.stages_burn_out, {
             "an end on its bound unknown to its limit":
-                ("boundary_value_problem", "met[self.last[k]] += equations", "met[self.last[k]] += equations[:0]"),
+                ("boundary_equations", "met[self.last[k]] += equations", "met[self.last[k]] += equations[:0]"),
         }),
         (partial(_side, "inside", (-2.0, 7.0)), {
             "wrong sign inside a range":
-                ("boundary_value_problem", 'is above its lower bound", value - lower',
+                ("boundary_equations", 'is above its lower bound", value - lower',
                  'is above its lower bound", lower - value'),
         }),
         (partial(_side, "lower", None), {
             "wrong sign of a slope":
-                ("boundary_value_problem", 'slopes[i] if side == "lower" else -slopes[i]',
+                ("boundary_equations", 'slopes[i] if side == "lower" else -slopes[i]',
                  '-slopes[i] if side == "lower" else slopes[i]'),
         }),
         (claims.test_a_corner_that_each_control_alone_would_keep_is_no_minimum, {

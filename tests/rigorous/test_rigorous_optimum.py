@@ -33,7 +33,7 @@ def optimum(stated: pl.Problem, pieces: Sequence[tuple[int, dict[str, str], str]
         room("boundary_value_problem").ArcPiece(phase=k, regimes=regimes, switched=name) for k, regimes, name in pieces
     ]
     with ctx.workprec(rough.bits):
-        boundary = room("boundary_value_problem").boundary_problem(stated, own, sides)
+        boundary = room("boundary_equations").boundary_problem(stated, own, sides)
         refined = root.refine_root(boundary, [arb(value) for value in guess], rough, lambda _: None)
         found = root.prove_root(boundary, refined, rough, lambda _: None)
         said = room("second_order").prove_local_optimum(boundary, found, rough.order, lambda _: None)
@@ -399,7 +399,7 @@ def test_what_is_not_covered_is_named() -> None:
         one = room("boundary_value_problem").ArcPiece
         pieces = [one(phase=0, regimes={"u": begin, "v": "upper"}, switched="v"),
                   one(phase=0, regimes={"u": end, "v": "lower"})]  # fmt: skip
-        boundary = room("boundary_value_problem").boundary_problem(stated, pieces)
+        boundary = room("boundary_equations").boundary_problem(stated, pieces)
         assert word in next(room("second_order")._unsupported_cases(boundary, None))
 
 

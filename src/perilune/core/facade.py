@@ -6,8 +6,10 @@ its room imports nothing that draws, and nothing is loaded before it is used.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 
@@ -24,22 +26,30 @@ def deferred(package: str, home: Mapping[str, str]) -> Callable[[str], Any]:
     package
         Its dotted name.
     home
-        By submodule, the names that are defined there, separated by blanks; ``public=own`` where the submodule calls it
-        otherwise.
+        By submodule (``.other.module`` for one beside the package), the names that are defined there, separated by
+        blanks; ``public=own`` where the submodule calls it otherwise.
     """
     places = dict[str, tuple[str, str]]()
     for module, names in home.items():
         for name in names.split():
             public, _, own = name.partition("=")
-            places[public] = (f"{package}.{module}", own or public)
+            places[public] = (module, own or public)
 
     def attribute(name: str) -> Any:
         if name not in places:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module, own = places[name]
-        return getattr(import_module(module), own)
+        return getattr(import_module(f".{module}", package), own)
 
     return attribute
+
+
+def moved_module(old: str, new: str) -> ModuleType:
+    """Import a module from its new place and warn that the old one goes with the next minor version."""
+    warnings.warn(
+        f"{old} is {new} now; the old name goes with the next minor version", DeprecationWarning, stacklevel=3
+    )
+    return import_module(new)
 
 
 def method_function(name: str) -> Callable[..., Any]:

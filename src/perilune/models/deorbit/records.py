@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from datetime import datetime
 from typing import Any
 
@@ -356,3 +357,11 @@ def is_something_left(p: Any) -> bool:
 def least_mass_left(p: Any, xp: Any = NUMERIC) -> Any:
     """Return the mass [kg] that the burn must leave: the larger of dry mass and entering mass; 0 without both."""
     return xp.fmax(getattr(p, "vehicle_dry_mass", 0.0), getattr(p, "separation_mass", 0.0))
+
+
+def __getattr__(name: str) -> Any:
+    """Find the orbit of a return by its old name, which goes with the next minor version."""
+    if name != "Orbit":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    warnings.warn("Orbit of a return is ReturnOrbit now", DeprecationWarning, stacklevel=2)
+    return ReturnOrbit

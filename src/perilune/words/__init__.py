@@ -1,0 +1,1 @@
+"""Old place of `perilune.core`."""
