@@ -42,7 +42,7 @@ def test_known_arcs_are_neither_read_nor_restated(touching: Solution, monkeypatc
     plain = replace(guess, trajectories=(*guess.trajectories,))
     from_curves = pl.solve(problem, guess=plain, level=0)
     guess = pl.solve(touching.problem.with_given(ceiling=0.22), guess=touching, level=0)
-    for name in ("restate", "readings", "split"):
+    for name in ("restate", "detect_structures", "split_solution"):
         monkeypatch.setattr(structured, name, None)
     solution = pl.solve(problem, guess=guess, level=0)
     for known in (guess.trajectories, solution.trajectories):
@@ -96,7 +96,7 @@ def test_arcs_are_known_where_a_range_moves_that_ends_nothing(monkeypatch: pytes
     first, moved, narrow = (timed_bryson_denham(0.12, 0.5, longest, -8 / 9) for longest in (0.8, 0.9, 0.58))
     guess, best = pl.solve(first, level=0), pl.solve(moved, level=0)
     assert isinstance(guess.trajectories, JoinedTrajectories) and guess.free["T"] == pytest.approx(0.6)
-    for name in ("restate", "readings", "split"):
+    for name in ("restate", "detect_structures", "split_solution"):
         monkeypatch.setattr(structured, name, None)
     solution = pl.solve(moved, guess=guess, level=0)
     assert solution.objective == pytest.approx(best.objective, rel=1e-12)

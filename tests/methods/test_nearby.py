@@ -61,7 +61,7 @@ def test_nothing_is_derived_or_compiled_again(touching: Solution, monkeypatch: p
     from perilune.shooting import plan
 
     nearby = Nearby(touching)
-    for module, name in ((pontryagin, "canonical_equations"), (plan, "_Tracing"), (plan, "engine")):
+    for module, name in ((pontryagin, "canonical_equations"), (plan, "_Tracing"), (plan, "arc_engine")):
         monkeypatch.setattr(module, name, None)
     assert nearby.roots({"ceiling": [0.18, 0.19]}).converged.all()
 
