@@ -86,7 +86,7 @@ def test_more_time_is_no_loss_on_the_way_to_a_circle() -> None:
 def test_smoothed_extremals_lead_to_a_better_one() -> None:
     """50 s with 0.03 N: 0.879549 of the mass by switched extremals alone, 0.879997 known from many trials by hand."""
     problem = to_circle(50.0, radius=3.0, exhaust_speed=2.0, eccentricity=0.3, thrust=0.03)
-    found = Smoothing(trials=Trials(problem, ignore_events), segments=1).carried(24, 0)
+    found = Smoothing(trials=Trials(problem, ignore_events), segments=1).from_short_flights(24, 0)
     masses = sorted((-root.cost for root in found), reverse=True)
     assert masses[0] == pytest.approx(0.880026989, abs=1e-8)
     assert any(mass == pytest.approx(0.879996864, abs=1e-8) for mass in masses)

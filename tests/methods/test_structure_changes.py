@@ -111,7 +111,7 @@ def test_a_touch_of_no_multiplier_is_excused_by_what_is_positive_without_it(
 ) -> None:
     """And by nothing else: where the second variation is positive for flights that touch alone, its sign is missing."""
     strict = [Check(name="strict_touch", level=3, value=-1e-9, limit=-1e-6, unit="1", meaning="multiplier: negative")]
-    kept, idle = {0: KeptConditions(rides=("kept",))}, {0: KeptConditions()}
+    kept, idle = {0: KeptConditions(boundary_rates=("kept",))}, {0: KeptConditions()}
 
     def second_variation(_: Any, by: dict[int, KeptConditions]) -> list[Check]:
         value = 0.5 if by is kept else without
@@ -336,5 +336,5 @@ def test_arcs_are_looked_for_from_extremals_that_break_a_limit_by_little(slope: 
     search = Search(Indirect(), problem, lambda _: None)
     with pytest.raises(pl.PeriluneError):
         search.solve()
-    assert search.answering.outdone
+    assert search.answering.better_inadmissible
     assert bool(list(search.breaking_path())) == little

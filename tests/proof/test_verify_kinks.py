@@ -472,5 +472,5 @@ def test_a_control_that_jumps_across_a_guard_has_no_zero_of_it(before: float, af
         control=Curve(time=t, values=u[:, None], rates=rate[:, None]),
     )  # fmt: skip
     p = SimpleNamespace(T=4.0, L=100.0, xs=30.0, k=0.3)
-    guarded = Guarded(phase=phase, p=p, flown=flown, duration=4.0, scale=np.ones(3))
+    guarded = Guarded(phase=phase, p=p, trajectory=flown, duration=4.0, scale=np.ones(3))
     assert list(guarded._located(1.0, 3.5, 0)) == pytest.approx(zeros, abs=1e-9)

@@ -48,7 +48,7 @@ def seen_again(boundary: Any, refined: Any, found: Any, rough: Any, said: Any) -
     weights = said.weights or second_order._SecondVariationForm(boundary, found).weights_of_moving(1e4)
     proved = room("theorem").ProvedExtremal(
         boundary=boundary, refined=refined, settings=rough, root=found,
-        alone=room("krawczyk").enlarge_uniqueness_box(boundary, refined, found, rough, lambda _: None),
+        unique=room("krawczyk").enlarge_uniqueness_box(boundary, refined, found, rough, lambda _: None),
         objective=boundary.objective.values(found.y, found.flight.ends[-1])[0],
         statements=(), optimum=second_order.OptimumStatement(proved=False), distance=0.0, reached=True,
     )  # fmt: skip

@@ -89,7 +89,7 @@ class ControlLaw:
     values: tuple[ca.SX, ...]
     sizes: tuple[ca.SX, ...]
 
-    def begun(self, z: ca.SX, rates: Sequence[ca.SX]) -> ca.SX:
+    def initial_mode(self, z: ca.SX, rates: Sequence[ca.SX]) -> ca.SX:
         """Return the number of the mode in which a flight begins at z, with the rates of z in each mode.
 
         It is the one in which H is least. Where that is rounding, as where a flight begins with a switch, a mode is

@@ -39,7 +39,7 @@ def number_of_mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX],
                 here = ca.logic_and(here, beyond(choice.argument - choice.knots[side - 1]))
             if side < len(choice.knots):
                 here = ca.logic_and(here, ca.logic_not(beyond(choice.argument - choice.knots[side])))
-        number = ca.if_else(here, first + law.begun(z, own), number)
+        number = ca.if_else(here, first + law.initial_mode(z, own), number)
         first += len(law.control)
     return number
 

@@ -185,7 +185,7 @@ class _InteriorPointSearch:
         z = BARRIER / np.maximum(d, 1.0)
         pull = self.onto(self.sign * z)
         ranged = -pull[self.n :]
-        slope = here.gradient - pull[: self.n] + here.pulled(np.zeros(len(self.equal)), ranged)
+        slope = here.gradient - pull[: self.n] + here.multiplier_gradient(np.zeros(len(self.equal)), ranged)
         weighed = AddedWeights(np.ones(self.n), np.zeros(len(ranged)))
         found = self.reduced().step(None, weighed, np.column_stack([slope, slope]))
         y = np.zeros(len(self.equal)) if found is None else found[2][:, 1]
@@ -196,7 +196,7 @@ class _InteriorPointSearch:
         """Return the largest violation of the optimality conditions, relative to large multipliers, and largest d z."""
         here, (_, d, z, y, ranged) = self.here, point
         dual = -self.onto(self.sign * z)
-        dual[: self.n] += here.gradient + here.pulled(y, ranged)
+        dual[: self.n] += here.gradient + here.multiplier_gradient(y, ranged)
         dual[self.n :] -= ranged
         count = len(y) + len(ranged) + len(z)
         scale = max(1.0, (np.abs(y).sum() + np.abs(ranged).sum() + z.sum()) / (100.0 * count))
@@ -321,7 +321,7 @@ class _Evaluated:
         H[self._upper] = H[self._lower] = hessian[self._second]
         return others
 
-    def pulled(self, y: Vector, ranged: Vector) -> Vector:
+    def multiplier_gradient(self, y: Vector, ranged: Vector) -> Vector:
         """Return the slopes of equations and ranges with these multipliers."""
         return np.concatenate([y, ranged]) @ self.slopes
 

@@ -59,7 +59,7 @@ class _QuadratureSegment:
         """Half its length [s]."""
         return 0.5 * (self.segment.end - self.segment.begin)
 
-    def flown(self, rates: Matrix) -> Matrix:
+    def propagate(self, rates: Matrix) -> Matrix:
         """Return X(start) and the integrals of rates at the Gauss points, shape (points, states)."""
         inside = self.half * (self.rule.integration @ rates)
         return self.x[0] + np.vstack([np.zeros_like(inside[:1]), inside, self.half * (self.rule.weights @ rates)])
@@ -126,7 +126,7 @@ def _simulated(
             rates = phase.rates(list(inner.T), list(u.T), p)
             rates = np.column_stack([full(rate, inner[:, 0]) for rate in rates])
             split = np.split(rates, np.cumsum([len(piece.rule.points) for piece in pieces])[:-1])
-            later = [piece.flown(rate) for piece, rate in zip(pieces, split, strict=True)]
+            later = [piece.propagate(rate) for piece, rate in zip(pieces, split, strict=True)]
             left = [
                 _last_relative_change(piece, before, after, fine)
                 for piece, before, after in zip(pieces, x, later, strict=True)

@@ -68,7 +68,7 @@ def solve_and_polish(
             raise
         return exact
     assert direct is not None
-    return finish.of(direct) or finish.left(direct)
+    return finish.of(direct) or finish.unpolished(direct)
 
 
 @dataclass(kw_only=True)
@@ -110,10 +110,10 @@ class _DirectPolish:
             self.watch(f"polish: {name}")
             found = self._found(way, direct)
             if found is not None and not self._worse(found, direct):
-                return self._told(found, direct, name)
+                return self._with_history(found, direct, name)
         return None
 
-    def left(self, direct: Solution) -> Solution:
+    def unpolished(self, direct: Solution) -> Solution:
         """Return the direct answer, which says why it is not exact."""
         tried = (*direct.statistics.tried, *self.tried, "polish: the direct answer stays as it is")
         return replace(direct, statistics=replace(direct.statistics, tried=tried))
@@ -132,16 +132,16 @@ class _DirectPolish:
         return run.run(direct)
 
     def _in_one_piece(self, direct: Solution) -> Solution | None:
-        return self._kept(*self._search().near(direct, family=not self.guided))
+        return self._admissible_minimum(*self._search().near(direct, family=not self.guided))
 
     def _smoothed(self, direct: Solution) -> Solution | None:
         """Solve by way of the smoothed problem: for many switches Newton's method needs more than a mesh knows."""
-        return self._kept(*self._search().smoothed(direct))
+        return self._admissible_minimum(*self._search().smoothed(direct))
 
     def _search(self) -> Search:
         return Search(self.settings, self.problem, self.watch, tried=self.tried)
 
-    def _kept(self, found: Solution, breach: Callable[[], ConstraintViolation | None]) -> Solution | None:
+    def _admissible_minimum(self, found: Solution, breach: Callable[[], ConstraintViolation | None]) -> Solution | None:
         """Return an extremal if it is a minimum that keeps every condition."""
         if found.extremals[0].nature is Nature.WORST:
             self.tried.append("polish: an extremal that is no minimum")
@@ -159,7 +159,7 @@ class _DirectPolish:
             self.tried.append(f"polish: another extremal, which is worse: J = {told}")
         return worse
 
-    def _told(self, found: Solution, direct: Solution, name: str) -> Solution:
+    def _with_history(self, found: Solution, direct: Solution, name: str) -> Solution:
         """Return the exact answer with what led to it."""
         gain = (
             f"polish: by {name}, J = {found.objective:.12g} for {direct.objective:.12g} {self.problem.objective_unit}"

@@ -141,7 +141,7 @@ def _checks_in_order(
             yield from (check for check in found if check.level < 3)
             yield from rides.checks()
             if level >= 3:
-                kept, idle = rides.kept(), rides.kept(idle=False)
+                kept, idle = rides.kept_conditions(), rides.kept_conditions(idle=False)
                 strict = [check for check in found if check.level == 3]
         yield from check_extremality(parts, flown if parts is solution else reintegrate(parts))
         if level >= 3 and all(t.costate is not None for t in solution.trajectories):

@@ -167,7 +167,7 @@ class BoundaryProblem:
         return tuple(found)
 
     @property
-    def untold(self) -> set[int]:
+    def unguessed(self) -> set[int]:
         """Return the entries of y that no solution gives: costates of constant states, whose names states may share."""
         return {i for own, phase in zip(self.costates, self.problem.phases, strict=True)
                 for i in own[len(phase.states) :]}  # fmt: skip

@@ -96,7 +96,7 @@ def enclose_flight(
                 if not pace.slower(float(length)):
                     raise
                 continue
-            if not pace.kept(float(length), proved):
+            if not pace.accept(float(length), proved):
                 continue
             own = lasting - arb(begin) if last else length
             frame.go(taylor_orders(arc, frame.middle, None, order - 1)[0], proved.remainder, own, moved)
@@ -145,7 +145,7 @@ class _StepLengths:
         self._longest = by * length
         return self._shortest < self._longest and self._finest < math.inf
 
-    def kept(self, length: float, proved: EnclosedStep) -> bool:
+    def accept(self, length: float, proved: EnclosedStep) -> bool:
         """Return True if the remainder of a step is small enough, or cannot be made so; adapt the length of steps."""
         order = len(proved.polynomial[0])
         lost = [float((own * proved.length**order).abs_upper()) for own in proved.remainder]

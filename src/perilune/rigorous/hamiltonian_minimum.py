@@ -45,7 +45,7 @@ class HamiltonianMinimum:
         self._limits = TaylorProgram(graph, arc.keys, [limit for limit in limits if limit is not None])
         self._count, self._regimes = len(keys), [scalar.regime for scalar in arc.scalars]
 
-    def unseen(self, steps: Sequence[EnclosedStep]) -> float | None:
+    def unproved_time(self, steps: Sequence[EnclosedStep]) -> float | None:
         """A time [s] of the arc at which it is not seen that the control is the only minimum; None where it always is.
 
         A control that is on a bound has to have been seen to be the least next to it (`limits`).

@@ -141,7 +141,7 @@ class FlightLimits:
         minimum = HamiltonianMinimum(arc)
         if not minimum.bounded:
             return Statement(words=words, proved=False, where="as it has no bounds")
-        at = minimum.unseen(self.steps[i])
+        at = minimum.unproved_time(self.steps[i])
         return Statement(words=words, proved=at is None, where="" if at is None else f"at {at:.6g} s")
 
     def _along(self, i: int, words: str, of: GraphExpression, touching: bool = False) -> Statement:

@@ -57,7 +57,7 @@ def theorem_text(proved: ProvedExtremal) -> str:
         f"Pontryagin's conditions exactly, with {values}.{arcs} Its unknowns are within "
         f"{_rounded_up(proved.distance)} of "
         "those of the verified answer, relative to their size (a millionth of the largest for smaller ones), and the "
-        f"only ones in a box {around} (contraction {_rounded_up(proved.alone.contraction)}). "
+        f"only ones in a box {around} (contraction {_rounded_up(proved.unique.contraction)}). "
         f"{_limits_sentence(proved)} "
         f"{_optimum_sentence(proved)}"
     )
@@ -137,9 +137,9 @@ def certificate_document(proved: ProvedExtremal, text: str) -> dict[str, Any]:
                 "centre": _exact_centre(c),
                 "enclosure": _rounded_claim(k, _ROOM_OF_BOX * alone.rad(), proved),
             }
-            for name, c, k, alone in zip(boundary.names, proved.refined.y, root.y, proved.alone.box, strict=True)
+            for name, c, k, alone in zip(boundary.names, proved.refined.y, root.y, proved.unique.box, strict=True)
         ],
-        "only_one_within": [float(b.rad()) for b in proved.alone.box],
+        "only_one_within": [float(b.rad()) for b in proved.unique.box],
         "weights": proved.optimum.weights if proved.optimum.proved else None,
         "objective": _rounded_claim(proved.objective, arb(0), proved),
         "by_the_prover_alone": {

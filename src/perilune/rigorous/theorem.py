@@ -59,7 +59,7 @@ class ProvedExtremal:
     refined: RefinedRoot
     settings: ProofEffort
     root: EnclosedRoot
-    alone: EnclosedRoot
+    unique: EnclosedRoot
     objective: Ball
     statements: tuple[Statement, ...]
     optimum: OptimumStatement
@@ -125,7 +125,7 @@ def _prove_extremal(
     optimum = prove_local_optimum(boundary, root, settings.order, tell)
     known = [b for b, value in zip(large.box, guess, strict=True) if not b.contains(value)]
     return ProvedExtremal(
-        boundary=boundary, refined=refined, settings=settings, root=root, alone=large,
+        boundary=boundary, refined=refined, settings=settings, root=root, unique=large,
         objective=boundary.objective.values(root.y, root.flight.ends[-1])[0],
         statements=statements, optimum=optimum, distance=distance, reached=not known,
     )  # fmt: skip
@@ -133,7 +133,7 @@ def _prove_extremal(
 
 def _distance(boundary: BoundaryProblem, root: EnclosedRoot, guess: Sequence[Ball]) -> float:
     """Return the distance from the guess, without costates of constant states, which no solution gives."""
-    told = [i for i in range(len(guess)) if i not in boundary.untold]
+    told = [i for i in range(len(guess)) if i not in boundary.unguessed]
     least = _NEARLY_ZERO * max(float(guess[i].abs_upper()) for i in told)
     far = [float((root.y[i] - guess[i]).abs_upper()) / max(float(guess[i].abs_upper()), least) for i in told]
     return max(far, default=math.nan)

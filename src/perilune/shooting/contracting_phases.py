@@ -42,13 +42,13 @@ class SettlingPhase:
         Which rows of Phi move: of a state without a rate it stays that of the unit matrix.
     """
 
-    flown: Equations
+    equations: Equations
     rows: tuple[int, ...]
 
     @property
     def seeds(self) -> Vector:
         """Return the entries after x where Phi is the unit matrix."""
-        return np.eye(len(self.flown.kept))[list(self.rows)].ravel()
+        return np.eye(len(self.equations.kept))[list(self.rows)].ravel()
 
     def start(self, x: ca.SX) -> ca.SX:
         """Return z with Phi = 1."""
@@ -56,7 +56,7 @@ class SettlingPhase:
 
     def transition(self, z: ca.SX) -> ca.SX:
         """Return Phi of z, (n, n)."""
-        return _transition_of(z, len(self.flown.kept), self.rows)
+        return _transition_of(z, len(self.equations.kept), self.rows)
 
 
 def _transition_of(z: ca.SX, n: int, rows: tuple[int, ...]) -> ca.SX:
@@ -90,7 +90,7 @@ def settling_equations(extremal: PhaseExtremal) -> SettlingPhase:
             for event, S in zip(extremal.events, crossings, strict=True)
         ),
     )
-    return SettlingPhase(flown=flown, rows=rows)
+    return SettlingPhase(equations=flown, rows=rows)
 
 
 def costate_error_growth(phi: Matrix) -> float:
@@ -117,7 +117,7 @@ def propagate_settling_phase(
         x(T) -> lambda(T).
     """
     made, n = settling_equations(extremal), extremal.half
-    flown = made.flown
+    flown = made.equations
     starts, begins, through = [np.asarray(x)], [0.0], list[Matrix]()
     length = duration / _PIECES
     while begins[-1] < duration:

@@ -132,14 +132,14 @@ class PlanIntegrator:
 
     def __call__(self) -> Matrix:
         """Return the rows of an evaluation, NaN where an arc was lost; the next call may overwrite them."""
-        rows = self.flown()
+        rows = self.evaluate()
         if not self.plan.compiled:
             n = self.plan.columns.n
             h, J, extra = rows[:, :n], rows[:, n : n + n * n].reshape(-1, n, n), rows[:, n + n * n :]
             rows = newton.evaluation_rows(self.Y, h, J, self.inverse, extra)
         return rows
 
-    def flown(self) -> Matrix:
+    def evaluate(self) -> Matrix:
         """Fly all legs and return the values of the closing, NaN where an arc was lost."""
         for opened, arcs in self.legs:
             opened()
@@ -223,7 +223,7 @@ def jacobians(conditions: Conditions, segments: int, Y: Matrix, p: Matrix, choic
     code, count = _plan_without_step(conditions, segments), len(Y)
     n = code.plan.columns.n
     flight = PlanIntegrator(code, Y, choice, p, np.full(count, newton.FINEST), np.zeros((count, n * n)))
-    return flight.flown()[:, n : n + n * n].reshape(count, n, n).copy()
+    return flight.evaluate()[:, n : n + n * n].reshape(count, n, n).copy()
 
 
 @lru_cache(maxsize=16)

@@ -214,7 +214,7 @@ class _NewtonSettings(NamedTuple):
     doubt: float
     reach: Vector | None
 
-    def led(
+    def stay_near(
         self, trial: Matrix, start: Matrix, lanes: Lanes, before: Vector
     ) -> tuple[NDArray[np.bool_] | bool, Vector]:
         """Return which of some lanes stay near their starts, and how far they are; `before` by the last step."""
@@ -244,7 +244,7 @@ def _newton_many_lanes(
     alpha, again = _limit_damping(np.ones(count), row, columns, max_step), np.zeros(count, dtype=bool)
     coarsest = np.full(count, ROUGHEST)
     trial = y + alpha[:, None] * row[:, columns.step]
-    led, away = settings.led(trial, start, lanes, np.full(count, np.inf))
+    led, away = settings.stay_near(trial, start, lanes, np.full(count, np.inf))
     active = (row[:, 2] < _ASTRAY) & led
     for number in range(2, limit + 1):
         if not active.all():
@@ -266,7 +266,7 @@ def _newton_many_lanes(
         y, row, flown = trial, new, finer
         alpha = _limit_damping(after, row, columns, max_step)
         trial = y + np.where(again, 0.0, alpha)[:, None] * row[:, columns.step]
-        led, away = settings.led(trial, start, lanes, away)
+        led, away = settings.stay_near(trial, start, lanes, away)
         active = ~root & ~lost & (alpha > _LEAST_DAMPING) & (number < limit) & led
         ends.keep(lanes, y, row, root, ~active, number)
         if watch is not None:
@@ -293,7 +293,7 @@ def _newton_one_lane(
     alpha = _limit_damping(1.0, row, columns, max_step)
     while head[2] < _ASTRAY and alpha > _LEAST_DAMPING and number < limit and not root and not lost:
         trial = y if again else y + alpha * row[:, columns.step]
-        led, away = settings.led(trial, start, lanes, away)
+        led, away = settings.stay_near(trial, start, lanes, away)
         if not np.all(led):
             break
         coarsest = FINEST if again else coarsest

@@ -60,7 +60,7 @@ class PlanLeg:
         After which the arc counts as lost.
     """
 
-    flown: Equations
+    equations: Equations
     arcs: Engine
     opening: ca.Function
     follows: bool
@@ -183,11 +183,13 @@ class _Tracing:
         self.conditions, self.segments, self.most = conditions, segments, most
         self.settling = [settling_equations(phase) if phase.settles else None for phase in conditions.phases]
         parts = zip(conditions.phases, conditions.needed, conditions.silent, self.settling, strict=True)
-        self.flown = [s.flown if s else reduced_equations(phase, needed, silent) for phase, needed, silent, s in parts]
+        self.equations = [
+            s.equations if s else reduced_equations(phase, needed, silent) for phase, needed, silent, s in parts
+        ]
         count, silent = len(conditions.unknowns), {unknown for _, unknown in conditions.silent_rows}
         active, size = [i for i in range(count) if i not in silent], count
         self.nodes: dict[tuple[int, int], list[int]] = {}  # where the start of a later segment lies in the whole Y
-        for k, (phase, flown) in enumerate(zip(conditions.phases, self.flown, strict=True)):
+        for k, (phase, flown) in enumerate(zip(conditions.phases, self.equations, strict=True)):
             for j in range(1, segments):
                 self.nodes[k, j] = [size + i for i in flown.kept.tolist()]
                 active += self.nodes[k, j]
@@ -203,7 +205,7 @@ class _Tracing:
         """Trace legs and closing."""
         legs, ends, gaps = [], [], []
         before: _End | None = None
-        for k in range(len(self.flown)):
+        for k in range(len(self.equations)):
             for j in range(self.segments):
                 leg, end = self._leg(k, j, before)
                 if j and before is not None:
@@ -233,7 +235,7 @@ class _Tracing:
         )
 
     def _leg(self, k: int, j: int, before: _End | None) -> tuple[PlanLeg, _End]:
-        extremal, flown = self.conditions.phases[k], self.flown[k]
+        extremal, flown = self.conditions.phases[k], self.equations[k]
         kept = flown.kept.tolist()
         whole_before = ca.SX.zeros(2 * self.conditions.phases[k - 1].half, 1) if k else ca.SX(0, 1)
         if before is not None and k and not j:  # a later segment begins at an unknown of its own
@@ -265,7 +267,7 @@ class _Tracing:
             pattern = np.repeat(pattern.max(axis=1, keepdims=True), -(-count // LANES), axis=1)
         arcs = arc_engine(flown, tuple(tuple(row) for row in pattern.tolist()))
         leg = PlanLeg(
-            flown=flown,
+            equations=flown,
             arcs=arcs,
             opening=ca.Function("opening", symbols, ca.cse([ca.SX(r) for r in results])),
             follows=follows,
@@ -291,7 +293,7 @@ class _Tracing:
 
     def _whole(self, k: int, end: _End) -> ca.SX:
         """Return all of z at the end of phase k: zero where it is not flown."""
-        z, kept = ca.SX.zeros(2 * self.conditions.phases[k].half, 1), self.flown[k].kept.tolist()
+        z, kept = ca.SX.zeros(2 * self.conditions.phases[k].half, 1), self.equations[k].kept.tolist()
         z[kept] = end.z[: len(kept)]
         return z
 

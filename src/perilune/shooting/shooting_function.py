@@ -305,7 +305,7 @@ class Shooting:
         least = np.linalg.norm(root.inverse, -2)  # inverse of the largest growth of an error
         return bool(np.abs(root.residual).max() * least <= FINEST)
 
-    def met(self, root: Root) -> Root:
+    def with_corrected_cost(self, root: Root) -> Root:
         """Return the root with J as if nothing were left at the ends: J + nu.psi is stationary, J to second order."""
         nu = root.y[self.conditions.free_at.stop : len(self.conditions.unknowns)]
         return replace(root, cost=root.cost + float(nu @ root.residual[: len(nu)]))

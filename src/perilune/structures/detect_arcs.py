@@ -49,7 +49,7 @@ class Contact:
     name: str
     begin: float
     end: float
-    ridden: bool
+    is_arc: bool
 
 
 def detect_structure(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
@@ -147,7 +147,7 @@ def _remembered_structures(guess: _Guess, least: float) -> tuple[Structure, ...]
 
 def _switched_stays(problem: Problem, solution: Solution, k: int, met: Sequence[Contact]) -> list[Stay]:
     """Return the bounds that the one switched scalar of phase k is on, except where it keeps a boundary arc."""
-    ridden = sorted((c for c in met if c.ridden), key=lambda c: c.begin)
+    ridden = sorted((c for c in met if c.is_arc), key=lambda c: c.begin)
     known = linear_scalars(problem, k)
     if not ridden or len(known) != 1 or solution.trajectories[k].costate is None:
         return []
@@ -182,7 +182,7 @@ def _follows_from_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
     """Return True if a condition stays active while all scalars are on their bounds, which keep to it by themselves."""
     names = {s.control for s in stays}
     here = [s for s in stays if s.begin < 0.5 * (contact.begin + contact.end) < s.end]
-    return contact.ridden and bool(names) and all(s.regime != "singular" for s in here)
+    return contact.is_arc and bool(names) and all(s.regime != "singular" for s in here)
 
 
 def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
@@ -210,10 +210,10 @@ def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0])
         here = t[first : last + 1]
         if condition.steered and (stays or (inside and condition.order == 1)):
             on = here[room[first : last + 1] <= near / BULGE + max(0.0, float(room[first : last + 1].min()))]
-            yield Contact(name=name, begin=float(on[0]), end=float(on[-1]), ridden=True)
+            yield Contact(name=name, begin=float(on[0]), end=float(on[-1]), is_arc=True)
         elif inside:
             at = float(here[np.argmin(room[first : last + 1])])
-            yield Contact(name=name, begin=at, end=at, ridden=False)
+            yield Contact(name=name, begin=at, end=at, is_arc=False)
 
 
 def _time_below(t: Vector, room: Vector, first: int, last: int, level: float) -> float:
@@ -253,8 +253,8 @@ def arcs_of(
     arcs = list[Arc]()
     for begin, end in zip([0.0, *cuts], [*cuts, duration], strict=True):
         middle = 0.5 * (begin + end)
-        along = tuple(c.name for c in found if c.ridden and c.begin < middle < c.end)
-        touches = tuple(c.name for c in found if not c.ridden and c.end == end)
+        along = tuple(c.name for c in found if c.is_arc and c.begin < middle < c.end)
+        touches = tuple(c.name for c in found if not c.is_arc and c.end == end)
         held = {name for condition in along if condition in known for name in steering_controls(known[condition])}
         arc = Arc(along=along, touches=touches, regimes=regimes_at(stays, middle, held), until=end)
         if arcs and arc.regimes and replace(arcs[-1], touches=touches, until=end) == arc and not arcs[-1].touches:

@@ -231,7 +231,7 @@ class _Restated:
         rough = self._rough(k)
         durations = part_durations(self.user, self.structure, k)
         for j, arc in enumerate(arcs):
-            ends = list(self._met(arc, arcs[j + 1] if j + 1 < count else None, conditions))
+            ends = list(self._vanishing_at_end(arc, arcs[j + 1] if j + 1 < count else None, conditions))
             if j + 1 == count:
                 entered = j > 0 and not self.repeated  # else nothing but its start says that S = 0 on it
                 said = repeated_ends(self.user, k, arc, conditions, self.varied) if entered else frozenset()
@@ -249,7 +249,7 @@ class _Restated:
                 "typical_end": rough[j],
                 **({} if j + 1 == count else {"marks": None, "mark_variables": ()}),
                 **_gathered_function("end", "end_conditions", ends),
-                **_gathered_function("path", "path_conditions", self._kept(k, arc, conditions)),
+                **_gathered_function("path", "path_conditions", self._inequalities(k, arc, conditions)),
                 **_gathered_function("held", "held_conditions", held + self._user_held(k)),
             }
             yield replace(phase, **changes)
@@ -273,7 +273,7 @@ class _Restated:
         held = self.user.phases[k].held_conditions
         return [(v, component(self.expressions[k, "held"], i)) for i, v in enumerate(held)]
 
-    def _kept(self, k: int, arc: Arc, conditions: Mapping[str, Condition]) -> list[tuple[Variable, Expression]]:
+    def _inequalities(self, k: int, arc: Arc, conditions: Mapping[str, Condition]) -> list[tuple[Variable, Expression]]:
         """Return what stays >= 0 on an arc: path conditions, and bounds in contact with another arc of the phase."""
         phase = self.user.phases[k]
         paths = [
@@ -284,7 +284,7 @@ class _Restated:
         others = [c for c in conditions.values() if c.bound is not None and c.name not in arc.along]
         return paths + [(c.variable, with_sums(c.values[0], self.sums)) for c in others]
 
-    def _met(
+    def _vanishing_at_end(
         self, arc: Arc, following: Arc | None, conditions: Mapping[str, Condition]
     ) -> Iterator[tuple[Variable, Expression]]:
         """Yield what vanishes at the end of an arc: conditions in contact, and those of boundary arcs that follow."""

@@ -83,7 +83,7 @@ def start_function(conditions: Conditions, k: int) -> ca.Function:
 def _march_symbols(conditions: Conditions, k: int) -> ca.SX:
     """Return symbols for the marched state of a phase: z, or x and the moving part of Phi; and the margins so far."""
     extremal = conditions.phases[k]
-    size = settling_equations(extremal).flown.modes[0].size1_in(0) if extremal.settles else 2 * extremal.half
+    size = settling_equations(extremal).equations.modes[0].size1_in(0) if extremal.settles else 2 * extremal.half
     return ca.SX.sym(f"state{k}", size + len(NOTHING_SEEN))
 
 
@@ -172,7 +172,7 @@ def step_settling(rides: ChartBoundaryArcs, k: int, mode: int) -> ca.Function:
     """Build one step of a phase that settles, with (x, Phi) in place of z, and no control."""
     extremal = rides.conditions.phases[k]
     made = settling_equations(extremal)
-    flown, known = made.flown.modes[mode], made.flown.numbers.tolist()
+    flown, known = made.equations.modes[mode], made.equations.numbers.tolist()
     numbers = ca.SX.sym("numbers", extremal.modes[mode].size1_in(1))
     free, h = ca.SX.sym("free", len(rides.stated.free)), ca.SX.sym("h")
     size = flown.size1_in(0)

@@ -84,8 +84,8 @@ class ScipyEngine:
                         status = ArcStatus.NON_FINITE
                     flight.z[lane], columns[lane, system.offsets] = flown.y[: system.nz], flown.y[system.nz :]
                     flight.rates[lane] = flown.rate(flown.y)[: system.nz]
-                    flight.info[lane] = flown.t, status, flown.steps, flown.mode, len(flown.met)
-                    flight.log[lane, : len(flown.met)] = np.reshape(flown.met, (-1, 2))
+                    flight.info[lane] = flown.t, status, flown.steps, flown.mode, len(flown.events)
+                    flight.log[lane, : len(flown.events)] = np.reshape(flown.events, (-1, 2))
                     if nodes is not None:
                         nodes[:] = flown.nodes
 
@@ -115,7 +115,7 @@ class _Lane:
         self.y, self.p = np.concatenate([asked.z0[lane], seeds]), asked.p[lane if len(asked.p) > 1 else 0]
         self.t, self.duration, self.mode = 0.0, float(asked.duration[lane]), int(asked.mode[lane])
         self.steps, self.most, self.fixed = 0, asked.max_steps, asked.fixed_steps
-        self.met: list[tuple[float, float]] = []
+        self.events: list[tuple[float, float]] = []
         self.nodes: list[Vector] = []
         share = np.sqrt(system.nz / len(self.y))  # the error is that of z: the columns are carried along
         self.rtol = max(share * asked.rtol[lane], _FINEST)
@@ -207,7 +207,7 @@ class _Lane:
         """Fly to an event, note it, and end there or go on in what comes after it."""
         event, before = self.system.events[number], self.g[0]
         self._fly_to(time, number)
-        self.met.append((number, self.t))
+        self.events.append((number, self.t))
         way = number, self.mode
         if way in self.carried:
             self.y = np.asarray(self.carried[way](self.y, self.p)).ravel()
@@ -220,7 +220,7 @@ class _Lane:
             self.g[0, number] = -before[number]
         if event.terminal:
             return ArcStatus.EVENT
-        if len(self.met) >= MAX_EVENTS:
+        if len(self.events) >= MAX_EVENTS:
             return ArcStatus.STEP_LIMIT
         return ArcStatus.REACHED if self.t == self.duration else None
 

@@ -76,7 +76,7 @@ class FirstMesh:
             return begin.program, first
         if self.near:
             self.fail(begin.program, first)
-        flown = self.flown()
+        flown = self.simulated_start()
         winding = flown is not None and flown.counts
         if first.converged:
             better = self.from_least_miss(flown)[1] if flown is not None and winding else None
@@ -104,7 +104,7 @@ class FirstMesh:
         counted = sum(start.counts for start in starts)
         self.all_missed = CONVINCED <= counted == len(misses) + len(vanished) and self.guess is None
         if len(misses) >= CONVINCED and len(tries) == 1:
-            self.tell_least_miss(*min(misses, key=_violation), len(misses))
+            self.raise_least_violation(*min(misses, key=_violation), len(misses))
         if not misses:
             # A start that leads nowhere spends all it is given: what one of them may take, all of them share.
             share = max(1, self.run.settings.iterations // len(starts))
@@ -143,7 +143,7 @@ class FirstMesh:
             self.first = self.first or (free, by)
             yield Start(program, free, sample_guess(program, by), name)
 
-    def flown(self) -> Start | None:
+    def simulated_start(self) -> Start | None:
         """Return a start flown under the controls of the first straight line; None where it cannot be.
 
         Its miss counts where it winds, as no straight line does. Else it is one more way to an answer, on a mesh that
@@ -174,7 +174,7 @@ class FirstMesh:
         durations = [f for f in self.problem.free if f.name in self.problem.duration_names]
         return any(values[f.name] < VANISHED * f.typical for f in durations)
 
-    def tell_least_miss(self, program: TranscribedProgram, best: ProgramSolution, count: int) -> None:
+    def raise_least_violation(self, program: TranscribedProgram, best: ProgramSolution, count: int) -> None:
         """Raise not converged with what the best of so many misses, if that is more than the error of the mesh.
 
         Each is the least only of its surroundings, so no number of them shows that nothing flies.

@@ -40,7 +40,7 @@ def given_durations(trials: Trials) -> list[int]:
 
 @dataclass(kw_only=True)
 class FinalTimeContinuation:
-    """A continuation from short flights to the whole; `told` says what it met, `met` how many families.
+    """A continuation from short flights to the whole; `summary` says what it found, `family_count` how many families.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class FinalTimeContinuation:
     def __post_init__(self) -> None:
         self.at = given_durations(self.trials)
         self.rng = np.random.default_rng(self.seed)
-        self.told, self.met = "", 0
+        self.summary, self.family_count = "", 0
 
     def extremals(self) -> list[Root]:
         """Return the extremals of the whole flight, best first."""
@@ -65,13 +65,12 @@ class FinalTimeContinuation:
         known: list[Root] = []
         for number, share in enumerate(RATIO ** np.arange(-count, 1.0)):
             carried = self._carried(known, share / RATIO, share)
-            Y = [self._anywhere(number), *(self._around(root) for root in (*known, *carried))]
+            Y = [self._random_costates(number), *(self._around(root) for root in (*known, *carried))]
             fresh = self._roots(np.vstack(Y), share, doubt=0.0)
             known = distinct_roots([*carried, *(root for root in fresh if root.converged)])[:_KEPT]
-            self.met += sum(not any(same_extremal(root, other) for other in carried) for root in known)
-        self.told = (
-            f"{count + 1} shares of the duration from {RATIO**-count:.2g} on, where {self.met} families were met"
-        )
+            self.family_count += sum(not any(same_extremal(root, other) for other in carried) for root in known)
+        shares = f"{count + 1} shares of the duration from {RATIO**-count:.2g} on"
+        self.summary = f"{shares}, where {self.family_count} families were met"
         return known
 
     def _carried(self, known: list[Root], share: float, target: float, halvings: int = _HALVINGS) -> list[Root]:
@@ -107,7 +106,7 @@ class FinalTimeContinuation:
         choices = np.tile(trials.shooting.holding({}), (len(Y), 1))
         return trials.settled(Y, choices, p, limits=trials.limits, limit=2 * PATIENCE, max_step=STRIDE, doubt=doubt)
 
-    def _anywhere(self, number: int) -> Matrix:
+    def _random_costates(self, number: int) -> Matrix:
         """Draw costates of lengths about one: with the duration given H is no condition, and they have a scale."""
         Y = random_costate_unknowns(self.trials, _STARTS * self.starts, self.seed + number)
         Y[:, : self.trials.conditions.free_at.start] *= np.exp(self.rng.uniform(-_LENGTH, _LENGTH, size=(len(Y), 1)))

@@ -339,7 +339,7 @@ def _propagate_in_pieces(
             )
             before, at = flown[-1].arcs[-1].z[-1], at + len(z) * len(shares)
             continue
-        length, kept = float(duration[0]) / _SEGMENTS, shooting.plan.legs[k * _SEGMENTS].flown.kept
+        length, kept = float(duration[0]) / _SEGMENTS, shooting.plan.legs[k * _SEGMENTS].equations.kept
         arcs = [propagate_arc(extremal, z, p, length, **fine)]
         for _ in shares:
             z = arcs[-1].z[-1].copy()

@@ -54,16 +54,16 @@ class Smoothing:
         Newton's method on the problem.
     segments
         Arcs for each phase in multiple shooting; twice as many are tried as well.
-    told
+    summary
         What was done last.
     """
 
     trials: Trials
     segments: int
-    told: str = ""
+    summary: str = ""
 
     def root(self, choice: Vector) -> Root | None:
-        """Return an extremal; None, with the reason in `told`, where none was reached.
+        """Return an extremal; None, with the reason in `summary`, where none was reached.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class Smoothing:
         """Solve from a direct answer of the smoothed problem."""
         rough = self._rough(smooth)
         if rough is None:
-            self.told = "smoothed controls: no direct solution"
+            self.summary = "smoothed controls: no direct solution"
             return None
         there = Trials(smooth, self.trials.watch)
         y = unknowns_from_solution(smooth, there.conditions, rough)
@@ -91,14 +91,14 @@ class Smoothing:
             shooting = Shooting(there.conditions, segments=segments)
             Y = np.concatenate([y, joints_from_solution(smooth, there.conditions, rough, segments)])
             root = there.settled(Y[None], choice, limits=there.others, shooting=shooting)[0]
-            self.told = (
+            self.summary = (
                 f"smoothed controls, multiple shooting: Newton ended at residual {np.abs(root.residual).max():.2g}"
             )
             if root.converged and (found := self._sharpened(there, shooting, root)) is not None:
                 return found
         return None
 
-    def carried(self, starts: int, seed: int) -> list[Root]:
+    def from_short_flights(self, starts: int, seed: int) -> list[Root]:
         """Return extremals that smoothed ones lead to, carried from short flights; every duration is given.
 
         Smoothed extremals begin and end less often on the way, and lie farther apart.
@@ -115,7 +115,7 @@ class Smoothing:
         walk = FinalTimeContinuation(trials=there, starts=starts, seed=seed)
         roots = walk.extremals()[:_CARRIED]
         found = [root for near in roots if (root := self._sharpened(there, there.shooting, near)) is not None]
-        self.told = f"smoothed controls: {walk.told}, {len(found)} of {len(roots)} with the smoothing taken back"
+        self.summary = f"smoothed controls: {walk.summary}, {len(found)} of {len(roots)} with the smoothing taken back"
         return found
 
     def _rough(self, smooth: Problem) -> Solution | None:
@@ -137,7 +137,7 @@ class Smoothing:
     def _sharpened(self, there: Trials, shooting: Shooting, root: Root) -> Root | None:
         """Return the switched extremal that a smoothed one leads to."""
         for left, nearly in self._less(there, shooting, root):
-            self.told = f"smoothed controls: followed to {left:.2g} of the smoothing"
+            self.summary = f"smoothed controls: followed to {left:.2g} of the smoothing"
             if (found := self._switched(there.conditions, shooting.segments, nearly)) is not None:
                 return found
         return None

@@ -135,7 +135,7 @@ class Indirect(SearchSettings):
         if drawn:
             solution = _merge_searches([solution, *drawn], search)
         _report_best(search, solution, "and whether another is better is open")
-        outdoing = () if any(solution.objective == one.objective for one in drawn) else search.outdoing()
+        outdoing = () if any(solution.objective == one.objective for one in drawn) else search.flights_near_better()
         for rough in outdoing:
             if not rough.objective < solution.objective:
                 continue

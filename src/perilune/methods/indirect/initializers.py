@@ -71,7 +71,7 @@ class ColdStarts:
     coarse: Coarse
     tried: list[str]
     agreed: bool = field(default=False, init=False)
-    met: bool = field(default=False, init=False)
+    found_any: bool = field(default=False, init=False)
 
     def from_random_costates(self) -> Iterator[StartMembers]:
         """Yield members from random costates, with the bounded parameter held at several values.
@@ -100,7 +100,7 @@ class ColdStarts:
         for value in holds:
             lanes = np.nonzero((held == value) & roots.converged)[0].tolist()
             members += [Member(value=value, root=root) for root in distinct_roots(roots[lane] for lane in lanes)]
-        self.met = bool(members)
+        self.found_any = bool(members)
         self.agreed = len(members) == 1 and bool(np.mean(roots.converged) >= _AGREED)
         yield StartMembers(members, _RANDOM, f"{_RANDOM}{where}: {len(Y)} starts")
 
@@ -120,15 +120,16 @@ class ColdStarts:
             return
         self.trials.watch(f"start: {_DURATION}")
         walk = FinalTimeContinuation(trials=self.trials, starts=self.settings.starts, seed=self.settings.seed)
-        yield StartMembers([Member(value=0.0, root=root) for root in walk.extremals()], _DURATION, walk.told)
-        if walk.met > 1 and not self.keep:  # where there are several, the best may not have arrived
+        yield StartMembers([Member(value=0.0, root=root) for root in walk.extremals()], _DURATION, walk.summary)
+        if walk.family_count > 1 and not self.keep:  # where there are several, the best may not have arrived
             self.trials.watch(f"start: {_DURATION}, {SMOOTH}")
             smoothing = Smoothing(trials=self.trials, segments=1)
             members = [
-                Member(value=0.0, root=root) for root in distinct_roots(smoothing.carried(walk.starts, walk.seed))
+                Member(value=0.0, root=root)
+                for root in distinct_roots(smoothing.from_short_flights(walk.starts, walk.seed))
             ]
-            if smoothing.told:
-                yield StartMembers(members, f"{_DURATION}, {SMOOTH}", smoothing.told)
+            if smoothing.summary:
+                yield StartMembers(members, f"{_DURATION}, {SMOOTH}", smoothing.summary)
 
     def from_transcription(self) -> Iterator[tuple[Member, str]]:
         """Yield an extremal from a direct solution, in one piece or by multiple shooting.
@@ -158,7 +159,7 @@ class ColdStarts:
                 trials.watch(f"start: {SMOOTH}")
                 smoothing = Smoothing(trials=trials, segments=some)
                 root = smoothing.root(choice)
-                self.tried += [smoothing.told] if smoothing.told else []
+                self.tried += [smoothing.summary] if smoothing.summary else []
                 if root is not None:
                     yield Member(value=value, root=root), SMOOTH
                     return
@@ -170,7 +171,7 @@ class ColdStarts:
         """
         yield from self.coarse.resolved()
         refused = self.coarse.refusal
-        if self.met or self.coarse.solution is not None or isinstance(refused, InfeasibleError):
+        if self.found_any or self.coarse.solution is not None or isinstance(refused, InfeasibleError):
             return
         if getattr(refused, "partial", {}).get("settled", True):
             yield from filter(None, [self.coarse.without_limits()])

@@ -35,7 +35,7 @@ class Curves(Deferred):
         of = self.problem, self.conditions
         return assemble_trajectories(*of, self.root.y, propagate_for_export(*of, self.root))
 
-    def aloft(self) -> PropagatedStates:
+    def propagated(self) -> PropagatedStates:
         """Return the flight of the root, for its states."""
         return PropagatedStates(self.problem, self.conditions, self.root.y)
 

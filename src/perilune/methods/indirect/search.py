@@ -86,7 +86,7 @@ class Search:
         self.answering: Search = self
         self.answered: bool = False  # by an extremal of known arcs: what takes long is left out
         self.flown: float = math.inf  # J of the best flight of known arcs
-        self.outdone: list[Root] = []
+        self.better_inadmissible: list[Root] = []
         self.coarse: Coarse = Coarse(self.settings, self.problem, self.tried, self.watch)
 
     # -- the two ways in ------------------------------------------------------------------------------------------
@@ -96,7 +96,7 @@ class Search:
         if guess is not None:
             return self.near(guess)[0]  # whether it keeps the rest of the path is for the proof to say
         search, found = self.all_extremals(base)
-        self.answering, search.outdone = search, search._outdone(found)
+        self.answering, search.better_inadmissible = search, search._better_inadmissible(found)
         if not search._answers(found):
             raise search._refusal(found)
         return search.compose([f for f in found if search.judge.breach(f.root) is None], search.rung)
@@ -131,7 +131,7 @@ class Search:
             root = smoothing.root(
                 active_set_of_guess(trials, rough, unknowns_from_solution(self.problem, trials.conditions, rough))
             )
-        self.tried += [smoothing.told] if smoothing.told else []
+        self.tried += [smoothing.summary] if smoothing.summary else []
         if root is None or trials.outside(root) is not None:
             raise self._failure()
         return self.compose([ExtremalRoot(root=root, minimum=True)], SMOOTH), lambda: self.judge.breach(root)
@@ -157,12 +157,12 @@ class Search:
                 continue
             if self._answers(found) and (i == 3 or (i == 2 and (base is not None or ways.agreed))):
                 continue  # the last rung is for those that the others left without an answer
-            if i == 3 and (held := self._met_by(self.coarse.solve())):
+            if i == 3 and (held := self._conditions_reached_by(self.coarse.solve())):
                 return self._keeping(held).all_extremals(last=True)
             for first, name in rung:
                 if not self._walked_through(first):
                     new, members = self._all_extremals(first)
-                    if self._answers(new) and (self.base is None or self._alone_and_better(first)):
+                    if self._answers(new) and (self.base is None or self._isolated_and_better(first)):
                         self.base, self.rung = first, name
                     found += unknown_extremals(new, found)
                     for member in members:
@@ -174,7 +174,7 @@ class Search:
                     return search, [*kept, *unknown_extremals(answers, kept)]
         return self, found
 
-    def _met_by(self, flight: Solution | None) -> Held:
+    def _conditions_reached_by(self, flight: Solution | None) -> Held:
         """Return conditions that the control could keep, which may hold a flight back."""
         near = nearly_active_conditions(flight) if self.keepable and flight is not None else set[str]()
         return tuple(name for name in self.keepable if name in near)
@@ -196,7 +196,7 @@ class Search:
         grazed = self.judge.grazed(root) & {*self.keepable}
         return {breach.name for breach in self.judge.breaches(root)} | grazed
 
-    def _outdone(self, found: list[ExtremalRoot]) -> list[Root]:
+    def _better_inadmissible(self, found: list[ExtremalRoot]) -> list[Root]:
         """Return extremals that break the path and beat every answer: what keeps it near them may be better as well."""
         answers = (f.root.cost for f in found if f.minimum and self.judge.breach(f.root) is None)
         best = min(answers, default=math.inf)
@@ -205,19 +205,19 @@ class Search:
         outdoing = (root for root in better if all(breach.path for breach in self.judge.breaches(root)))
         return list(islice(outdoing, _MOST_OUTDOING))
 
-    def outdoing(self) -> Iterator[Solution]:
+    def flights_near_better(self) -> Iterator[Solution]:
         """Yield the direct method's flights near extremals better than the answer, with the path conditions kept."""
-        if not self.answering.outdone:
+        if not self.answering.better_inadmissible:
             return
         yield from filter(None, [self.coarse.solve()])
-        for root in self.answering.outdone if self.trials.bounded else ():
+        for root in self.answering.better_inadmissible if self.trials.bounded else ():
             guess = self.answering.compose([ExtremalRoot(root=root, minimum=True)], "")
             yield from filter(None, [Coarse(self.settings, self.problem, self.tried, self.watch).solve(guess)])
 
     def breaking_path(self) -> Iterator[Solution]:
         """Yield as solutions the extremals that are better than every answer and break only the path, by little."""
         search = self.answering
-        for root in search.outdone:
+        for root in search.better_inadmissible:
             if all(breach.canonical <= _LITTLE for breach in search.judge.breaches(root)):
                 yield search.compose([ExtremalRoot(root=root, minimum=True)], "")
 
@@ -233,16 +233,16 @@ class Search:
         trials, shooting = self.trials, self.trials.shooting
         if trials.scanned is None:
             return self._over_ranges(first.root), [first]
-        found, members = self._along(trials.scanned, first)
+        found, members = self._scan_parameter(trials.scanned, first)
         if len(trials.bounded) > 1:
-            found += self._along_others(found)
+            found += self._scan_other_parameters(found)
         down = (
             bool(shooting.curving_down(f.root, trials.p)) or not shooting.curved_upwards(f.root, trials.bounded)
             for f in found
         )
         return [replace(f, minimum=f.minimum and not is_down) for f, is_down in zip(found, down, strict=True)], members
 
-    def _along_others(self, found: list[ExtremalRoot]) -> list[ExtremalRoot]:
+    def _scan_other_parameters(self, found: list[ExtremalRoot]) -> list[ExtremalRoot]:
         """Return more extremals: along one parameter the others stay in their basins, and at their bounds."""
         trials, more = self.trials, list[ExtremalRoot]()
         left = [(f, trials.scanned) for f in unknown_extremals(found, self.followed)]
@@ -254,7 +254,7 @@ class Search:
             self.followed.append(one)
             for index in trials.bounded:
                 if index != along and (here := self._held_at(one.root, index)) is not None:
-                    new = unknown_extremals(self._along(index, here)[0], [*found, *more, *self.followed])
+                    new = unknown_extremals(self._scan_parameter(index, here)[0], [*found, *more, *self.followed])
                     more += new
                     left += [(f, index) for f in new]
         return more
@@ -266,7 +266,7 @@ class Search:
             return []
         return unknown_extremals(self._all_extremals(member)[0], [known])
 
-    def _along(self, index: int, first: Member) -> tuple[list[ExtremalRoot], list[Member]]:
+    def _scan_parameter(self, index: int, first: Member) -> tuple[list[ExtremalRoot], list[Member]]:
         """Return extremals of the family through a member along one free parameter, and the members visited."""
         trials, free = self.trials, self.problem.free[index]
         self.watch(f"following the family of extremals along {free_name(self.problem, free.name)}")
@@ -308,7 +308,7 @@ class Search:
     def _walked_through(self, member: Member) -> bool:
         return any(same_vector(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
 
-    def _alone_and_better(self, first: Member) -> bool:
+    def _isolated_and_better(self, first: Member) -> bool:
         """Return True if an extremal that is no member of a family is better than the one known."""
         return self.trials.scanned is None and self.base is not None and first.root.cost < self.base.root.cost
 
@@ -320,7 +320,7 @@ class Search:
         own = guess.method == self.settings.name and guess.unknowns is not None  # which has costates
         if not own and any(flown.costate is None for flown in guess.trajectories):
             guess = self.coarse.solve(guess) or guess
-        held = self._met_by(guess)
+        held = self._conditions_reached_by(guess)
         search = self._keeping(held) if held else self
         y = unknowns_of_guess(search.settings, search.trials, guess)
         found = search._near(y, active_set_of_guess(search.trials, guess, y), guess)
@@ -342,7 +342,7 @@ class Search:
         if root.converged and name is None:
             # The J of a neighbour is compared to last digits.
             compared = self.compared or is_neighbour(self.problem)
-            root = trials.shooting.met(root) if compared else self._to_last_digits(root)
+            root = trials.shooting.with_corrected_cost(root) if compared else self._to_last_digits(root)
             return [found_at(trials.shooting, self.problem, root)]
         if name is not None:
             raise NotConvergedError(
@@ -375,14 +375,14 @@ class Search:
             yield trials.settled(y[None], choice, limits=trials.limits, **finest)[0]
             yield from led(ROUGHEST, TOLERANCE)
         else:
-            yield from map(self._met, led(FINEST, NEARLY))
-            yield self._met(trials.settled(y[None], choice, limits=trials.limits, **finest)[0])
+            yield from map(self._correct_misses, led(FINEST, NEARLY))
+            yield self._correct_misses(trials.settled(y[None], choice, limits=trials.limits, **finest)[0])
 
-    def _met(self, root: Root) -> Root:
+    def _correct_misses(self, root: Root) -> Root:
         """Correct a root in one piece whose exported flight misses its end as Newton's method flies it more roughly."""
         if not root.converged or is_neighbour(self.problem):
             return root
-        left, (best, missed) = float(np.abs(root.residual).max()), self._mended(root)
+        left, (best, missed) = float(np.abs(root.residual).max()), self._correct_exported(root)
         return replace(best, converged=min(left, missed) <= _ROUNDED)
 
     def _lost(self, root: Root) -> bool:
@@ -397,7 +397,7 @@ class Search:
         """Solve by multiple shooting where a flight in one piece misses its end by more than rounding."""
         trials, segments = self.trials, self.settings.segments
         if np.abs(root.residual).max() <= _ROUNDED and trials.shooting.rounding(root):
-            return replace(self._mended(root)[0], converged=True)
+            return replace(self._correct_exported(root)[0], converged=True)
         if segments == 1 or not can_use_multiple_shooting(trials.conditions, segments):
             return root
         return trials.by_pieces(guess, y, choice, segments, trials.limits)
@@ -410,10 +410,10 @@ class Search:
         exact = np.abs(root.residual).max() <= TOLERANCE
         if exact and (len(self.problem.phases) == 1 or ends_well(self.problem, self.trials.conditions, root)):
             return root
-        best, missed = self._mended(root)
+        best, missed = self._correct_exported(root)
         return root if exact and missed > _ROUNDED else best
 
-    def _mended(self, root: Root) -> tuple[Root, float]:
+    def _correct_exported(self, root: Root) -> tuple[Root, float]:
         plan = self.trials.shooting.plan
         return correct_last_digits(self.problem, self.trials.conditions, root, plan.rows, plan.active)
 

@@ -140,7 +140,7 @@ class StructureRefinement:
             conditions = conditions_of(self.problem, k, [contact.name for contact in known])
             found = list[Contact]()
             for contact in known:
-                hops = contact.ridden and contact.end == last and conditions[contact.name].order > 1
+                hops = contact.is_arc and contact.end == last and conditions[contact.name].order > 1
                 found += _keep_paying_parts(contact, conditions[contact.name], last, []) if hops else [contact]
                 hopped += [(k, contact.name)] if hops else []
             phases.append(arcs_of(self.problem, k, found, last, stays_of(structure, k)))
@@ -170,7 +170,7 @@ class StructureRefinement:
             refuse_unstated_ends(known.restated.problem, self.problem, structure)
             problem = renumber_restated(known.restated.problem, self.problem, structure)
             solved = Search(self.settings, problem, self.watch).solve(known.restated)
-            return self._kept_to(structure, solved, join_solution(self.problem, solved, structure))[0]
+            return self._accept_or_revise(structure, solved, join_solution(self.problem, solved, structure))[0]
         except PeriluneError as error:
             self.tried.append(f"structure {structure.text}: {error.what}")
             return None
@@ -183,7 +183,7 @@ class StructureRefinement:
         """
         exact = self.guessed or self.brief
         wavers = not exact and stays_between_bounds(rough)
-        finer = wavers or (not exact and self._rides(rough))
+        finer = wavers or (not exact and self._has_boundary_arcs(rough))
         if not (finer and rough.statistics.residual > _ROUGH):
             yield rough
         if finer:
@@ -201,10 +201,10 @@ class StructureRefinement:
         with suppress(PeriluneError):
             yield Pseudospectral(nodes=6, segments=segments, refine=0).near(rough, self.watch, close=close)
 
-    def _rides(self, rough: Solution) -> bool:
+    def _has_boundary_arcs(self, rough: Solution) -> bool:
         phases = range(len(self.problem.phases))
         return any(
-            c.ridden
+            c.is_arc
             for k in phases
             for name in state_conditions(self.problem, k)
             for c in find_contacts(rough, k, name)
@@ -222,7 +222,7 @@ class StructureRefinement:
             try:
                 for solved in self._extremals(rough, structure):
                     whole = join_solution(self.problem, solved, structure, named=not is_neighbour(self.problem))
-                    answer, revised = self._kept_to(structure, solved, whole)
+                    answer, revised = self._accept_or_revise(structure, solved, whole)
                     if answer is not None:
                         return answer
             except PeriluneError as error:
@@ -233,7 +233,7 @@ class StructureRefinement:
             rough, structure = whole, revised
         return None
 
-    def _kept_to(
+    def _accept_or_revise(
         self, structure: Structure, solved: Solution, whole: Solution
     ) -> tuple[Solution | None, Structure | None]:
         """Return the answer if the extremal of a structure keeps to it; else the structure that it asks for, if any."""
@@ -271,7 +271,7 @@ class StructureRefinement:
             for one in found[1:]:
                 solved = solution_of([one])
                 whole = join_solution(self.problem, solved, known.structure)
-                answer, revised = self._kept_to(known.structure, solved, whole)
+                answer, revised = self._accept_or_revise(known.structure, solved, whole)
                 if answer is not None:
                     kept.append(one)
                 elif one.minimum and (turned := self.followed(whole, revised, {known.structure.text})) is not None:
@@ -349,7 +349,7 @@ class StructureRefinement:
         for k, arcs in enumerate(structure.phases):
             known = list(_structure_contacts(structure, k))
             found = list(self._borne_out(structure, solved, k, known))
-            found = self._ridden(way, k, known, self._beside(way, k, found))
+            found = self._join_contacts(way, k, known, self._add_missing(way, k, found))
             stays = stays_of(structure, k)
             asked = revised_stays(whole, k, stays, _NO_TIME)
             if asked is None:
@@ -367,18 +367,18 @@ class StructureRefinement:
         for contact in known:
             condition = conditions[contact.name]
             j = next(j for j, arc in enumerate(arcs) if arc.until == contact.end)
-            if contact.ridden:
+            if contact.is_arc:
                 if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
                     worth = paying_intervals(solved, first + j, condition)
                     yield from _keep_paying_parts(contact, condition, arcs[-1].until, worth)
                 elif condition.order > 1:
-                    yield replace(contact, end=contact.begin, ridden=False)
+                    yield replace(contact, end=contact.begin, is_arc=False)
                 continue
             at = f"{part_name(phase.name, j, len(arcs))}.{condition.rated(0, 'touch_', 1.0).name}"
             if solved.multipliers[at] <= 0:  # J falls where the condition gives way
                 yield contact
 
-    def _beside(self, way: ConstraintMargins, k: int, found: list[Contact]) -> list[Contact]:
+    def _add_missing(self, way: ConstraintMargins, k: int, found: list[Contact]) -> list[Contact]:
         """Return the contacts and those that are missing: where a condition is broken."""
         found = list(found)
         for name in state_conditions(self.problem, k):
@@ -392,10 +392,12 @@ class StructureRefinement:
                 for contact in near:
                     begin, end = min(begin, contact.begin), max(end, contact.end)
                     found.remove(contact)
-                found.append(Contact(name=name, begin=begin, end=end, ridden=ridden))
+                found.append(Contact(name=name, begin=begin, end=end, is_arc=ridden))
         return found
 
-    def _ridden(self, way: ConstraintMargins, k: int, known: Sequence[Contact], found: list[Contact]) -> list[Contact]:
+    def _join_contacts(
+        self, way: ConstraintMargins, k: int, known: Sequence[Contact], found: list[Contact]
+    ) -> list[Contact]:
         """Return the contacts; contact points between which the extremal does not leave are joined to one arc."""
         for name in {c.name for c in known}:
             condition, (t, room) = conditions_of(self.problem, k, (name,))[name], way.room_along(k, name)
@@ -404,12 +406,12 @@ class StructureRefinement:
             for contact in (c for c in known if c.name == name):
                 before = runs[-1][-1] if runs else contact
                 between = (t > before.end) & (t < contact.begin)
-                stays = before is not contact and not (before.ridden or contact.ridden) and near[between].all()
+                stays = before is not contact and not (before.is_arc or contact.is_arc) and near[between].all()
                 runs = [*runs[:-1], [*runs[-1], contact]] if stays else [*runs, [contact]]
             for run in runs if condition.steered else ():
                 if len(run) > 1 and all(c in found for c in run):
                     found = [c for c in found if c not in run]
-                    found.append(Contact(name=name, begin=run[0].end, end=run[-1].begin, ridden=True))
+                    found.append(Contact(name=name, begin=run[0].end, end=run[-1].begin, is_arc=True))
         return found
 
 
@@ -430,7 +432,7 @@ def _keep_paying_parts(
     ends = [0.0, length] if not parts else [begin for begin, end in parts if end == begin]
     for at in (contact.begin + share for share in ends):
         if order > 1 and 0.0 < at < last:
-            yield replace(contact, begin=at, end=at, ridden=False)
+            yield replace(contact, begin=at, end=at, is_arc=False)
     for begin, end in parts:
         if end > begin:
             yield replace(
@@ -443,9 +445,9 @@ def _structure_contacts(structure: Structure, k: int) -> Iterator[Contact]:
     begin = 0.0
     for arc in structure.phases[k]:
         for name in arc.along:
-            yield Contact(name=name, begin=begin, end=arc.until, ridden=True)
+            yield Contact(name=name, begin=begin, end=arc.until, is_arc=True)
         for name in arc.touches:
-            yield Contact(name=name, begin=arc.until, end=arc.until, ridden=False)
+            yield Contact(name=name, begin=arc.until, end=arc.until, is_arc=False)
         begin = arc.until
 
 
@@ -495,7 +497,7 @@ class ConstraintMargins:
     def _aloft(self) -> PropagatedStates:
         curves = self.solved.trajectories
         assert isinstance(curves, Curves), "of a search, which ends at a root"
-        return curves.aloft()
+        return curves.propagated()
 
     @cached_property
     def _phases(self) -> Callable[[int], list[tuple[int, Vector, Matrix]]]:

@@ -194,7 +194,7 @@ class PhaseData:
     @cached_property
     def _guarded(self) -> Guarded:
         return Guarded(
-            phase=self.phase, p=self.p, flown=self.trajectory, duration=self.duration, scale=self.state_scale
+            phase=self.phase, p=self.p, trajectory=self.trajectory, duration=self.duration, scale=self.state_scale
         )
 
     def answers(self, t: float) -> Vector:

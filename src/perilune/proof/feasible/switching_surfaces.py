@@ -107,17 +107,17 @@ class Guarded:
 
     phase: Phase
     p: Any
-    flown: Trajectory
+    trajectory: Trajectory
     duration: float
     scale: Vector
 
     def state(self, t: Vector) -> Matrix:
         """States (n, times)."""
-        return self.flown.state.extended(t).T
+        return self.trajectory.state.extended(t).T
 
     def control(self, t: Vector) -> Matrix:
         """Controls (components, times)."""
-        return normalised(self.phase.controls, self.flown.control.extended(t).T)
+        return normalised(self.phase.controls, self.trajectory.control.extended(t).T)
 
     def guards(self, x: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
         """Values and answers of all guards, (guards, ...)."""
@@ -198,8 +198,8 @@ class Guarded:
 
     def _read(self, pieces: Pieces, shares: Vector = POINTS) -> tuple[Matrix, Matrix]:
         """States and controls on pieces, (components, N, shares)."""
-        control = pieces.read(self.flown.control, shares)
-        return pieces.read(self.flown.state, shares), normalised(self.phase.controls, control)
+        control = pieces.read(self.trajectory.control, shares)
+        return pieces.read(self.trajectory.state, shares), normalised(self.phase.controls, control)
 
     def _brackets(self, pieces: Pieces, values: Matrix, guard: int) -> Iterator[tuple[float, float]]:
         """Neighbouring times between which a guard changes its sign, at points of the pieces or extremes of cubics."""
@@ -220,7 +220,7 @@ class Guarded:
 
     def _located(self, low: float, high: float, guard: int) -> Iterator[float]:
         """The time of a change of sign: a break of the tables that it belongs to, or the zero itself."""
-        for curve in (self.flown.state, self.flown.control):
+        for curve in (self.trajectory.state, self.trajectory.control):
             breaks = curve.time[1:][np.diff(curve.time) == 0]
             for time in breaks[(breaks > low) & (breaks <= high)]:
                 before, after = self.along(np.array([time_just_before(time), time]), guard)

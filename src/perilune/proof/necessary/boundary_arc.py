@@ -101,7 +101,7 @@ class BoundaryArc:
         return rough * (2.0 * curve.degree() ** 2) ** self.condition.order
 
     @property
-    def pays(self) -> float:
+    def relative_multiplier(self) -> float:
         """The least mu over the largest, up to both ends of the arc; 0 where it may be none."""
         least = float(self.mu.min())
         return least / float(self.mu.max()) if least > max(self.noise, ALONG) else 0.0
@@ -152,7 +152,7 @@ class BoundaryArc:
         rate = float(self.curve.deriv(1)(s)) * self.size / self.part.duration
         return (-eta,) if self.condition.order == 1 else (rate, -eta)
 
-    def beside(self, s: float) -> Vector:
+    def costates(self, s: float) -> Vector:
         """Return the same as a vector (n,), J per canonical unit of each state."""
         x = self.edge(s)
         return np.sum([w * self.slope(i, x)[:, 0] for i, w in enumerate(self.weights(s))], axis=0)

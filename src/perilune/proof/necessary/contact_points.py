@@ -97,7 +97,7 @@ def _contact_times(arc: PhaseData, name: str, S: Expression) -> Iterator[Contact
             begin = ends[i]
         elif not rides and begin is not None:
             if condition.steered and not _kept_by_control_bounds(arc, condition, begin, ends[i]):
-                yield Contact(name=name, begin=begin, end=ends[i], ridden=True)
+                yield Contact(name=name, begin=begin, end=ends[i], is_arc=True)
             begin = None
     for i, time in enumerate(edges.tolist()):
         if (
@@ -106,7 +106,7 @@ def _contact_times(arc: PhaseData, name: str, S: Expression) -> Iterator[Contact
             and met[np.argmin(np.abs(t - time))]
             and _costates_jump(arc, time)
         ):
-            yield Contact(name=name, begin=time, end=time, ridden=False)
+            yield Contact(name=name, begin=time, end=time, is_arc=False)
 
 
 def _condition_along(arc: PhaseData, S: Expression, t: Vector) -> Vector:

@@ -202,5 +202,5 @@ def _end_variation(piece: VariationPiece, nu: Vector, dx: Matrix, parameters: Ma
     # A range is free to vary where it is not at a bound, or where that bound holds nothing back.
     slack = np.abs(nu) * arc.end_scale <= STATIONARY_LIMIT * arc.objective_scale
     held = np.where(slack, end_sides(arc) == 0, end_sides(arc) != INSIDE)
-    held &= np.array([c.name not in piece.kept.left for c in arc.phase.end_conditions], dtype=bool)
+    held &= np.array([c.name not in piece.kept.dropped_ends for c in arc.phase.end_conditions], dtype=bool)
     return first[1:][held] / arc.end_scale[held, None], second, first[0]

@@ -80,7 +80,7 @@ class BoundaryArcs:
 
     whole: Solution
     parts: Solution
-    along: tuple[tuple[BoundaryArc, ...], ...]
+    boundary_arcs: tuple[tuple[BoundaryArc, ...], ...]
     touches: tuple[tuple[Condition, ...], ...]
     begins: frozenset[int]
 
@@ -100,16 +100,18 @@ class BoundaryArcs:
                 part = PhaseData(solution=parts, index=len(along))
                 along.append(tuple(BoundaryArc(part=part, condition=conditions[name]) for name in arc.along))
                 touches.append(tuple(conditions[name] for name in arc.touches))
-        return cls(whole=solution, parts=parts, along=tuple(along), touches=tuple(touches), begins=frozenset(begins))
+        return cls(
+            whole=solution, parts=parts, boundary_arcs=tuple(along), touches=tuple(touches), begins=frozenset(begins)
+        )
 
     @cached_property
     def arcs(self) -> list[PhaseData]:
         """The parts."""
-        return [PhaseData(solution=self.parts, index=k) for k in range(len(self.along))]
+        return [PhaseData(solution=self.parts, index=k) for k in range(len(self.boundary_arcs))]
 
     def inner(self, joint: int) -> bool:
         """Return True if a joint, the one before the part of its number, lies inside one of the user's phases."""
-        return 0 < joint < len(self.along) and joint not in self.begins
+        return 0 < joint < len(self.boundary_arcs) and joint not in self.begins
 
     def entered(self, ridden: BoundaryArc) -> dict[int, float]:
         """Multipliers nu_i [J per unit] of the conditions S^(i) = 0 with which an arc is entered, by i."""
@@ -134,23 +136,23 @@ class BoundaryArcs:
         k = ridden.part.index + step
         if not self.inner(max(k, ridden.part.index)):
             return None
-        return next((r for r in self.along[k] if r.condition.name == ridden.condition.name), None)
+        return next((r for r in self.boundary_arcs[k] if r.condition.name == ridden.condition.name), None)
 
     def jump(self, joint: int) -> float:
         """Return the rest of the costates' jump after dS/dx with nu <= 0 and the user's conditions, scaled."""
         from scipy.optimize import nnls
 
-        before = self.along[joint - 1] if joint else ()
-        after = self.along[joint] if joint < len(self.along) else ()
+        before = self.boundary_arcs[joint - 1] if joint else ()
+        after = self.boundary_arcs[joint] if joint < len(self.boundary_arcs) else ()
         if not before and not after:
             return 0.0
-        found = [r.beside(1.0) for r in before]
+        found = [r.costates(1.0) for r in before]
         cones = [r.slope(0, r.edge(1.0))[:, 0] for r in before]
         back = self._back(joint)
         for ridden in after:
             first = ridden.edge(0.0)
             slopes = [ridden.slope(i, first)[:, 0] @ back for i in range(ridden.condition.order)]
-            found += [-ridden.beside(0.0) @ back]
+            found += [-ridden.costates(0.0) @ back]
             found += [nu * slopes[i] for i, nu in self.entered(ridden).items()]
             cones.append(slopes[0])
         wanted = np.sum(found, axis=0)
@@ -186,7 +188,7 @@ class BoundaryArcs:
 
     def checks(self) -> Iterator[Check]:
         """Checks of level 2."""
-        for along in self.along:
+        for along in self.boundary_arcs:
             for ridden in along:
                 yield from _check_arc_multiplier(
                     self, ridden, f"_{ridden.condition.variable.name}" if len(along) > 1 else ""
@@ -212,7 +214,7 @@ class BoundaryArcs:
         size = float(np.abs(ridden.slope(0, ridden.edge(s))).max()) / ridden.part.objective_scale
         return nu * size < -STRICT
 
-    def kept(self, *, idle: bool = True) -> dict[int, KeptConditions]:
+    def kept_conditions(self, *, idle: bool = True) -> dict[int, KeptConditions]:
         """Return the conditions of boundary arcs that variations keep, by part: for the second variation.
 
         Parameters
@@ -221,23 +223,23 @@ class BoundaryArcs:
             Whether they also keep contact points whose multipliers are negligible.
         """
         found = {}
-        for k, along in enumerate(self.along):
-            ahead = self.along[k + 1] if self.inner(k + 1) else ()
+        for k, along in enumerate(self.boundary_arcs):
+            ahead = self.boundary_arcs[k + 1] if self.inner(k + 1) else ()
             slow = self._slow(k), self._slow(k + 1)
             loose = [] if idle else self._idle(k)
             if along or ahead or self._turns(k) or any(slow) or loose:
                 left = [*loose, *(name for r in ahead for name in self._left(r))]
                 # Where the time of a contact does not vary nor does that of its least value: it is kept in the mean.
-                left += [name for name in self._touch_rates(k) if self._turns(k + 1) or slow[1]]
+                left += [name for name in self._contact_rates(k) if self._turns(k + 1) or slow[1]]
                 found[k] = KeptConditions(
-                    rides=tuple(r.rate for r in along),
+                    boundary_rates=tuple(r.rate for r in along),
                     released=tuple(r.rate for r in along if not r.strict),
                     holds=tuple(value for r in along if r.strict for value in r.condition.values[:-1]),
                     end=tuple(r.condition.values[0] for r in along if self._ends(r)),
-                    left=tuple(left),
+                    dropped_ends=tuple(left),
                     tied=slow[0] or (self._turns(k) and not (self._jumps_on(k) or self._jumps_on(k - 1))),
                     steady=all(self._jump(joint) <= _STEADY for joint in (k, k + 1) if self._turns(joint)),
-                    pays=along[0].pays if self._jumps_on(k) else None,
+                    least_multiplier=along[0].relative_multiplier if self._jumps_on(k) else None,
                 )
         return found
 
@@ -245,7 +247,7 @@ class BoundaryArcs:
         """Return True if a boundary arc begins or ends at a joint inside one of the user's phases."""
         if not self.inner(joint):
             return False
-        before, after = ({r.condition.name for r in self.along[k]} for k in (joint - 1, joint))
+        before, after = ({r.condition.name for r in self.boundary_arcs[k]} for k in (joint - 1, joint))
         return before != after
 
     def _slow(self, joint: int) -> bool:
@@ -264,8 +266,8 @@ class BoundaryArcs:
 
     def _jumps_on(self, k: int) -> bool:
         """Return True if the control of a part is linear, and jumps at both ends of its only boundary arc."""
-        near = [self.along[k + step] for step in (-1, 1) if self._turns(k + max(step, 0))]
-        if len(self.along[k]) != 1 or any(near) or not self.along[k][0].linear:
+        near = [self.boundary_arcs[k + step] for step in (-1, 1) if self._turns(k + max(step, 0))]
+        if len(self.boundary_arcs[k]) != 1 or any(near) or not self.boundary_arcs[k][0].linear:
             return False
         return all(self._jump(joint) > _CLEAR for joint in (k, k + 1) if self._turns(joint))
 
@@ -275,7 +277,7 @@ class BoundaryArcs:
         jump = before.control(np.array([before.duration])) - after.control(np.zeros(1))
         return float((np.abs(jump[:, 0]) / after.control_scale).max())
 
-    def _touch_rates(self, k: int) -> list[str]:
+    def _contact_rates(self, k: int) -> list[str]:
         """Names of the conditions S' = 0 of contact points at the end of a part."""
         return [condition.rated(1, "touch_", 1.0).name for condition in self.touches[k]]
 

@@ -72,7 +72,7 @@ def check_local_optimality(solution: Solution, kept: Mapping[int, KeptConditions
     solution
         An extremal with costates.
     kept
-        Of `BoundaryArcs.kept`, where it has boundary arcs.
+        Of `BoundaryArcs.kept_conditions`, where it has boundary arcs.
     """
     arcs = [PhaseData(solution=solution, index=k) for k in range(len(solution.problem.phases))]
     inner = unbounded_parameters(solution, arcs)
@@ -82,7 +82,7 @@ def check_local_optimality(solution: Solution, kept: Mapping[int, KeptConditions
         own = [piece for piece in pieces if piece.arc is arc]
         yield _check_legendre_clebsch(arc, own)
         yield from _check_kelley(arc, own)
-        if own[0].kept.rides:
+        if own[0].kept.boundary_rates:
             yield _check_legendre_on_arcs(arc, own)
         yield from check_strictness(arc)
         yield from check_strict_conditions(arc, [(*piece.span, piece.held) for piece in pieces if piece.arc is arc])
@@ -192,9 +192,10 @@ def _check_kelley(arc: PhaseData, pieces: Sequence[VariationPiece]) -> Iterator[
 
 def _check_legendre_on_arcs(arc: PhaseData, pieces: Sequence[VariationPiece]) -> Check:
     """Check the Legendre-Clebsch condition in the control's free moves on boundary arcs of conditions on states."""
-    if pieces[0].kept.pays is not None:
+    if pieces[0].kept.least_multiplier is not None:
         return Check(
-            name=f"{arc.prefix}along_sufficient", level=3, value=-pieces[0].kept.pays, limit=CURVATURE_LIMIT, unit="1",
+            name=f"{arc.prefix}along_sufficient", level=3,
+            value=-pieces[0].kept.least_multiplier, limit=CURVATURE_LIMIT, unit="1",
             meaning="minus the least multiplier of what is ridden over its largest, where H is linear in the control: "
             "below 0 where flights that leave it for a moment pay to first order",
         )  # fmt: skip

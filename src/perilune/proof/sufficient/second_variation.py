@@ -51,14 +51,14 @@ class KeptConditions:
         Least multiplier of a boundary arc over its largest, where that decides: H is linear in the control.
     """
 
-    rides: tuple[str, ...] = ()
+    boundary_rates: tuple[str, ...] = ()
     released: tuple[str, ...] = ()
     holds: tuple[Any, ...] = ()
     end: tuple[Any, ...] = ()
-    left: tuple[str, ...] = ()
+    dropped_ends: tuple[str, ...] = ()
     tied: bool = False
     steady: bool = True
-    pays: float | None = None
+    least_multiplier: float | None = None
 
 
 def variation_pieces(
@@ -241,9 +241,9 @@ class VariationPiece:
     @property
     def loosened(self) -> VariationPiece:
         """Return the same with variations that also leave the boundary arcs."""
-        if self.kept.rides == self.kept.released:
+        if self.kept.boundary_rates == self.kept.released:
             return self
-        kept = KeptConditions(released=self.kept.rides)
+        kept = KeptConditions(released=self.kept.boundary_rates)
         return VariationPiece(self.arc, self.p, self.names, self.curvature, self.stretch, kept)
 
     def parameters(self, values: Any) -> SimpleNamespace:
