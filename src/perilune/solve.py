@@ -100,8 +100,7 @@ def solve(
     with ended_in_time(problem, watch, require_time_limit(time_limit, level)) as work:
         refuse_impossible(preflight(problem))
         try:
-            stated = with_budgets(problem, linear=False)
-            return _solved_and_proved(method_or_default(method), stated, guess, level, tolerance, work)
+            return _solved_and_proved(method_or_default(method), problem, guess, level, tolerance, work)
         except NotConvergedError as error:
             from perilune.methods import with_binding_limit
 
@@ -123,6 +122,7 @@ def _solved_and_proved(
     method: Method, problem: Problem, guess: Solution | None, level: int, tolerance: Tolerance | None, work: Progress
 ) -> Solution:
     """Return the answer of a method with its proof; if that is no minimum, a better answer beyond it."""
+    problem = with_budgets(problem, linear=False)
     solution = _run_method(method, problem, guess, work)
 
     def told_of() -> str:

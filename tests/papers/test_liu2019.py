@@ -35,11 +35,12 @@ from perilune_papers.liu2019.compute import (
     sideways_reach,
     thrust_angles,
 )
+from perilune_papers.liu2019.csv_tables import table_2, table_3
 from perilune_papers.liu2019.equations import compare, corrected_rates
 from perilune_papers.liu2019.fast import AXES, time_fast_methods
 from perilune_papers.liu2019.members import ManoeuvreMember, prediction_error, solve_members
 from perilune_papers.liu2019.printed import TABLE_2, TABLES_1_AND_3
-from perilune_papers.liu2019.report import liu_figures, liu_report, table_2, table_3
+from perilune_papers.liu2019.report import liu_figures, liu_report
 from perilune_papers.liu2019.searches import Searches, by_hybrid
 from perilune_papers.liu2019.surfaces import _triangles_between, fit_table, surfaces
 from perilune_papers.liu2019.times import time_section

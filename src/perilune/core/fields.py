@@ -21,6 +21,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar, dataclass_transform
 
 from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core.stated_number import StatedNumber
 from perilune.core.units import parse_quantity, parse_unit
 from perilune.core.validation import check_call
 
@@ -32,26 +33,6 @@ T = TypeVar("T")
 def parameter_name(key: str) -> str:
     """Return the parameter that a key of a scenario states: ``vehicle_thrust`` for ``vehicle.thrust``."""
     return key.replace(".", "_")
-
-
-class StatedNumber(float):
-    """Number in SI that remembers the decimal text and unit in which it was stated; results of computing do not."""
-
-    text: str
-
-    def __new__(cls, value: float, text: str) -> StatedNumber:
-        """Number and text."""
-        number = super().__new__(cls, value)
-        number.text = text
-        return number
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return StatedNumber, (float(self), self.text)
-
-
-def stated_text(value: float) -> str:
-    """Return the text in which a value was stated; empty for a plain number."""
-    return value.text if isinstance(value, StatedNumber) else ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,7 @@ The functions here take a `Problem`, whose file stands above this one.
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NoReturn
@@ -263,3 +264,18 @@ def _inhomogeneous(what: str, found: Clash | None, wanted: str = "") -> Perilune
         advice="move constants with a dimension out of the function into `given`, with their unit; or look for a "
         "missing factor",
     )
+
+
+def _importable_or_none(function: Any) -> Any:
+    """Return the function where another process finds it by its name, else None; a script's own it would not find."""
+    try:
+        name = pickle.dumps(function)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return None
+    return None if b"__main__" in name else function
+
+
+def importable_hooks(problem: Any) -> dict[str, Any]:
+    """Return the hooks and records of a problem that another process finds by name; None and no records for others."""
+    hooks = {name: _importable_or_none(getattr(problem, name)) for name in HOOKS}
+    return {**hooks, "declared": _importable_or_none(problem.declared) or ()}

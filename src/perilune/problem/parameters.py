@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
+from perilune.core.errors import Named
 from perilune.core.fields import Quantity, record_keys, record_values, section_of
 from perilune.problem.variables import Given
 
@@ -18,3 +21,8 @@ def given_of(*records: Any) -> dict[str, Given]:
             if isinstance(declared, Quantity) and value is not None:
                 found[f"{section}_{name}"] = Given(value=value, unit=declared.unit)
     return found
+
+
+def read_only_given(values: Mapping[str, Given]) -> Mapping[str, Given]:
+    """Return a read-only mapping of given parameters, which names what it lacks."""
+    return MappingProxyType(Named("given parameter", values))

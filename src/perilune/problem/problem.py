@@ -20,24 +20,31 @@ problem is solved in canonical units, and construction tests that the physics is
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
-from types import MappingProxyType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
 
 from perilune.core.arrays import Matrix, Physics
-from perilune.core.errors import Named, unknown_name
+from perilune.core.errors import unknown_name
 from perilune.core.maths import NUMERIC
 from perilune.core.units import Scales
 from perilune.core.validation import check_call, require_type, wrong_type_error
-from perilune.problem.checks import HOOKS, check_free, check_given, check_homogeneous, check_parts, check_structure
+from perilune.problem.checks import (
+    check_free,
+    check_given,
+    check_homogeneous,
+    check_parts,
+    check_structure,
+    importable_hooks,
+)
 from perilune.problem.controls import Control, scalars
 from perilune.problem.display.reprs import ShownProblem
 from perilune.problem.display.views import Views
+from perilune.problem.parameters import read_only_given
 from perilune.problem.phase import Phase
 from perilune.problem.tracing.numeric_rates import SimulatedProblem
 from perilune.problem.tracing.tape import Expression
@@ -144,7 +151,7 @@ class Problem(ShownProblem, SimulatedProblem):
 
     def __post_init__(self) -> None:
         check_parts(self)
-        object.__setattr__(self, "given", _read_only_given(self.given))
+        object.__setattr__(self, "given", read_only_given(self.given))
         object.__setattr__(self, "objective_scale", positive_scale("the objective", self.objective_scale))
         check_given(self)
         self.take_ranges()
@@ -225,9 +232,8 @@ class Problem(ShownProblem, SimulatedProblem):
             replace(phase, **{name: found.get((k, name)) for name in PHASE_FUNCTIONS})
             for k, phase in enumerate(self.phases)
         )
-        links = tuple(found["links", k] for k in range(len(self.links)))
         own = {name: found[name] for name in ("start", "objective", "results") if name in found}
-        new = self.changed(phases=phases, links=links, **own)
+        new = self.changed(phases=phases, links=tuple(found["links", k] for k in range(len(self.links))), **own)
         new.__dict__["expressed"] = new
         return new
 
@@ -255,12 +261,10 @@ class Problem(ShownProblem, SimulatedProblem):
     def __getstate__(self) -> dict[str, Any]:
         own = self.expressed
         state = {f.name: getattr(own, f.name) for f in fields(own)}
-        hooks = {name: _by_name(state[name]) for name in HOOKS}
-        hooks["declared"] = _by_name(self.declared) or ()
-        return {**state, "given": dict(self.given), "form": self.form, **hooks}
+        return {**state, "given": dict(self.given), "form": self.form, **importable_hooks(own)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, given=_read_only_given(state["given"]))
+        self.__dict__.update(state, given=read_only_given(state["given"]))
 
     def __deepcopy__(self, memo: Any) -> Problem:
         return self  # nothing in it can change
@@ -334,12 +338,10 @@ class Problem(ShownProblem, SimulatedProblem):
         """
         if not isinstance(parameter, str):
             raise wrong_type_error(parameter, "a text", "the name of a parameter")
-        if parameter in self.given:
-            return self.given[parameter].unit
-        for f in self.free:
-            if f.name == parameter:
-                return f.unit
-        raise unknown_name("parameter", parameter, sorted({*self.given, *self.free_names}))
+        known: dict[str, Given | Free] = {**{f.name: f for f in self.free}, **self.given}
+        if parameter not in known:
+            raise unknown_name("parameter", parameter, sorted(known))
+        return known[parameter].unit
 
     @check_call
     def bounds(self, bounded: Any) -> tuple[float, float]:
@@ -387,24 +389,11 @@ class Problem(ShownProblem, SimulatedProblem):
         free = tuple(f for f in self.free if f.name not in values)
         # Values do not enter it.
         same = {"structure": self.structure} if len(free) == len(self.free) and "form" in self.__dict__ else {}
-        new = self.changed(given=_read_only_given(given), free=free, **same)
+        new = self.changed(given=read_only_given(given), free=free, **same)
         check_given(new)
         new.take_ranges()
         check_free(new)
         return new
-
-
-def _by_name(function: Any) -> Any:
-    """Return the function where another process finds it by its name, else None; a script's own it would not find."""
-    try:
-        name = pickle.dumps(function)
-    except (pickle.PicklingError, AttributeError, TypeError):
-        return None
-    return None if b"__main__" in name else function
-
-
-def _read_only_given(values: Mapping[str, Given]) -> Mapping[str, Given]:
-    return MappingProxyType(Named("given parameter", values))
 
 
 def _free_range(f: Free) -> tuple[float, float, float]:

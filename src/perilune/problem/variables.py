@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from perilune.core.errors import PeriluneError
-from perilune.core.fields import stated_text
 from perilune.core.maths import NUMERIC
+from perilune.core.stated_number import stated_text
 from perilune.core.units import require_si_unit
 from perilune.core.validation import check_call, require_identifier, require_si_number, require_type
 from perilune.problem.controls import Limit, demand_limits, limit_value

@@ -70,19 +70,7 @@ def examine(
     """
     require_level(level, LEVELS[:-1])
     tolerance = solution.verification.tolerance if tolerance is None else tolerance
-    if len(solution.trajectories) != len(solution.problem.phases):
-        raise PeriluneError(
-            "the solution lacks trajectories",
-            got=f"{len(solution.trajectories)} for {len(solution.problem.phases)} phases",
-            expected="one for each phase",
-        )
-    named, phases = [flown.phase for flown in solution.trajectories], [phase.name for phase in solution.problem.phases]
-    if named != phases and set(named) & set(phases):
-        raise PeriluneError(
-            "the trajectories of the solution are not in the order of its phases",
-            got=", ".join(named)[:200],
-            expected=", ".join(phases)[:200],
-        )
+    _refuse_unmatched_trajectories(solution)
     checks, notes = list[Check](), _notes_on_loaded_problem(solution.problem)
     try:
         # A tampered table may divide by zero anywhere; the checks turn that into NaN, which fails.
@@ -99,6 +87,23 @@ def examine(
         notes = (_UNTOLD, *notes)
     notes = (*_note_unused_tolerance(checks, tolerance), *notes)
     return Verification(checks=tuple(checks), text=solution.problem.text, notes=notes, tolerance=tolerance)
+
+
+def _refuse_unmatched_trajectories(solution: Solution) -> None:
+    """Refuse a solution that lacks the trajectory of a phase, or has them in another order."""
+    if len(solution.trajectories) != len(solution.problem.phases):
+        raise PeriluneError(
+            "the solution lacks trajectories",
+            got=f"{len(solution.trajectories)} for {len(solution.problem.phases)} phases",
+            expected="one for each phase",
+        )
+    named, phases = [flown.phase for flown in solution.trajectories], [phase.name for phase in solution.problem.phases]
+    if named != phases and set(named) & set(phases):
+        raise PeriluneError(
+            "the trajectories of the solution are not in the order of its phases",
+            got=", ".join(named)[:200],
+            expected=", ".join(phases)[:200],
+        )
 
 
 def _has_failed_feasibility(made: Sequence[Check]) -> bool:

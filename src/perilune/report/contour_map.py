@@ -30,6 +30,7 @@ from perilune.report.style import GREY, VERMILION, new_figure, styled
 from perilune.report.time_histories import LONG
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 OVER_WEIGHT = "thrust_over_weight"  # of the whole vehicle, where it would stand on the ground
@@ -127,13 +128,7 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
     for hatch, triangles in (("////", bad[~unknown]), ("....", bad[unknown])):
         _hatched(axes, np.stack([along, across], axis=1), triangles, hatch)
     mesh, folded = Triangulation(along, across, good), _folded(along, across, good)
-    levels = _levels(height)
-    if folded:
-        near = np.isfinite(height) & np.isfinite(along) & np.isfinite(across)
-        norm = BoundaryNorm(levels, 256)
-        drawn = axes.scatter(along[near], across[near], c=height[near], s=14, cmap="viridis", norm=norm, clip_on=False)
-    else:
-        drawn = _contours(axes, mesh, height, levels)
+    drawn = _scatter_of(axes, along, across, height) if folded else _contours(axes, mesh, height, _levels(height))
     bar = figure.colorbar(drawn, ax=axes, pad=0.02)
     bar.set_label(z_text)
     bar.outline.set_linewidth(0.4)  # pyright: ignore[reportCallIssue]
@@ -142,6 +137,13 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
     axes.grid(False)
     move_labels_inside(figure, axes)
     return figure
+
+
+def _scatter_of(axes: Axes, along: Vector, across: Vector, height: Vector) -> Any:
+    """Draw members as coloured points, where their places fold over and contours would cross."""
+    near = np.isfinite(height) & np.isfinite(along) & np.isfinite(across)
+    norm = BoundaryNorm(_levels(height), 256)
+    return axes.scatter(along[near], across[near], c=height[near], s=14, cmap="viridis", norm=norm, clip_on=False)
 
 
 def _quantities(family: Family) -> dict[str, tuple[Vector, str]]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Sequence
 from itertools import combinations
@@ -27,6 +25,7 @@ from perilune_papers.liu2019.compute import (
     mass_after,
     sideways_reach,
 )
+from perilune_papers.liu2019.csv_tables import comma_separated, table_2, table_2_rows, table_3
 from perilune_papers.liu2019.equations import NAMES, SAMPLES
 from perilune_papers.liu2019.fast import WITHIN
 from perilune_papers.liu2019.members import ManoeuvreMember
@@ -34,13 +33,7 @@ from perilune_papers.liu2019.printed import TABLE_2, TABLES_1_AND_3
 from perilune_papers.liu2019.surfaces import fit_errors, fit_table, surfaces
 from perilune_papers.liu2019.times import time_section
 from perilune_papers.liu2019.trajectories import HEAD, trajectory_figures, trajectory_rows, trajectory_section
-from perilune_papers.paper import (
-    claim_verdict,
-    claims_section,
-    figure_markdown,
-    versions_line,
-    write_paper_report,
-)
+from perilune_papers.paper import claim_verdict, claims_section, figure_markdown, versions_line, write_paper_report
 
 _CAPTIONS = {
     "mass": "Mass that full thrust leaves. Vertical: range of the printed t_a; horizontal: of the printed m_b.",
@@ -58,7 +51,11 @@ _CAPTIONS = {
 
 def write_liu_report(made: LiuReproduction, directory: Path) -> None:
     """Write ``report.md``, its data and its figures into a directory that exists."""
-    data = {"table2.csv": table_2(made), "table3.csv": table_3(made), "fig16_18.csv": _csv(HEAD, trajectory_rows(made))}
+    data = {
+        "table2.csv": table_2(made),
+        "table3.csv": table_3(made),
+        "fig16_18.csv": comma_separated(HEAD, trajectory_rows(made)),
+    }
     write_paper_report(directory, liu_report(made), liu_figures(made), data)
 
 
@@ -103,7 +100,7 @@ def liu_report(made: LiuReproduction) -> str:
         _neighbour_table({"least time": made.site_fixed, "most time": made.slowest}),
         "### In the form of Table 2",
         "λ at ignition, in the paper's coordinates and units, from the manoeuvre points that Table 2 prints.",
-        markdown_table(_TABLE_2_HEAD, [_table_2_cells(row) for row in _table_2_rows(made)]),
+        markdown_table(_TABLE_2_HEAD, [_table_2_cells(row) for row in table_2_rows(made)]),
         *_unsolved_points(made),
         "### In the form of Table 3",
         _landing_section(made),
@@ -142,10 +139,8 @@ def _liu_claims(made: LiuReproduction) -> list[list[str]]:
     twice = _same_place()
     missed_most = np.max(list(fit_errors(made.grid, made.experiments).values()), axis=0)
     reached = missed_most[np.isfinite(missed_most)]
-    speeds, angles = (
-        _computed_values(made.grid, "interface_speed"),
-        np.degrees(_computed_values(made.grid, "interface_angle")),
-    )
+    speeds = _computed_values(made.grid, "interface_speed")
+    angles = np.degrees(_computed_values(made.grid, "interface_angle"))
     inside = (speeds > CASE.speeds[0] + 1) & (angles < math.degrees(CASE.angles[1]) - 1e-3)
     return [
         [
@@ -322,14 +317,6 @@ def _format_nil(value: float) -> float:
 _TABLE_2_HEAD = ["Θ", "Φ", *(f"λ_{name}" for name in NAMES), "V_a (km/s)", "γ_a (°)", "t_a (s)"]
 
 
-def _table_2_rows(made: LiuReproduction) -> list[list[float]]:
-    return [
-        [m.longitude, m.latitude, *m.costates(), m.value("interface_speed") / 1e3,
-         math.degrees(m.value("interface_angle")), m.value("transition_time")]
-        for m in made.grid
-    ]  # fmt: skip
-
-
 def _table_2_cells(row: Sequence[float]) -> list[str]:
     """A row of Table 2 as the paper writes it."""
     return [f"{row[0]:g}", f"{row[1]:.3f}", *(f"{v:.3f}" for v in row[2:-1]), f"{row[-1]:.1f}"]
@@ -358,60 +345,6 @@ def _unsolved_points(made: LiuReproduction) -> list[str]:
         if m.solution is None
     ]
     return ["Not solved, and missing in tables and figures:", "\n".join(missing)] if missing else []
-
-
-def table_2(made: LiuReproduction) -> str:
-    """Table 2 as comma-separated values, ours and the printed."""
-    costates = "V gamma psi r Theta Phi m".split()
-    ours = [
-        "longitude [deg]",
-        "latitude [deg]",
-        *(f"lambda_{name} [1]" for name in costates),
-        "V_a [km/s]",
-        "gamma_a [deg]",
-        "t_a [s]",
-    ]
-    printed = [f"printed {name}" for name in TABLE_2[0]._fields[2:]]
-    rows = [[*row, *given[2:]] for row, given in zip(_table_2_rows(made), TABLE_2, strict=True)]
-    return _csv([*ours, *printed], rows)
-
-
-def table_3(made: LiuReproduction) -> str:
-    """Tables 1 and 3 as comma-separated values, ours and the printed."""
-    head = [
-        "number",
-        "longitude [deg]",
-        "latitude [deg]",
-        "flight time [s]",
-        "landing speed [km/s]",
-        "mass [kg]",
-        "processor time [s]",
-        "printed landing speed [km/s]",
-        "printed mass [kg]",
-    ]
-    rows = [
-        [
-            e.number,
-            m.longitude,
-            m.latitude,
-            m.value("flight_time"),
-            m.value("landing_speed") / 1e3,
-            m.value("mass_at_interface"),
-            m.processor_time,
-            e.landing_speed,
-            e.mass,
-        ]
-        for e, m in zip(TABLES_1_AND_3, made.experiments, strict=True)
-    ]
-    return _csv(head, rows)
-
-
-def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 # -- small things -----------------------------------------------------------------------------------------------------

@@ -152,14 +152,18 @@ class _AnswerArrays:
         if atlas.descents.names and len(lanes):
             left[lanes] = self._looked_over(lanes, best.of(lanes), left[lanes], offers, standing)
         doubt = np.minimum(doubt, left)
+        self._decide(some, doubt)
+
+    def _decide(self, some: NDArray[np.int64], doubt: Vector) -> None:
+        """Decide which points have an answer, given the least J that an unresolved extremal might have there."""
         found, doubtful = np.isfinite(self.cost[some]), doubt < self.cost[some]
         with np.errstate(invalid="ignore"):
             doubtful &= ~(found & equal_cost(doubt, self.cost[some]))
         # What is damaged might have held a better one.
-        damaged = self._where(some, lambda place: bool(atlas.damage(place)))
+        damaged = self._where(some, lambda place: bool(self.atlas.damage(place)))
         self.answered[some[found]] = Answered.YES
         self.answered[some[doubtful]] = Answered.ENDS
-        self.answered[some[damaged | self._where(some, atlas.missing)]] = Answered.NOT_BUILT
+        self.answered[some[damaged | self._where(some, self.atlas.missing)]] = Answered.NOT_BUILT
         self.answered[some[~self.allowed[some]]] = Answered.IMPOSSIBLE
 
     def _doubted(

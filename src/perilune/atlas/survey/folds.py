@@ -12,7 +12,7 @@ Methods*, SIAM 2003, chapters 2 and 10.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -78,18 +78,10 @@ def around_folds(
             return
         along, rise = tangent[lanes, :-1] * weight[lanes, None], tangent[lanes, -1]
         new = u[lanes] + length[lanes, None] * tangent[lanes, :-1] / weight[lanes, None]
-        at, good = share[lanes] + length[lanes] * rise, np.zeros(len(lanes), dtype=bool)
-        for _ in range(_CORRECTIONS):
-            slope, step, _ = seen(lanes, at, new)
-            with np.errstate(all="ignore"):
-                ds = -(along * step).sum(axis=1) / (rise + (along * slope).sum(axis=1))
-                dy = step + slope * ds[:, None]
-                moved = np.linalg.norm(dy, axis=1) * weight[lanes] + np.abs(ds)
-            sound = np.isfinite(moved) & (moved < length[lanes])
-            new[sound], at[sound] = new[sound] + dy[sound], at[sound] + ds[sound]
-            good = sound & (moved <= _CLOSE)
-            if (good | ~sound).all():
-                break
+        at = share[lanes] + length[lanes] * rise
+        good = _correct_in_place(
+            lambda at, new, lanes=lanes: seen(lanes, at, new), at, new, (along, rise), length[lanes], weight[lanes]
+        )
         slope, _, orientation = seen(lanes, at, new)
         onward = _unit_tangents(slope * weight[lanes, None])
         with np.errstate(invalid="ignore"):
@@ -104,6 +96,30 @@ def around_folds(
             elif abs(share[lane] - turned[lane]) >= _CLEAR:
                 length[lane] = 0.0  # what lies behind is followed from there
                 yield start[lane] + share[lane] * way[lane], u[lane].copy(), now
+
+
+def _correct_in_place(
+    seen: Callable[[Vector, Matrix], tuple[Matrix, Matrix, Vector]],
+    at: Vector,
+    new: Matrix,
+    tangent: tuple[Matrix, Vector],
+    length: Vector,
+    weight: Vector,
+) -> NDArray[np.bool_]:
+    """Correct s and y on the plane across the tangent by Newton's method; return True for the lanes that came close."""
+    (along, rise), good = tangent, np.zeros(len(at), dtype=bool)
+    for _ in range(_CORRECTIONS):
+        slope, step, _ = seen(at, new)
+        with np.errstate(all="ignore"):
+            ds = -(along * step).sum(axis=1) / (rise + (along * slope).sum(axis=1))
+            dy = step + slope * ds[:, None]
+            moved = np.linalg.norm(dy, axis=1) * weight + np.abs(ds)
+        sound = np.isfinite(moved) & (moved < length)
+        new[sound], at[sound] = new[sound] + dy[sound], at[sound] + ds[sound]
+        good = sound & (moved <= _CLOSE)
+        if (good | ~sound).all():
+            break
+    return good
 
 
 def _unit_tangents(slope: Matrix) -> Matrix:

@@ -188,38 +188,16 @@ def _hybrid_ranges(p: Any, xp: Any) -> dict[str, tuple[float, float, float]]:
     }
 
 
-@check_call
-def hybrid_landing(
-    vehicle: Vehicle, retro: Retro | None, orbit: Orbit, body: Body = MOON, landing_altitude: float = 0.0
-) -> Problem:
-    """Landing of maximum landed mass; with `retro` None, or its delta_v given, the retro burn is fixed.
-
-    Parameters
-    ----------
-    vehicle, retro, orbit, body
-        The lander, its impulsive engine, where it comes from and where it lands.
-    landing_altitude
-        Of the landing site above the body's radius [m].
-
-    Returns
-    -------
-    Problem
-        States r [m], phi [rad], u, v [m/s], m [kg]; free `retro_delta_v` [m/s] and `flight_time` [s]; J = -m(t_f) [kg],
-        Cho et al. (6). Parameters are named like the scenario's keys with ``_`` for the dot.
-    """
-    require_records((vehicle, Vehicle), (orbit, Orbit), (body, Body))
-    burn = Retro(specific_impulse=vehicle.specific_impulse, delta_v=0.0) if retro is None else retro
-    require_records((burn, Retro))
-    stated = (body, vehicle, replace(burn, delta_v=None), orbit, LandingSite(altitude=landing_altitude))
-    given = given_of(*stated)
-    descent = Phase(
+def _planar_descent(dry: bool) -> Phase:
+    """Return the burn in the plane of the orbit; `dry` is True where the vehicle has a dry mass."""
+    return Phase(
         name="descent",
         states=(
             Variable(name="r", unit="m", description="distance from the centre"),
             Variable(name="phi", unit="rad", description="position angle"),
             Variable(name="u", unit="m/s", description="transverse velocity", label="horizontal velocity"),
             Variable(name="v", unit="m/s", description="radial velocity", label="vertical velocity"),
-            mass_state("vehicle_dry_mass" in given),
+            mass_state(dry),
         ),
         controls=(Direction(names=("transverse", "radial")),),
         dynamics=_planar_dynamics,
@@ -248,13 +226,39 @@ def hybrid_landing(
         inertial=_planar_inertial,
         typical_end=_hybrid_typical_end,
     )
+
+
+@check_call
+def hybrid_landing(
+    vehicle: Vehicle, retro: Retro | None, orbit: Orbit, body: Body = MOON, landing_altitude: float = 0.0
+) -> Problem:
+    """Landing of maximum landed mass; with `retro` None, or its delta_v given, the retro burn is fixed.
+
+    Parameters
+    ----------
+    vehicle, retro, orbit, body
+        The lander, its impulsive engine, where it comes from and where it lands.
+    landing_altitude
+        Of the landing site above the body's radius [m].
+
+    Returns
+    -------
+    Problem
+        States r [m], phi [rad], u, v [m/s], m [kg]; free `retro_delta_v` [m/s] and `flight_time` [s]; J = -m(t_f) [kg],
+        Cho et al. (6). Parameters are named like the scenario's keys with ``_`` for the dot.
+    """
+    require_records((vehicle, Vehicle), (orbit, Orbit), (body, Body))
+    burn = Retro(specific_impulse=vehicle.specific_impulse, delta_v=0.0) if retro is None else retro
+    require_records((burn, Retro))
+    stated = (body, vehicle, replace(burn, delta_v=None), orbit, LandingSite(altitude=landing_altitude))
+    given = given_of(*stated)
     p = SimpleNamespace(**{name: g.value for name, g in given.items()})
     ranges = _hybrid_ranges(p, NUMERIC)
     speed, time = ranges["retro_delta_v"][1], ranges["flight_time"][2]
     problem = Problem(
         name="hybrid_landing",
         title=f"{vehicle.mass:g} kg lander from {orbit.perilune_altitude / 1e3:g} km to {body.titled}",
-        phases=(descent,),
+        phases=(_planar_descent("vehicle_dry_mass" in given),),
         start=_perilune_state,
         given=given,
         free=(Free(name="retro_delta_v", unit="m/s"), Free(name="flight_time", unit="s")),

@@ -62,12 +62,7 @@ class SimulatedProblem:
         passed = {} if free is None else free
         if isinstance(passed, Mapping) and (strange := set(passed) - set(self.free_names)):
             raise unknown_name("free parameter", min(strange, key=str), list(self.free_names))
-        try:
-            shape = np.broadcast_shapes(state.shape[1:], control.shape[1:])
-        except ValueError:
-            got = f"{state.shape[1]} states and {control.shape[1]} controls"
-            expected = "one control for each state, or one for all"
-            raise PeriluneError("states and controls are not equally many", got=got, expected=expected) from None
+        shape = _common_shape(state, control)
         try:
             with np.errstate(all="ignore"):
                 found = stated.rates(list(state), list(control), self.parameters(passed))
@@ -81,6 +76,16 @@ class SimulatedProblem:
         rates = np.array([np.broadcast_to(np.asarray(rate, dtype=float), shape) for rate in found])
         _refuse_infinite(stated, rates, state, control)
         return rates
+
+
+def _common_shape(state: Any, control: Any) -> tuple[int, ...]:
+    """Return the shape of points at which states and controls are given together."""
+    try:
+        return np.broadcast_shapes(state.shape[1:], control.shape[1:])
+    except ValueError:
+        got = f"{state.shape[1]} states and {control.shape[1]} controls"
+        expected = "one control for each state, or one for all"
+        raise PeriluneError("states and controls are not equally many", got=got, expected=expected) from None
 
 
 def _number_of(problem: Any, phase: str | int | None) -> int:
