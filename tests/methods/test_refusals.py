@@ -21,7 +21,7 @@ from perilune.core.units import format_bound
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.diagnosis import active_path_condition, explain_refusal
 from perilune.methods.indirect.indirect import Indirect
-from perilune.methods.indirect.structure_search import StructureRefinement
+from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.methods.indirect.violations import ConstraintViolation, bound_violations
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import MOON

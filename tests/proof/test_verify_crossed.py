@@ -10,7 +10,7 @@ import pytest
 from perilune.core.errors import Outcome, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
-from perilune.methods.indirect.structure_search import StructureRefinement
+from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Solution

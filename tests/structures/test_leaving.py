@@ -13,8 +13,8 @@ import perilune as pl
 from perilune.core.callbacks import ignore_events
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.methods.indirect.search import Search
-from perilune.methods.indirect.structure_search import StructureRefinement
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
 from perilune.structures.multiphase import restate

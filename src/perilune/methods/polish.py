@@ -21,9 +21,9 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.coarse_direct import switches_often
 from perilune.methods.indirect.homotopy import SMOOTH
 from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.settings import STRUCTURE, SearchSettings
-from perilune.methods.indirect.structure_search import StructureRefinement
 from perilune.methods.indirect.violations import ConstraintViolation
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature

@@ -189,7 +189,7 @@ class Indirect(SearchSettings):
         """Return the extremals that the problem's own guesses of known arcs lead to."""
         if search.problem.switching_guesses is None or is_neighbour(search.problem):
             return []
-        from perilune.methods.indirect.structure_search import StructureRefinement
+        from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 
         search.watch("start: arcs that the problem's model knows")
         found = list[Solution]()
@@ -209,7 +209,7 @@ class Indirect(SearchSettings):
     def _structured(
         self, search: Search, rough: Solution, *, guessed: bool = False, brief: bool = False
     ) -> Solution | None:
-        from perilune.methods.indirect.structure_search import StructureRefinement
+        from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 
         found = StructureRefinement(
             settings=self, problem=search.problem, watch=search.watch, tried=search.tried, guessed=guessed,

@@ -3,16 +3,9 @@
 A pure state condition is kept by boundary arcs or contact points, which no single smooth arc does; nor does one
 know when a control becomes singular, as H says nothing of it then. The structure is read off the direct method's answer
 (`perilune.structures.detect_arcs`, `perilune.structures.detect_regimes`), and each of its arcs becomes a phase. The
-extremal of that shows whether it is the right one, and changes it by rule, a bounded number of times:
-
-- a contact point whose multiplier has the wrong sign is none: the condition holds nothing back there;
-- an arc of no length is a contact point, or none where its condition admits none;
-- an arc is left where the multiplier of its condition becomes negative (`perilune.structures.multiplier_signs`);
-  where it is so all along, contact points remain where the arc begins and ends;
-- an arc on a bound is cut where H is less at the other one, a singular arc where its control is beyond a bound;
-- contact points between which the condition is not left are a boundary arc;
-- a condition that is broken elsewhere has a contact point there too; one broken next to its contact, a boundary arc;
-- a boundary arc to the end is first tried as a contact point where it begins.
+extremal of that shows whether it is the right one, and changes it by rule, a bounded number of times
+(`perilune.methods.indirect.refinement.structure_revision`). A boundary arc to the end is first tried as a contact point
+where it begins.
 
 Bounds and conditions of the control the law of each arc keeps by itself, as far as it can hold them; an extremal that
 breaks one is no answer.
@@ -20,31 +13,28 @@ breaks one is no answer.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
-from itertools import pairwise
+from functools import partial
 
-import numpy as np
-
-from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.core.errors import PeriluneError
-from perilune.methods.indirect.export_arcs import PropagatedStates
 from perilune.methods.indirect.newton_trials import bounded_parameters
-from perilune.methods.indirect.result import Curves
+from perilune.methods.indirect.refinement.structure_revision import (
+    keep_paying_parts,
+    revise_structure,
+    structure_contacts,
+)
+from perilune.methods.indirect.refinement.switch_pair import begun_pair, with_pair
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.settings import STRUCTURE, SearchSettings
-from perilune.methods.indirect.switch_pair import begun_pair, with_pair
 from perilune.methods.indirect.violations import violation_by_control
 from perilune.problem.perturbed import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.structures.chattering_boundary import find_chattering_arc
 from perilune.structures.detect_arcs import (
-    CLOSEST,
     NEAR,
     Contact,
     arcs_of,
@@ -54,31 +44,16 @@ from perilune.structures.detect_arcs import (
 )
 from perilune.structures.detect_regimes import stays_between_bounds, stays_of
 from perilune.structures.multiphase import refuse_unstated_ends, renumber_restated, restate
-from perilune.structures.multiplier_signs import paying_intervals
-from perilune.structures.part_durations import part_name
-from perilune.structures.revise_regimes import revised_stays
 from perilune.structures.split_join import JoinedTrajectories, join_solution, split_solution, structure_with_times
-from perilune.structures.state_margins import (
-    EXACTLY,
-    POINTS,
-    broken_intervals,
-    is_constant_condition,
-    margin_along,
-    margin_at,
-    margin_rounding,
-    refine_minima,
-    state_conditions,
-)
-from perilune.structures.structure import Condition, Structure, conditions_of, margins
+from perilune.structures.state_margins import margin_along, margin_rounding, state_conditions
+from perilune.structures.structure import Structure, conditions_of, margins
 
 ATTEMPTS, MOST_ARCS = 6, 12
 _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
 _EXACT = 1e-7  # the same of what a neighbour begins with, which is on it or is not
-_BESIDE = 0.1  # of the time for which a condition is broken: so near to that a contact point belongs to it
 _ROUGH = 1e-2  # relative mesh error from which on a finer mesh is asked first
 _FINE = 1e-3  # relative mesh error up to which a finer one shows no more
 _WITHOUT_NEWTON = 1e-8  # relative mesh error up to which a flight of a structure is one without Newton's method
-_NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 _FEW = 2  # arcs of multiple shooting in a trial that is to be cheap
 
 
@@ -136,12 +111,12 @@ class StructureRefinement:
         """
         phases, hopped = [], list[tuple[int, str]]()
         for k, arcs in enumerate(structure.phases):
-            known, last = list(_structure_contacts(structure, k)), arcs[-1].until
+            known, last = list(structure_contacts(structure, k)), arcs[-1].until
             conditions = conditions_of(self.problem, k, [contact.name for contact in known])
             found = list[Contact]()
             for contact in known:
                 hops = contact.is_arc and contact.end == last and conditions[contact.name].order > 1
-                found += _keep_paying_parts(contact, conditions[contact.name], last, []) if hops else [contact]
+                found += keep_paying_parts(contact, conditions[contact.name], last, []) if hops else [contact]
                 hopped += [(k, contact.name)] if hops else []
             phases.append(arcs_of(self.problem, k, found, last, stays_of(structure, k)))
         if is_neighbour(self.problem) or (touching := Structure(tuple(phases))) == structure:
@@ -154,7 +129,7 @@ class StructureRefinement:
         """Return True if a condition is left behind its last contact point; else it has a boundary arc after all."""
         known, (t, room) = answer.trajectories, margin_along(answer, k, name)
         assert isinstance(known, JoinedTrajectories), "of arcs"
-        touch = max((c.end for c in _structure_contacts(known.structure, k) if c.name == name), default=0.0)
+        touch = max((c.end for c in structure_contacts(known.structure, k) if c.name == name), default=0.0)
         return bool(
             (room[t > touch] > margin_rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))).any()
         )
@@ -170,7 +145,7 @@ class StructureRefinement:
             refuse_unstated_ends(known.restated.problem, self.problem, structure)
             problem = renumber_restated(known.restated.problem, self.problem, structure)
             solved = Search(self.settings, problem, self.watch).solve(known.restated)
-            return self._accept_or_revise(structure, solved, join_solution(self.problem, solved, structure))[0]
+            return self._kept_to(structure, solved, join_solution(self.problem, solved, structure))[0]
         except PeriluneError as error:
             self.tried.append(f"structure {structure.text}: {error.what}")
             return None
@@ -183,7 +158,7 @@ class StructureRefinement:
         """
         exact = self.guessed or self.brief
         wavers = not exact and stays_between_bounds(rough)
-        finer = wavers or (not exact and self._has_boundary_arcs(rough))
+        finer = wavers or (not exact and self._rides(rough))
         if not (finer and rough.statistics.residual > _ROUGH):
             yield rough
         if finer:
@@ -201,7 +176,7 @@ class StructureRefinement:
         with suppress(PeriluneError):
             yield Pseudospectral(nodes=6, segments=segments, refine=0).near(rough, self.watch, close=close)
 
-    def _has_boundary_arcs(self, rough: Solution) -> bool:
+    def _rides(self, rough: Solution) -> bool:
         phases = range(len(self.problem.phases))
         return any(
             c.is_arc
@@ -222,7 +197,7 @@ class StructureRefinement:
             try:
                 for solved in self._extremals(rough, structure):
                     whole = join_solution(self.problem, solved, structure, named=not is_neighbour(self.problem))
-                    answer, revised = self._accept_or_revise(structure, solved, whole)
+                    answer, revised = self._kept_to(structure, solved, whole)
                     if answer is not None:
                         return answer
             except PeriluneError as error:
@@ -233,13 +208,13 @@ class StructureRefinement:
             rough, structure = whole, revised
         return None
 
-    def _accept_or_revise(
+    def _kept_to(
         self, structure: Structure, solved: Solution, whole: Solution
     ) -> tuple[Solution | None, Structure | None]:
         """Return the answer if the extremal of a structure keeps to it; else the structure that it asks for, if any."""
         kept = structure_with_times(structure, solved)
         # A neighbour has the arcs of its guess.
-        revised = kept if is_neighbour(self.problem) else self._revised(kept, solved, whole)
+        revised = kept if is_neighbour(self.problem) else revise_structure(self.problem, kept, solved, whole)
         if revised is not kept:
             self._say(f"structure {structure.text}: an extremal of another one")
             return None, revised
@@ -271,7 +246,7 @@ class StructureRefinement:
             for one in found[1:]:
                 solved = solution_of([one])
                 whole = join_solution(self.problem, solved, known.structure)
-                answer, revised = self._accept_or_revise(known.structure, solved, whole)
+                answer, revised = self._kept_to(known.structure, solved, whole)
                 if answer is not None:
                     kept.append(one)
                 elif one.minimum and (turned := self.followed(whole, revised, {known.structure.text})) is not None:
@@ -342,174 +317,3 @@ class StructureRefinement:
                 break
         if failure is not None and not found:
             raise failure
-
-    def _revised(self, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
-        """Return the structure if the extremal keeps to it; else the one that it asks for; None where that is none."""
-        phases, same, way = [], True, ConstraintMargins(self.problem, structure, solved, whole)
-        for k, arcs in enumerate(structure.phases):
-            known = list(_structure_contacts(structure, k))
-            found = list(self._borne_out(structure, solved, k, known))
-            found = self._join_contacts(way, k, known, self._add_missing(way, k, found))
-            stays = stays_of(structure, k)
-            asked = revised_stays(whole, k, stays, _NO_TIME)
-            if asked is None:
-                return None
-            same &= found == known and asked == stays
-            phases.append(arcs_of(self.problem, k, found, arcs[-1].until, asked))
-        revised = Structure(tuple(phases))
-        return structure if same else None if revised.plain else revised
-
-    def _borne_out(self, structure: Structure, solved: Solution, k: int, known: list[Contact]) -> Iterator[Contact]:
-        """Yield the contacts that have a length, or a multiplier of the right sign, as far as they have."""
-        phase, arcs = self.problem.phases[k], structure.phases[k]
-        first = sum(len(before) for before in structure.phases[:k])
-        conditions = conditions_of(self.problem, k, [contact.name for contact in known])
-        for contact in known:
-            condition = conditions[contact.name]
-            j = next(j for j, arc in enumerate(arcs) if arc.until == contact.end)
-            if contact.is_arc:
-                if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
-                    worth = paying_intervals(solved, first + j, condition)
-                    yield from _keep_paying_parts(contact, condition, arcs[-1].until, worth)
-                elif condition.order > 1:
-                    yield replace(contact, end=contact.begin, is_arc=False)
-                continue
-            at = f"{part_name(phase.name, j, len(arcs))}.{condition.rated(0, 'touch_', 1.0).name}"
-            if solved.multipliers[at] <= 0:  # J falls where the condition gives way
-                yield contact
-
-    def _add_missing(self, way: ConstraintMargins, k: int, found: list[Contact]) -> list[Contact]:
-        """Return the contacts and those that are missing: where a condition is broken."""
-        found = list(found)
-        for name in state_conditions(self.problem, k):
-            size = self.problem.size_of(margins(self.problem, k)[name][0])
-            for begin, end, at in broken_intervals(*way.room_along(k, name), size):
-                reach = _BESIDE * (end - begin)
-                near = [c for c in found if c.name == name and begin - reach <= c.end and c.begin <= end + reach]
-                condition = conditions_of(self.problem, k, (name,))[name]
-                ridden = condition.steered and (bool(near) or condition.order == 1)
-                begin, end = (begin, end) if ridden else (at, at)
-                for contact in near:
-                    begin, end = min(begin, contact.begin), max(end, contact.end)
-                    found.remove(contact)
-                found.append(Contact(name=name, begin=begin, end=end, is_arc=ridden))
-        return found
-
-    def _join_contacts(
-        self, way: ConstraintMargins, k: int, known: Sequence[Contact], found: list[Contact]
-    ) -> list[Contact]:
-        """Return the contacts; contact points between which the extremal does not leave are joined to one arc."""
-        for name in {c.name for c in known}:
-            condition, (t, room) = conditions_of(self.problem, k, (name,))[name], way.room_along(k, name)
-            near = np.abs(room) <= margin_rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))
-            runs = list[list[Contact]]()
-            for contact in (c for c in known if c.name == name):
-                before = runs[-1][-1] if runs else contact
-                between = (t > before.end) & (t < contact.begin)
-                stays = before is not contact and not (before.is_arc or contact.is_arc) and near[between].all()
-                runs = [*runs[:-1], [*runs[-1], contact]] if stays else [*runs, [contact]]
-            for run in runs if condition.steered else ():
-                if len(run) > 1 and all(c in found for c in run):
-                    found = [c for c in found if c not in run]
-                    found.append(Contact(name=name, begin=run[0].end, end=run[-1].begin, is_arc=True))
-        return found
-
-
-def _keep_paying_parts(
-    contact: Contact, condition: Condition, last: float, worth: list[tuple[float, float]] | None
-) -> Iterator[Contact]:
-    """Yield the parts of an arc that pay [s of the arc], or contact points in its place; itself where this is unknown.
-
-    An arc to the end of the phase that gains by leaving for a time g before, returns there: with mu linear in time
-    the hop begins q/(q + 1) g before mu changes sign (for x^(q) = u). Where that is before the arc a contact point is
-    left.
-    """
-    length, order = contact.end - contact.begin, condition.order
-    parts = [(0.0, length)] if worth is None else list(worth)
-    if parts and contact.end == last and parts[-1][1] < length:
-        begin, end = parts.pop()
-        parts.append((begin, max(begin, end - order / (order + 1) * (length - end))))
-    ends = [0.0, length] if not parts else [begin for begin, end in parts if end == begin]
-    for at in (contact.begin + share for share in ends):
-        if order > 1 and 0.0 < at < last:
-            yield replace(contact, begin=at, end=at, is_arc=False)
-    for begin, end in parts:
-        if end > begin:
-            yield replace(
-                contact, begin=contact.begin + begin, end=contact.end if end >= length else contact.begin + end
-            )
-
-
-def _structure_contacts(structure: Structure, k: int) -> Iterator[Contact]:
-    """Yield boundary arcs and contact points of a structure with times in phase k."""
-    begin = 0.0
-    for arc in structure.phases[k]:
-        for name in arc.along:
-            yield Contact(name=name, begin=begin, end=arc.until, is_arc=True)
-        for name in arc.touches:
-            yield Contact(name=name, begin=arc.until, end=arc.until, is_arc=False)
-        begin = arc.until
-
-
-@dataclass
-class ConstraintMargins:
-    """The margins to conditions of an extremal of a structure, whose curves need not be made for that.
-
-    Parameters
-    ----------
-    problem, structure
-        The user's problem, and its arcs with the times of the extremal.
-    solved, whole
-        The extremal, of the problem restated and in the user's phases.
-    """
-
-    problem: Problem
-    structure: Structure
-    solved: Solution
-    whole: Solution
-
-    def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
-        """Return the times of phase k [s] and how far a condition is from its limit there [SI]."""
-        if is_constant_condition(self.problem, k, name):
-            return (t := np.zeros(1)), self._room(k, name, t, self._aloft.at(self._first(k), t))
-        parts = [self._closely(k, name, *part) for part in self._phases(k)]
-        return np.concatenate([t for t, _ in parts]), np.concatenate([room for _, room in parts])
-
-    def _closely(self, k: int, name: str, j: int, times: Vector, x: Matrix) -> tuple[Vector, Vector]:
-        """Return the times of an arc and S there, the closer together the nearer S may be to its limit between them."""
-        room, begin, length = self._room(k, name, times, x), times[0], times[-1] - times[0]
-        for _ in range(CLOSEST):
-            between = refine_minima(times, room, EXACTLY * self._size(k, name)) if length > 0.0 else times[:0]
-            if not len(between):
-                break
-            states = self._aloft.at(self._first(k) + j, np.clip((between - begin) / length, 0.0, 1.0))
-            times, at = np.unique(np.append(times, between), return_index=True)
-            room = np.append(room, self._room(k, name, between, states))[at]
-        return times, room
-
-    def _room(self, k: int, name: str, t: Vector, x: Matrix) -> Vector:
-        return margin_at(self.problem, self.whole.parameters, k, name, t, x)
-
-    def _size(self, k: int, name: str) -> float:
-        return self.problem.size_of(margins(self.problem, k)[name][0])
-
-    @cached_property
-    def _aloft(self) -> PropagatedStates:
-        curves = self.solved.trajectories
-        assert isinstance(curves, Curves), "of a search, which ends at a root"
-        return curves.propagated()
-
-    @cached_property
-    def _phases(self) -> Callable[[int], list[tuple[int, Vector, Matrix]]]:
-        return cache(self._phase)
-
-    def _phase(self, k: int) -> list[tuple[int, Vector, Matrix]]:
-        """Return for each arc of phase k its number, times [s of the phase], and states there."""
-        begins, found = [0.0, *(arc.until for arc in self.structure.phases[k])], list[tuple[int, Vector, Matrix]]()
-        for j, (begin, end) in enumerate(pairwise(begins)):
-            shares = np.linspace(0.0, 1.0, 2 + math.ceil(POINTS * (end - begin) / begins[-1]))
-            found.append((j, begin + shares * (end - begin), self._aloft.at(self._first(k) + j, shares)))
-        return found
-
-    def _first(self, k: int) -> int:
-        return sum(map(len, self.structure.phases[:k]))
