@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -27,17 +26,11 @@ from perilune.methods.indirect.diagnosis import (
     explain_refusal,
     no_start_converged_error,
 )
-from perilune.methods.indirect.export_arcs import can_use_multiple_shooting, correct_last_digits, ends_well
+from perilune.methods.indirect.guess_newton import GuessNewton
 from perilune.methods.indirect.homotopy import SMOOTH, Smoothing
 from perilune.methods.indirect.initializers import ColdStarts, StartMembers
 from perilune.methods.indirect.newton_trials import Trials, found_at
-from perilune.methods.indirect.random_costates import (
-    NEARLY,
-    active_set_of_guess,
-    beside_flat,
-    continue_from_guess,
-    unknowns_of_guess,
-)
+from perilune.methods.indirect.random_costates import active_set_of_guess, unknowns_of_guess
 from perilune.methods.indirect.result import compose_solution
 from perilune.methods.indirect.settings import SearchSettings
 from perilune.methods.indirect.unknowns import free_values, unknowns_from_solution
@@ -48,7 +41,6 @@ from perilune.problem.perturbed import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics
 from perilune.shooting.continuation import Member
-from perilune.shooting.newton import FINEST, ROUGHEST, TOLERANCE
 from perilune.shooting.nonisolated import open_directions
 from perilune.shooting.parameter_scan import ExtremalRoot, HeldFamily, same_vector, scan_family, unknown_extremals
 from perilune.shooting.shooting_function import Root
@@ -56,8 +48,6 @@ from perilune.shooting.shooting_function import Root
 _MOST_FOLLOWED = 24  # extremals from which families along other parameters are followed
 _MOST_OUTDOING = 6  # extremals that break the path, in whose basins admissible ones are looked for
 _LITTLE = 1e-2  # canonical: what is broken by more a mesh has seen, and its flight shows the arcs that keep it
-_ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported
-_NEXT = 40  # evaluations of Newton's method from an extremal to a neighbour: with more it is led elsewhere
 
 
 @dataclass
@@ -75,6 +65,7 @@ class Search:
         self.began: float = time.perf_counter()
         self.trials: Trials = Trials(self.problem, self.watch, self.keep)
         self.keepable: tuple[str, ...] = tuple(n for n in attainable_conditions(self.problem) if n not in self.keep)
+        self.newton: GuessNewton = GuessNewton(self.trials, self.settings.segments, self.compared)
         self.judge: AdmissibilityTest = AdmissibilityTest(self.problem, self.trials.conditions, self.trials.p)
         self.walked: dict[float, list[Vector]] = {}  # members of the families followed, by the held value
         self.followed: list[ExtremalRoot] = []  # along all parameters between bounds, where there are several
@@ -151,9 +142,7 @@ class Search:
             ways.from_transcription(),
         ]
         for i, rung in enumerate(rungs):
-            if last and i < 3:
-                continue
-            if i == 3 and self.answered:
+            if (last and i < 3) or (i == 3 and self.answered):
                 continue
             if self._answers(found) and (i == 3 or (i == 2 and (base is not None or ways.agreed))):
                 continue  # the last rung is for those that the others left without an answer
@@ -332,18 +321,10 @@ class Search:
 
     def _near(self, y: Vector, choice: Vector, guess: Solution | None = None) -> list[ExtremalRoot]:
         """Solve from unknowns; by multiple shooting from the curves of a guess where that fails."""
-        trials, attempts = self.trials, self._attempts(y, choice, guess)
-        root = next(attempts)
-        while not root.converged and (another := next(attempts, None)) is not None:
-            root = another
-        if not root.converged and guess is not None and (not is_neighbour(self.problem) or self._lost(root)):
-            root = self._in_pieces(root, guess, y, choice)
+        trials, root = self.trials, self.newton.root_from(y, choice, guess)
         name = trials.outside(root)
         if root.converged and name is None:
-            # The J of a neighbour is compared to last digits.
-            compared = self.compared or is_neighbour(self.problem)
-            root = trials.shooting.with_corrected_cost(root) if compared else self._to_last_digits(root)
-            return [found_at(trials.shooting, self.problem, root)]
+            return [found_at(trials.shooting, self.problem, self.newton.completed(root))]
         if name is not None:
             raise NotConvergedError(
                 f"from this guess the extremal lies outside the bounds of {name}",
@@ -352,70 +333,6 @@ class Search:
             )
         self.tried.append("Newton from the guess")
         raise self._failure()
-
-    def _attempts(self, y: Vector, choice: Vector, guess: Solution | None) -> Iterator[Root]:
-        """Yield roots from unknowns, and from where the extremal of a guess is followed to.
-
-        That comes first of so many arcs that they are not cut: from the unknowns only most are lost, and it takes long
-        until they are.
-        """
-        trials = self.trials
-        # Where one wait is about as good as another, what rough flights leave leads a neighbour along them all.
-        finest: dict[str, Any] = {"accuracy": FINEST} if self.compared or is_neighbour(self.problem) else {}
-        finest |= {"limit": _NEXT} if self.compared else {}
-
-        def led(accuracy: float, tolerance: float) -> Iterator[Root]:
-            if guess is not None and (there := continue_from_guess(trials, guess, y)) is not None:
-                start, held, limits = there[0][None], there[1], trials.limits
-                yield trials.settled(start, held, limits=limits, accuracy=accuracy, tolerance=tolerance)[0]
-
-        if (self.compared or is_neighbour(self.problem)) and (beside := beside_flat(trials, y, choice)) is not None:
-            yield beside
-        if can_use_multiple_shooting(trials.conditions):
-            yield trials.settled(y[None], choice, limits=trials.limits, **finest)[0]
-            yield from led(ROUGHEST, TOLERANCE)
-        else:
-            yield from map(self._correct_misses, led(FINEST, NEARLY))
-            yield self._correct_misses(trials.settled(y[None], choice, limits=trials.limits, **finest)[0])
-
-    def _correct_misses(self, root: Root) -> Root:
-        """Correct a root in one piece whose exported flight misses its end as Newton's method flies it more roughly."""
-        if not root.converged or is_neighbour(self.problem):
-            return root
-        left, (best, missed) = float(np.abs(root.residual).max()), self._correct_exported(root)
-        return replace(best, converged=min(left, missed) <= _ROUNDED)
-
-    def _lost(self, root: Root) -> bool:
-        """Return True if a neighbour, no further than rounding from its guess, is lost as that grows beyond all use.
-
-        Of what settles the derivatives are rough: a fall that climbs again before it is down is found only in pieces.
-        """
-        shooting = self.trials.shooting
-        return shooting.plan.settles or shooting.rounding(root) or not np.isfinite(root.residual).all()
-
-    def _in_pieces(self, root: Root, guess: Solution, y: Vector, choice: Vector) -> Root:
-        """Solve by multiple shooting where a flight in one piece misses its end by more than rounding."""
-        trials, segments = self.trials, self.settings.segments
-        if np.abs(root.residual).max() <= _ROUNDED and trials.shooting.rounding(root):
-            return replace(self._correct_exported(root)[0], converged=True)
-        if segments == 1 or not can_use_multiple_shooting(trials.conditions, segments):
-            return root
-        return trials.by_pieces(guess, y, choice, segments, trials.limits)
-
-    def _to_last_digits(self, root: Root) -> Root:
-        """Return the root; one of amplified rounding, whose pieces may be none, moved until its flight ends best.
-
-        So is one of several phases whose flight misses its ends: pieces leave as much again where phases meet.
-        """
-        exact = np.abs(root.residual).max() <= TOLERANCE
-        if exact and (len(self.problem.phases) == 1 or ends_well(self.problem, self.trials.conditions, root)):
-            return root
-        best, missed = self._correct_exported(root)
-        return root if exact and missed > _ROUNDED else best
-
-    def _correct_exported(self, root: Root) -> tuple[Root, float]:
-        plan = self.trials.shooting.plan
-        return correct_last_digits(self.problem, self.trials.conditions, root, plan.rows, plan.active)
 
     def _judged(self, ways: Iterable[StartMembers]) -> Iterator[tuple[Member, str]]:
         """Yield members within the bounds, start by start.
