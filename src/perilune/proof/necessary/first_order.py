@@ -12,11 +12,10 @@ lam' and dJ/dp. Any other, or a bound of a state, that is kept has multiplier 0,
 phase, which is made an end condition before (`terminal_bounds`). One that holds the flight back has
 a multiplier that no table holds: it shows in lam', or in dH/du, and that check fails.
 
-A duration T is a parameter too, T H being the rate per unit of normalised time: its condition gives H its
-required value, which is 0 where nothing but the dynamics depends on T. For the free initial state of Cho et
-al. the same line is (19). At an active bound dJ/dp must point outwards, and so
-must -nu of an end condition on a bound of its range (Karush-Kuhn-Tucker). Source: Bryson
-and Ho (1975), sections 2.7, 3.
+A duration T is a parameter too, T H being the rate per unit of normalised time: its condition gives H its required
+value, which is 0 where nothing but the dynamics depends on T. For the free initial state of Cho et al. the same line is
+(19). At an active bound dJ/dp must point outwards, and so must -nu of an end condition on a bound of its range
+(Karush-Kuhn-Tucker). Source: Bryson and Ho (1975), sections 2.7, 3.
 """
 
 from __future__ import annotations
