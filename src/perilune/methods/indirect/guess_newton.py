@@ -64,7 +64,7 @@ class GuessNewton:
 
     def completed(self, root: Root) -> Root:
         """Return a converged root as it is exported."""
-        return self.trials.shooting.met(root) if self.near else self.to_last_digits(root)
+        return self.trials.shooting.with_corrected_cost(root) if self.near else self.to_last_digits(root)
 
     def _attempts(self, y: Vector, choice: Vector, guess: Solution | None) -> Iterator[Root]:
         """Yield roots from unknowns, and from where the extremal of a guess is followed to.
