@@ -210,7 +210,7 @@ class ConstraintMargins:
     def _aloft(self) -> PropagatedStates:
         curves = self.solved.trajectories
         assert isinstance(curves, Curves), "of a search, which ends at a root"
-        return curves.aloft()
+        return curves.propagated()
 
     @cached_property
     def _phases(self) -> Callable[[int], list[tuple[int, Vector, Matrix]]]:
