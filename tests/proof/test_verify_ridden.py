@@ -314,10 +314,10 @@ def test_an_end_condition_that_no_state_moves_explains_no_jump(slope: float, lef
     """Of a jump of (-3, -4) the user's condition takes the first, and nu dS/dx with nu <= 0 the second or nothing."""
     ridden = SimpleNamespace(
         edge=lambda s: None, reach=lambda s: 1.0, condition=SimpleNamespace(order=1),
-        beside=lambda s: np.array([3.0, 4.0]), slope=lambda i, at: np.array([[0.0], [slope]]),
+        costates=lambda s: np.array([3.0, 4.0]), slope=lambda i, at: np.array([[0.0], [slope]]),
     )  # fmt: skip
     rides: Any = SimpleNamespace(
-        along=[(), (ridden,)], _back=lambda joint: np.eye(2), entered=lambda ridden: {},
+        boundary_arcs=[(), (ridden,)], _back=lambda joint: np.eye(2), entered=lambda ridden: {},
         _explained=lambda joint: [np.zeros(2), np.array([2.0, 0.0])],
     )  # fmt: skip
     assert BoundaryArcs.jump(cast("BoundaryArcs", rides), 1) == pytest.approx(left, abs=1e-12)
