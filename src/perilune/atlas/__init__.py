@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING
 from perilune.core.facade import deferred, public_names
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
     from perilune.atlas.building.build import build
     from perilune.atlas.building.export import export
     from perilune.atlas.building.extend import extend
@@ -36,7 +39,7 @@ __all__ = [
     "sliced",
 ]
 
-__getattr__ = deferred(
+__getattr__: Callable[[str], Any] = deferred(
     __name__,
     {
         "building.build": "build",

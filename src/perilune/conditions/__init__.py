@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 from perilune.core.facade import deferred
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
     from perilune.conditions.active_constraints import Held
     from perilune.conditions.canonical_equations import (
         PhaseExtremal,
@@ -31,7 +34,7 @@ __all__ = [
     "select_by_mode",
 ]
 
-__getattr__ = deferred(
+__getattr__: Callable[[str], Any] = deferred(
     __name__,
     {
         "active_constraints": "Held",

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING
 from perilune.core.facade import deferred
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
     from perilune.kernels.algebra.prune import prune
     from perilune.kernels.algebra.system import Event
     from perilune.kernels.code.batch_map import Map, compile_map
@@ -26,7 +29,7 @@ __all__ = [
     "compile_arcs", "compile_map", "prune", "report_cache",
 ]  # fmt: skip
 
-__getattr__ = deferred(
+__getattr__: Callable[[str], Any] = deferred(
     __name__,
     {
         "algebra.prune": "prune",

@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 from perilune.core.facade import deferred
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
     from perilune.methods.binding_limit import with_binding_limit
     from perilune.methods.direct.pseudospectral import Pseudospectral
     from perilune.methods.evolutionary.fitness import ControlFitness
@@ -38,7 +41,7 @@ __all__ = [
     "with_binding_limit",
 ]
 
-__getattr__ = deferred(
+__getattr__: Callable[[str], Any] = deferred(
     __name__,
     {
         "binding_limit": "with_binding_limit",

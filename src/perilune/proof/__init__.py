@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 from perilune.core.facade import deferred
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
     from perilune.proof.feasible.phase_data import PhaseData
     from perilune.proof.levels import examine
     from perilune.proof.necessary.terminal_bounds import end_bound_multipliers
@@ -23,7 +26,7 @@ __all__ = [
     "examine",
 ]
 
-__getattr__ = deferred(
+__getattr__: Callable[[str], Any] = deferred(
     __name__,
     {
         "feasible.phase_data": "PhaseData",

@@ -7,9 +7,14 @@ from typing import TYPE_CHECKING
 from perilune.core.facade import deferred
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
     from perilune.models.landing.problem import LandingSite, Orbit, hybrid_landing
     from perilune.models.physics.vehicle import Retro, Vehicle
 
 __all__ = ["LandingSite", "Orbit", "Retro", "Vehicle", "hybrid_landing"]
 
-__getattr__ = deferred(__name__, {"problem": "LandingSite Orbit hybrid_landing", ".physics.vehicle": "Retro Vehicle"})
+__getattr__: Callable[[str], Any] = deferred(
+    __name__, {"problem": "LandingSite Orbit hybrid_landing", ".physics.vehicle": "Retro Vehicle"}
+)
