@@ -5,12 +5,14 @@ The orbit before a return is `ReturnOrbit` here, and `Orbit` the one before a la
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from perilune.core.facade import public_names
+from perilune.core.facade import deferred, public_names
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
     from perilune.models.deorbit.opportunities import Opportunity, opportunities
     from perilune.models.deorbit.problem import deorbit_entry
     from perilune.models.deorbit.records import (
@@ -46,24 +48,6 @@ if TYPE_CHECKING:
     from perilune.models.precision.final_descent import FinalDescent
     from perilune.models.precision.path_constraints import Corridor
     from perilune.models.precision.problem import Approach, precision_landing
-
-# What each file hands on, when it is asked for.
-_HOME = {
-    "physics.bodies": "BODIES CERES EARTH EUROPA MARS MERCURY MOON Body Planet UniformGravity",
-    "physics.vehicle": "Retro Throttle Vehicle",
-    "landing.problem": "Orbit hybrid_landing",
-    "descent.problem": "Ignition Site Steering powered_descent",
-    "precision.problem": "Approach precision_landing",
-    "precision.path_constraints": "Corridor",
-    "kind": "Kind Section",
-    "precision.final_descent": "FinalDescent",
-    "physics.atmosphere": "Air",
-    "deorbit.records": "Atmosphere Heating Interface Landing Limits Manoeuvre Parachute Returner Separation Transition",
-    "deorbit.problem": "deorbit_entry",
-    "deorbit.opportunities": "Opportunity opportunities",
-}
-_PLACES = {name: (file, name) for file, names in _HOME.items() for name in names.split()}
-_PLACES["ReturnOrbit"] = ("deorbit.records", "ReturnOrbit")
 
 __all__ = [
     "BODIES",
@@ -108,14 +92,24 @@ __all__ = [
     "precision_landing",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module 'perilune.models' has no attribute {name!r}")
-    file, own = _PLACES[name]
-    value = getattr(importlib.import_module(f"perilune.models.{file}"), own)
-    globals()[name] = value
-    return value
+__getattr__: Callable[[str], Any] = deferred(
+    __name__,
+    {
+        "physics.bodies": "BODIES CERES EARTH EUROPA MARS MERCURY MOON Body Planet UniformGravity",
+        "physics.vehicle": "Retro Throttle Vehicle",
+        "landing.problem": "Orbit hybrid_landing",
+        "descent.problem": "Ignition Site Steering powered_descent",
+        "precision.problem": "Approach precision_landing",
+        "precision.path_constraints": "Corridor",
+        "kind": "Kind Section",
+        "precision.final_descent": "FinalDescent",
+        "physics.atmosphere": "Air",
+        "deorbit.records": "Atmosphere Heating Interface Landing Limits Manoeuvre Parachute Returner ReturnOrbit "
+        "Separation Transition",
+        "deorbit.problem": "deorbit_entry",
+        "deorbit.opportunities": "Opportunity opportunities",
+    },
+)
 
 
 def __dir__() -> list[str]:

@@ -27,11 +27,11 @@ from perilune.models.deorbit.orbit import AXIS, plane_axes, radius_and_speeds
 from perilune.models.deorbit.records import (
     LONGEST_COAST,
     engine_exhaust_speed,
-    full_engine_thrust,
     throttled,
     total_velocity_change,
 )
 from perilune.models.physics.atmosphere import Air
+from perilune.models.physics.delta_v_bounds import greatest_thrust
 from perilune.models.physics.rotating_frame import combine, cross_product, local_axes, scalar_product
 
 _NEAR = 0.01  # of the distance: an end of the flight in the plane that is an end at the interface
@@ -82,7 +82,7 @@ def integrate_planar_descent(p: Any, angle: float, coast: float, burn: float, dr
     from scipy.integrate import solve_ivp
 
     mu, exhaust, gate = p.body_gravitational_parameter, engine_exhaust_speed(p), p.body_radius + p.interface_altitude
-    full = full_engine_thrust(p)
+    full = greatest_thrust(p)
     distance, rise, ahead = (float(v) for v in radius_and_speeds(angle, p, NUMERIC))
     row, begun, pieces = np.array([distance, 0.0, rise, ahead]), 0.0, []
 
@@ -148,7 +148,7 @@ def estimate_descent(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) 
 def _burn_time_of(p: Any, change: float) -> float:
     """Return the burn time [s] of a velocity change [m/s]."""
     exhaust = engine_exhaust_speed(p)
-    return p.vehicle_mass * exhaust / full_engine_thrust(p) * (1 - math.exp(-change / exhaust))
+    return p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-change / exhaust))
 
 
 def _find_burn_length(p: Any, angle: float, coast: float, burn: float, whole: float) -> tuple[float, Matrix | None]:
@@ -238,7 +238,7 @@ def _delay_to_site(
 def rough_trajectory(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...], heat: bool) -> list[Matrix]:
     """States (points, states) [SI] of each phase, given the durations in `p`."""
     angle, node = (float(v) for v in angles(p, NUMERIC))
-    gate, rate = p.body_radius + p.interface_altitude, full_engine_thrust(p) / engine_exhaust_speed(p)
+    gate, rate = p.body_radius + p.interface_altitude, greatest_thrust(p) / engine_exhaust_speed(p)
     lengths = {name: float(getattr(p, f"{name}_time")) for name in names}
     parts = [lengths.get(name, 0.0) for name in ("coast", "burn", "drift")]
     long = sum(parts) > LONGEST_COAST

@@ -27,12 +27,12 @@ from perilune.models.deorbit.records import (
     Aim,
     Manoeuvre,
     engine_exhaust_speed,
-    full_engine_thrust,
     total_velocity_change,
 )
 from perilune.models.deorbit.secular_drift import Drift, drift
 from perilune.models.deorbit.site_passes import Pass, apsis_radii, find_passes, nearest_approach_to_plane
 from perilune.models.physics import ellipsoid
+from perilune.models.physics.delta_v_bounds import greatest_thrust
 from perilune.models.physics.rotating_frame import scalar_product
 from perilune.problem.problem import Problem
 
@@ -184,7 +184,7 @@ def _classify_pass(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: t
 def _allows_descent(problem: Problem, p: Any, found: Pass, orbit: Drift, entry: float) -> bool:
     """Return True if the problem allows the typical descent: a short burn, a coast, and its speed at the interface."""
     exhaust, gate = engine_exhaust_speed(p), p.body_radius + p.interface_altitude
-    burn = p.vehicle_mass * exhaust / full_engine_thrust(p) * (1 - math.exp(-found.velocity_change / exhaust))
+    burn = p.vehicle_mass * exhaust / greatest_thrust(p) * (1 - math.exp(-found.velocity_change / exhaust))
     if "drift_time" not in problem.free_names or burn > _SHORT * (found.landing - found.ignition - entry):
         return False
     angle = float(orbit.at(found.ignition)[0]) - orbit.perigee_rate * found.ignition

@@ -54,7 +54,6 @@ from perilune.models.deorbit.interface_bounds import (
 from perilune.models.deorbit.orbit import orbit_state
 from perilune.models.deorbit.records import (
     engine_exhaust_speed,
-    full_engine_thrust,
     is_something_left,
     total_velocity_change,
 )
@@ -69,6 +68,7 @@ from perilune.models.deorbit.site_passes import (
 from perilune.models.deorbit.skip_out import compare_skip_out
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.atmosphere import Air
+from perilune.models.physics.delta_v_bounds import greatest_thrust
 from perilune.models.physics.standard_atmosphere import LOWEST, density as standard_density
 from perilune.problem.presolve import Finding
 
@@ -182,7 +182,7 @@ def _compare_burn_with_turn(p: Any, low: float, high: float) -> list[Finding]:
     """Compare the burn of the least velocity change with one turn: a search seldom follows a spiral."""
     mu, exhaust = p.body_gravitational_parameter, engine_exhaust_speed(p)
     change = _least_change(p, NUMERIC, low, high, p.body_radius + p.interface_altitude)
-    burn = -math.expm1(-change / exhaust) * p.vehicle_mass * exhaust / full_engine_thrust(p)
+    burn = -math.expm1(-change / exhaust) * p.vehicle_mass * exhaust / greatest_thrust(p)
     turns = burn * math.sqrt(mu / ((low + high) / 2) ** 3) / (2 * math.pi)
     if turns <= _ONE_TURN:
         return []

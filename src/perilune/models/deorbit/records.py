@@ -330,11 +330,6 @@ def throttled(p: Any) -> bool:
     return hasattr(p, "throttle_upper")
 
 
-def full_engine_thrust(p: Any) -> Any:
-    """Thrust [N] at the upper bound of the throttle."""
-    return p.vehicle_thrust * getattr(p, "throttle_upper", 1.0)
-
-
 def engine_exhaust_speed(p: Any) -> Any:
     """Exhaust speed [m/s] of the engine."""
     if hasattr(p, "vehicle_exhaust_velocity"):

@@ -42,12 +42,12 @@ from perilune.models.deorbit.orbit import plane_axes, radius_and_speeds
 from perilune.models.deorbit.records import (
     LONGEST_COAST,
     engine_exhaust_speed,
-    full_engine_thrust,
     is_something_left,
     least_mass_left,
 )
 from perilune.models.deorbit.secular_drift import Drift
 from perilune.models.physics import ellipsoid
+from perilune.models.physics.delta_v_bounds import greatest_thrust
 from perilune.models.physics.rotating_frame import cross_product, scalar_product
 
 _STEP = 30.0  # s, between looks at where the vehicle and the site are
@@ -176,7 +176,7 @@ def nearest_approach_to_plane(
     Both [rad], at the time of nearest approach among those at which the site can be reached; if there are none, at the
     time at which the least turn is missing; less than half a turn from a landing [s] where that is given.
     """
-    rate = full_engine_thrust(p) / engine_exhaust_speed(p)
+    rate = greatest_thrust(p) / engine_exhaust_speed(p)
     burn = (p.vehicle_mass - least_burnout_mass(p)) / rate
     longest = getattr(p, "orbit_longest_coast", 0.0) + getattr(p, "transition_longest_coast", 0.0)
     least = max(getattr(p, "throttle_lower", 1.0), _NOTHING) / getattr(p, "throttle_upper", 1.0)  # of its thrust
