@@ -38,7 +38,7 @@ from perilune.solve import solve
 BODIES = (MOON, MERCURY, EUROPA, CERES)
 CAPSULE = Path(__file__).parent.parent / "examples" / "maps" / "capsule.toml"
 STANDARD_GRAVITY = 9.80665
-SEARCHED = "the best of n found misses it"
+SEARCHED = "the best of n found violates it"
 
 
 def surface_gravity(body: Body) -> float:

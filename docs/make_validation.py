@@ -1,8 +1,8 @@
 """Write the page of answered problems, ``docs/validation.md``: ``python docs/make_validation.py``; some minutes.
 
-Every problem of ``tests/problems``, and some that are too slow to be swept with these, is solved from nothing by each
-method that claims it and proved to level 3. Rows that miss their reference, or are not proved, are in the table like
-all others. ``--landers ROWS`` and ``--theorems ROWS`` put in what ``random_landers.py`` and ``rigorous.py`` of
+Every problem of ``tests/problems``, and some that are too slow to be swept with these, is solved without a guess by
+each method that claims it and proved to level 3. Rows that miss their reference, or are not proved, are in the table
+like all others. ``--landers ROWS`` and ``--theorems ROWS`` put in what ``random_landers.py`` and ``rigorous.py`` of
 ``benchmarks`` wrote by ``--out``, and leave the rest of the page as it is. ``tests/test_docs_made.py`` computes some
 rows again and compares what stands beside all of them.
 """
@@ -29,9 +29,9 @@ ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "validation.md"
 HEAD = """# Validation: problems with a known answer
 
-Each problem of the library of answered problems (`tests/problems`), solved from nothing by each method that claims
-it and proved as far as level 3. *Known* is from the [source](#sources) below, whose uncertainty is half a unit of
-its last digit; *error* is ours less that, in bold where it is more than this and more than the method's tolerance.
+Each problem of the library of answered problems (`tests/problems`), solved without an initial guess by each method that
+claims it and proved as far as level 3. *Known* is from the [source](#sources) below, whose uncertainty is half a unit
+of its last digit; *error* is ours less that, in bold where it is more than this and more than the method's tolerance.
 A level below 3 is in bold. Times are of one processor, the proof with them, the machine code of an earlier run on
 disk. `python docs/make_validation.py` wrote this page; the same problems are tests. The papers' own numbers stand in
 the [README](../README.md) and in the reports of `perilune reproduce`.
@@ -39,10 +39,12 @@ the [README](../README.md) and in the reports of `perilune reproduce`.
 LANDERS = """## Landers drawn at random
 
 Nobody knows their answers, but each can be proved. `python benchmarks/random_landers.py --seed {seed}` drew {count}
-over nine bodies, with a seed that nothing was mended with, and solved each from nothing: {proved} of {flown} that were
-not refused are proved to level 3, in {median:.2f} s of a processor in the median, at most {longest:.1f} s. *Refused* is
-what physics says of an orbit that meets the ground before its site. *No answer* is exit code 4, all but once of a
-lander whose thrust does not hold half its weight: its best path rides along the ground, for a good part of an orbit.
+over nine bodies, with a seed not used during development, and solved each without an initial guess: {proved} of
+{flown} that were not refused are proved to level 3, in {median:.2f} s of a processor in the median,
+at most {longest:.1f} s. *Refused* is what physics says of an orbit that meets the ground before its site.
+*No answer* is exit code 4, all but once of a
+lander whose thrust does not hold half its weight: its optimal path has a boundary arc along the ground,
+for a good part of an orbit.
 Two rows were computed once more, after a refusal of them had turned out to be wrong; they have no answer now.
 
 """
@@ -193,7 +195,7 @@ def answered() -> str:
 
 
 def main() -> None:
-    """Write what is asked for anew."""
+    """Write the requested pages again."""
     parser = argparse.ArgumentParser(description="docs/validation.md")
     parser.add_argument("--landers", type=Path)
     parser.add_argument("--theorems", type=Path)

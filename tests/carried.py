@@ -167,7 +167,7 @@ class Carried:
         for form in FORMATS if timed else FORMATS[:3]:
             file = self.folder / f"flight.{form}"
             if form in ("oem", "czml") and solution.problem.views.space is None:
-                with pytest.raises(pl.PeriluneError, match="needs a place in space"):
+                with pytest.raises(pl.PeriluneError, match="needs a position in space"):
                     export(solution, file, form, epoch=EPOCH, force=True)
                 continue
             export(solution, file, form, epoch=EPOCH, scenario_text=self.text, force=True)

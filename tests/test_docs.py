@@ -85,7 +85,7 @@ def said(arguments: list[str]) -> tuple[int, str]:
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
         code = run_command_line(arguments)
-    return code, re.sub(r"^perilune: at work for .*\n", "", printed.getvalue(), flags=re.MULTILINE)
+    return code, re.sub(r"^perilune: running for .*\n", "", printed.getvalue(), flags=re.MULTILINE)
 
 
 def run_console(page: Path, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,6 +169,28 @@ def rows(page: Path, columns: int) -> list[list[str]]:
         if line.startswith("|") and len(cells) == columns and not set(line) <= set("|- "):
             found.append(cells)
     return found
+
+
+# Idioms of another language, or words of our own where the field has one; whole words, in any case.
+BANNED = (
+    "shorter than nothing", "most angle", "to and fro", "least share", "outdone", "beside it alone", "told apart",
+    "from nothing", "begin anew", "begun anew", "flown again", "flown twice", "second flight of", "gone on with",
+    "how far a fall", "rises again above", "look at its rights", "throw the ground", "takes hold of the control",
+    "the faster the more", "is no list", "no tolerance but no proof", "says what no", "does not bear out",
+    "ridden, and not touched", "one too many", "beside the turning",
+)  # fmt: skip
+
+
+def test_no_page_or_source_has_a_banned_phrase() -> None:
+    """What users read is plain English; a phrase met in a review is added to the list."""
+    banned = re.compile(rf"\b({'|'.join(BANNED)})\b", re.IGNORECASE)
+    sources = [path for end in ("py", "js", "html") for path in sorted((ROOT / "src").rglob(f"*.{end}"))]
+    found = [
+        f"{path.relative_to(ROOT)}: {match[0]}"
+        for path in [*PAGES, *sources]
+        for match in banned.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert len(sources) > 300 and not found
 
 
 def test_layers() -> None:

@@ -87,7 +87,7 @@ def solve(
     InfeasibleError
         If a binding comparison of `perilune.problem.presolve` is missed, or as the method says.
     NotConvergedError
-        As the method says, or where the time limit is over.
+        As the method says, or where the time limit is reached.
     """
     require_type(
         problem, Problem, "a problem to solve", "a scenario file is read by perilune.scenario.load_file(FILE).problem"
@@ -155,7 +155,7 @@ def _out_of_time(problem: Problem, work: Progress, limit: float, end: TimeLimitR
         kind = "an extremal" if extremal else "a rough flight of the direct method"
         known = f"best so far: {kind} with {objective_text(flight, 9)}, which is not proved"
     return NotConvergedError(
-        f"the time limit of {format_quantity(limit, 's')} is over",
+        f"the time limit of {format_quantity(limit, 's')} is reached",
         got=f"{known}; at work on: {work.stage or 'the start'}",
         expected="an answer and its proof",
         advice='more time (--time-limit "20 min", or time_limit=1200.0), a guess, or a lower --level; with --out DIR '
@@ -257,7 +257,7 @@ def nature_up_to_level(nature: Nature, level: int) -> Nature:
     level
         Highest level of proof that it passed.
     """
-    local = nature.outdone
+    local = nature.dominated
     optimum = local in (Nature.LOCAL_OPTIMUM, Nature.LOCAL_OPTIMUM_AT_BOUND)
     return local if level >= (3 if optimum else 2) else Nature.UNPROVED
 
@@ -313,7 +313,7 @@ def verify(
     from perilune.proof import examine
 
     require_type(solution, Solution, "a solution to verify")
-    require_callable(resolve, "what solves again")
+    require_callable(resolve, "the method that solves again")
     require_tolerance(tolerance)
     require_callable(watch, "a watch")
     require_level(level, LEVELS)
@@ -321,10 +321,10 @@ def verify(
     usual = level if add_theorem is None else THEOREM - 2
     another = other if other is None else method_or_default(other)
     with enter_computation(watch) as work:
-        work.at_work("proof: the flight is flown again")
+        work.at_work("proof: independent re-integration")
         found = examine(solution, usual, resolve or _solve_again, another, tolerance)
         if add_theorem is not None and found.level < usual:
-            why = f"no theorem: it is tried of what reaches level {usual}, and this reaches level {found.level}"
+            why = f"no theorem: it is attempted only from level {usual}, and this solution reaches level {found.level}"
             return replace(found, notes=(why, *found.notes))
         return found if add_theorem is None else add_theorem(found, solution, work)
 
@@ -350,6 +350,6 @@ def _theorem() -> Callable[[Verification, Solution, Watch | None], Verification]
 
 def _solve_again(problem: Problem, guess: Solution) -> Solution:
     def work(_: Iteration | str) -> None:
-        sign_of_life("proof: neighbouring problems are solved again")
+        sign_of_life("proof: neighbouring problems are solved")
 
     return Indirect().run(problem, guess, work)

@@ -118,7 +118,7 @@ class SecondVariation:
             for name in flown[i]["factors"]:
                 c, regime = self.equations.control(arc["phase"], name), arc["regimes"][name]
                 turned = regime == "interior" or bool(self.equations.limit(c[regime], {}).parts[0] > 0)
-                require_claim(turned, "nothing may multiply a direction for a while")
+                require_claim(turned, "the factor of a direction may vanish on an interval")
             if name := arc["switched"]:
                 a, b = arc["regimes"], arcs[i + 1]["regimes"]
                 require_claim([own for own in a if a[own] != b[own]] == [name], f"{name} does not switch alone")

@@ -205,8 +205,8 @@ def test_what_is_no_answer_is_said_in_words(address: str) -> None:
         for text, words in (
             ("[1, 2", "no page sends"),
             ('{"number": 1, "values": {"nothing": 1}}', "no such parameter"),
-            ('{"number": 1, "values": {"vehicle_thrust": 1e9}}', "far from its range"),
-            ('{"number": 1, "values": {"vehicle_thrust": NaN}}', "far from its range"),
+            ('{"number": 1, "values": {"vehicle_thrust": 1e9}}', "far outside its range"),
+            ('{"number": 1, "values": {"vehicle_thrust": NaN}}', "far outside its range"),
             ('{"number": Infinity, "values": {}}', "no page sends"),
             (b"{}", "no page sends"),
         ):
@@ -421,7 +421,7 @@ def test_a_scenario_is_explored_from_neighbour_to_neighbour_and_handed_out_chang
     assert "retro" not in {
         knob.key.partition(".")[0] for knob in without.knobs
     }  # a file with it states another problem
-    with pytest.raises(PeriluneError, match="far from its range"):
+    with pytest.raises(PeriluneError, match="far outside its range"):
         parse_request('{"number": 0, "values": {"vehicle_thrust": 1e6}}', subject)
 
 
@@ -575,11 +575,11 @@ def test_what_moves_on_a_page_is_chosen_and_said(
     assert thrusts == [429.0] * 3 + [440.0] * 3 + [450.0] * 3  # that of the scenario is among them
     assert [found["free"]["retro_delta_v"] > 0.0 for found in flights] == [False, True, True] * 3  # the best at each
     assert run_command([*ask, str(tmp_path / "beside.html"), "--vary", "vehicle.thrust=20:430 N"]) == 0
-    words = "a flight at 1 of 2 points; vehicle.thrust as it is stated, 440 N, is none of them"
+    words = "a flight at 1 of 2 points; vehicle.thrust as it is stated, 440 N, is not among them"
     assert words in capsys.readouterr().out and words in (tmp_path / "beside.html").read_text("utf-8")
     for more, words in (
         (["--vary", "vehicle.thrst"], "did you mean 'vehicle.thrust'"),
-        ([*vary, "--vary", "vehicle.mass"], "too much moves"),
+        ([*vary, "--vary", "vehicle.mass"], "too many parameters for one page"),
         ([*vary[:2], *vary[:2]], "twice"),
         (["--vary", "vehicle.thrust=3:2 N"], "is empty"),
         (["--vary", "vehicle.thrust=-5:400 N"], "vehicle.thrust"),
@@ -587,7 +587,7 @@ def test_what_moves_on_a_page_is_chosen_and_said(
         assert run_command([*ask, str(tmp_path / "other.html"), *more]) == 2
         assert words in capsys.readouterr().err
     assert run_command([*ask[:2], "--no-open", *vary]) == 2
-    assert "page of --html" in capsys.readouterr().err
+    assert "page written with --html" in capsys.readouterr().err
 
 
 def test_a_page_that_needs_no_server_is_written_without_one() -> None:
@@ -639,7 +639,7 @@ def test_what_cannot_be_flown_is_told_as_soon_as_a_solve_would(monkeypatch: pyte
     answering = Answering(load_file(ROOT / "examples" / "mars_pinpoint.toml").problem)
     thrust = 0.8 * answering.at({}).solution.problem.given["vehicle_thrust"].value
     monkeypatch.setattr(Answering, "_between", lambda *_: pytest.fail("a smaller step"))
-    with pytest.raises(InfeasibleError, match=r"misses vehicle\.dry_mass by"):
+    with pytest.raises(InfeasibleError, match=r"violates vehicle\.dry_mass by"):
         answering.at({"vehicle_thrust": thrust})
 
 
@@ -728,7 +728,7 @@ def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_valu
     monkeypatch.setattr("perilune.app.answers.solve", hard)
     found = Answering(problem).at({"vehicle_thrust": 445.0})
     assert found.source == "neighbour" and found.solution.problem.given["vehicle_thrust"].value == 445.0
-    assert found.words.endswith("none was found from nothing")
+    assert found.words.endswith("a search without an initial guess found none")
 
 
 def test_a_link_to_what_is_not_found_soon_is_reached_from_the_first_values(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -743,7 +743,9 @@ def test_a_link_to_what_is_not_found_soon_is_reached_from_the_first_values(monke
     monkeypatch.setattr("perilune.app.answers.solve", long)
     monkeypatch.setattr("perilune.app.answers._FOLLOW", 0.5)
     found = Answering(problem).at({"vehicle_thrust": 440.1})
-    assert found.source == "neighbour" and found.words.endswith("none was found from nothing in 0.5 s of CPU")
+    assert found.source == "neighbour" and found.words.endswith(
+        "a search without an initial guess found none in 0.5 s of CPU"
+    )
 
 
 def test_a_neighbour_that_breaks_a_condition_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -751,7 +753,7 @@ def test_a_neighbour_that_breaks_a_condition_is_not_shown(monkeypatch: pytest.Mo
     monkeypatch.setattr("perilune.app.answers._LOOK", 60.0)  # s: what is found from nothing tells why
     answering = Answering(load_file(ROOT / "examples" / "polar_descent.toml").problem)
     assert meets_path_constraints(answering.at({"site_longitude": math.radians(7.0)}).solution)
-    with pytest.raises(PeriluneError, match=r"the best misses steering.azimuth_upper by about 11 deg"):
+    with pytest.raises(PeriluneError, match=r"the best violates steering.azimuth_upper by about 11 deg"):
         answering.at({"site_longitude": math.radians(9.0)})
     near = solve(answering.problem_at({"site_longitude": math.radians(9.0)}), guess=answering.last, level=0)
     assert not meets_path_constraints(near)

@@ -133,7 +133,7 @@ def test_without_an_atlas_the_flight_follows_as_fast_and_jumps_at_rest(page: Any
 
 
 def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page: Any) -> None:
-    """An approach that begins below the glide slope cannot be flown."""
+    """An approach that starts below the glide slope cannot be flown."""
     weak = "--set", "approach.up=800 m"
     with served(str(ROOT / "examples" / "precision_landing.toml"), *weak, end=signal.SIGTERM) as address:
         page.goto(address)
@@ -158,7 +158,7 @@ def test_a_refusal_is_shown_in_words_and_the_flight_before_stays_behind_it(page:
         typed = "typed = (v) => {const n = document.querySelector('[aria-label=\"vehicle.mass in kg\"]');"
         typed += " n.value = v; n.dispatchEvent(new Event('change'))}"
         page.evaluate(f"() => {{const {typed}; typed('2030'); typed('1e9')}}")  # while a flight is on the way
-        until(page, "!!perilune.refused && perilune.refused.what.includes('far from its range')")
+        until(page, "!!perilune.refused && perilune.refused.what.includes('far outside its range')")
         time.sleep(1.0)  # and when it has come
         assert page.is_visible("#refusal") and page.evaluate("perilune.shown === perilune.number")
 
@@ -192,8 +192,8 @@ def test_the_landing_site_is_dragged_and_the_descent_bends(page: Any) -> None:
         assert abs(north[-1]) < 1e-3
         assert page.evaluate("getComputedStyle(document.getElementById('ground')).touchAction") == "none"  # by a finger
         until(page, f"({_INK})(['article:has(#ground)', '--pin1']) > 20")  # to its own site
-        lines[0].close(code=1008, reason="too much at once")
-        ended = "document.getElementById('source').innerText.startsWith('The program has closed this page: too much')"
+        lines[0].close(code=1008, reason="too many messages at once")
+        ended = "document.getElementById('source').innerText.startsWith('The program has closed this page: too many')"
         until(page, ended)
         page.fill("input[aria-label='vehicle.mass in kg']", "2001")
         page.keyboard.press("Enter")

@@ -108,7 +108,7 @@ def test_where_what_a_bound_cuts_off_would_gain_by_leaving_it_nothing_worse_is_t
     assert found.objective[found.good] == pytest.approx(np.array(least)[found.good], abs=1e-7)
     assert (found.good | (found.answered == Answered.ENDS)).all() and 0.8 < found.good.mean() < 1.0
     a, b = points[np.argmin(found.good)].tolist()
-    with pytest.raises(PeriluneError, match="would gain by leaving what it holds") as told:
+    with pytest.raises(PeriluneError, match="has a multiplier of the wrong sign") as told:
         atlas.query(a=a, b=b)
     near = re.findall(r"[ab] ([\d.]+)", told.value.expected)
     assert atlas.query(a=float(near[0]), b=float(near[1]))  # what is named has an answer
@@ -337,7 +337,7 @@ def test_where_there_are_too_many_sheets_it_is_said_and_those_of_solves_are_kept
     monkeypatch.setattr(survey, "_MOST_SHEETS", 3)
     problem = priced(rippled)
     atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas"), lambda _: problem)
-    said = "'a flight of one arc' has more than 3 sheets: others, behind folds and at bounds, are not mapped"
+    said = "'a flight of one arc' has more than 3 sheets: others, beyond folds and at bounds, are not mapped"
     assert [note.startswith(said) for note in atlas.survey["notes"]] == [True]
     for a in (0.0, 0.5, 1.0):
         solved = pl.solve(problem.with_given(a=a), level=0)

@@ -181,8 +181,8 @@ def test_ctrl_c_stops_a_build_that_goes_on_later(workers: str, built: Path, tmp_
         time.sleep(0.005)
     os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does: all processes of the job
     printed, said = stopped.communicate(timeout=60)
-    advice = "  try: the same command with --resume goes on\n"
-    ending = re.sub(r"^perilune: at work for .*\n", "", said, flags=re.MULTILINE)
+    advice = "  try: the same command with --resume continues\n"
+    ending = re.sub(r"^perilune: running for .*\n", "", said, flags=re.MULTILINE)
     assert (stopped.returncode, printed, ending) == (130, "", f"perilune: stopped by the user\n{advice}")
     kept = {name: content for name, content in snapshot(out).items() if name.endswith(".npy")}
     assert not [name for name in snapshot(out) if "writing" in name]
@@ -206,7 +206,7 @@ def test_ctrl_c_says_how_to_go_on_where_something_is_there(
     monkeypatch.setattr(extending, "extend", stopped)
     wider, order = ["--vary", "vehicle.thrust=430:460 N"], ["atlas", "build", HYBRID, *VARY, "--out"]
     for typed, advice in (
-        ([*order, there, "--resume"], "the same command with --resume goes on"),
+        ([*order, there, "--resume"], "the same command with --resume continues"),
         ([*order, there, "--force"], ""),
         ([*order, new], ""),
         (["atlas", "extend", there], f"perilune atlas extend {there} builds what is missing"),
@@ -231,7 +231,7 @@ def test_ctrl_c_of_a_merge_and_an_export_says_what_is_there(
     for order, advice in (
         (
             ["merge", there, there, "--out", str(half)],
-            f"{half} is no atlas yet; the same command merges again",
+            f"{half} is not a complete atlas; repeat the same command to merge again",
         ),
         (["merge", there, there, "--out", str(tmp_path / "new")], ""),
         (["merge", there, there, "--out", there, "--force"], ""),
@@ -278,7 +278,8 @@ def test_no_space_left_is_said_and_what_is_there_is_kept(built: Path, tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("number", "helps"), [(errno.ENOSPC, "make space"), (errno.EACCES, "its rights"), (errno.EROFS, "its rights")]
+    ("number", "helps"),
+    [(errno.ENOSPC, "free space"), (errno.EACCES, "its permissions"), (errno.EROFS, "its permissions")],
 )
 def test_what_cannot_be_written_is_said_with_what_helps(
     number: int, helps: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -345,16 +346,16 @@ def test_a_header_beside_the_manifest_of_another_atlas_is_refused(built: Path, t
         lambda: extend(other, {}),
         lambda: merge(other, built, tmp_path / "both"),
     ):
-        with pytest.raises(PeriluneError, match="are of two atlases"):
+        with pytest.raises(PeriluneError, match="belong to two atlases"):
             orders()
     build(cho_landing(), axes, other, bricks=1, force=True)
     assert len(open_atlas(other).said) > 0
-    with pytest.raises(PeriluneError, match="are of two atlases"):
+    with pytest.raises(PeriluneError, match="belong to two atlases"):
         opened.refresh()
 
 
 def test_lines_that_cannot_be_read_any_more_are_named(copy: Path) -> None:
-    """One that was not written whole, of a builder that was killed, is none of them."""
+    """One that was not written whole, of a builder that was killed, is not among them."""
     lines = (copy / MANIFEST).read_bytes().splitlines(keepends=True)
     broken = lines[1].replace(b'"rows": ', b'"rows": x', 1)
     (copy / MANIFEST).write_bytes(b"".join([lines[0], lines[1][:90] + b"\n", broken, *lines[2:]]))
@@ -443,7 +444,7 @@ def test_a_damaged_shard_of_the_survey_is_found(copy: Path) -> None:
     file.write_bytes(content)
     found = verify_atlas(open_atlas(copy), 0)
     assert not found.passed and len(found.damaged) == 1
-    assert found.damaged[0].count(file.name) == 1 and "than its checksum says" in found.damaged[0]
+    assert found.damaged[0].count(file.name) == 1 and "that does not match its checksum" in found.damaged[0]
 
 
 @pytest.mark.parametrize("kind", ["nodes", MANIFEST])

@@ -142,14 +142,14 @@ def test_ranges_are_asked_of_no_values_that_were_not_set() -> None:
 def test_ranges_that_an_atlas_cannot_keep_are_refused(tmp_path: Path) -> None:
     """By a function of the user's, which no file has; what does not move them may vary."""
     problem = haul(True)
-    with pytest.raises(PeriluneError, match="the range of T follows from what varies") as refused:
+    with pytest.raises(PeriluneError, match="the range of T depends on the varied parameters") as refused:
         build(problem, {"patience": (0.9, 1.1)}, tmp_path / "map")
     assert "0.891 s" in str(refused.value)
     assert not (tmp_path / "map").exists()
     there_and_back = replace(
         problem.with_given(high=0.5), ranges=lambda p, xp: {"T": (0.0, LONGEST + (p.high - 0.5) * (0.7 - p.high), 1.0)}
     )
-    with pytest.raises(PeriluneError, match="the range of T follows from what varies"):
+    with pytest.raises(PeriluneError, match="the range of T depends on the varied parameters"):
         build(there_and_back, {"high": (0.5, 0.7)}, tmp_path / "map")
     atlas = open_atlas(build(problem, {"high": (0.5, 0.7)}, tmp_path / "map"), lambda _: problem)
     J, by_high, _ = truth(np.array([0.6]), np.array([LONGEST]))
@@ -175,7 +175,7 @@ def test_ranges_of_the_users_in_a_problem_of_a_model_are_refused_where_they_move
 
     for name in ("hybrid_landing", "landing_of_my_own"):
         problem = replace(model, name=name, ranges=slower)
-        with pytest.raises(PeriluneError, match=r"the range of retro\.delta_v follows from what varies"):
+        with pytest.raises(PeriluneError, match=r"the range of retro\.delta_v depends on the varied parameters"):
             build(problem, {"vehicle.thrust": (435.0, 445.0)}, tmp_path / "map")
 
 

@@ -100,8 +100,8 @@ def test_where_physics_refuses_its_reason_is_shown(weak: Atlas) -> None:
     [
         ({"axes": ["vehicle.mass"]}, "no axis"),
         ({"at": {"vehicle.mass": 300.0}}, "no axis"),
-        ({"axes": ["vehicle.thrust"], "at": {"vehicle.thrust": 440.0}}, "told twice"),
-        ({"axes": ["vehicle.thrust", "vehicle_thrust"]}, "told twice"),
+        ({"axes": ["vehicle.thrust"], "at": {"vehicle.thrust": 440.0}}, "given twice"),
+        ({"axes": ["vehicle.thrust", "vehicle_thrust"]}, "given twice"),
         ({"at": {"vehicle.thrust": 440.0, "vehicle_thrust": 441.0}}, "given twice"),
         ({"at": {"vehicle.thrust": 440.0, "retro.specific_impulse": 300.0}}, "one axis or two"),
         ({"at": {"vehicle.thrust": 451.0}}, "outside"),

@@ -279,7 +279,11 @@ def test_bounds_that_singular_controls_break_cast_no_doubt_on_flights_at_bounds(
     truth = [swinging_at_bounds(duration) for duration in points[:, 0].tolist()]
     np.testing.assert_allclose(found.objective, truth, rtol=1e-9)
     assert atlas.query(T=2.1).objective == pytest.approx(swinging_at_bounds(2.1), rel=1e-9)
-    with pytest.raises(PeriluneError, match=r"u singular, .*breaks a condition, and a flight that keeps it may be"):
+    with pytest.raises(
+        PeriluneError,
+        match=r"u singular, .*violates a condition, and an unknown flight that keeps it"
+        " may be",
+    ):
         atlas.query(T=1.9)
 
 

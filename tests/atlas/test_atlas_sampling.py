@@ -74,12 +74,10 @@ def test_a_merge_keeps_the_proofs_of_nodes_whose_bricks_it_takes(built: Path, tm
     assert not sample.drawn and not sample.thin and sample.share == 0.0
     kept = [one.values for one in own if one.values != (450.0,)] + [one.values for one in others]
     assert sorted(one.values for one in sample.kept) == sorted(kept) and len(kept) >= 3
-    told = f"{len(kept)} of {len(kept)} drawn of the atlases that were merged proved to level 3"
+    told = f"{len(kept)} of {len(kept)} drawn from the merged atlases proved to level 3"
     assert told in sample.describe(atlas)
     lost = 1 + len(before) - len(kept)
-    assert any(
-        note.startswith(f"{lost} of the proofs of the merged atlases are dropped") for note in atlas.survey["notes"]
-    )
+    assert any(note.startswith(f"{lost} proofs of the merged atlases are dropped") for note in atlas.survey["notes"])
     for one in sample.kept:
         assert prove(atlas.query(vehicle_thrust=one.values[0]), 3).verification.level == one.level == 3
     extend(atlas.store.directory, {}, sample=2)
@@ -153,12 +151,12 @@ def test_places_that_a_query_refuses_are_counted_and_said(
     assert found["drawn"] == found["proved"] == 2 and found["share"] == assured_share(2, 2)
     assert found["refused"] == len(found["refusals"]) == 1 and found["refusals"][0].endswith(" N: no answer here")
     told = str(AtlasVerification(**{name: found[name] for name in AtlasVerification.__dataclass_fields__}))
-    assert "of 3 places that were drawn 1 are refused by a query" in told and found["refusals"][0] in told
+    assert "of 3 places that were drawn, a query refuses 1" in told and found["refusals"][0] in told
     asked.clear()
     build(cho_landing(), THRUST, copy, sample=4)
     assert [line["refused"] for line in proofs(copy)] == [0, 1]
     atlas = open_atlas(copy)
-    assert "of 5 places that were drawn 1 are refused" in "\n".join(sample_of(atlas).describe(atlas))
+    assert "of 5 places that were drawn, a query refuses 1" in "\n".join(sample_of(atlas).describe(atlas))
 
 
 def test_what_is_not_proved_is_said(
@@ -191,9 +189,9 @@ def test_the_command_line_says_what_the_sample_says(built: Path, capsys: pytest.
 
 @pytest.mark.parametrize("sample", [-1, 2.5, True, "3"])
 def test_numbers_of_proofs_that_are_none_are_refused(sample: Any, copy: Path) -> None:
-    with pytest.raises(PeriluneError, match="how many answers"):
+    with pytest.raises(PeriluneError, match="a valid number of answers"):
         build(cho_landing(), THRUST, copy, sample=sample)
-    with pytest.raises(PeriluneError, match="how many answers"):
+    with pytest.raises(PeriluneError, match="a valid number of answers"):
         extend(copy, {}, sample=sample)
 
 

@@ -223,4 +223,4 @@ def test_what_switches_by_rounding_is_said_with_its_place(
     corners: Any = np.zeros((4, 2))
     assert survey._with_these(known, corners, [(INSIDE / known.chart.scale, np.array([7.0]), SMALL)]) is known
     (note,) = survey.notes
-    assert note.startswith("at a -1.234, b 1.789: ") and note.endswith("switches by rounding, and is not mapped")
+    assert note.startswith("at a -1.234, b 1.789: ") and note.endswith("switches by rounding errors, and is not mapped")

@@ -122,7 +122,7 @@ def test_a_solve_that_fails_says_and_saves_what_was_tried(
     def fails(problem: Problem, method: Any, *, watch: Any, **_: Any) -> Solution:
         watch("rung: one")
         raise NotConvergedError(
-            "no solution found",
+            "no solution was found",
             got="touchdown_altitude 12 m",
             advice="raise vehicle.thrust",
             partial={"residuals": {"touchdown_altitude": 12.0, "worst": float("nan")}, "tried": ["one"]},
@@ -258,7 +258,7 @@ def test_check_lists_its_comparisons(capsys: pytest.CaptureFixture[str]) -> None
     document = read_json(capsys.readouterr().out)
     assert document["outcome"] == "POSSIBLE"
     verdicts = {f["name"]: f["verdict"] for f in document["findings"]}
-    assert verdicts["thrust against weight at ignition"] == "warning"
+    assert verdicts["thrust-to-weight ratio at ignition"] == "warning"
     assert set(verdicts.values()) == {"ok", "warning"}
     assert run_command_line(["check", HYBRID]) == 0
     told = capsys.readouterr().out
@@ -416,7 +416,7 @@ def test_new_hands_out_the_examples(
     assert all((ROOT / "examples" / name).read_bytes() == (tmp_path / "examples" / name).read_bytes() for name in files)
     assert run_command_line(["check", "examples/hybrid_lander.toml"]) == 0
     (tmp_path / "examples/hybrid_lander.toml").write_text("mine")
-    assert run_command_line(["new", "examples"]) == 2 and "the directory is there already" in capsys.readouterr().err
+    assert run_command_line(["new", "examples"]) == 2 and "the directory already exists" in capsys.readouterr().err
     assert (tmp_path / "examples/hybrid_lander.toml").read_text() == "mine"
     assert (
         run_command_line(["new", "examples", "--force"]) == 0

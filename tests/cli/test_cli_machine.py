@@ -30,7 +30,7 @@ def test_doctor_shows_and_clears_the_machine_code(
     assert "cannot be used" in capsys.readouterr().out
     monkeypatch.setenv("PERILUNE_CACHE", "off")
     assert run_command_line(["doctor"]) == 0
-    assert "none is kept" in capsys.readouterr().out
+    assert "none is stored" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", ["solve", "sweep", "verify", "reproduce"])

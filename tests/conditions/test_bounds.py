@@ -372,7 +372,9 @@ def test_that_no_flight_at_all_is_best_is_said(longest: float) -> None:
         free=(Free(name="T", unit="s", lower=0.0, upper=longest, typical=1.0),),
         objective=lambda x, p, xp: x.cost + p.price * p.T,
     )
-    with pytest.raises(NotConvergedError, match=r"T goes to 0 s: the best push is none[\s\S]*a lower bound above 0"):
+    with pytest.raises(
+        NotConvergedError, match=r"T goes to 0 s: the optimal flight has no push[\s\S]*a lower bound above 0"
+    ):
         solve(waiting)
 
 
@@ -437,7 +439,7 @@ def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else()
     least = solve(problem.with_given(q=0.1), level=0)
     claim = verify(replace(least, problem=problem, free={**least.free, "q": 0.1}))
     assert [c.name for c in claim.failed if c.level == 2] == ["stationary_q"]
-    with pytest.raises(PeriluneError, match="u of go has a bound that is free, which no direct method takes"):
+    with pytest.raises(PeriluneError, match="u of go has a free bound, which direct methods do not support"):
         solve(problem, Pseudospectral())
 
 

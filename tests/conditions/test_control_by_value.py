@@ -267,8 +267,8 @@ def test_along_the_speed_limit_the_cart_would_better_chatter(method: Any) -> Non
     assert (solution.outcome, solution.verification.level) == (pl.Outcome.NOT_PROVED, 1)
     assert solution.objective == pytest.approx(times["along"], abs=2e-9)
     failed = [c.meaning for c in solution.verification.checks if not c.passed]
-    assert any("no best flight follows it (chattering)" in meaning for meaning in failed)
-    assert any("no best flight follows it (chattering)" in line for line in solution.statistics.tried)
+    assert any("no optimal flight follows it (chattering)" in meaning for meaning in failed)
+    assert any("no optimal flight follows it (chattering)" in line for line in solution.statistics.tried)
     assert any(line.startswith("flights that chatter are better than this one") for line in solution.warnings)
 
 
@@ -419,7 +419,7 @@ def test_a_theorem_of_what_only_counts() -> None:
     confirm(json.loads(json.dumps(told)), tell=lambda *lines: None)
     # Where its end is asked for, its costate is not known to vanish, and no theorem says so.
     asked = pl.solve(counted(used=(-math.inf, 100.0)), level=5)
-    assert asked.verification.level == 3 and "no theorem: H bends in u" in str(asked.verification)
+    assert asked.verification.level == 3 and "no theorem: H is nonlinear in u" in str(asked.verification)
 
 
 def test_a_certificate_that_asks_for_what_is_counted_is_refused() -> None:

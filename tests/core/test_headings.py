@@ -63,5 +63,5 @@ def test_a_file_calls_no_body_by_the_name_of_another(
     path.write_text(json.dumps(document))
     assert run_command_line(["verify", str(tmp_path / "saved")]) == 0
     first = capsys.readouterr().out.splitlines()[0]
-    called = "Mars, its air left out" if numbers == "of Mars" else "a body called moon"
+    called = "Mars, without its atmosphere" if numbers == "of Mars" else "a body called moon"
     assert first.startswith(f"300 kg lander from 15 km to {called}, but with vehicle_thrust 3000 N: PROVED")

@@ -107,7 +107,7 @@ def test_a_flight_moves(hybrid: Solution, tmp_path: Path) -> None:
     hybrid.animate(file, seconds=0.4)
     with Image.open(file) as shown:
         assert shown.n_frames == 6  # pyright: ignore[reportAttributeAccessIssue]
-    with pytest.raises(PeriluneError, match="there already"):
+    with pytest.raises(PeriluneError, match="already exists"):
         hybrid.animate(file)
     said: list[Any] = [
         replace(hybrid, outcome=outcome).animate(file, seconds=0.2, force=True)

@@ -136,7 +136,7 @@ def test_a_dimension_is_written_so_that_it_can_be_read(a: float, b: float, c: fl
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf"), 1e16, 1e-16, "3"])
 def test_what_is_no_scale_is_refused(value: Any) -> None:
-    with pytest.raises(PeriluneError, match="no scale of a length") as caught:
+    with pytest.raises(PeriluneError, match="not a valid scale of a length") as caught:
         Scales(length=value)
     assert caught.value.expected == "1e-15 to 1e+15"
 

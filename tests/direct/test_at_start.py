@@ -37,7 +37,7 @@ def walled(room: Callable[..., Any], **given: Given) -> Problem:
 @pytest.mark.parametrize("method", [Indirect(), Pseudospectral()])
 def test_by_how_much_a_start_breaks_the_path_is_told(method: Method) -> None:
     problem = walled(lambda x, u, p: x.x - p.wall, wall=Given(value=0.25, unit="m"))
-    with pytest.raises(InfeasibleError, match="the start breaks a condition of the path: wall") as refused:
+    with pytest.raises(InfeasibleError, match="the start violates a path condition: wall") as refused:
         solve(problem, method)
     assert (refused.value.got, refused.value.expected) == ("room at the start -0.25 m", "at least 0 m")
     many = preflight(problem, {"wall": [0.25, 0.0, -1.0]})

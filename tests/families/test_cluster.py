@@ -94,7 +94,7 @@ def test_addresses_at_which_nobody_answers_are_refused(tmp_path: Path, capsys: p
         assert run_command_line([*order, address]) == 2
         assert "no scheduler answers" in capsys.readouterr().err
     assert run_command_line([*order, "tcp://127.0.0.1:1", "--workers", "2"]) == 2
-    assert "two places" in capsys.readouterr().err
+    assert "exclude each other" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
 
 

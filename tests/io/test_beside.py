@@ -105,7 +105,7 @@ def test_a_loaded_list_is_no_list_of_extremals(hybrid_dir: Path) -> None:
     assert proved.outcome is Outcome.PROVED and proved.listed == ()
     assert [round(e.objective, 3) for e in proved.extremals] == [-160.619, -154.502]
     (note,) = proved.verification.notes
-    assert note == "1 of the 3 extremals that the file lists is not confirmed, and left out"
+    assert note == "1 of the 3 extremals listed in the file is not confirmed, and left out"
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_an_extremal_that_is_not_confirmed_is_left_out(
     code, said = told(edited(hybrid_dir, change), capsys)
     assert code == 0
     assert "999" not in said
-    assert re.search(r"note: \d+ of the \d+ extremals that the file lists (is|are) not confirmed, and left out", said)
+    assert re.search(r"note: \d+ of the \d+ extremals listed in the file (is|are) not confirmed, and left out", said)
 
 
 @pytest.mark.parametrize("unknowns", [[1e300] * 10, [0.0] * 10, [0.0] * 3, []])

@@ -63,7 +63,7 @@ def test_what_a_file_says_of_its_proof_is_told_as_its_word(hybrid: Solution, tmp
     failed = Verification(checks=(replace(first, value=1.0), *others))
     pl.save(replace(hybrid, outcome=Outcome.NOT_PROVED, verification=failed), tmp_path)
     back, count = pl.load(tmp_path), len(others) + 1
-    words = f"not proved again; its file claims level 0: unverified, NOT_PROVED: 1 of {count} checks failed"
+    words = f"not verified again; its file claims level 0: unverified, NOT_PROVED: 1 of {count} checks failed"
     assert back.verification.level == 0 and not back.verification.passed
     assert all(words in said for said in (repr(back), back._repr_html_(), solution_summary(back)))
     proved = prove(back, 1).verification
@@ -73,7 +73,7 @@ def test_what_a_file_says_of_its_proof_is_told_as_its_word(hybrid: Solution, tmp
 
 
 def test_a_models_problem_is_made_again(hybrid: Solution, tmp_path: Path) -> None:
-    """With what is no formula: ranges, preflight, and the bookkeeping that the proof looks at."""
+    """With what is not a formula: ranges, preflight, and the bookkeeping that the proof looks at."""
     pl.save(hybrid, tmp_path / "landing")
     problem = pl.load(tmp_path / "landing").problem
     assert problem == hybrid.problem and problem.title == hybrid.problem.title
@@ -128,8 +128,8 @@ def test_what_no_model_makes_is_saved_as_expressions(hybrid: Solution, hop: Solu
         (lambda made: made["sections"]["vehicle"].update(mass=-300.0), "vehicle.mass"),
         (lambda made: made["sections"].update(vehicle=[1.0]), "made.sections.vehicle"),
         (lambda made: made["sections"].pop("orbit"), "orbit"),
-        (lambda made: made["sections"]["vehicle"].update(mass=310.0), "the model in the saved solution and the"),
-        (lambda made: made["sections"].pop("retro"), "the model in the saved solution and the"),
+        (lambda made: made["sections"]["vehicle"].update(mass=310.0), "the model in the saved solution and its"),
+        (lambda made: made["sections"].pop("retro"), "the model in the saved solution and its"),
     ],
 )  # fmt: skip
 def test_a_tampered_model_is_refused(
@@ -142,7 +142,7 @@ def test_a_tampered_model_is_refused(
 
 
 def test_where_no_package_brings_the_kind_the_expressions_are_the_problem(hybrid: Solution, tmp_path: Path) -> None:
-    """As of a file without a model: it is proved again, and what is no formula, such as ranges, is not there."""
+    """As of a file without a model: it is proved again, and what is not a formula, such as ranges, is not there."""
     pl.save(hybrid, tmp_path / "landing")
     edited(tmp_path / "landing", lambda document: document["made"].update(kind="own"))
     loaded = pl.load(tmp_path / "landing")
@@ -277,7 +277,7 @@ def problem_of(document: dict[str, Any]) -> dict[str, Any]:
         (lambda d: d["problem"]["phases"][0].update(name="../../etc"), "letters, digits"),
         (lambda d: d["problem"]["phases"][0]["controls"][0].update(kind="lambda"), "a control of kind"),
         (lambda d: d["problem"]["phases"][0]["states"][0].update(lower=True), "a number"),
-        (lambda d: d["problem"]["phases"][0]["states"][0].update(colour="red"), "not known"),
+        (lambda d: d["problem"]["phases"][0]["states"][0].update(colour="red"), "an unknown field"),
         (lambda d: d["problem"]["phases"][0]["states"][0].pop("name"), "nothing"),
         (lambda d: d["problem"]["phases"][0]["states"][0].update(unit="furlong"), "not a unit"),
         (lambda d: d["problem"].update(views={"label": "{mass:999999999}"}), "views.label"),

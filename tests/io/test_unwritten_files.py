@@ -89,7 +89,7 @@ def test_one_writer_that_fails_is_told_and_all_others_write(
     out, gone = tmp_path / "out", {name for name in WHOLE if any(name.startswith(part) for part in lost)}
     assert run_command_line(["solve", ORDINARY, "--out", str(out)]) == 5  # of SOLVED, as without --out
     told = capsys.readouterr()
-    assert "154.541347 kg" in told.out and f"written to {out}, but for" in told.out
+    assert "154.541347 kg" in told.out and f"written to {out}, except" in told.out
     assert (
         ("is not written" in told.err or "is not drawn" in told.err or "is drawn" in told.err)
         and said in told.err
@@ -212,7 +212,7 @@ def test_a_certificate_that_is_there_already_is_refused_before_the_proof(
         )
         == 2
     )
-    assert "there already" in capsys.readouterr().err and (tmp_path / "c.json").read_text() == "mine"
+    assert "already exists" in capsys.readouterr().err and (tmp_path / "c.json").read_text() == "mine"
 
 
 def test_a_folder_in_the_place_of_a_file_takes_no_other_file_with_it(tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def test_netcdf_is_read_by_another_library(returned: Solution, tmp_path: Path) -
         assert found["path_angle"].units == "degree" and "costate of vx" in found["lambda_vx"].long_name
         assert found["load"].coordinates == "altitude longitude latitude"
         assert found["phase"].flag_meanings.split()[found["phase"][-1]] == "entry"
-        assert found.frame.startswith("inertial axes that are the body's own at the begin of the flight")
+        assert found.frame.startswith("inertial axes that coincide with the body-fixed axes at the start of the flight")
         assert "perilune" in found.source and found.proof == "level 0: unverified" and found.scenario == "a = 'ü'"
         assert json.loads(found.results)["flight_time"] == [returned.results["flight_time"].value, "s"]
 
@@ -328,9 +328,7 @@ def test_cesium_finds_position_attitude_and_thrust(descent: Solution, returned: 
         _, vehicle, thrust = packets = json.loads(text)
         for packet in packets:
             czml3.Packet(**packet)  # refuses what the format does not have
-        assert (
-            "<pre>axes that turn with the body (FIXED); at the begin of the flight they are" in vehicle["description"]
-        )
+        assert "<pre>body-fixed axes (FIXED); at the start of the flight they coincide" in vehicle["description"]
         assert vehicle["position"]["referenceFrame"] == "FIXED" and vehicle["position"]["epoch"].startswith(EPOCH)
         samples = np.array(vehicle["position"]["cartesianVelocity"]).reshape(-1, 7)
         tips = np.array(thrust["position"]["cartesianVelocity"]).reshape(-1, 7)

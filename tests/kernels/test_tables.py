@@ -22,7 +22,7 @@ def table(knots: int, kind: Any = "smooth") -> Table:
 
 
 def everywhere(of: Table) -> Vector:
-    """Random places, knots and the numbers beside them, far beyond both ends, and what is no number."""
+    """Random places, knots and the numbers beside them, far beyond both ends, and what is not a number."""
     knots = np.array(of.x)
     inside = np.random.default_rng(1).uniform(knots[0] - 1, knots[-1] + 1, 200)
     odd = [math.inf, -math.inf, math.nan, 1e300, 0.0, -0.0]

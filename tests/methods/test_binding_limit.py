@@ -64,12 +64,12 @@ def test_the_bound_of_a_control_gives_as_much_as_a_closed_form_says(scales: pl.S
     """To brake at 1 and be there in T = 1.5 s the push is a with 1/a + 1 = T^2/2: 8 m/s^2, 7 more than there are."""
     problem = moved(scales=scales)
     error = with_binding_limit(problem, failed(problem))
-    assert error.what.startswith("no flight was found that keeps every limit: the best misses ")
+    assert error.what.startswith("no flight was found that keeps every limit: the best violates ")
     relaxed = {one["limit"]: one["by"] for one in error.partial["relaxations"]}
     assert relaxed["hardest"] == pytest.approx(7.0, rel=0.05)
     # To be there in the least time takes 2 s.
     assert relaxed["the upper bound of flight time"] == pytest.approx(0.5, rel=0.02)
-    assert "misses the upper bound of flight time by about 0.5 s" in error.what
+    assert "violates the upper bound of flight time by about 0.5 s" in error.what
     # And to brake as hard: the same by symmetry.
     assert relaxed["the lower bound of push"] == pytest.approx(7.0, rel=0.05)
 
@@ -112,8 +112,8 @@ def test_a_vehicle_is_blamed_for_its_dry_mass_and_not_the_slope() -> None:
     landed = pl.solve(lighter, level=0).results["landed_mass"].value
     first = caught.value.partial["relaxations"][0]
     assert first["limit"] == "vehicle.dry_mass" and first["by"] == pytest.approx(1505 - landed, rel=0.02)
-    assert "misses vehicle.dry_mass by about 0.45 kg" in caught.value.what
-    assert caught.value.got.startswith("everything else can be kept with vehicle.dry_mass 1504.5")
+    assert "violates vehicle.dry_mass by about 0.45 kg" in caught.value.what
+    assert caught.value.got.startswith("all other limits can be kept with vehicle.dry_mass 1504.5")
     *ways, easier = caught.value.advice.removeprefix("one of these: ").split("; ")
     assert [way.partition(" ")[0] for way in ways] == [
         "vehicle.dry_mass", "throttle.upper", "corridor.slope", "throttle.lower"
@@ -220,7 +220,7 @@ def test_a_failure_says_what_an_extremal_is() -> None:
 def test_a_limit_that_the_relaxed_flight_keeps_already_has_no_parameter_to_name() -> None:
     """The relaxed flight keeps the slope as it is stated: there is no root to look for, which was a fault."""
     changes = ["vehicle.mass=1901.19 kg", "corridor.slope=3.88 deg"]
-    with pytest.raises(NotConvergedError, match=r"misses vehicle\.dry_mass by about") as caught:
+    with pytest.raises(NotConvergedError, match=r"violates vehicle\.dry_mass by about") as caught:
         pl.solve(load_file(EXAMPLES / "mars_pinpoint.toml", changes).problem, level=1)
     assert "vehicle.dry_mass 1504.9" in str(caught.value)
 

@@ -147,7 +147,7 @@ def test_a_flight_that_is_stuck_is_flown_as_newton_flew_it_or_refused() -> None:
     (flown,) = propagate_for_export(*of, max_steps=15)
     assert flown.complete and flown.arcs[0].t[-1] == flown.duration
     assert flown.z[-1, 0] == pytest.approx(1.0, abs=1e-10)
-    with pytest.raises(NotConvergedError, match=r"to its end\n  got: it is stuck 0\.\d+ s into way, of 1 s"):
+    with pytest.raises(NotConvergedError, match=r"to its end\n  got: it stops 0\.\d+ s into way, of 1 s"):
         propagate_for_export(*of, max_steps=8)
 
 

@@ -108,7 +108,7 @@ def test_an_interrupted_search_keeps_what_it_has() -> None:
         ({"population": 2}, "population is too small"),
         ({"generations": -1}, "generations is too small"),
         ({"best": 0}, "best is too small"),
-        ({"best": 200}, "more individuals are asked for than live"),
+        ({"best": 200}, "more individuals are requested than exist"),
         ({"elite": 1.5}, "elite must lie between 0 and 1"),
         ({"spread": -1.0}, "spread must not be negative"),
         ({"mutation": float("nan")}, "mutation must not be negative"),
@@ -125,7 +125,7 @@ def test_bad_settings_are_named(settings: dict[str, Any], text: str) -> None:
     [
         (himmelblau, -BOX, np.array([5.0, np.inf]), "bounds of gene 1"),
         (himmelblau, BOX, -BOX, "bounds of gene 0"),
-        (himmelblau, -BOX, np.full(3, 5.0), "no common length"),
+        (himmelblau, -BOX, np.full(3, 5.0), "different lengths"),
         (lambda x: 0.0, -BOX, BOX, "one value for each individual"),
     ],
 )
@@ -269,5 +269,5 @@ def test_an_interrupted_hybrid_stops() -> None:
 @pytest.mark.parametrize("first, second", [(Genetic(), Genetic()), (Indirect(), Indirect())])
 def test_hybrid_of_something_else_is_refused(first: Any, second: Any) -> None:
     """A search first, a method second."""
-    with pytest.raises(PeriluneError, match="a hybrid is a genetic search and another method"):
+    with pytest.raises(PeriluneError, match="a hybrid consists of a genetic search and another method"):
         Hybrid(first, second)

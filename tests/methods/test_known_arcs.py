@@ -32,7 +32,7 @@ def test_arcs_that_are_known_are_left_where_they_are_none(touching: Solution, ce
     assert solution.objective == pytest.approx(bryson_denham_truth(ceiling) if ceiling < 1 / 4 else 2.0, rel=1e-10)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
     words = {1 / 9: ["along room"], 0.3: []}
-    assert [arc.words for arc in solution.structure] == words.get(ceiling, ["room touched"])
+    assert [arc.words for arc in solution.structure] == words.get(ceiling, ["contact point of room"])
 
 
 def test_known_arcs_are_neither_read_nor_restated(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,9 +58,9 @@ def test_a_touch_is_kept() -> None:
     assert solution.verification.level == 3 and solution.verification.passed
     assert solution.objective == pytest.approx(bryson_denham_truth(1 / 5), abs=1e-12)
     assert solution.statistics.rung == "gauss collocation, 20 nodes, then structure"
-    assert [arc.text for arc in solution.structure] == ["room touched at 0.5 s"]
+    assert [arc.text for arc in solution.structure] == ["contact point of room at 0.5 s"]
     again = pl.solve(problem, guess=solution)
-    assert [arc.words for arc in again.structure] == ["room touched"] and again.outcome is pl.Outcome.PROVED
+    assert [arc.words for arc in again.structure] == ["contact point of room"] and again.outcome is pl.Outcome.PROVED
 
 
 def test_a_glide_slope_that_no_mesh_of_25_reached() -> None:
@@ -106,7 +106,7 @@ def test_what_cannot_be_made_exact_stays_and_says_so() -> None:
     solution = solve_and_polish(DIRECT, goddard())
     assert solution.objective == pytest.approx(direct.objective, rel=1e-7)
     if solution.method == "pseudospectral":
-        assert solution.statistics.tried[-1] == "polish: the direct answer stays as it is"
+        assert solution.statistics.tried[-1] == "polish: the direct answer is kept unchanged"
         assert any(line.startswith("polish: no extremal") for line in solution.statistics.tried)
 
 

@@ -40,7 +40,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 LOW = ConstraintViolation(name="height", text="height falls to -3 m", miss=3.0, unit="m", canonical=3e-6)
 WIDE = ConstraintViolation(name="angle", text="angle falls to -0.5 rad", miss=0.5, unit="rad", canonical=0.5)
-NEAREST = "the best of 4 found misses the end condition landing.rest by 2 m/s"
+NEAREST = "the best of 4 found violates the end condition landing.rest by 2 m/s"
 
 
 def known(direct: PeriluneError) -> Coarse:
@@ -89,13 +89,13 @@ def test_the_best_of_those_that_miss_is_named() -> None:
     error = explain_refusal(known(NotConvergedError(NEAREST, partial=partial)), [WIDE, LOW])
     assert isinstance(error, InfeasibleError) and error.exit_code == 3
     assert (
-        error.what == "the best of 2 found misses height by 3 m"
+        error.what == "the best of 2 found violates height by 3 m"
         and "the direct method found no flight either" in error.got
     )
-    assert error.reason == "the best found misses it" and error.reason in str(error)
+    assert error.reason == "the best found violates it" and error.reason in str(error)
     assert error.partial == {**partial, "tried": ["costates on the unit sphere: 2 extremals"]}
     undecided = explain_refusal(known(NotConvergedError("not yet optimal", partial={"all_missed": False})), [WIDE, LOW])
-    assert isinstance(undecided, NotConvergedError) and "not settled" in undecided.what
+    assert isinstance(undecided, NotConvergedError) and "remains open" in undecided.what
     assert "the nearest height by 3 m" in undecided.what
     assert InfeasibleError("too heavy").reason == "cannot be flown"
 
@@ -174,7 +174,7 @@ def test_extremals_that_break_the_path_refuse_nothing() -> None:
     assert explain_refusal(known(nearest), []) is nearest  # where there is no extremal it says the most
     for tried in (nearest, NotConvergedError("the optimum was not reached")):
         error = explain_refusal(known(tried), breaks)
-        assert isinstance(error, NotConvergedError) and error.exit_code == 4 and "not settled" in error.what
+        assert isinstance(error, NotConvergedError) and error.exit_code == 4 and "remains open" in error.what
         assert f"height falls to -3 m; direct method: {tried.what}" in error.got
     assert explain_refusal(known(NotConvergedError("the optimum was not reached")), []) is None
 
@@ -184,7 +184,7 @@ def test_where_a_flight_keeps_everything_it_is_kept(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(StructureRefinement, "run", lambda self, rough: None)
     tight = load_file(EXAMPLES / "precision_landing.toml", ("corridor.slope=25 deg",)).problem
     with pytest.raises(
-        NotConvergedError, match=r"every extremal found breaks[\s\S]*direct method: landed mass \d+.* kg, mesh error"
+        NotConvergedError, match=r"every extremal found violates[\s\S]*direct method: landed mass \d+.* kg, mesh error"
     ) as e:
         solve(tight)
     flight = e.value.flight
@@ -206,7 +206,7 @@ def test_no_number_of_searches_says_that_nothing_flies() -> None:
     )
     with pytest.raises(NotConvergedError) as e:
         solve(weak, level=0)
-    assert e.value.exit_code == 4 and "the best misses the end condition" in str(e.value)
+    assert e.value.exit_code == 4 and "the best violates the end condition" in str(e.value)
     mesh = pl.Pseudospectral(nodes=5, segments=20, refine=0, polish=False)
     flight, burnless = None, weak.with_given(retro_delta_v=0.0)
     for thrust in (1.3, 1.1, 1.0):
@@ -224,10 +224,10 @@ def test_what_must_land_is_more_than_the_best_that_lands(dry: float, missed: flo
         CHO_MOON,
     )
     with pytest.raises(
-        InfeasibleError, match=rf"the best of 3 found misses vehicle.dry_mass by {missed:g} kg"
+        InfeasibleError, match=rf"the best of 3 found violates vehicle.dry_mass by {missed:g} kg"
     ) as caught:
         solve(heavy)
-    assert caught.value.reason == "the best found misses it" and caught.value.exit_code == 3
+    assert caught.value.reason == "the best found violates it" and caught.value.exit_code == 3
     assert caught.value.expected == f"mass (m) at least {dry:g} kg"
     assert caught.value.advice.startswith("lower vehicle.dry_mass to 160.61 kg; or ")  # 160.618584 is not less
 
@@ -236,19 +236,19 @@ def test_the_flight_that_keeps_everything_is_on_disk(capsys: pytest.CaptureFixtu
     """Every extremal would go through the ground; the direct method's flight is kept beside the refusal, unproved."""
     out, weak = tmp_path / "out", ["--set", "vehicle.thrust=200 N", "--set", "retro.delta_v=0 m/s"]
     assert run_command_line(["solve", HYBRID, *weak, "--out", str(out)]) == 4
-    assert "every extremal found breaks a condition" in capsys.readouterr().err
+    assert "every extremal found violates a condition" in capsys.readouterr().err
     kept = read_json((out / "failure.json").read_text(encoding="utf-8"))
     assert snapshot(out).keys() == {"failure.json"} and "PROVED" not in json.dumps(kept["flight"])
     height = [state[0] - 1738140.0 for state in kept["flight"]["phases"][0]["state"]["values"]]
     assert height[0] == pytest.approx(15e3) and abs(height[-1]) < 1.0
-    assert -25.0 < min(height) < -15.0 and "height above site broken by 19 m between" in kept["error"]["got"]
-    assert "does not come near to keeping it" in kept["error"]["got"]  # to -1.6e6 m, which says nothing
+    assert -25.0 < min(height) < -15.0 and "height above site violated by 19 m between" in kept["error"]["got"]
+    assert "is far from keeping it" in kept["error"]["got"]  # to -1.6e6 m, which says nothing
     assert kept["partial"]["tried"]
 
 
 def test_a_broken_path_is_named_and_no_round_off(landing: Problem) -> None:
     """With 50 N no burn's size makes an extremal, but each burn has one, which dives: not its residual of 1e-16."""
-    with pytest.raises(NotConvergedError, match=r"every extremal found breaks[\s\S]*height above site falls to -"):
+    with pytest.raises(NotConvergedError, match=r"every extremal found violates[\s\S]*height above site falls to -"):
         solve(landing.with_given(vehicle_thrust=50.0))
 
 

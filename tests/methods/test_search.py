@@ -77,7 +77,7 @@ def test_more_time_is_no_loss_on_the_way_to_a_circle() -> None:
     slow = pl.solve(to_circle(30.0, **orbits), level=0)
     assert -slow.objective >= -quick.objective - 1e-9
     assert slow.statistics.rung == "continuation in the duration"
-    assert any("shares of the duration" in line for line in slow.statistics.tried)
+    assert any("fractions of the duration" in line for line in slow.statistics.tried)
     listed = [extremal.objective for extremal in slow.extremals]
     assert listed == sorted(listed) and len(listed) > 4
     assert any(line.startswith("smoothed controls") for line in slow.statistics.tried)
@@ -124,7 +124,7 @@ def test_where_none_is_reached_it_is_said_that_they_are_not_isolated(monkeypatch
         "perilune.methods.indirect.duration_continuation.FinalTimeContinuation.extremals", lambda self: []
     )
     monkeypatch.setattr("perilune.methods.indirect.homotopy.Smoothing.root", lambda self, choice: None)
-    with pytest.raises(pl.NotConvergedError, match=r"(?s)nearest approach.*not isolated.*a condition more at the end"):
+    with pytest.raises(pl.NotConvergedError, match=r"(?s)nearest approach.*not isolated.*an additional end condition"):
         pl.solve(to_circle(12.0, radius=2.0, exhaust_speed=1.0, eccentricity=0.0), pl.Indirect(starts=48), level=0)
 
 

@@ -87,7 +87,9 @@ def test_arcs_that_are_none_are_dropped() -> None:
     coarse = pl.Pseudospectral(nodes=5, segments=8, refine=0).run(aly())
     solution = pl.solve(aly(), guess=coarse, level=2)
     *_, dropped, kept = solution.statistics.tried
-    assert dropped == ("structure u at its lower bound, u at its upper bound, u singular: an extremal of another one")
+    assert dropped == (
+        "structure u at its lower bound, u at its upper bound, u singular: an extremal of another structure"
+    )
     assert kept == "structure u at its lower bound, u singular: an extremal"
     assert len(solution.structure) == 2
     assert solution.objective == pytest.approx(aly_truth(), abs=1e-12)
@@ -132,9 +134,7 @@ def test_a_direction_may_turn_beside_the_singular_thrust() -> None:
 def test_switches_without_end_are_no_list_of_arcs() -> None:
     with pytest.raises(pl.NotConvergedError) as caught:
         pl.solve(fuller())
-    assert "derivative 4 of the slope of the Hamiltonian is the first with the control" in str(
-        caught.value.partial["tried"]
-    )
+    assert "the control first appears in derivative 4 of dH/du" in str(caught.value.partial["tried"])
 
 
 def law(rate: ca.SX, slope: ca.SX, z: ca.SX, u: ca.SX) -> float:

@@ -46,7 +46,7 @@ def test_a_direct_answer_of_many_switches_is_made_exact() -> None:
 
 @pytest.mark.parametrize("size", [None, 7.0])
 def test_a_smoothed_way_to_a_known_answer(size: float | None) -> None:
-    """Meditch's landing: with the smoothing taken back the bang-bang answer in closed form is left.
+    """Meditch's landing: with the smoothing removed the bang-bang answer in closed form is left.
 
     What is called the size of J may be far from what the throttle can change of it.
     """

@@ -43,9 +43,9 @@ def test_a_touch_is_found_and_proved(touching: Solution) -> None:
     """J = 2 + 6 (1 - 4 l)^2 = 2.24 (Bryson, Denham, Dreyfus 1963)."""
     assert touching.objective == pytest.approx(2.24, abs=1e-12)
     assert touching.outcome is pl.Outcome.PROVED and touching.verification.level == 3
-    assert [arc.text for arc in touching.structure] == ["room touched at 0.5 s"]
+    assert [arc.text for arc in touching.structure] == ["contact point of room at 0.5 s"]
     assert touching.extremals[0].nature.value == "best of the extremals found"
-    assert "room touched at 0.5 s" in solution_summary(touching)
+    assert "contact point of room at 0.5 s" in solution_summary(touching)
     assert {"swing-1_touch", "swing-1_touch_jump", "swing-1_strict_touch"} <= {
         c.name for c in touching.verification.checks
     }
@@ -70,7 +70,7 @@ def test_a_touch_of_a_flight_that_would_be_longer_is_proved() -> None:
     ("ceiling", "low", "high", "price", "at", "words"),
     [
         (0.12, 1.0, 1.0, 0.0, 1.0, "along room"),  # a range of one value is the user's: no neighbour of an answer
-        (0.2, 1.0, 1.0, 0.0, 1.0, "room touched"),
+        (0.2, 1.0, 1.0, 0.0, 1.0, "contact point of room"),
         (0.12, 1.0, 2.0, 1.0, 2.0, "along room"),  # read as two touches, between which it never leaves
         (0.12, 0.9, 2.0, -1.0, 0.9, "along room"),
     ],
@@ -158,7 +158,7 @@ def test_arcs_that_break_a_bound_of_the_control_are_no_answer() -> None:
     Its steering between the bounds chatters the more the finer a mesh is, so that nothing of few arcs is best.
     """
     problem = load_file("examples/polar_descent.toml", ("vehicle.mass=12375 kg",)).problem
-    with pytest.raises(pl.NotConvergedError, match="every extremal found breaks a condition") as caught:
+    with pytest.raises(pl.NotConvergedError, match="every extremal found violates a condition") as caught:
         pl.solve(problem)
     said = "structure free and touches height_above_site, free: an extremal, but azimuth above lower falls to -117.061"
     assert any(line.startswith(said) for line in caught.value.partial["tried"])
@@ -171,7 +171,7 @@ def test_arcs_keep_a_bound_of_the_control_that_a_law_can_hold(tmp_path: Path) ->
     bounds = ("vehicle.mass=12375 kg", "steering.elevation_lower=-46 deg")
     solution = pl.solve(load_file(str(tmp_path / "free.toml"), bounds).problem, level=1)
     words = [arc.words for arc in solution.structure]
-    assert words == ["along elevation above lower", "height above site touched"]
+    assert words == ["along elevation above lower", "contact point of height above site"]
     assert solution.outcome is pl.Outcome.PROVED
 
 

@@ -91,7 +91,7 @@ def test_a_limit_that_is_over_at_once_ends_with_nothing_known() -> None:
         pl.solve(tangent_steering(), time_limit=1e-3)
     error = caught.value
     assert (error.exit_code, error.flight) == (4, None)
-    assert error.what == "the time limit of 0.001 s is over"
+    assert error.what == "the time limit of 0.001 s is reached"
     assert error.got.startswith("no flight is known yet; at work on: ")
 
 
@@ -142,7 +142,7 @@ def test_the_proof_tells_of_itself_and_of_the_answer_before_it(steps: None) -> N
     best = next(i for i, line in enumerate(told) if line.startswith("best so far: J = 0.554570878"))
     proofs = [i for i, line in enumerate(told) if line.startswith("proof: ")]
     assert proofs and best < max(proofs)
-    assert "proof: neighbouring problems are solved again" in told
+    assert "proof: neighbouring problems are solved" in told
 
 
 def test_the_usual_limit_is_five_times_what_the_hardest_answers_take() -> None:
@@ -165,7 +165,7 @@ def test_each_member_of_a_sweep_has_a_time_limit(
     over = {"vehicle.mass": [290.0, 300.0, 310.0], **others}
     points = pl.sweep(cho_landing().with_given(retro_delta_v=0.0), over, watch=watch).points
     assert [point.outcome.name for point in points] == ["SOLVED", "NOT_CONVERGED", "SOLVED"]
-    assert points[1].message.startswith("the time limit of 600 s is over")
+    assert points[1].message.startswith("the time limit of 600 s is reached")
 
 
 # -- the command line
@@ -186,7 +186,7 @@ def test_the_command_line_ends_with_exit_4_and_keeps_the_flight(
     code = run_command_line(["solve", PRECISION, "--time-limit", "20 min", "--json", "--out", str(tmp_path / "out")])
     document = json.loads(capsys.readouterr().out)
     assert (code, document["outcome"]) == (4, "NOT_CONVERGED")
-    assert document["error"]["what"] == "the time limit of 1200 s is over"
+    assert document["error"]["what"] == "the time limit of 1200 s is reached"
     kept = json.loads((tmp_path / "out" / "failure.json").read_text(encoding="utf-8"))
     knows = begins == "best so far"
     assert ("flight" in kept) == ("best so far" in document["error"]["got"]) == knows
@@ -216,7 +216,7 @@ def test_what_takes_long_says_so_on_stderr(monkeypatch: pytest.MonkeyPatch, caps
     assert told.out == ""
     lines = told.err.splitlines()
     assert 2 <= len(lines) <= 4
-    assert all(line.startswith("perilune: at work for ") for line in lines)
+    assert all(line.startswith("perilune: running for ") for line in lines)
     assert lines[-1].endswith(" s: start: random costates; best so far: J = 3 s")
     assert told.err.replace("\n", "").isprintable()
 
@@ -237,7 +237,7 @@ def test_lines_of_a_sweep_say_how_many_are_done(capsys: pytest.CaptureFixture[st
     clock.hear("thrust = 6000 N (7 of 401): PROVED")
     clock.hear("round 8: 0 of 24 converged")
     clock.print_line()
-    assert capsys.readouterr().err == "perilune: at work for 9 s, 7 of 401: round 8: 0 of 24 converged\n"
+    assert capsys.readouterr().err == "perilune: running for 9 s, 7 of 401: round 8: 0 of 24 converged\n"
 
 
 def test_what_is_quick_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:

@@ -72,15 +72,15 @@ def test_a_flight_settles_in_the_air_along_it() -> None:
     moved = largest_density_change(air_of(problem), air_of(asked[1]))
     assert NEAR < moved < 0.02
     assert largest_density_change(air_of(asked[1]), air_of(with_air_along_flight(problem, first))) == 0.0
-    with pytest.raises(NotConvergedError, match="does not settle"):
+    with pytest.raises(NotConvergedError, match="does not converge"):
         solve_with_epoch_air(problem, lambda *_, **__: first, near=-1.0)
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (DAY.replace('epoch = "2026-06-01T12:00:00Z"\n', ""), "not said when the air"),
-        (DAY.replace("2026-06-01T12", "2026-06-01T25"), "problem.epoch is no time"),
+        (DAY.replace('epoch = "2026-06-01T12:00:00Z"\n', ""), "epoch of the nrlmsis atmosphere is not stated"),
+        (DAY.replace("2026-06-01T12", "2026-06-01T25"), "problem.epoch is not a supported time"),
         (DAY.replace('ap = "4"', ""), "atmosphere.ap is missing"),
         (DAY.replace('f107 = "150"', 'f107 = "1500000"'), "atmosphere.f107 is out of range"),
         (DAY.replace('altitude = "10 km"', 'altitude = "-2 km"'), "ends before the flight does"),
@@ -93,5 +93,5 @@ def test_a_day_that_is_not_said_is_refused(text: str, said: str) -> None:
 
 
 def test_air_of_no_day_is_along_no_flight() -> None:
-    with pytest.raises(PeriluneError, match="has no air of a day"):
+    with pytest.raises(PeriluneError, match="has no atmosphere of an epoch"):
         solve_with_epoch_air(load_text(SCENARIO), lambda *_, **__: None)  # type: ignore[arg-type,return-value]

@@ -120,13 +120,13 @@ def test_a_fall_is_not_refused_for_what_only_a_burn_cannot() -> None:
         return load_file(EXAMPLES / "precision_landing.toml", pairs).problem
 
     hovers = [f.name for f in preflight(stated(throttle__lower="0.85")) if f.verdict == "impossible"]
-    assert hovers == ["speed of descent that reaches the site with the throttle at its floor"]
+    assert hovers == ["descent speed that reaches the site with the throttle at its floor"]
     refuse_impossible(preflight(stated(throttle__lower="0.85", approach__longest_coast="60 s")))
     far = ["vehicle.dry_mass=9 t", "site.latitude=-20 deg"]
     polar = EXAMPLES / "polar_descent.toml"
-    assert "way to the site" in {f.name for f in preflight(load_file(polar, far).problem)}
+    assert "distance to the site" in {f.name for f in preflight(load_file(polar, far).problem)}
     falling = load_file(polar, [*far, "start.longest_coast=3000 s"]).problem
-    assert "way to the site" not in {f.name for f in preflight(falling)}
+    assert "distance to the site" not in {f.name for f in preflight(falling)}
     assert falling.with_given(start_longest_coast=100.0).free[1].upper == 100.0
 
 

@@ -77,7 +77,7 @@ def test_a_return_to_a_place_touches_the_air_on_its_way() -> None:
     solution = pl.solve(deorbit_entry(VEHICLE, ORBIT, BOUNDED, BODY, manoeuvre=PLACE, air=AIR, site=SITE))
     assert solution.verification.passed and solution.verification.level == 3
     assert solution.objective == pytest.approx(4443.8964813, rel=1e-9)
-    arc = next(arc for arc in solution.structure if arc.words == "height above interface touched")
+    arc = next(arc for arc in solution.structure if arc.words == "contact point of height above interface")
     assert arc.begin == pytest.approx(1652.255, abs=1e-2)
     burn = solution.trajectories[0]
     x = burn.state(np.linspace(0.0, burn.duration, 4001))
@@ -134,33 +134,36 @@ def test_a_finite_burn_becomes_an_impulse() -> None:
     ("make", "said"),
     [
         (lambda: replace(ORBIT, radius=None), "orbit.radius is missing"),
-        (lambda: replace(ORBIT, perigee_altitude=3e5), "say one thing twice"),
+        (lambda: replace(ORBIT, perigee_altitude=3e5), "state the same quantity"),
         (lambda: replace(ORBIT, radius=None, perigee_altitude=3e5, apogee_altitude=4e5), "argument_of_perigee is"),
-        (lambda: replace(VEHICLE, specific_impulse=300.0), "say one thing twice"),
+        (lambda: replace(VEHICLE, specific_impulse=300.0), "state the same quantity"),
         (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0), "a base_radius and a cone_angle"),
-        (lambda: replace(VEHICLE, drag_area=None, base_radius=1.0, cone_angle=0.2, nose_radius=2.0), "no sphere-cone"),
+        (
+            lambda: replace(VEHICLE, drag_area=None, base_radius=1.0, cone_angle=0.2, nose_radius=2.0),
+            "not a sphere-cone",
+        ),
         (lambda: replace(VEHICLE, bank="reversed"), "lift_to_drag is missing"),
         (lambda: replace(VEHICLE, bank="free"), "lift_to_drag is missing"),
         (lambda: replace(BODY, j2=1.0), "body.j2 is more than a body has"),
         (lambda: replace(BODY, j4=0.3), "body.j4 is more than a body has"),
         (lambda: returning(orbit=replace(ORBIT, inclination=0.0)), "above the equator has no ascending"),
         (lambda: returning(orbit=replace(ORBIT, inclination=math.pi)), "above the equator has no ascending"),
-        (lambda: replace(STEEP, angle_lower=-0.2), "say one thing twice"),
-        (lambda: replace(BOUNDED, speed_lower=9000.0), "are no range"),
+        (lambda: replace(STEEP, angle_lower=-0.2), "state the same quantity"),
+        (lambda: replace(BOUNDED, speed_lower=9000.0), "are not a range"),
         (lambda: replace(BOUNDED, angle_lower=-0.01, angle_upper=-0.02), "-0.572958 deg to -1.14592 deg"),
         (lambda: replace(VEHICLE, mass=True), "must be a number in SI"),
         (lambda: replace(AIR, density=None), "atmosphere.density is missing"),
         (lambda: replace(AIR, model="us1976"),
          r"atmosphere.density belongs to another model[\s\S]*take out atmosphere\.density, atmosphere\.scale_height$"),
         (lambda: Atmosphere(model="nrlmsis", f107=150.0, f107a=150.0), "atmosphere.ap is missing"),
-        (lambda: returning(air=QUIET), "not said when the air"),
-        (lambda: returning(epoch="tomorrow"), "problem.epoch is no time"),
+        (lambda: returning(air=QUIET), "epoch of the nrlmsis atmosphere is not stated"),
+        (lambda: returning(epoch="tomorrow"), "problem.epoch is not a supported time"),
         (lambda: returning(epoch="2026-06-01T12:00:00.1234567Z"), "problem.epoch has more digits"),
         (lambda: replace(SITE, latitude=None), "a longitude and a latitude"),
         (lambda: returning(manoeuvre=replace(PLACE, latitude=0.95)), "never comes to the latitude"),
-        (lambda: deorbit_entry(VEHICLE, ORBIT, STEEP, BODY), "where on its orbit"),
+        (lambda: deorbit_entry(VEHICLE, ORBIT, STEEP, BODY), "position of the vehicle on its orbit"),
         (lambda: returning(replace(VEHICLE, drag_area=None)), "drag_area is missing"),
-        (lambda: returning(air=None, site=SITE), "a site needs air"),
+        (lambda: returning(air=None, site=SITE), "a site needs an atmosphere"),
         (lambda: returning(minimise="heat_load"), "nose_radius is missing"),
     ],
 )  # fmt: skip
@@ -200,7 +203,7 @@ def test_air_of_a_file_beside_the_scenario(tmp_path: Path, stated: str) -> None:
 )
 def test_a_scenario_reads_no_file_but_beside_itself(tmp_path: Path, stated: str) -> None:
     path = beside(tmp_path, stated)
-    with pytest.raises(PeriluneError, match=r"atmosphere.file names no file beside the scenario"):
+    with pytest.raises(PeriluneError, match=r"atmosphere.file names no file in the scenario's folder"):
         load_file(path)
     with pytest.raises(PeriluneError, match="names no file"):
         load_text(path.read_text(encoding="utf-8"))
@@ -247,12 +250,12 @@ def refused(**more: Any) -> PeriluneError:
 
 
 def test_what_physics_forbids_is_refused_before_it_is_solved() -> None:
-    assert "into the air by itself" in refused(orbit_=replace(ORBIT, radius=6471e3)).what
+    assert "enters the atmosphere by itself" in refused(orbit_=replace(ORBIT, radius=6471e3)).what
     # To a perigee at 145 km, by the vis-viva law; a tenth of a per mille of propellant gives 0.3 m/s.
     mu, apogee, perigee = 3.986005e14, 6678.14e3, 6371e3 + 145e3
     needed = math.sqrt(mu / apogee) - math.sqrt(mu * (2 / apogee - 2 / (apogee + perigee)))
     short = refused(vehicle=replace(VEHICLE, dry_mass=499.95))
-    assert "cannot bring the vehicle down" in short.what and "velocity change" in short.got
+    assert "does not suffice to reach the interface" in short.what and "velocity change" in short.got
     assert float(short.got.split()[-2]) == pytest.approx(needed, abs=1e-3)
 
 
@@ -260,12 +263,12 @@ def test_a_site_out_of_plane_is_refused_with_the_next_pass() -> None:
     """The paper's own site lies 33 degrees or more off, with 100 kg of propellant for about 5."""
     printed = replace(SITE, longitude=math.radians(-158.0))
     error = refused(vehicle=replace(VEHICLE, dry_mass=400.0), site=printed)
-    assert "out of the plane" in error.got and "km or more out of the plane" in error.what
+    assert "from the plane of the orbit" in error.got and "km or more out of the plane" in error.what
     away = float(error.got.split()[-2])
     assert 25.0 < away < 40.0
     assert float(re.findall(r"stays (\d+) km", error.what)[0]) == pytest.approx(math.radians(away) * 6371.0, rel=2e-3)
     passes = opportunities(returning(vehicle=replace(VEHICLE, dry_mass=400.0), site=printed), 3.0)
-    assert all(one.verdict != "reachable" for one in passes) and "no pass within 3 days is surely" in error.advice
+    assert all(one.verdict != "reachable" for one in passes) and "no pass within 3 days is certainly" in error.advice
     nearest = min(passes, key=lambda one: abs(one.away))
     off, hours = (float(number) for number in re.findall(r"([\d.]+) (?:deg off|h after)", error.advice))
     assert off == pytest.approx(math.degrees(abs(nearest.away)), abs=0.05)
@@ -277,14 +280,14 @@ def test_a_site_out_of_plane_is_refused_with_the_next_pass() -> None:
 def test_who_falls_too_fast_for_a_parachute_is_told_before() -> None:
     """Down to the ground with 125 kg/m^2 or 5000: a fall ends near its terminal speed, or far above 300 m/s."""
     light, heavy = (returning(replace(VEHICLE, drag_area=area)) for area in (4.0, 0.1))
-    name = "landing speed of a fall without lift"
+    name = "landing speed of a ballistic entry"
     said = [[f for f in preflight(problem) if f.name == name] for problem in (light, heavy)]
     assert [found[0].passed for found in said] == [True, False] and not said[1][0].binding
     terminal = math.sqrt(2 * 125.0 * 9.82 / 1.225)
     assert said[0][0].value == pytest.approx(terminal, rel=0.02)
     # The mass that falls steadily at 300 m/s at the site itself: rho V^2 S/(2 g).
     enough = 1.225 * 300.0**2 * 0.1 / (2 * 3.986005e14 / 6371e3**2)
-    assert f"slow enough below {enough:.0f} kg of its 500 kg" in said[1][0].meaning
+    assert f"low enough below {enough:.0f} kg of its 500 kg" in said[1][0].meaning
     named = returning(replace(VEHICLE, drag_area=0.1), site=replace(SITE, speed_upper=2000.0))
     assert all(f.passed for f in preflight(named) if f.name.startswith("landing speed"))
 
@@ -308,7 +311,7 @@ def test_the_kinds_own_template_is_solved_and_proved() -> None:
     assert told["delta_v"] == pytest.approx(113.6, abs=0.5)
     assert told["transition_time"] == pytest.approx(1747.1 + 0.5 * told["burn_time"], rel=0.04)
     assert told["interface_angle"] == pytest.approx(math.radians(-1.5), abs=1e-9)
-    # What the air does there, by the standard itself and no table.
+    # Aerodynamics there, by the standard itself and no table.
     entry = solution.trajectories[-1]
     p, phase = solution.parameters, problem.phases[-1]
     t = np.linspace(0.0, entry.duration, 40)

@@ -412,7 +412,7 @@ def test_precision_frame_is_the_cartesian_one() -> None:
         (lambda: peng(target="crater"), "unknown target"),
         (lambda: peng(minimise="cost"), "unknown minimise"),
         (lambda: peng(site=replace(SITE, altitude=-2e9)), "below the centre"),
-        (lambda: Corridor(tilt=radians(95), slope=0.5), "tilt is no angle"),
+        (lambda: Corridor(tilt=radians(95), slope=0.5), "tilt is not an angle"),
         (lambda: Corridor(tilt=0.5, slope=0.5, pad_radius=0.0), "pad_radius must be positive"),
     ],
 )
@@ -425,12 +425,12 @@ def test_bad_input_is_named(make: Callable[[], object], text: str) -> None:
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: peng(site=replace(SITE, altitude=16e3)), "does not begin above its site"),
-        (lambda: peng().with_given(site_altitude=20e3), "does not begin above its site"),
-        (lambda: approach().with_given(approach_up=-1.0), "does not begin above its site"),
-        (lambda: peng(dry_mass=10e3), "propellant cannot take away the speed"),
+        (lambda: peng(site=replace(SITE, altitude=16e3)), "does not start above its site"),
+        (lambda: peng().with_given(site_altitude=20e3), "does not start above its site"),
+        (lambda: approach().with_given(approach_up=-1.0), "does not start above its site"),
+        (lambda: peng(dry_mass=10e3), "propellant cannot remove the initial speed"),
         (lambda: peng(dry_mass=9000.0, site=replace(SITE, latitude=radians(-20))), "site cannot be reached"),
-        (lambda: approach(Corridor(tilt=radians(40), slope=radians(60))), "begins below the glide slope"),
+        (lambda: approach(Corridor(tilt=radians(40), slope=radians(60))), "starts below the glide slope"),
         (lambda: approach(throttle=(0.85, 0.9)), "hovers or climbs"),
         (lambda: approach(throttle=(0.1, 0.2)), "cannot stop the descent"),
     ],

@@ -177,7 +177,7 @@ def test_an_orbit_that_comes_down_by_itself_has_no_passes() -> None:
         perigee_altitude=100e3, apogee_altitude=400e3, argument_of_perigee=0.0, inclination=ORBIT.inclination,
         node_longitude=0.0, argument_of_latitude=math.pi,
     )  # fmt: skip
-    with pytest.raises(InfeasibleError, match="into the air by itself"):
+    with pytest.raises(InfeasibleError, match="enters the atmosphere by itself"):
         opportunities(returning(dips), 2)
 
 
@@ -199,7 +199,7 @@ def test_a_burn_down_to_nothing_may_wait_for_the_site(lower: float, binding: boo
     """At full thrust it is over before the site comes below; throttled down it lasts until the body has turned."""
     site = replace(SITE, longitude=math.radians(60.0))
     problem = returning(site=site, throttle=Throttle(lower=lower, upper=1.0))
-    found = next(f for f in preflight(problem) if f.name == "site out of the plane of the orbit")
+    found = next(f for f in preflight(problem) if f.name == "distance of the site from the plane of the orbit")
     assert (found.verdict == "impossible") is binding
 
 
@@ -266,11 +266,11 @@ def test_lift_reaches_to_the_side() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: opportunities(returning(site=Landing(altitude=10e3)), 1), "no site to have opportunities"),
-        (lambda: opportunities(returning(vehicle=replace(VEHICLE, dry_mass=None)), 1), "how much propellant"),
-        (lambda: opportunities(returning(), 0), "days to look ahead"),
-        (lambda: opportunities(returning(), 1e6), "days to look ahead"),
-        (lambda: opportunities(returning(), math.nan), "days to look ahead"),
+        (lambda: opportunities(returning(site=Landing(altitude=10e3)), 1), "opportunities need a site"),
+        (lambda: opportunities(returning(vehicle=replace(VEHICLE, dry_mass=None)), 1), "amount of propellant"),
+        (lambda: opportunities(returning(), 0), "number of days"),
+        (lambda: opportunities(returning(), 1e6), "number of days"),
+        (lambda: opportunities(returning(), math.nan), "number of days"),
         (lambda: opportunities(object(), 1), "a problem to list opportunities of"),  # type: ignore[arg-type]
     ],
 )
@@ -307,7 +307,7 @@ def test_the_command_lists_them(tmp_path: Path, capsys: pytest.CaptureFixture[st
     [
         (["--days", "0.2"], 3, "out of reach on every pass within 0.2 days"),
         (["--days", "soon"], 2, "invalid number value"),
-        (["--days", "-1"], 2, "days to look ahead are out of range"),
+        (["--days", "-1"], 2, "number of days is out of range"),
         (["--set", "vehicle.dry_mass=450"], 2, "vehicle.dry_mass"),
         (["--day", "2"], 2, "did you mean '--days'"),
     ],

@@ -101,8 +101,8 @@ def test_leap_seconds_are_those_of_another_library() -> None:
 
 @pytest.mark.parametrize(
     ("year", "said"),
-    [(1965, "35.8 s ahead of UTC, which in 1965 is taken as universal time, within some 0.2 s; who takes the 42.184 s "
-      "of 1972 is 6.4 s off"), (1997, "62.184 s ahead of UTC"),
+    [(1965, "35.8 s ahead of UTC, which in 1965 is taken as universal time, within some 0.2 s; taking the 42.184 s of"
+    " 1972 instead is 6.4 s off"), (1997, "62.184 s ahead of UTC"),
      (2030, "69.184 s ahead of UTC as since 2017: later leap seconds are not known")],
 )  # fmt: skip
 def test_it_is_said_which_time_a_body_is_turned_by(year: int, said: str) -> None:

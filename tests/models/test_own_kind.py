@@ -95,7 +95,7 @@ def test_its_keys_are_varied_and_refused_like_all_others(capsys: pytest.CaptureF
     [
         ("lunar_hopper:nothing", "cannot be loaded"),
         ("no_such_module:LUNAR_HOP", "cannot be loaded"),
-        ("lunar_hopper:Hop", "is no kind of problem"),
+        ("lunar_hopper:Hop", "is not a kind of problem"),
     ],
 )
 def test_what_is_no_kind_is_refused_in_words(
@@ -131,15 +131,18 @@ def brought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     ("text", "words"),
     [
         ("raise SystemExit(7)", "cannot be loaded.*SystemExit: 7"),
-        ("K = replace(LUNAR_HOP, sections=['hop'])", "cannot be loaded.*what a file has"),
-        ("K = replace(LUNAR_HOP, sections={**LUNAR_HOP.sections, 'hop': int})", "cannot be loaded.*what a file has"),
+        ("K = replace(LUNAR_HOP, sections=['hop'])", "cannot be loaded.*sections of the kind lunar_hop are not"),
+        (
+            "K = replace(LUNAR_HOP, sections={**LUNAR_HOP.sections, 'hop': int})",
+            "cannot be loaded.*sections of the kind lunar_hop are not",
+        ),
         ("K = replace(LUNAR_HOP, sections={'hop': Section(record=int)})", "cannot be loaded.*stated by a record"),
         ("K = replace(LUNAR_HOP, sections={'hop': LUNAR_HOP.sections['hop']})", "cannot be loaded.*problem, which"),
         ("K = replace(LUNAR_HOP, example=None)", "cannot be loaded.*what the example of the kind lunar_hop can be"),
         ("K = replace(LUNAR_HOP, example={'nosuch': 3})", "cannot be loaded.*bad_kind:K of .*example.*'nosuch'"),
         ("K = replace(LUNAR_HOP, make=lambda **records: 1 / 0)", "lunar_hop fails.*bad_kind:K of .*ZeroDivision"),
         ("K = replace(LUNAR_HOP, make=lambda problem: None)", "lunar_hop fails.*unexpected keyword"),
-        ("K = replace(LUNAR_HOP, make=lambda **records: None)", "makes no problem.*NoneType"),
+        ("K = replace(LUNAR_HOP, make=lambda **records: None)", "returns no problem.*NoneType"),
     ],
 )
 def test_a_fault_of_a_package_is_named_as_its_own(text: str, words: str, brought: Callable[[str], object]) -> None:
@@ -164,7 +167,7 @@ def test_an_example_that_is_no_scenario_is_the_fault_of_its_package(
     assert run_command_line(["new", "lunar_hop"]) == 2
     said = capsys.readouterr()
     assert not said.out and words in said.err
-    assert "the example of the kind of problem lunar_hop is no scenario" in said.err and "bad_kind:K of" in said.err
+    assert "the example of the kind of problem lunar_hop is not a scenario" in said.err and "bad_kind:K of" in said.err
 
 
 @pytest.mark.usefixtures("at_hand")

@@ -140,7 +140,7 @@ def test_least_heat_below_a_parachute() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: returning(air=None, site=None), r"\[parachute\] needs air"),
+        (lambda: returning(air=None, site=None), r"\[parachute\] needs an atmosphere"),
         (lambda: returning(Parachute(altitude=130e3, drag_area=9.0)), "parachute.altitude is not below interface"),
         (lambda: returning(site=Landing(altitude=9e3)), "site.altitude is not below parachute.altitude"),
         (lambda: scenario(SCENARIO + BELOW.replace("m^2", "m")), "parachute.drag_area.*wrong dimension"),

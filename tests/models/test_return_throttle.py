@@ -89,7 +89,7 @@ def test_the_dry_mass_holds_with_a_throttle() -> None:
 @pytest.mark.parametrize(
     ("section", "said"),
     [
-        ('lower = "0.5"\nupper = "0.3"', "no range of shares"),
+        ('lower = "0.5"\nupper = "0.3"', "not a range of fractions"),
         ('lower = "100 N"\nupper = "1"', "throttle.lower"),
         ('lower = "0.2"', "throttle.upper is missing"),
         ('lower = "0.2"\nupper = "1.5"', "throttle.upper is out of range"),

@@ -399,7 +399,7 @@ def test_the_fast_methods_answer_and_say_how_long_they_take(made: LiuReproductio
     assert found.apart < 1e-10
     assert found.queried[0] < 0.1 * found.alone[0]
     text = " ".join(time_section(made))
-    assert "ours, from the atlas, flown again" in text and f"answers {REACHED} of {REACHED}" in text
+    assert "ours, from the atlas, re-integrated" in text and f"answers {REACHED} of {REACHED}" in text
 
 
 def test_the_papers_fast_method_searches_beside_what_its_grid_predicts(

@@ -168,7 +168,7 @@ def test_ranges_travel_by_name() -> None:
         (lambda x, u, p, xp: (x.v, np.where(u.along > 0, p.push, -p.push)), r"np\.where(.|\n)*xp\.where"),
         (
             lambda x, u, p, xp: (abs(x.v), p.push * u.along),
-            r"is no formula(.|\n)*abs, which has no deriv(.|\n)*xp\.fabs",
+            r"is not a formula(.|\n)*abs, which has no deriv(.|\n)*xp\.fabs",
         ),
         (lambda x, u, p, xp: (np.abs(x.v), p.push * u.along), r"abs, which has no derivative(.|\n)*xp\.fabs"),
         (lambda x, u, p, xp: (np.fabs(x.v), p.push * u.along), r"np\.abs, which has no derivative(.|\n)*xp\.fabs"),
@@ -179,13 +179,13 @@ def test_ranges_travel_by_name() -> None:
         (lambda x, u, p, m: (x.v, p.push * m.arctan(u.along)), r"no function of xp(.|\n)*did you mean 'atan"),
         (lambda x, u, p, xp: None, r"wrong number of values(.|\n)*None: is there a return"),
         (lambda x, u, p, xp: x.v, r"wrong number of values(.|\n)*2: x, v"),
-        (lambda x, u, p, xp: (x.v, "fast"), r"returns what is no number(.|\n)*'fast'"),
+        (lambda x, u, p, xp: (x.v, "fast"), r"returns a value that is not a number(.|\n)*'fast'"),
         (
             lambda x, u, p, xp: np.array([x.v, p.push * u.along]),
             r"array of NumPy(.|\n)*np\.array(.|\n)*a tuple or a list",
         ),
-        (lambda x, u, p: (x.v, p.push), r"fails where it is tried(.|\n)*positional"),
-        (lambda x, u, p, xp: (x.v, p.push * u.along / 0.0), r"fails where it is tried(.|\n)*ZeroDivisionError"),
+        (lambda x, u, p: (x.v, p.push), r"fails when it is tried(.|\n)*positional"),
+        (lambda x, u, p, xp: (x.v, p.push * u.along / 0.0), r"fails when it is tried(.|\n)*ZeroDivisionError"),
         (lambda x, u, p, xp: (x.v, p.push * math.nan), r"dynamics of slide, v is not a number \(NaN\)"),
     ],
 )
@@ -215,8 +215,8 @@ def test_a_size_has_its_derivative_where_one_is_taken_and_may_be_told_by_any_fun
     [
         ({"start": lambda p, xp: (p.distanse, 0.0)}, r"start: (.|\n)*did you mean 'distance'"),
         ({"objective": lambda x, p, xp: x.tme}, r"objective: there is no state"),
-        ({"objective": lambda x, p, xp: abs(p.time)}, r"objective is no formula(.|\n)*xp\.fabs"),
-        ({"objective": lambda x, p, xp: None}, r"objective returns what is no number"),
+        ({"objective": lambda x, p, xp: abs(p.time)}, r"objective is not a formula(.|\n)*xp\.fabs"),
+        ({"objective": lambda x, p, xp: None}, r"objective returns a value that is not a number"),
         ({"phases": (replace(slider().phases[0], end=None),)}, r"end of slide is missing(.|\n)*2: distance, speed"),
         ({"start": lambda p, xp: 0.0}, r"start returns the wrong number of values"),
     ],

@@ -27,7 +27,7 @@ def test_the_paper_s_landing_from_a_straight_line() -> None:
     made = pl.guess(HYBRID, TIMES, straight_down(), np.tile([-1.0, 0.0], (15, 1)), retro_delta_v=1100.0)
     assert made.free == {"retro_delta_v": 1100.0, "flight_time": 280.0}
     rough = pl.solve(HYBRID, pl.Pseudospectral(nodes=12), guess=made, level=0)
-    assert rough.statistics.tried[0].startswith("start from by hand solution")
+    assert rough.statistics.tried[0].startswith("start from a guess (by hand)")
     assert -pl.solve(HYBRID, guess=rough, level=0).objective == pytest.approx(160.618584, abs=1e-6)
 
 
@@ -39,7 +39,7 @@ def test_the_indirect_method_begins_with_what_the_direct_one_makes_of_it() -> No
     made = pl.guess(HYBRID, t, np.round(state.T, 2), np.round(control.T, 2), retro_delta_v=1200.0)
     again = pl.solve(HYBRID, guess=made, level=0)
     assert again.objective == pytest.approx(answer.objective, abs=1e-9)
-    assert again.statistics.tried[0].startswith("direct transcription: start from by hand")
+    assert again.statistics.tried[0].startswith("direct transcription: start from a guess")
 
 
 def test_controls_may_be_left_out() -> None:
@@ -59,14 +59,14 @@ def test_a_guess_of_several_phases() -> None:
 @pytest.mark.parametrize(
     ("times", "states", "controls", "free", "said"),
     [
-        (TIMES[::-1], straight_down(), None, {}, "no flight"),
-        ([0.0], straight_down()[:1], None, {}, "no flight"),
+        (TIMES[::-1], straight_down(), None, {}, "do not describe a flight"),
+        ([0.0], straight_down()[:1], None, {}, "do not describe a flight"),
         (TIMES, straight_down()[:, :4], None, {}, r"wrong shape: states of descent \(r, phi"),
         (TIMES, straight_down(), np.zeros((15, 3)), {}, "wrong shape: controls of descent"),
-        (TIMES, np.full((15, 5), np.nan), None, {}, "no number: states"),
+        (TIMES, np.full((15, 5), np.nan), None, {}, "not a number: states"),
         ("yesterday", straight_down(), None, {}, "wrong shape: times"),
         (TIMES, straight_down(), None, {"retro_delta": 1.0}, "retro_delta"),
-        (TIMES, straight_down(), None, {"retro_delta_v": "fast"}, "no number: retro_delta_v"),
+        (TIMES, straight_down(), None, {"retro_delta_v": "fast"}, "not a number: retro_delta_v"),
         (TIMES, straight_down(), None, {"flight_time": [1.0, 2.0]}, "wrong shape: flight_time"),
     ],
 )

@@ -50,8 +50,8 @@ def finding(problem: Problem, name: str) -> Finding:
 def test_the_papers_lander_may_fly_with_a_warning() -> None:
     # Cho et al. 2015: feasible, although thrust is less than weight at ignition.
     found = preflight(lander())
-    assert [f.name for f in found if not f.passed] == ["thrust against weight at ignition"]
-    assert finding(lander(), "thrust against weight at ignition").value == pytest.approx(440 / 300 / 1.6243, rel=1e-3)
+    assert [f.name for f in found if not f.passed] == ["thrust-to-weight ratio at ignition"]
+    assert finding(lander(), "thrust-to-weight ratio at ignition").value == pytest.approx(440 / 300 / 1.6243, rel=1e-3)
 
 
 @pytest.mark.parametrize(("delta_v", "landed"), [(None, 160.6186), (0.0, 154.5413), (1200.9011, 160.6186)])
@@ -192,7 +192,7 @@ def test_an_orbit_that_hits_the_ground_is_refused(altitudes: tuple[float, float,
     ("problem", "name"),
     [
         (lander(thrust=65.0), "braking distance without gravity"),
-        (lander().with_given(vehicle_mass=1000.0), "mass when braking has taken the speed"),
+        (lander().with_given(vehicle_mass=1000.0), "mass after braking"),
         (lander(body=replace(MOON, rotation_rate=1.5e-4)), "speed of the ground"),
         (
             lander().with_given(orbit_parking_altitude=500e3, orbit_perilune_altitude=400e3),
@@ -338,7 +338,7 @@ def test_no_flight_stops_where_the_bound_says_none_does(
 ) -> None:
     """Flown by SciPy with other throttles and directions: what comes to rest above the site was not refused."""
     problem = descent(speed, height, upper=upper)
-    fall = finding(problem, "fall before full thrust can stop it")
+    fall = finding(problem, "stopping distance at full thrust")
     p, phase = problem.parameters({}), problem.phases[0]
 
     def rates(t: float, x: np.ndarray) -> list[float]:
@@ -367,7 +367,7 @@ def test_the_bound_is_near_the_best_flight() -> None:
         return 1000.0 + np.trapezoid(v[:at], t[:at]) > 0
 
     def passed(speed: float) -> Any:
-        return finding(descent(speed, 1000.0), "fall before full thrust can stop it").passed
+        return finding(descent(speed, 1000.0), "stopping distance at full thrust").passed
 
     truth, bound = (max(s for s in range(40, 120) if may(float(s))) for may in (stops, passed))
     assert truth <= bound < 1.25 * truth
@@ -376,9 +376,9 @@ def test_the_bound_is_near_the_best_flight() -> None:
 def test_the_throttle_counts() -> None:
     # 0.5 of 8 kN under 2 t on the Moon: 4000/(2000 * 1.62).
     half = descent(30.0, 1000.0, upper=0.5)
-    assert finding(half, "thrust against weight at ignition").value == pytest.approx(4000 / (2000 * 1.624), rel=1e-3)
-    assert finding(descent(60.0, 1000.0), "fall before full thrust can stop it").passed
-    assert not finding(descent(60.0, 1000.0, upper=0.3), "fall before full thrust can stop it").passed
+    assert finding(half, "thrust-to-weight ratio at ignition").value == pytest.approx(4000 / (2000 * 1.624), rel=1e-3)
+    assert finding(descent(60.0, 1000.0), "stopping distance at full thrust").passed
+    assert not finding(descent(60.0, 1000.0, upper=0.3), "stopping distance at full thrust").passed
 
 
 @settings(max_examples=20, deadline=None)
@@ -409,7 +409,7 @@ def test_turning_bodies_keep_the_bound_of_the_rocket_equation(
     w = np.sqrt(np.maximum(speed**2 + 2 * body.gravitational_parameter * (1 / r_site - 1 / r), 0.0))
     spent = c * np.log(2000.0 / flown.y[6])
     assert (spent >= w[0] - w - 1e-4)[above].all()
-    found = finding(problem, "speed to lose")
+    found = finding(problem, "speed to be removed")
     assert found.value == pytest.approx(w[0] - abs(rotation) * r_site, rel=1e-9)
     assert found.limit == pytest.approx(1.02 * c * math.log(4.0), rel=1e-9)
 

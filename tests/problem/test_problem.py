@@ -67,23 +67,23 @@ def test_a_hidden_constant_is_found() -> None:
     ("rate", "got", "expected"),
     [
         (lambda x, u, p, xp: p.push * u.along - 9.81,
-         "p.push*u.along in m/s^2, beside 9.81 without a unit, in p.push*u.along - 9.81", "one unit of both"),
+         "p.push*u.along in m/s^2, beside 9.81 without a unit, in p.push*u.along - 9.81", "the same unit for both"),
         (lambda x, u, p, xp: x.v, "x.v in m/s", "a quantity in m/s^2"),
         (lambda x, u, p, xp: p.push * xp.exp(-x.x / 500.0), "(-x.x)/500 in m, in xp.exp((-x.x)/500)",
          "a number without a unit there"),
         (lambda x, u, p, xp: xp.sqrt(p.push * x.x) + p.push, "xp.sqrt(p.push*x.x) in m/s, beside p.push in m/s^2, in "
-         "xp.sqrt(p.push*x.x) + p.push", "one unit of both"),
+         "xp.sqrt(p.push*x.x) + p.push", "the same unit for both"),
         (lambda x, u, p, xp: p.push * (x.x - x.v) / p.distance, "x.x in m, beside x.v in m/s, in x.x - x.v",
-         "one unit of both"),
+         "the same unit for both"),
         (lambda x, u, p, xp: p.push**2, "p.push**2 in m^2/s^4", "a quantity in m/s^2"),
         (lambda x, u, p, xp: 0.0 - x.v / 3.0, "0 - x.v/3 in m/s", "a quantity in m/s^2"),
         (lambda x, u, p, xp: x.v - (x.v - 2.0 * x.v), "x.v - (x.v - 2*x.v) in m/s", "a quantity in m/s^2"),
         (lambda x, u, p, xp: xp.fmin(x.x / p.distance, math.inf) + x.x, "xp.fmin(x.x/p.distance, inf) without a unit, "
-         "beside x.x in m, in xp.fmin(x.x/p.distance, inf) + x.x", "one unit of both"),
+         "beside x.x in m, in xp.fmin(x.x/p.distance, inf) + x.x", "the same unit for both"),
         (lambda x, u, p, xp: xp.sqrt(p.distance * p.distance) + p.distance + x.x + x.x + x.x,  # no dots: it is whole
          "xp.sqrt(p.distance*p.distance) + p.distance + x.x + x.x + x.x in m", "a quantity in m/s^2"),
         (lambda x, u, p, xp: p.push + xp.atan2(x.x, x.v), "x.x in m, beside x.v in m/s, in xp.atan2(x.x, x.v)",
-         "one unit of both"),
+         "the same unit for both"),
     ],
 )  # fmt: skip
 def test_units_that_clash_are_named_in_the_users_formula(rate: Any, got: str, expected: str) -> None:
@@ -161,7 +161,7 @@ def test_wrong_number_of_rates() -> None:
         ({"links": (lambda x, p, xp: (),)}, "needs a link"),
         (
             {"free": (Free(name="push", unit="m/s^2"), Free(name="time", unit="s"))},
-            "given and free at once: *|got: push",
+            "both given and free: *|got: push",
         ),
         ({"given": {"push": Given(value=float("inf"), unit="m/s^2")}}, "value of push is not finite"),
         ({"free": (Free(name="time", unit="s", lower=2.0, upper=1.0),)}, "bounds of time are empty"),
@@ -214,7 +214,7 @@ def test_given_fixes_a_free_parameter() -> None:
         (lambda: Variable(name="x", lower=1.0, upper=1.0), "bounds of x are empty"),
         (
             lambda: Variable(name="x", lower=cast("Any", None), upper=1.0),
-            r"the lower bound of x[\s\S]*got: None[\s\S]*try: leave lower out",
+            r"the lower bound of x[\s\S]*got: None[\s\S]*try: omit lower",
         ),
         (lambda: Variable(name="x", lower="least", upper=cast("Any", None)), "the upper bound of x"),
         (lambda: Bounded(name="u", upper=cast("Any", None)), "the upper bound of u"),
@@ -254,8 +254,8 @@ def test_the_middle_of_a_range_and_the_shares_of_it() -> None:
         (("x", "lambda_x"), "push", "lambda_x cannot be the name of a state[\\s\\S]*the costate of x"),
         (("x", "push"), "push", "push cannot be the name of a control[\\s\\S]*the name of a state"),
         (("x", "x"), "push", "two states of the phase swing are called x"),
-        (("x", "_v"), "push", "nor begin with _"),
-        (("x", "v"), "lambda", "a word of Python"),
+        (("x", "_v"), "push", "or begin with _"),
+        (("x", "v"), "lambda", "a Python keyword"),
     ],
 )
 def test_a_name_that_a_table_has_for_something_else_is_refused(states: Any, controls: str, words: str) -> None:
@@ -278,7 +278,7 @@ def test_a_column_has_one_unit_in_all_phases() -> None:
     told: Any = {"outputs": lambda x, u, p, xp: (x.v,)}
     one = replace(first, name="one", **told, output_variables=(Variable(name="q", unit="m/s"),))
     two = replace(first, name="two", **told, output_variables=(Variable(name="q", unit="m"),))
-    with pytest.raises(PeriluneError, match=r"q has another unit in the phase two[\s\S]*got: m\n *expected: m/s"):
+    with pytest.raises(PeriluneError, match=r"q has a different unit in the phase two[\s\S]*got: m\n *expected: m/s"):
         slider(phases=(one, two), links=(lambda x, p, xp: tuple(x),))
 
 

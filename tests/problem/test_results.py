@@ -266,7 +266,7 @@ def test_of_a_loaded_solution_how_it_was_found_is_the_files_word(hybrid: Solutio
     assert "claimed" not in solution_document(hybrid)
     for words in (solution_summary, solution_markdown):
         assert "method indirect" not in words(loaded) and "method indirect" in words(hybrid)
-        assert "those that the file lists, each found again" in words(loaded)
+        assert "those listed in the file, each recomputed" in words(loaded)
         assert "found again" not in words(hybrid)
 
 
@@ -278,7 +278,7 @@ def test_of_a_loaded_solution_how_it_was_found_is_the_files_word(hybrid: Solutio
 @pytest.mark.parametrize("guess", [3, {"retro_delta_v": 1200.0}, np.zeros(4), [None]])
 def test_a_guess_is_a_solution(landing: Any, method: Any, guess: Any) -> None:
     """Anything else is refused in one sentence that says what it was."""
-    with pytest.raises(PeriluneError, match=rf"the guess is no solution\s+got: {type(guess).__name__}"):
+    with pytest.raises(PeriluneError, match=rf"the guess is not a solution\s+got: {type(guess).__name__}"):
         method.run(landing, guess)
 
 

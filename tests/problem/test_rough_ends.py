@@ -35,5 +35,5 @@ def test_a_wrong_rough_end_changes_no_answer(make, factor: float | None) -> None
 
 
 def test_a_rough_end_that_is_no_number_is_refused() -> None:
-    with pytest.raises(pl.PeriluneError, match=r"typical_end of .* is no number\n.*nan"):
+    with pytest.raises(pl.PeriluneError, match=r"typical_end of .* is not a number\n.*nan"):
         pl.Pseudospectral().run(with_ends(ordinary(), math.nan))

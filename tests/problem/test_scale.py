@@ -220,7 +220,7 @@ def test_a_file_with_no_size_is_refused(scale: object, tmp_path: Path) -> None:
     ids=["state", "objective"],
 )
 def test_what_is_no_size_is_refused(state: Callable[[Any], Any], scale: Any) -> None:
-    with pytest.raises(PeriluneError, match="is no size") as caught:
+    with pytest.raises(PeriluneError, match="is not a magnitude") as caught:
         state(scale)
     assert caught.value.got == repr(scale)
 

@@ -114,7 +114,11 @@ def test_rates_are_those_of_the_formula() -> None:
         (([1.0, 2.0], [0.3]), {"phase": "fall"}, "the control of fall[\\s\\S]*0 components: none"),
         (([1.0, 2.0],), {"phase": "rise"}, "the control of rise[\\s\\S]*1 components: throttle"),
         (([1.0, 2.0], [0.3, 0.4]), {"phase": "rise"}, "1 components: throttle"),
-        ((np.zeros((2, 3)), np.zeros((1, 4))), {"phase": "rise"}, "not equally many[\\s\\S]*3 states and 4 controls"),
+        (
+            (np.zeros((2, 3)), np.zeros((1, 4))),
+            {"phase": "rise"},
+            "numbers of states and controls differ[\\s\\S]*3 states and 4 controls",
+        ),
         (([1.0, 2.0], [0.3]), {"phase": "rise"}, "depend on the free parameter push[\\s\\S]*free=solution.free"),
         (([1.0, 2.0], [0.3]), {"phase": "rise", "free": {"g": 2.0}}, "no free parameter of this name"),
         (([1.0, 2.0], [0.3]), {"phase": "rise", "free": 3}, "free"),

@@ -79,7 +79,7 @@ def test_a_curve_asked_outside_its_time_says_so(time: Any) -> None:
     ("asked", "words"),
     [
         ((), "curve needs t"),
-        ((0.0, 1.0), r"(?s)at most 1 of its values.*curve\(t\)"),
+        ((0.0, 1.0), r"(?s)at most 1 of its arguments.*curve\(t\)"),
         (("soon",), "(?s)not a time.*'soon'"),
         (([[0.0, 1.0]],), "(?s)not a time.*a number, or a list"),
     ],

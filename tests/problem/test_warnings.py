@@ -195,8 +195,12 @@ def test_json_lists_them(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("up", "said"),
     [
-        ("1 km", "coast time is at its lower bound of 0.001 s: the best flight leaves out the phase coast"),
-        ("2 km", "coast time is at its upper bound of 10 s, approach.longest_coast: with a wider one it may be better"),
+        ("1 km", "coast time is at its lower bound of 0.001 s: the optimal flight has no phase coast"),
+        (
+            "2 km",
+            "coast time is at its upper bound of 10 s, approach.longest_coast: with a wider one the optimum may"
+            " be better",
+        ),
     ],
 )
 def test_a_coast_on_its_bound_names_the_key_that_states_it_or_that_none_is_best(up: str, said: str) -> None:

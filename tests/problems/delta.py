@@ -114,7 +114,7 @@ def _dropped(stage: int, x: Any, p: Any, xp: Any) -> Sequence[Any]:
 
 
 def _launch() -> tuple[Any, Any]:
-    """Place and velocity at rest on the ground, in axes that do not turn."""
+    """Place and velocity at rest on the ground, in inertial axes."""
     place = RADIUS * np.array([math.cos(28.5 * DEGREE), 0.0, math.sin(28.5 * DEGREE)])
     return place, np.cross([0.0, 0.0, TURNS], place)
 

@@ -258,7 +258,7 @@ def test_neighbours_that_disagree_with_the_costates_fail(scipy_hybrid: Solution)
 
 
 def test_an_unknown_level_is_refused(scipy_hybrid: Solution) -> None:
-    with pytest.raises(PeriluneError, match="no such level"):
+    with pytest.raises(PeriluneError, match="no such verification level"):
         verify(scipy_hybrid, level=6)
 
 
@@ -599,4 +599,4 @@ def test_what_is_no_flight_has_no_neighbours_solved() -> None:
 
     found = verify(rough, resolve=refused)
     assert found.level == 0 and "conjugate_point" in {c.name for c in found.checks}
-    assert any("neighbours were not solved again" in note for note in found.notes)
+    assert any("neighbouring problems were not solved" in note for note in found.notes)

@@ -249,7 +249,7 @@ def test_short_of_the_cone_there_is_no_multiplier(inside: float) -> None:
                           level=2)  # fmt: skip
     assert {"stationary_direction_along_aside_up", "minimum_of_hamiltonian"} <= failed(verification)
     assert "path_upright" not in failed(verification)
-    said = "upright >= 0 is met too loosely for a multiplier" in check(verification, "costate_y").meaning
+    said = "upright >= 0 is kept too inaccurately for a multiplier" in check(verification, "costate_y").meaning
     assert said == (inside < 1e-5)
 
 
@@ -494,7 +494,7 @@ def test_a_condition_that_takes_hold_without_a_break_in_the_table_is_not_underst
     assert failed(verification) == {"conjugate_point", "strict_upright"} & failed(verification)
     verdict = check(verification, "conjugate_point")
     assert math.isnan(verdict.value)
-    assert "takes hold of the control without a break" in verdict.meaning
+    assert "becomes active without a break" in verdict.meaning
 
 
 # --- an oscillator on a leash: conjugate points of a problem whose control is held all along -------------------------

@@ -100,7 +100,7 @@ def test_a_switch_at_an_end_has_the_curvature_of_the_closed_form(where: str, pul
     checks = level_3(flown(where, pull))
     strict, conjugate = checks["strict_u"], checks["conjugate_point"]
     assert strict.passed and strict.value == pytest.approx(-1.0, rel=1e-9)  # |S| = |t - b|, at most 2, over 2 s
-    assert f"where the flight {where}s is a switch there" in strict.meaning
+    assert f"its zero where the flight {where}s counts as a switch" in strict.meaning
     assert conjugate.value == pytest.approx(2 * pull, abs=1e-9)
     assert conjugate.passed == (pull < 0.5)
     better = flown_with_switch(where, pull, tau=0.1) < flown(where, pull).objective
@@ -160,7 +160,7 @@ def test_one_that_is_well_above_zero_at_the_end_is_no_switch() -> None:
     """|S| = 2e-3 is a thousandth of its largest value, which strictness sees."""
     strict = level_3(beside_the_end(0.1, 2e-2))["strict_u"]
     assert strict.passed and strict.value == pytest.approx(-1e-3, rel=1e-2)
-    assert "is a switch there" not in strict.meaning
+    assert "counts as a switch" not in strict.meaning
 
 
 def beside_the_end(pull: float, off: float) -> Solution:

@@ -248,7 +248,7 @@ def test_a_narrow_strip_that_nobody_saw_is_found(half: float, form: str) -> None
     missed = pl.verify(replace(flat, problem=problem), level=1)
     assert {"place", "stop", "state_x", "state_v"} <= {c.name for c in missed.failed}
     meaning = next(c.meaning for c in missed.failed if c.name == "state_x")
-    assert "a choice by x changes the rates, and the table has no break" in meaning
+    assert "a switch by x changes the rates, but the table has no break" in meaning
 
 
 def test_costates_that_do_not_jump_fail(jump: Solution) -> None:

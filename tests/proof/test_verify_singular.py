@@ -115,4 +115,4 @@ def test_a_last_impulse_that_costs_nothing_is_said() -> None:
     assert solution.outcome is pl.Outcome.NOT_PROVED and solution.verification.level == 2
     (failed,) = solution.verification.failed
     assert failed.name == "conjugate_point" and np.isnan(failed.value)
-    assert "an impulse as a singular arc ends" in failed.meaning
+    assert "an impulse at the end of a singular arc" in failed.meaning

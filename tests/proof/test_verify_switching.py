@@ -150,7 +150,7 @@ def test_a_switching_function_that_only_touches_zero_is_not_strict(power: int) -
     assert "strict_u" in failed(verification)
     assert math.isnan(check(verification, "conjugate_point").value) == (power == 3)
     if power == 3:
-        assert "crosses its switch" in check(verification, "conjugate_point").meaning
+        assert "switching function crosses zero" in check(verification, "conjugate_point").meaning
 
 
 def test_a_condition_that_is_called_as_a_control_excuses_no_weak_switch_of_that() -> None:
@@ -233,7 +233,7 @@ def test_meditchs_lander_is_proved_locally_optimal(lander: Solution) -> None:
     assert lander.objective == pytest.approx(1.42031259905, abs=5e-12)
     assert check(verification, "switch_thrust").value < 1e-10
     # Two end conditions for the switch and the flight time: nothing is left to vary, and the slope of S decides.
-    assert "nothing to vary" in check(verification, "conjugate_point").meaning
+    assert "leave no variation" in check(verification, "conjugate_point").meaning
     assert check(verification, "strict_thrust").value < -0.1
 
 
@@ -287,7 +287,7 @@ def test_an_arc_on_a_bound_of_a_state_is_not_taken_for_an_extremal() -> None:
     answer = Pseudospectral().run(least_energy(CEILING))
     verdict = check(verify(answer, level=2), "costate_v")
     assert not verdict.passed
-    assert f"x <= {CEILING:g} is active, whose multiplier no table holds" in verdict.meaning
+    assert f"x <= {CEILING:g} is active, but no table has its multiplier" in verdict.meaning
 
 
 @pytest.mark.parametrize("ceiling", [0.3, 0.25 + 1e-9, 0.25 + 1e-14])
@@ -347,7 +347,7 @@ def opposite(curve: Curve | None) -> Curve:
 
 
 def test_no_control_is_compared_with_one_of_which_nothing_is_known(lander: Solution) -> None:
-    """At thrusts about 0.5 N, which are admissible, the rate is no number: where H is least nobody can say."""
+    """At thrusts about 0.5 N, which are admissible, the rate is not a number: where H is least nobody can say."""
     problem, phase = lander.problem, lander.problem.phases[0]
 
     def blind(x, u, p, xp):

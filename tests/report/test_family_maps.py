@@ -113,14 +113,14 @@ def test_axes_may_be_results_and_thrust_over_weight(family: Family) -> None:
     np.testing.assert_allclose(dots[:, 0], known, rtol=1e-12)
     assert figure.axes[0].get_xlabel() == "thrust over weight" and figure.axes[1].get_ylabel() == "propellant (kg)"
     by_result = family_map(without(family, 3), x="propellant", z="landed_mass").axes[0]
-    assert "1 without a solution have no place here" in by_result.get_title("left")
+    assert "1 without a solution are not shown here" in by_result.get_title("left")
 
 
 def test_members_on_a_curve_are_no_contours(family: Family) -> None:
     """Both axes are one quantity: no triangle has an area."""
     axes = family_map(family, x="vehicle.mass", y="vehicle.mass").axes[0]
     assert not [c for c in axes.collections if type(c).__name__ == "TriContourSet"]
-    assert "members alone" in axes.get_title("left")
+    assert "only the members" in axes.get_title("left")
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_members_on_a_curve_are_no_contours(family: Family) -> None:
         (lambda f: family_map(f, z="nothing"), ("no quantity of a family of this name", "landed_mass")),
         (lambda f: family_map(replace(f, points=f.points[:-1])), ("along two parameters", "11 members")),
         (lambda f: family_map(without(f, *range(12)), z="propellant"), ("no quantity of a family",)),
-        (lambda f: family_map(without(f, *range(11))), ("nothing to draw of", "three neighbours")),
+        (lambda f: family_map(without(f, *range(11))), ("nothing to draw of", "three neighbouring members")),
         (lambda f: require_map(f.problem, ("vehicle_thrust",), {"x": "m"}), ("two parameters", "leave out x")),
         (lambda f: require_map(f.problem, f.parameters, {"z": "speed"}), ("no quantity", "thrust_over_weight")),
     ],

@@ -44,7 +44,7 @@ def test_what_is_not_proved_is_named_and_lowers_nothing() -> None:
         (prover_checks.solved(nearest_to_zero), "no theorem: the control u of go is singular"),
         (
             replace(right, free={"t_f": 1.00001 * right.free["t_f"]}),
-            "no theorem: beside the answer only another extremal is proved",
+            "no theorem: near the answer only another extremal is proved",
         ),
     ):
         found = add_theorem_checks(Verification(checks=(check,)), solution)
@@ -68,4 +68,5 @@ def test_a_theorem_is_tried_of_what_is_proved_to_level_3_and_it_is_said() -> Non
     solution = prover_checks.solved(least_time)
     found = pl.verify(replace(solution, objective=1.001 * solution.objective), level=5)
     assert not found.passed and found.certificate is None
-    assert found.notes[0] == f"no theorem: it is tried of what reaches level 3, and this reaches level {found.level}"
+    note = f"no theorem: it is attempted only from level 3, and this solution reaches level {found.level}"
+    assert found.notes[0] == note

@@ -412,7 +412,7 @@ def test_conditions_that_are_called_alike_do_not_hide_one_another() -> None:
         given={"T": pl.Given(value=1.0, unit="s")},
     )  # fmt: skip
     sides = room("boundary_value_problem").Sides(ranges={("go", "same"): "upper"})
-    with pytest.raises(pl.PeriluneError, match="two conditions are called alike: go: same would cost less"):
+    with pytest.raises(pl.PeriluneError, match="two conditions have the same name: go: same would cost less"):
         proved(stated, {"u": "interior", "v": "interior"}, [-1.0, -1.0, 1.0, -1.0, 2.0], sides)
 
 

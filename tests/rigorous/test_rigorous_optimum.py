@@ -62,7 +62,7 @@ def seen_again(boundary: Any, refined: Any, found: Any, rough: Any, said: Any) -
     try:
         confirm(told, lambda _: None)
     except Failed as refused:
-        assert re.search("second variation|Riccati|weights|not affine|not switch alone|multiply a dir", str(refused))
+        assert re.search("second variation|Riccati|weights|not affine|not switch|factor of a dir", str(refused))
         return False
     return True
 
@@ -395,7 +395,10 @@ def test_what_is_not_covered_is_named() -> None:
         dynamics=lambda x, u, p, xp: (u.u * u.a / p.T, (u.u * u.b + x.s * u.v) / p.T),
     )  # fmt: skip
     stated = phases("idle", phase, start=lambda p, xp: (0.0, 0.0))
-    for begin, end, word in (("lower", "upper", "nothing may multiply"), ("upper", "lower", "v does not switch alone")):
+    for begin, end, word in (
+        ("lower", "upper", "factor of a direction"),
+        ("upper", "lower", "v does not switch separately"),
+    ):
         one = room("boundary_value_problem").ArcPiece
         pieces = [one(phase=0, regimes={"u": begin, "v": "upper"}, switched="v"),
                   one(phase=0, regimes={"u": end, "v": "lower"})]  # fmt: skip

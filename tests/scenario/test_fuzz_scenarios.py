@@ -49,15 +49,15 @@ def test_what_is_a_failure_is_seen(fuzz: ModuleType) -> None:
     ("changes", "code", "said"),
     [
         # Beyond where the ground turns as fast as it flies, there is no speed at the interface.
-        (["interface.altitude=1e6 km"], 3, "the orbit comes down into the air by itself"),
-        (["interface.altitude=1e15 m"], 3, "the orbit comes down into the air by itself"),
+        (["interface.altitude=1e6 km"], 3, "the orbit enters the atmosphere by itself"),
+        (["interface.altitude=1e15 m"], 3, "the orbit enters the atmosphere by itself"),
         # Of air that grows by e with each scale height down there is no end of it.
         (["site.altitude=-92617097280162.69 km"], 2, "site.altitude is deeper than any valley"),
         (["site.altitude=-6300 km"], 2, "site.altitude is deeper than any valley"),
         (["site.altitude=-600 km", "atmosphere.scale_height=100 m"], 0, ""),
         # No air is left where the entry ends: a steady fall has no speed.
-        (["atmosphere.scale_height=4e-7 m"], 3, "no entry without lift arrives as slowly"),
-        (["atmosphere.density=1e-30 kg/m^3"], 3, "no entry without lift arrives as slowly"),
+        (["atmosphere.scale_height=4e-7 m"], 3, "no ballistic entry arrives as slowly"),
+        (["atmosphere.density=1e-30 kg/m^3"], 3, "no ballistic entry arrives as slowly"),
     ],
 )
 def test_numbers_that_no_fall_bears_are_refused_in_words(

@@ -99,11 +99,11 @@ def test_every_kind_is_stated_by_an_example() -> None:
         (POLAR, "orbit.parking_altitude=100 km", "[orbit] belongs to another kind", "hybrid_landing"),
         (POLAR, "throttle.upper=0.9", "throttle.lower is missing", "0.3"),
         (POLAR, "vehicle.thrust=45 MN", "more than a lander withstands", "kN in place of N"),
-        (POLAR, "body.name=moon", "a name and quantities", "leave out"),
-        (PRECISION, "throttle.lower=0.95", "throttle's bounds are no range", "0.95 to 0.9"),
+        (POLAR, "body.name=moon", "a name and quantities", "omit"),
+        (PRECISION, "throttle.lower=0.95", "throttle's bounds are not a range", "0.95 to 0.9"),
         (PRECISION, "throttle.lower=-0.1", "throttle.lower is out of range", "between 0 and 1"),
         (PRECISION, "throttle.upper=90 deg", "throttle.upper is out of range", "between 0 and 1"),
-        (PRECISION, "corridor.tilt=95 deg", "corridor.tilt is no angle", "95 deg"),
+        (PRECISION, "corridor.tilt=95 deg", "corridor.tilt is not an angle", "95 deg"),
         (PRECISION, "approach.longest_coast=0 s", "approach.longest_coast is out of range", "900 s"),
         (PRECISION, "approach.east=-1e5 km", "so far away", "km in place of m"),
         (PRECISION, "body.j3=1", "no key of this name in [body]", "'j2'"),
@@ -124,12 +124,12 @@ def test_a_slip_is_named(file: Path, change: str, what: str, also: str) -> None:
 @pytest.mark.parametrize(
     ("file", "change", "what"),
     [
-        (POLAR, "vehicle.dry_mass=12 t", "propellant cannot take away the speed"),
-        (POLAR, "site.altitude=16 km", "does not begin above its site"),
-        (POLAR, "site.altitude=15 km", "does not begin above its site"),
-        (PRECISION, "approach.up=-1 m", "does not begin above its site"),
-        (PRECISION, "approach.up=0 m", "does not begin above its site"),
-        (PRECISION, "corridor.slope=60 deg", "begins below the glide slope"),
+        (POLAR, "vehicle.dry_mass=12 t", "propellant cannot remove the initial speed"),
+        (POLAR, "site.altitude=16 km", "does not start above its site"),
+        (POLAR, "site.altitude=15 km", "does not start above its site"),
+        (PRECISION, "approach.up=-1 m", "does not start above its site"),
+        (PRECISION, "approach.up=0 m", "does not start above its site"),
+        (PRECISION, "corridor.slope=60 deg", "starts below the glide slope"),
         (PRECISION, "throttle.lower=0.85", "hovers or climbs"),
         (PRECISION, "vehicle.thrust=2 kN", "cannot stop the descent"),
         (PRECISION, "approach.up_speed=-300 m/s", "descent is too fast"),
@@ -188,7 +188,7 @@ def test_check_answers_without_solving(capsys: pytest.CaptureFixture[str]) -> No
     document = json.loads(capsys.readouterr().out)
     assert document["outcome"] == "POSSIBLE"
     value = {f["name"]: f["value"] for f in document["findings"]}
-    assert value["thrust against weight at ignition"] == pytest.approx(45e3 / (15e3 * 4902.8e9 / 1740e3**2))
+    assert value["thrust-to-weight ratio at ignition"] == pytest.approx(45e3 / (15e3 * 4902.8e9 / 1740e3**2))
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -80,7 +80,7 @@ def test_it_stops_honestly(copies: int) -> None:
         ends = run(function, *[start] * copies)
         assert not ends.converged.any()
         assert ends.evaluations.max() <= 100
-    assert (ends.evaluations == 1).all()  # a step that is no number is not tried at any size
+    assert (ends.evaluations == 1).all()  # a step that is not a number is not tried at any size
 
 
 def test_one_singular_lane_does_not_stop_the_others() -> None:

@@ -70,7 +70,7 @@ def test_the_structure_is_revised_to_one_that_leaves(rough: Solution) -> None:
     found = run.followed(rough, TOO_FAR, set())
     assert found is not None
     assert tried == [
-        "structure free, along height: an extremal of another one",
+        "structure free, along height: an extremal of another structure",
         "structure free, along height, free: an extremal",
     ]
 
@@ -95,12 +95,12 @@ def test_an_arc_that_pays_nowhere_is_a_touch(hop: Solution) -> None:
         hop, ridden, set()
     )
     assert tried == [
-        "structure free, along height: an extremal of another one",
+        "structure free, along height: an extremal of another structure",
         "structure free and touches height, free: an extremal",
     ]
     assert hop.outcome is pl.Outcome.PROVED and hop.verification.level == 3
     [touch] = [arc for arc in hop.structure if "height" in arc.words]
-    assert touch.words == "height touched" and touch.begin == touch.end == pytest.approx(0.5, abs=1e-9)
+    assert touch.words == "contact point of height" and touch.begin == touch.end == pytest.approx(0.5, abs=1e-9)
     s = np.linspace(0.01, 0.49, 25)
     assert hop.trajectories[0].state(0.5 + s)[:, 0] == pytest.approx(HOP * (s * (0.5 - s)) ** 2 / 24, abs=1e-14)
     costate = hop.trajectories[0].costate

@@ -177,12 +177,16 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path:
     assert proof.passed
     assert solution.results["propellant"].value == pytest.approx(398.069674, abs=1e-5)
     names = {arc.words: arc for arc in solution.structure}
-    assert names["glide touched"].end == pytest.approx(32.826402, abs=1e-5) == names["glide touched"].begin
+    assert (
+        names["contact point of glide"].end
+        == pytest.approx(32.826402, abs=1e-5)
+        == names["contact point of glide"].begin
+    )
     powers = [arc for arc in solution.structure if arc.words.startswith("T ")]
     assert {arc.words for arc in powers} == {"T at its upper bound", "T at its lower bound"}
     assert powers[0].begin == 0.0 and powers[-1].end == pytest.approx(solution.free["flight_time"])
     assert all(a.end == b.begin and a.words != b.words for a, b in itertools.pairwise(powers))
-    assert format_arcs(solution.structure).count("glide touched at 32.83 s") == 1
+    assert format_arcs(solution.structure).count("contact point of glide at 32.83 s") == 1
     kept = solution.structure
     for k in range(2):  # saved, and for programs
         pl.save(solution, tmp_path / str(k))
@@ -255,7 +259,7 @@ def test_what_cannot_be_restated_is_named() -> None:
     with pytest.raises(PeriluneError, match="no condition of slide of this name") as unknown:
         restate(problem, riding("abvoe"))
     assert "'above'" in unknown.value.advice
-    with pytest.raises(PeriluneError, match="above can be ridden, and not touched"):
+    with pytest.raises(PeriluneError, match="above allows a boundary arc, but no contact point"):
         restate(problem, touching("above"))
     with pytest.raises(PeriluneError, match="at least one arc for each phase"):
         restate(problem, Structure(((Arc(),), (Arc(),))))

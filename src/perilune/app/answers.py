@@ -28,8 +28,8 @@ _FOLLOW = 20.0  # from the flight before, which takes no more where it leads any
 _PATIENT = 1.0, 4.0  # for one step of it at least; times what the step before took
 _STEP = 1 / 3  # of that time, for one step: what leads nowhere leaves some to smaller ones
 _SMALLEST = 1 / 16  # of the way: a step that is not halved again
-_LOOK = 0.5  # from nothing, where a neighbour leads nowhere
-_QUICK = 3.0  # from nothing before smaller steps, where the first flight was found in less; then for these
+_LOOK = 0.5  # without an initial guess, where no neighbour leads to an extremal
+_QUICK = 3.0  # without a guess before smaller steps, if the first flight was found in less; then for these
 _SLACK = 1e-6  # canonical, that is far above the errors of a flight, and far below what anybody sees of it
 
 
@@ -80,7 +80,7 @@ class Answering:
     last: Solution | None = field(default=None)
     patience: float = _FOLLOW
     _from_first: bool = field(default=True, init=False)  # whether the flight at the first values may still be tried
-    _quick: bool = field(default=False, init=False)  # whether the last from nothing took less than `_QUICK`
+    _quick: bool = field(default=False, init=False)  # whether the last without a guess took less than `_QUICK`
     _saved: bool = field(default=False, init=False)  # whether the last flight is that of a file, as it stands there
 
     def __post_init__(self) -> None:
@@ -126,7 +126,7 @@ class Answering:
         asked = {name: values.get(name, self._middle(atlas, name)) for name in axes}
         found: Mapped = atlas.query(**asked)
         steps = "step" if found.query.steps == 1 else "steps"
-        words = f"from the map, polished in {found.query.steps} {steps}, flown twice"
+        words = f"from the map, polished in {found.query.steps} {steps}, re-integrated independently"
         return found, "map", words
 
     def _middle(self, atlas: Atlas, name: str) -> float:
@@ -155,7 +155,7 @@ class Answering:
             self._saved = False
             with suppress(PeriluneError):  # its arcs, which a file does not hold, are found once for all neighbours
                 self.last = solve(self.last.problem, guess=self.last, level=0, watch=patient)
-        words = "an extremal near the flight before"
+        words = "an extremal near the previous flight"
         longest = min(self.patience, _STEP * _FOLLOW)
         if (near := self._stepped(problem, self.last, watch, longest)) is not None:
             return near, "neighbour", words
@@ -173,10 +173,11 @@ class Answering:
             return near, "neighbour", words + (f", followed in {steps} steps" if steps > 1 else "")
         if why is not None:
             raise why
-        try:  # a family that ends here: from nothing there may be another
+        try:  # a family that ends here: without a guess another may be found
             return self._found(problem, _limit_cpu_time(watch, _LOOK))
         except _CpuTimeExceeded:
-            what, advice = "there is no extremal near the flight before", "wait: one is looked for from nothing"
+            what = "there is no extremal near the previous flight"
+            advice = "wait: a search without an initial guess is running"
             raise NoNearbyFlight(what, advice=advice) from None
 
     def _begun(self, problem: Problem, watch: Watch, patient: Watch) -> tuple[Solution, str, str]:
@@ -199,7 +200,8 @@ class Answering:
             near, _ = self._followed(problem, self.last, watch)
             if near is not None:
                 soon = "" if isinstance(why, NotConvergedError) else f" in {_FOLLOW:g} s of CPU"
-                words = f"an extremal near the flight at the first values; none was found from nothing{soon}"
+                words = "an extremal near the flight at the first values; "
+                words += f"a search without an initial guess found none{soon}"
                 return near, "neighbour", words
         if isinstance(why, NotConvergedError):
             raise why
@@ -211,7 +213,7 @@ class Answering:
         took = time.thread_time() - began
         self._quick = took < _QUICK
         self.patience = max(_PATIENT[0], took)  # to follow need not take longer than to find
-        return found, "nothing", f"found from nothing, best of {len(found.extremals)} found"
+        return found, "nothing", f"found without an initial guess, best of {len(found.extremals)} found"
 
     def _followed(
         self, problem: Problem, last: Solution, watch: Watch, *, step: float = 1.0, limit: float = _FOLLOW
@@ -240,7 +242,7 @@ class Answering:
                 found = None  # what lies between two problems need not make sense
             if found is None:
                 step *= 0.5
-                watch(f"following the flight before in smaller steps: {reached:.0%} of the way")
+                watch(f"following the previous flight in smaller steps: {reached:.0%} of the way")
                 continue
             self.last, reached, steps = found, to, steps + 1
             if reached == 1.0:

@@ -90,7 +90,7 @@ def compare_with_cold_start(followed: Solution, watch: Watch) -> ColdStartCompar
     same = abs(found.objective - followed.objective) <= room
     saved = not followed.extremals  # of which nobody has looked yet what it is: what it was found to be
     best = (*(best[:1] if same and saved else [own]), *(best[1:] if same else _mark_dominated(best)))
-    words = f"best of {len(best)} found" + ("" if same else ", the others from nothing")
+    words = f"best of {len(best)} found" + ("" if same else ", the others without an initial guess")
     shown = replace(followed, extremals=best, listed=())
     return ColdStartComparison(
         solution=shown, jumped=False, words=words, family=cost_along_free_parameter(found) if same and saved else None
@@ -106,7 +106,7 @@ def solve_without_guess(problem: Problem, watch: Watch) -> ColdStartComparison:
         If there is none.
     """
     found = solve(problem, level=0, watch=watch)
-    words = f"found from nothing, where none is near; best of {len(found.extremals)} found"
+    words = f"found without an initial guess, as none is near; best of {len(found.extremals)} found"
     return ColdStartComparison(solution=found, jumped=True, words=words, family=cost_along_free_parameter(found))
 
 
@@ -130,4 +130,4 @@ def _followed_extremal(followed: Solution) -> Extremal:
 
 
 def _mark_dominated(extremals: Iterable[Extremal]) -> list[Extremal]:
-    return [replace(e, nature=e.nature.outdone) for e in extremals]
+    return [replace(e, nature=e.nature.dominated) for e in extremals]

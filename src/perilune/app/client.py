@@ -28,7 +28,7 @@ from perilune.core.errors import PeriluneError
 from perilune.problem.results.solution import Solution
 
 MESSAGE = 16_384  # bytes that a message may have
-COMPARING = 60.0  # s that are given to looking from nothing for a better flight
+COMPARING = 60.0  # s for the search of a better flight without an initial guess
 _MOST, _PER = 240, 2.0  # messages in so many seconds
 _REST = 0.35  # s without a new value until what takes longer is done
 _TELL, _SLOW = 1.0, 1.0  # s until it is said that a flight takes its time; until it makes way for newer values
@@ -89,7 +89,7 @@ class Client:
             now = time.monotonic()
             self._when = [*(at for at in self._when if now - at < _PER), now]
             if len(self._when) > _MOST or len(text) > MESSAGE:
-                await self.socket.close(1008, "too much at once")
+                await self.socket.close(1008, "too many messages at once")
                 return
             try:
                 self._newest = parse_request(text, self.subject)
@@ -189,7 +189,7 @@ class Client:
             why = page_error(error)
             told = f"{why.what} {why.got}".strip()
         if not told and self.beside.killed > killed:
-            told = "the process that compares and proves was killed, and begun anew"
+            told = "the process that compares and proves was killed and restarted"
         if told:  # one line: what failed, before what went on all the same
             await self._send({"type": "notice", "words": told})
 
@@ -205,12 +205,15 @@ class Client:
             await self._send({"type": kind, "number": request["number"], **known})
 
     async def _compared(self, request: dict[str, Any], found: FlightAnswer | PeriluneError) -> Solution | None:
-        """The flight that is to be proved: what was shown, or what is found from nothing, which is shown then."""
+        """The flight that is to be proved: the one shown, or one found without a guess, which is then shown."""
         if isinstance(found, FlightAnswer) and found.source != "neighbour":
             return found.solution
         if isinstance(found, PeriluneError) and not isinstance(found, NoNearbyFlight):
             return None
-        began, words = time.perf_counter(), f"looking from nothing for a better one, for {COMPARING:g} s at most"
+        began, words = (
+            time.perf_counter(),
+            f"searching without an initial guess for a better one, for {COMPARING:g} s at most",
+        )
         try:
             if isinstance(found, NoNearbyFlight):
                 problem = self.answering.problem_at(request["values"])
@@ -222,12 +225,13 @@ class Client:
         except (TimeoutError, PeriluneError) as error:
             if isinstance(found, NoNearbyFlight):
                 late = PeriluneError(
-                    "there is no extremal near the flight before", got=f"none in {COMPARING:g} s from nothing"
+                    "there is no extremal near the previous flight",
+                    got=f"none in {COMPARING:g} s without an initial guess",
                 )
                 await self._show(request, error if isinstance(error, PeriluneError) else late)
                 return None
-            why = f"within {COMPARING:g} s" if isinstance(error, TimeoutError) else "from nothing"
-            words = f"compared with no other: none was found {why}"
+            why = f"within {COMPARING:g} s" if isinstance(error, TimeoutError) else "without an initial guess"
+            words = f"not compared: no other was found {why}"
             await self._send({"type": "compared", "number": request["number"], "words": words})
             return found.solution
         if better is None:
@@ -241,7 +245,7 @@ class Client:
             await self._send({"type": "family", "number": request["number"], **better.family})
         if better.jumped:
             return better.solution
-        assert isinstance(found, FlightAnswer), "what jumped was another"
+        assert isinstance(found, FlightAnswer), "the flight that jumped is no longer shown"
         known = replace(found.solution, extremals=better.solution.extremals)  # as it was found, with its family
         self.shown = self.shown._replace(solution=known)
         await self._send(
@@ -256,7 +260,7 @@ class Client:
 
         Returns None, and drops the work, if newer values come before. TimeoutError after `limit` seconds of work.
         """
-        begun, self._doing = asyncio.Event(), "waiting for another page, whose flight is compared or proved"
+        begun, self._doing = asyncio.Event(), "waiting for another page's comparison or proof"
 
         def begins() -> None:
             self._doing, self._since = words, time.monotonic()
@@ -298,7 +302,7 @@ def page_error(error: Exception) -> PeriluneError:
     if isinstance(error, PeriluneError):
         return error
     got = f"{type(error).__name__}: {str(error)[:300]}"
-    return PeriluneError("perilune failed, which is a fault of the program and not yours", got=got)
+    return PeriluneError("perilune failed; this is a fault of the program, not of your input", got=got)
 
 
 def parse_request(text: str, subject: Subject) -> dict[str, Any]:
@@ -324,7 +328,7 @@ def parse_request(text: str, subject: Subject) -> dict[str, Any]:
         most = _FAR * max(abs(knob.low), abs(knob.high))
         if not abs(value) <= most:  # nor is what is no number
             got, expected = knob.shown(value), knob.shown(most)
-            raise PeriluneError(f"{knob.key} is far from its range", got=got, expected=f"at most {expected}")
+            raise PeriluneError(f"{knob.key} is far outside its range", got=got, expected=f"at most {expected}")
     return {"number": number, "values": found, "slice": [name for name in axes if name in known and known[name].mapped]}
 
 

@@ -84,7 +84,7 @@ class Explorer:
         """Return a file of the flight that a page shows, by the file's name and the number of the request."""
         client = self._open.get(query.get("client", ""))
         if client is None or str(client.shown.number) != query.get("number"):
-            return PlainTextResponse("this flight is shown no longer: ask again", status_code=409, headers=_HEADERS)
+            return PlainTextResponse("this flight is no longer shown: ask again", status_code=409, headers=_HEADERS)
         try:
             async with self._taking:
                 content = await in_thread(TAKEN[name], self.subject, client.shown)

@@ -59,7 +59,7 @@ class Subject:
             If there is no scenario.
         """
         if not self.text:
-            raise PeriluneError("there is no scenario to hand out", got=self.unwritten)
+            raise PeriluneError("there is no scenario to download", got=self.unwritten)
         moved = {knob: values[knob.name] for knob in self.knobs if values.get(knob.name, knob.value) != knob.value}
         document = parse(self.text)
         if "name" in document.get("body", {}) and any(knob.key.startswith("body.") for knob in moved):
@@ -110,13 +110,13 @@ def subject_of(target: Path | None, changes: Sequence[str] = ()) -> Subject:
             text = template("hybrid_landing")
             return _subject_of_scenario(load_text(text), text)
         scenario = load_file(target, changes)
-        unwritten = "" if scenario.text else "the scenario names another file beside it"
+        unwritten = "" if scenario.text else "the scenario refers to another file"
         return _subject_of_scenario(scenario.problem, scenario.text or "", unwritten=unwritten)
     if changes:
         raise PeriluneError("--set changes a scenario", got=str(target), expected="a file")
     if (target / HEADER).is_file():
         atlas = open_atlas(target)
-        unwritten = "an atlas keeps the problem, and not the scenario that stated it"
+        unwritten = "an atlas stores the problem, not the scenario that stated it"
         return Subject(problem=atlas.problem, atlas=atlas, knobs=knobs(atlas.problem, atlas), unwritten=unwritten)
     solution, document = load_with_tree(target)
     text, _ = claims_of(document)

@@ -89,7 +89,7 @@ def _stated_values_outside(subject: Subject, chosen: Sequence[Knob]) -> Iterator
     for knob in chosen:
         stated = subject.problem.given.get(knob.name)
         if stated is not None and not knob.mapped and not knob.low <= stated.value <= knob.high:
-            yield f"{knob.key} as it is stated, {knob.shown(stated.value)}, is none of them"
+            yield f"{knob.key} as it is stated, {knob.shown(stated.value)}, is not among them"
 
 
 def _slider_grid(knob: Knob, count: int) -> list[float]:
@@ -122,7 +122,7 @@ def _stored_answer(answering: Answering, values: Mapping[str, float], watch: Wat
         found = answering.at(values, watch)
     except PeriluneError as error:
         told = refusal_message(error) | (
-            {"try": "a live page, which looks longer"} if isinstance(error, NoNearbyFlight) else {}
+            {"try": "a live page, which searches longer"} if isinstance(error, NoNearbyFlight) else {}
         )
         return {"type": "refusal", "values": dict(values), **told, "latency": 0.0}
     words = f"a flight that was stored: {found.words}"

@@ -86,7 +86,7 @@ class WorkerProcess:
                 except BrokenExecutor:
                     self.killed += 1
                     self._end()
-            raise WorkerKilled("the process that compares and proves was killed whenever it worked on this flight")
+            raise WorkerKilled("the process that compares and proves was killed each time it worked on this flight")
 
     async def _tried(self, work: Callable[..., _T], *arguments: Any) -> _T:
         if self._pool is None:

@@ -184,14 +184,14 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
         If a name is no parameter, bounds are none, or there are too many.
     """
     if not isinstance(axes, Mapping) or not axes:
-        raise wrong_type_error(axes, "{name: (low, high)} of parameters, in SI", "what an atlas is built over")
+        raise wrong_type_error(axes, "{name: (low, high)} of parameters, in SI", "a valid region of an atlas")
     if len(axes) > MOST_AXES:
         raise PeriluneError(
             "an atlas has too many axes", got=str(len(axes)), expected=f"at most {MOST_AXES}",
             advice="vary fewer parameters, and build an atlas for each value of the others",
         )  # fmt: skip
     if bricks is not None and (isinstance(bricks, bool) or not isinstance(bricks, int) or bricks < 1):
-        raise wrong_type_error(bricks, "a whole number from 1, or None", "how many bricks there are along an axis")
+        raise wrong_type_error(bricks, "a whole number from 1, or None", "a valid number of bricks along an axis")
     parts = bricks or _PARTS[len(axes)]
     if parts ** len(axes) > _MOST_BRICKS:
         raise PeriluneError(
@@ -245,13 +245,14 @@ def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> Non
         for here, f in zip(kept.with_given(**values).free, problem.with_given(**values).free, strict=True):
             if (here.lower, here.upper) != (f.lower, f.upper):
                 raise PeriluneError(
-                    f"the range of {key_of(f.name)} follows from what varies, by a function that an atlas cannot keep",
+                    f"the range of {key_of(f.name)} depends on the varied parameters by a function that an atlas"
+                    f" cannot store",
                     got=f"{format_quantity(f.lower, f.unit)} to {format_quantity(f.upper, f.unit)} where "
                     f"{region.format_point(list(at.values()))}",
                     expected=f"{format_quantity(here.lower, here.unit)} to {format_quantity(here.upper, here.unit)} "
-                    f"there, as it is kept",
-                    advice="state a range that holds everywhere, and what binds as an end condition whose limit is a "
-                    "parameter",
+                    f"there, as it is stored",
+                    advice="state a range that holds everywhere, and the binding limit as an end condition whose"
+                    " limit is a parameter",
                 )
 
 
@@ -282,10 +283,10 @@ def wider(region: Region, axes: Mapping[str, tuple[float, float]]) -> Region:
         low, high = stated.get(axis.name, (axis.low, axis.high))
         if not (math.isfinite(high - low) and low <= axis.low and high >= axis.high):
             raise PeriluneError(
-                f"the range of {axis.key} leaves out some of what is mapped",
+                f"the range of {axis.key} excludes a part of the mapped region",
                 got=f"{format_quantity(low, axis.unit)} to {format_quantity(high, axis.unit)}",
                 expected=f"at least {format_quantity(axis.low, axis.unit)} to {format_quantity(axis.high, axis.unit)}",
-                advice="extend an atlas beyond its ranges, or build another",
+                advice="choose wider ranges, or build another atlas",
             )
         below = _parts_of(low, axis.low, axis.edges[1] - axis.edges[0])
         above = _parts_of(axis.high, high, axis.edges[-1] - axis.edges[-2])
@@ -311,6 +312,6 @@ def stated_region(region: Region, edges: Sequence[Mapping[str, Any]]) -> Region:
     for axis, said in zip(region.axes, edges, strict=True):
         at = tuple(float(value) for value in said["at"])
         if len(at) < 2 or not all(a < b for a, b in pairwise(at)) or not math.isfinite(at[-1] - at[0]):
-            raise ValueError("edges of bricks that do not rise")
+            raise ValueError("edges of bricks that do not increase")
         found.append(replace(axis, edges=at, first=int(said["first"])))
     return Region(tuple(found))

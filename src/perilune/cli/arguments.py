@@ -62,7 +62,7 @@ def _unknown_argument(word: str, parser: argparse.ArgumentParser) -> PeriluneErr
     if not word.startswith("-"):
         takes = [action.option_strings[0] for action in parser._actions if str(action.metavar).startswith("KEY=")]
         advice = f'{takes[0]} "{word[:60]}"' if takes and "=" in word else f"{parser.prog} --help"
-        return PeriluneError("this argument is one too many", got=repr(word[:60]), advice=advice)
+        return PeriluneError("unexpected argument", got=repr(word[:60]), advice=advice)
     options = [flag for action in parser._actions for flag in action.option_strings if flag.startswith("--")]
     error = unknown_name("option", word.partition("=")[0], options)
     return PeriluneError(
@@ -93,7 +93,7 @@ def _kinds() -> str:
     """Return the kinds that `perilune new` can write, those of installed packages included; looked up only for help."""
     from perilune.scenario import kind_names
 
-    return f"{', '.join(kind_names())}; or examples. Usually hybrid_landing.".replace("%", "%%")
+    return f"{', '.join(kind_names())}; or examples. Default: hybrid_landing.".replace("%", "%%")
 
 
 def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
@@ -101,12 +101,12 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
     parser = _Parser(
         prog="perilune",
         description="Optimal finite-thrust landings, each with its proof.",
-        epilog=f"`perilune COMMAND --help` tells more; the manual has a glossary. {_EXIT_CODES}",
+        epilog=f"`perilune COMMAND --help` shows more; the manual has a glossary. {_EXIT_CODES}",
         add_help=False,
         allow_abbrev=False,
     )
-    parser.add_argument("--version", nargs=0, action=_Version, help="Show the version and leave.")
-    parser.add_argument("-h", "--help", nargs=0, action=_Help, help="Show this message and leave.")
+    parser.add_argument("--version", nargs=0, action=_Version, help="Show the version and exit.")
+    parser.add_argument("-h", "--help", nargs=0, action=_Help, help="Show this message and exit.")
     known: dict[str, _Parser] = {}
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="Commands")
 
@@ -116,7 +116,7 @@ def _parsers(kinds: str = "") -> tuple[_Parser, dict[str, _Parser]]:
         )
         for flags, settings in (*options, JSON) if options else ():
             made.add_argument(*flags, **settings)
-        made.add_argument("-h", "--help", nargs=0, action=_Help, help="Show this message and leave.")
+        made.add_argument("-h", "--help", nargs=0, action=_Help, help="Show this message and exit.")
         return made
 
     add_solving_commands(command)

@@ -33,14 +33,14 @@ def _run_atlas_build(typed: Namespace) -> CommandAnswer:
     there = _file_signature(typed.out / HEADER)
     if there and not (typed.resume or typed.force):
         raise PeriluneError(
-            "the output directory holds an atlas already", got=str(typed.out), expected="a new or empty directory",
-            advice="--resume to go on with it, --force to begin anew, or another directory",
+            "the output directory already holds an atlas", got=str(typed.out), expected="a new or empty directory",
+            advice="--resume to continue it, --force to start over, or another directory",
         )  # fmt: skip
 
     def going_on() -> str:
         """Return advice on going on; empty if nothing was begun, or the atlas to be replaced is still there."""
         begun = _file_signature(typed.out / HEADER)
-        return "the same command with --resume goes on" if begun and (typed.resume or begun != there) else ""
+        return "the same command with --resume continues" if begun and (typed.resume or begun != there) else ""
 
     with (
         advise_on_interrupt(going_on),
@@ -110,7 +110,7 @@ def _run_atlas_merge(typed: Namespace) -> CommandAnswer:
     def going_on() -> str:
         """Return advice on going on; empty if nothing was copied yet, or an atlas is there, old or new."""
         copied = typed.out.is_dir() and any(typed.out.iterdir()) and not _file_signature(typed.out / HEADER)
-        return f"{typed.out} is no atlas yet; the same command merges again" if copied else ""
+        return f"{typed.out} is not a complete atlas; repeat the same command to merge again" if copied else ""
 
     with advise_on_interrupt(going_on), progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
         merge(typed.directory, typed.other, typed.out, force=typed.force, watch=watch)
@@ -260,7 +260,7 @@ def _atlas_description(atlas: Atlas, **more: str) -> CommandAnswer:
         ),
         f"{len(atlas.said)} of at most {total} bricks, {nodes} nodes, {size / 2**20:.1f} MiB",
         f"cells that answer: {100 * share.answered:.1f} % of the region"
-        + (f", and physics refuses {100 * share.impossible:.1f} %" if share.impossible else "")
+        + (f", and infeasible by physical bounds: {100 * share.impossible:.1f} %" if share.impossible else "")
         + f", by {LOOKED_AT} points",
         "sheets",
         *(f"  {label}" for label in sheets),
@@ -286,11 +286,12 @@ def _atlas_description(atlas: Atlas, **more: str) -> CommandAnswer:
 def _query_lines(query: Query) -> list[str]:
     steps = "1 step" if query.steps == 1 else f"{query.steps} steps"
     return [
-        f"read from the atlas in {1e3 * query.latency:.2f} ms: sheet {query.sheet}",
-        f"  what its cell gives is wrong by {query.guess_error:.1e}, polished in {steps} to "
+        f"answered from the atlas in {1e3 * query.latency:.2f} ms: sheet {query.sheet}",
+        f"  first guess from its cell: error {query.guess_error:.1e}, polished in {steps} to "
         f"{query.error_bound:.1e} (relative)",
-        f"  flown again: ends {query.residual:.1e}, drift of H {query.drift:.1e} (limits 1e-9, canonical)",
-        *([f"  answers at nodes that were drawn: all proved to level {query.inherited}"] if query.inherited else ()),
+        f"  re-integrated independently: end conditions {query.residual:.1e}, drift of H {query.drift:.1e} (limits"
+        f" 1e-9, canonical)",
+        *([f"  answers at randomly drawn nodes: all proved to level {query.inherited}"] if query.inherited else ()),
     ]
 
 

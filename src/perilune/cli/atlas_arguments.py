@@ -21,27 +21,28 @@ from perilune.cli.options import (
     switch,
 )
 
-_DIRECTORY = option("directory", metavar="DIR", type=Path, help="The atlas, as `perilune atlas build` made it.")
-_WORKERS = option(
-    "--workers", metavar="N", type=integer_in_range(1), default=1, help="Processes side by side. Usually 1."
+_DIRECTORY = option(
+    "directory", metavar="DIR", type=Path, help="The directory of an atlas, from `perilune atlas build`."
 )
+_WORKERS = option("--workers", metavar="N", type=integer_in_range(1), default=1, help="Parallel processes. Default: 1.")
 
 _SCHEDULER = option(
     "--scheduler",
     metavar="ADDRESS",
-    help="Of a Dask cluster that computes, e.g. tcp://10.0.0.1:8786; pip install 'perilune[cluster]'.",
+    help="Scheduler of a Dask cluster to compute on, e.g. tcp://10.0.0.1:8786; pip install 'perilune[cluster]'.",
 )
 _SAMPLE = option(
     "--sample",
     metavar="N",
     type=integer_in_range(0),
-    help="Answers drawn at random that are proved to level 3. Usually 1 of 100 nodes, at most 10; 459 says most.",
+    help="Number of random answers to prove to level 3. Default: 1 of 100 nodes, at most 10. If all of 459 pass,"
+    " at least 99 %% of all pass, at 99 %% confidence.",
 )
 
 
 def add_atlas_commands(command: Callable[..., Any]) -> None:
     """Add the command ``atlas`` and its actions."""
-    made = command("atlas", "Map optimal flights over a region of parameters once, and answer from the map at once.")
+    made = command("atlas", "Map optimal flights over a region of parameters, and answer queries from the map.")
     actions = made.add_subparsers(dest="action", metavar="ACTION", title="Actions", required=True)
     _add_atlas_build(command, actions)
     _add_atlas_growth(command, actions)
@@ -63,26 +64,27 @@ def _add_atlas_build(command: Callable[..., Any], actions: Any) -> None:
             metavar="KEY=LOW:HIGH",
             action="append",
             required=True,
-            help='E.g. "vehicle.thrust=350:650 N"; given more than once, the region is the box of all.',
+            help='E.g. "vehicle.thrust=350:650 N"; if given more than once, the region is the product of the ranges.',
         ),
         SET,
-        option("--out", metavar="DIR", type=Path, required=True, help="Where the atlas goes."),
+        option("--out", metavar="DIR", type=Path, required=True, help="Directory of the atlas."),
         option(
             "--tolerance",
             metavar="PART",
             type=real,
-            help="Relative error at which one step of Newton's method has to end. Usually 1e-9.",
+            help="Relative error that one step of Newton's method must reach. Default: 1e-9.",
         ),
         option(
             "--bricks",
             metavar="N",
             type=integer_in_range(1),
-            help="Along each axis, which are computed side by side. Usually 8 of one axis, 4 of two, 2 of more.",
+            help="Number of bricks along each axis; they are computed in parallel. Default: 8 for one axis, 4 for"
+            " two, 2 for more.",
         ),
         _WORKERS,
         _SCHEDULER,
         _SAMPLE,
-        switch("--resume", "Go on with the atlas that is in --out DIR already."),
+        switch("--resume", "Continue with the atlas that is already in --out DIR."),
         VERBOSE,
         FORCE,
         NO_CACHE,
@@ -93,7 +95,8 @@ def _add_atlas_build(command: Callable[..., Any], actions: Any) -> None:
 def _add_atlas_growth(command: Callable[..., Any], actions: Any) -> None:
     command(
         "atlas extend",
-        "Map more of the same problem around an atlas; what is there is kept. Without a range: what is missing.",
+        "Extend an atlas to a wider region of the same problem, keeping what is there. Without a range: build what is"
+        " missing.",
         _DIRECTORY,
         option(
             "--vary",
@@ -111,10 +114,10 @@ def _add_atlas_growth(command: Callable[..., Any], actions: Any) -> None:
     )
     command(
         "atlas merge",
-        "Make one atlas of two of the same problem: of the same region, or side by side.",
+        "Merge two atlases of the same problem, over the same region or over adjacent ones.",
         _DIRECTORY,
         option("other", metavar="OTHER", type=Path, help="Another atlas."),
-        option("--out", metavar="DIR", type=Path, required=True, help="Where the new one goes."),
+        option("--out", metavar="DIR", type=Path, required=True, help="Directory of the merged atlas."),
         VERBOSE,
         FORCE,
         among=actions,
@@ -126,7 +129,7 @@ def _add_atlas_reading(command: Callable[..., Any], actions: Any) -> None:
         "atlas query",
         "Answer at one point of an atlas.",
         _DIRECTORY,
-        _at('Of every axis, e.g. "vehicle.thrust=440 N".'),
+        _at('Value of every axis, e.g. "vehicle.thrust=440 N".'),
         OUT,
         prove_option("Prove the answer"),
         VERBOSE,
@@ -136,12 +139,16 @@ def _add_atlas_reading(command: Callable[..., Any], actions: Any) -> None:
     )  # fmt: skip
     command(
         "atlas plot",
-        "Draw a slice of an atlas: cost, free parameters, sheets (families of extremals) and refusals, nodes, errors.",
+        "Draw a slice of an atlas: cost, free parameters, sheets (families of extremals), refusals, nodes and errors.",
         _DIRECTORY,
-        option("--axes", metavar="A,B", help="Along which axes, one or two; the first two if left out."),
-        _at("Of the other axes; in the middle of their ranges if left out."),
+        option("--axes", metavar="A,B", help="One or two axes along which to slice. Default: the first two."),
+        _at("Values of the other axes. Default: the middle of their ranges."),
         option(
-            "--points", metavar="N", type=integer_in_range(2, 2000), default=101, help="Along each axis. Usually 101."
+            "--points",
+            metavar="N",
+            type=integer_in_range(2, 2000),
+            default=101,
+            help="Number of points along each axis. Default: 101.",
         ),
         OUT,
         FORCE,
@@ -150,22 +157,32 @@ def _add_atlas_reading(command: Callable[..., Any], actions: Any) -> None:
     )
     command(
         "atlas export",
-        "Write all nodes of an atlas into one file for other programs.",
+        "Export all nodes of an atlas to one file for other programs.",
         _DIRECTORY,
-        option("--format", metavar="FORMAT", help="netcdf or parquet; unless given as FILE is called."),
+        option("--format", metavar="FORMAT", help="netcdf or parquet. Default: by the ending of FILE."),
         option("--out", metavar="FILE", type=Path, required=True, help="The file."),
         FORCE,
         among=actions,
     )
-    command("atlas info", "Say what an atlas maps, and how much of it is there.", _DIRECTORY, among=actions)
+    command("atlas info", "Show what an atlas maps, and how much of it is built.", _DIRECTORY, among=actions)
     command(
         "atlas verify",
-        "Look at every file of an atlas, and prove nodes that are drawn at random.",
+        "Check every file of an atlas, and prove nodes drawn at random.",
         _DIRECTORY,
         option(
-            "--sample", metavar="N", type=integer_in_range(0), default=50, help="How many. Usually 50; 459 says most."
+            "--sample",
+            metavar="N",
+            type=integer_in_range(0),
+            default=50,
+            help="Number of nodes to prove. Default: 50. If all of 459 pass, at least 99 %% of all pass, at 99 %%"
+            " confidence.",
         ),
-        option("--seed", metavar="N", type=integer_in_range(0), help="Of the draw; another each time if left out."),
+        option(
+            "--seed",
+            metavar="N",
+            type=integer_in_range(0),
+            help="Seed of the draw. Default: a different one each time.",
+        ),
         VERBOSE,
         NO_CACHE,
         among=actions,

@@ -31,12 +31,13 @@ def add_solving_commands(command: Callable[..., Any]) -> None:
     """Add the commands that read a scenario: solve, sweep, check and opportunities."""
     find = (SET, OUT, VERBOSE, FORCE)
     command(
-        "solve", "Find the best landing, without a guess, and prove it.", FILE, *find, level_option(0, 3), METHOD,
-        *SETTINGS, SOLVED_WITHIN, NO_CACHE,
+        "solve", "Find the optimal flight without an initial guess, and prove it.", FILE, *find, level_option(0, 3),
+        METHOD, *SETTINGS, SOLVED_WITHIN, NO_CACHE,
     )  # fmt: skip
     command(
         "sweep",
-        "Solve along parameters; table as CSV on stdout, with --out also as JSON and figure, and every member.",
+        "Solve over a range of parameters; the table goes to stdout as CSV, and with --out also to JSON and a figure,"
+        " with every member.",
         FILE,
         option(
             "--vary",
@@ -56,21 +57,21 @@ def add_solving_commands(command: Callable[..., Any]) -> None:
             metavar="N",
             type=integer_in_range(1),
             default=1,
-            help="Processes that solve members side by side. Usually 1.",
+            help="Processes that solve members in parallel. Default: 1.",
         ),
         *MAP,
-        switch("--resume", "Go on with the members that are in --out DIR already."),
+        switch("--resume", "Continue with the members that are already in --out DIR."),
         NO_CACHE,
     )
     command(
-        "check", "Validate a scenario and compare it with what physics allows, without solving.", FILE, SET
+        "check", "Validate a scenario and compare it with physical bounds, without solving.", FILE, SET
     )  # fmt: skip
     command(
         "opportunities",
-        "List the passes from which the site of a return can be reached, with the turn each needs.",
+        "List the passes from which the site of a return can be reached, with the plane change each needs.",
         FILE,
-        option("--days", metavar="N", type=real, default=1.0, help="How far ahead to look. Usually 1."),
-        switch("--all", "Show passes that are out of reach too.", dest="every"),
+        option("--days", metavar="N", type=real, default=1.0, help="How far ahead to look. Default: 1."),
+        switch("--all", "Also show passes that are out of reach.", dest="every"),
         SET,
     )
 
@@ -79,33 +80,33 @@ def add_solution_commands(command: Callable[..., Any]) -> None:
     """Add the commands that read a saved solution: verify, export and explore."""
     command(
         "verify",
-        "Prove a saved solution again, from its file alone.",
-        option("directory", metavar="DIR", type=Path, help="What `perilune solve --out` wrote."),
+        "Verify a saved solution again, from its file only.",
+        option("directory", metavar="DIR", type=Path, help="A directory written by `perilune solve --out`."),
         switch("--verbose", "Show every check."),
         level_option(1, 3),
-        option("--certificate", metavar="FILE", type=Path, help="Where to write the certificate of a theorem."),
+        option("--certificate", metavar="FILE", type=Path, help="File for the certificate of a theorem."),
         FORCE,
         NO_CACHE,
     )
     command(
         "export",
-        "Write a saved solution into one file for other programs.",
-        option("directory", metavar="DIR", type=Path, help="What `perilune solve --out` wrote."),
+        "Export a saved solution to one file for other programs.",
+        option("directory", metavar="DIR", type=Path, help="A directory written by `perilune solve --out`."),
         option(
             "--format",
             metavar="FORMAT",
-            help="netcdf, csv, parquet, oem or czml; unless given as FILE is called (netcdf if bare).",
+            help="netcdf, csv, parquet, oem or czml. Default: by the ending of FILE (netcdf without one).",
         ),
         option("--out", metavar="FILE", type=Path, required=True, help="The file."),
         option(
             "--epoch",
             metavar="TIME",
-            help="UTC at the begin of the flight, e.g. 2030-01-01T00:00:00, where the scenario has none; "
+            help="UTC at the start of the flight, e.g. 2030-01-01T00:00:00, where the scenario has none; "
             "oem and czml need it.",
         ),
-        option("--object-name", metavar="TEXT", help="OBJECT_NAME of an oem. Usually the name of the problem."),
-        option("--object-id", metavar="TEXT", help="OBJECT_ID of an oem, e.g. 2030-001A. Usually UNKNOWN."),
-        prove_option("Prove the solution first", "; otherwise the file says what is claimed"),
+        option("--object-name", metavar="TEXT", help="OBJECT_NAME of an OEM. Default: the name of the problem."),
+        option("--object-id", metavar="TEXT", help="OBJECT_ID of an OEM, e.g. 2030-001A. Default: UNKNOWN."),
+        prove_option("Prove the solution first", "; otherwise the file states what the solution claims"),
         FORCE,
         NO_CACHE,
     )
@@ -115,14 +116,14 @@ def add_solution_commands(command: Callable[..., Any]) -> None:
 def _add_explore_command(command: Callable[..., Any]) -> None:
     command(
         "explore",
-        "Open a page on which the optimal flight follows the parameters as they are dragged.",
+        "Open a page that shows the optimal flight while its parameters are dragged.",
         option(
             "target",
             metavar="TARGET",
             nargs="?",
             type=Path,
-            help="A scenario, or a directory of `perilune solve --out` or `perilune atlas build`; "
-            "a landing on the Moon if left out.",
+            help="A scenario, or a directory of `perilune solve --out` or `perilune atlas build`. "
+            "Default: a landing on the Moon.",
         ),
         SET,
         option(
@@ -130,21 +131,21 @@ def _add_explore_command(command: Callable[..., Any]) -> None:
             metavar="N",
             type=integer_in_range(0, 65535),
             default=0,
-            help="On 127.0.0.1. Usually any that is free.",
+            help="Port on 127.0.0.1. Default: any free one.",
         ),
-        switch("--no-open", "Print the address and open no browser."),
+        switch("--no-open", "Print the address without opening a browser."),
         option(
             "--html",
             metavar="FILE",
             type=Path,
-            help="Write one page that needs no server instead, with flights over one parameter or two.",
+            help="Instead write one page that needs no server, with flights over one or two parameters.",
         ),
         option(
             "--vary",
             metavar="KEY[=LOW:HIGH]",
             action="append",
-            help='With --html: what moves, e.g. "vehicle.thrust=350:650 N"; once or twice, in the range of its slider '
-            "where none is said. If left out, the first two axes of an atlas, or the first parameter.",
+            help='With --html: one or two parameters to move, e.g. "vehicle.thrust=350:650 N"; without a range, over '
+            "that of the slider. Default: the first two axes of an atlas, or the first parameter.",
         ),
         FORCE,
         NO_CACHE,
@@ -155,29 +156,29 @@ def add_other_commands(command: Callable[..., Any], kinds: str) -> None:
     """Add reproduce, new and doctor; `kinds` is the help on the kinds of problems."""
     command(
         "reproduce",
-        "Compute every number and figure of a paper and set them beside the printed ones.",
+        "Compute every number and figure of a paper and compare them with the printed ones.",
         option("paper", metavar="PAPER", help=" or ".join(PAPERS)),
-        option("--out", metavar="DIR", type=Path, required=True, help="Where the report goes."),
+        option("--out", metavar="DIR", type=Path, required=True, help="Directory of the report."),
         option(
             "--seeds",
             metavar="N",
             type=integer_in_range(1),
-            help="Tries of the paper's random search, where it has one.",
+            help="Trials of the paper's random search, if it has one.",
         ),
         VERBOSE,
         FORCE,
         NO_CACHE,
     )
-    place = "Where to write; if left out, a template to stdout, the examples of the manual to examples."
+    place = "Where to write. Default: stdout for a template, the directory examples for the examples of the manual."
     command(
         "new",
-        "Write a commented scenario to start from, or the examples of the manual.",
+        "Write a commented template of a scenario, or the examples of the manual.",
         option("kind", metavar="KIND", nargs="?", help=kinds),
         option("place", metavar="FILE", nargs="?", type=Path, help=place),
-        switch("--force", "Replace what is there."),
+        switch("--force", "Replace existing files."),
     )
     command(
         "doctor",
-        "Show versions, which optional parts are there, and the machine code kept on disk.",
-        switch("--clear-cache", "Remove the machine code kept on disk."),
+        "Show versions, available optional parts, and the machine code stored on disk.",
+        switch("--clear-cache", "Remove the machine code stored on disk."),
     )

@@ -123,7 +123,7 @@ def _plain_answer(solution: Solution, fault: CommandAnswer) -> CommandAnswer:
     units = {"objective": problem.objective_unit, **{free.name: free.unit for free in problem.free}}
     values = {"objective": float(solution.objective), **solution.free}
     print_to_stderr(fault.text)
-    lines = [f"{problem.heading}: {solution.outcome.name}, and its results cannot be told", ""]
+    lines = [f"{problem.heading}: {solution.outcome.name}, and its results cannot be shown", ""]
     lines += [f"  {name}: {format_quantity(value, units.get(name, ''))}" for name, value in values.items()]
     document = {"problem": problem.name, "outcome": solution.outcome.name, "values": values, "fault": fault.document}
     return CommandAnswer(text="\n".join(lines), document=document, exit_code=fault.exit_code)
@@ -141,7 +141,7 @@ def _run_check_command(typed: Namespace) -> CommandAnswer:
 
     with progress(False, deque(maxlen=1)) as watch:
         problem = load_file(typed.file, typed.changes).problem
-        watch("comparing with what physics allows")
+        watch("comparing with physical bounds")
         found = preflight(problem)
     rows = [
         {
@@ -178,7 +178,7 @@ def _run_opportunities_command(typed: Namespace) -> CommandAnswer:
 
     with progress(False, deque(maxlen=1)) as watch:
         problem = load_file(typed.file, typed.changes).problem
-        watch("looking at the passes")
+        watch("searching for passes")
         found = opportunities(problem, typed.days)
     document, text = opportunities_document(found), opportunities_text(found, every=typed.every)
     try:
@@ -235,7 +235,7 @@ def _write_certificate(solution: Solution, file: Path) -> str:
     from perilune.io.atomic_files import fresh_file, json_text
 
     if solution.verification.certificate is None:
-        return "no certificate was written, as there is no theorem"
+        return "no certificate was written, because there is no theorem"
     text = json_text(dict(solution.verification.certificate))
     with fresh_file(file, "the certificate") as beside:
         beside.write_text(text, encoding="utf-8")

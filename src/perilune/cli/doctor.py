@@ -56,6 +56,6 @@ def diagnosis(clear_cache: bool) -> CommandAnswer:
 
 def _cache_text(kept: Any) -> str:
     if kept.path is None:
-        return "none is kept: PERILUNE_CACHE is off, or there is no home directory"
+        return "none is stored: PERILUNE_CACHE is off, or there is no home directory"
     text = f"{kept.files} files, {kept.size / 1e6:.1f} MB, in {kept.path}"
-    return text if kept.usable else f"{text}, which cannot be used: others may write there, or you may not"
+    return text if kept.usable else f"{text}, which cannot be used: other users may write there, or you may not"

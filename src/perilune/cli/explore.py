@@ -40,19 +40,24 @@ def serve_or_write_page(typed: Namespace) -> CommandAnswer:
         raise PeriluneError(
             "the explorer needs a web server, which is not installed",
             got=f"no {missing.name}",
-            advice="pip install 'perilune[explore]', or write a page that needs none: --html FILE",
+            advice="pip install 'perilune[explore]', or write a page that needs no server: --html FILE",
         ) from None
     from perilune.app.client import MESSAGE
     from perilune.app.server import Explorer
 
     subject = subject_of(typed.target, typed.changes or ())
     if typed.vary:
-        raise PeriluneError("--vary chooses what moves on a page of --html", advice="on a live page everything moves")
+        raise PeriluneError(
+            "--vary selects the parameters of a page written with --html",
+            advice="on a live page every parameter can be moved",
+        )
     listening = _listening(typed.port)
     port = listening.getsockname()[1]
     explorer = Explorer(subject, port)
     address = f"http://127.0.0.1:{port}/{explorer.token}/"
-    print_to_stderr(f"perilune: exploring {subject.title}\n{address}\nopen on this machine alone; Ctrl-C ends it")
+    print_to_stderr(
+        f"perilune: exploring {subject.title}\n{address}\nreachable from this machine only; Ctrl-C stops it"
+    )
     if not typed.no_open:
         import webbrowser
 
@@ -69,7 +74,7 @@ def serve_or_write_page(typed: Namespace) -> CommandAnswer:
     finally:
         explorer.close()
         listening.close()
-    return CommandAnswer(text="the explorer has ended", document={"served": address})
+    return CommandAnswer(text="the explorer has stopped", document={"served": address})
 
 
 def _write_static_page(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> CommandAnswer:
@@ -87,7 +92,7 @@ def _write_static_page(subject: Subject, file: Path, vary: Sequence[str], force:
         for knob in chosen
     }
     told = " and ".join(f"{key} from {span}" for key, span in moves.items())
-    text = f"written to {file}: {len(page) / 1e6:.1f} MB; on it {told} can be moved (--vary names others)\n{words}"
+    text = f"written to {file}: {len(page) / 1e6:.1f} MB; on it {told} can be moved (--vary selects others)\n{words}"
     return CommandAnswer(text=text, document={"written": str(file), "moves": moves, "stored": words})
 
 
@@ -100,7 +105,7 @@ def _chosen_sliders(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:
     for stated in vary:
         key, _, text = (part.strip() for part in stated.partition("="))
         if key not in known:
-            raise unknown_name("parameter that moves", key, list(known))
+            raise unknown_name("parameter that can be moved", key, list(known))
         if key in found:
             raise PeriluneError(f"--vary names {key} twice", got=stated[:60], expected="each parameter once")
         knob, unit = known[key], subject.problem.unit_of(known[key].name)
@@ -109,7 +114,7 @@ def _chosen_sliders(subject: Subject, vary: Sequence[str]) -> tuple[Knob, ...]:
             low, high = bounds_of(key, text, {key: Quantity(unit=unit, example=f"1 {unit}")})
         found[key] = replace(knob, low=low, high=high, value=min(max(knob.value, low), high))
     if len(found) > 2:
-        raise PeriluneError("too much moves on one page", got=", ".join(found), expected="one parameter, or two")
+        raise PeriluneError("too many parameters for one page", got=", ".join(found), expected="one parameter, or two")
     _refuse_unstated(subject.problem, tuple(found.values()))
     return tuple(found.values())
 
@@ -141,6 +146,6 @@ def _listening(port: int) -> socket.socket:
     except OSError as error:
         made.close()
         raise PeriluneError(
-            f"port {port} cannot be used", got=str(error.strerror), advice="another --port; 0 takes any that is free"
+            f"port {port} cannot be used", got=str(error.strerror), advice="another --port; 0 takes any free one"
         ) from None
     return made

@@ -48,4 +48,4 @@ def _examples(directory: Path, force: bool) -> CommandAnswer:
 
 def _existing_path_error(place: Path) -> PeriluneError:
     what = "directory" if place.is_dir() else "file"
-    return PeriluneError(f"the {what} is there already", got=str(place), advice="choose another name, or pass --force")
+    return PeriluneError(f"the {what} already exists", got=str(place), advice="choose another name, or pass --force")

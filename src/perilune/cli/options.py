@@ -71,14 +71,14 @@ def switch(flag: str, about: str, **settings: Any) -> Option:
 
 def level_option(least: int, usual: int) -> Option:
     """Return the option for the level of a proof."""
-    text = f"Verification level to prove, {_integer_range_text(least, THEOREM)}" + ("; 0 for none" if not least else "")
+    text = f"Verification level to reach, {_integer_range_text(least, THEOREM)}" + ("; 0 for none" if not least else "")
     read = integer_in_range(least, THEOREM)
-    return option("--level", metavar="LEVEL", type=read, default=usual, help=f"{text}. Usually {usual}.")
+    return option("--level", metavar="LEVEL", type=read, default=usual, help=f"{text}. Default: {usual}.")
 
 
 def prove_option(what: str, otherwise: str = "") -> Option:
     """Return the option for the level to which a command proves its solutions, by default none."""
-    help_ = f"{what}, to level 1 to {THEOREM}{otherwise}; 0, as usual, for none."
+    help_ = f"{what}, to level 1 to {THEOREM}{otherwise}; 0 (default) for none."
     return option("--prove", metavar="LEVEL", type=integer_in_range(0, THEOREM), default=0, help=help_)
 
 
@@ -95,21 +95,21 @@ OUT = option("--out", metavar="DIR", type=Path, help="Write everything into this
 JSON = switch("--json", "One JSON document on stdout.", dest="as_json")
 VERBOSE = switch("--verbose", "Show every iteration on stderr, and every check.")
 FORCE = switch("--force", "Replace what an earlier run wrote there.")
-NO_CACHE = switch("--no-cache", "Compile anew and keep no machine code on disk.")
+NO_CACHE = switch("--no-cache", "Compile again and store no machine code on disk.")
 SOLVED_WITHIN = option(
     "--time-limit",
     metavar="TIME",
-    help='Longest time for one flight, e.g. "60 s", after which the best so far is told. Usually "10 min", for a '
-    "theorem none.",
+    help='Time limit for one flight, e.g. "60 s", after which the best flight so far is reported. Default: "10 min", '
+    "and none for a theorem.",
 )
 METHOD = option(
     "--method",
     metavar="METHOD",
     default="indirect",
-    help="indirect (unless given); direct, which also flies along a limit; hybrid: genetic search, then direct.",
+    help="indirect (default); direct; or hybrid: genetic search, then direct.",
 )
 MAP = tuple(
-    option(f"--{axis}", metavar="NAME", help=f"Of the map of two parameters: what is {where}. Usually {usual}.")
+    option(f"--{axis}", metavar="NAME", help=f"For the map of two parameters: what is {where}. Default: {usual}.")
     for axis, where, usual in (
         ("x", "to the right", "the first parameter"),
         ("y", "upwards", "the second"),
@@ -118,24 +118,29 @@ MAP = tuple(
 )
 SETTINGS = (
     option(
-        "--nodes", metavar="N", type=integer_in_range(0), help="Points of the direct method's first mesh. Usually 20."
+        "--nodes", metavar="N", type=integer_in_range(0), help="Points of the direct method's first mesh. Default: 20."
     ),
     option(
         "--tolerance",
         metavar="PART",
         type=real,
-        help="Relative error at which the direct method's mesh has converged. Usually 1e-6. "
-        "What a proof may leave open is stated in the file, under [proof].",
+        help="Relative error at which the direct method's mesh has converged. Default: 1e-6. "
+        "Tolerances of the proof are stated in the scenario, under [proof].",
     ),
     option(
         "--no-polish",
         dest="polish",
         action="store_const",
         const=False,
-        help="Leave the direct method's answer as its mesh has it, and do not make it exact by Newton's method.",
+        help="Keep the direct method's answer on its mesh, without refining it by Newton's method.",
     ),
-    option("--starts", metavar="N", type=integer_in_range(0), help="Random starts of the indirect method. Usually 24."),
     option(
-        "--seed", metavar="N", type=integer_in_range(0), help="Of random starts, and of the genetic search. Usually 0."
+        "--starts", metavar="N", type=integer_in_range(0), help="Random starts of the indirect method. Default: 24."
+    ),
+    option(
+        "--seed",
+        metavar="N",
+        type=integer_in_range(0),
+        help="Seed of random starts and of the genetic search. Default: 0.",
     ),
 )

@@ -93,7 +93,7 @@ class WrittenFiles:
     def placed(self, answer: CommandAnswer, out: Path | None) -> CommandAnswer:
         """Return the answer with the place of the files at the end of its text."""
         if out is not None and not self._code:
-            but = f", but for {len(self.failed)} of its files" if self.failed else ""
+            but = f", except {len(self.failed)} of its files" if self.failed else ""
             answer = replace(answer, text=f"{answer.text}\n\nwritten to {out}{but}")
         return self.noted(answer)
 
@@ -136,14 +136,14 @@ def _error_in_words(error: Exception) -> PeriluneError:
         return PeriluneError(
             "a file cannot be read or written",
             got=f"{place}{error.strerror}",
-            advice="choose another place; look at its rights and at the space that is left",
+            advice="choose another place, or check its permissions and the free space",
         )
     if missing := _missing_package_name(error):
         return PeriluneError(f"perilune needs {missing}, which is not installed", advice="pip install perilune")
     return PeriluneError(
-        "perilune failed, which is a fault of the program and not yours",
+        "perilune failed; this is a fault of the program, not of your input",
         got=f"{type(error).__name__}: {str(error)[:300]}",
-        advice="report it with your scenario and what PERILUNE_TRACEBACK=1 shows",
+        advice="report it with your scenario and the output under PERILUNE_TRACEBACK=1",
     )
 
 

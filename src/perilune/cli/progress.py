@@ -100,7 +100,7 @@ class WorkClock:
         if now - self.printed > (_FIRST_WORD if self.printed == self.began else _NEXT_WORD):
             self.printed = now
             on = ": " * bool(self.line) + _COUNTED.sub("", self.line) + self.best
-            print_to_stderr(f"perilune: at work for {now - self.began:.0f} s{self.count}{on}")
+            print_to_stderr(f"perilune: running for {now - self.began:.0f} s{self.count}{on}")
 
     @contextmanager
     def ticking(self, tick: Callable[[], object]) -> Iterator[None]:

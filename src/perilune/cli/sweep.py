@@ -31,7 +31,7 @@ MEMBERS = "members"  # in the output directory: what a sweep goes on from
 def sweep_answer(order: Namespace) -> CommandAnswer:
     """Solve the family and show it."""
     if order.resume and order.out is None:
-        raise PeriluneError("--resume goes on with what is in a directory", expected="--out DIR", advice="name it")
+        raise PeriluneError("--resume continues the sweep in a directory", expected="--out DIR", advice="name it")
     method, limit = method_of(order.method, method_settings(order)), time_limit(order)
     from perilune.scenario import values_of
 
@@ -40,7 +40,9 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
     axes = {name: getattr(order, name) for name in ("x", "y", "z")}
     if any(axes.values()):
         if order.out is None:
-            raise PeriluneError("--x, --y and --z are of a figure", expected="--out DIR", advice="say where it goes")
+            raise PeriluneError(
+                "--x, --y and --z choose the axes of a figure", expected="--out DIR", advice="state where it goes"
+            )
         from perilune.core.fields import parameter_name
         from perilune.report.contour_map import require_map
 
@@ -70,7 +72,7 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
     for outcome, error in ((Outcome.INFEASIBLE, InfeasibleError), (Outcome.REFUSED, PeriluneError)):
         if family.points and all(p.outcome is outcome for p in family.points):
             first, names = family.points[0].message, " and ".join(family.parameters)
-            raise error(f"no value of {names} is possible", got=first, advice="try another range")
+            raise error(f"every value of {names} is invalid", got=first, advice="try another range")
     files = WrittenFiles()
     if order.out is not None:
         with files.written():
@@ -120,7 +122,7 @@ def sweep_executor(order: Namespace) -> Iterator[Submits | None]:
             yield pool
         return
     if order.workers > 1:
-        raise PeriluneError("--workers and --scheduler say two places at once", expected="one of the two")
+        raise PeriluneError("--workers and --scheduler exclude each other", expected="one of the two")
     from perilune.families.dask_cluster import cluster
 
     with cluster(order.scheduler, print_note) as machines:
@@ -145,11 +147,11 @@ def ranges_of_keys(order: Namespace, read: Callable[[str, str, Mapping[str, Any]
         key, _, text = (part.strip() for part in range_.partition("="))
         if key in over:
             raise PeriluneError(
-                f"--vary names {key} twice", got=range_, expected="each key once", advice="say each range by itself"
+                f"--vary names {key} twice", got=range_, expected="each key once", advice="give each range separately"
             )
         if key in changed:
             raise PeriluneError(
-                f"{key} is varied and set at once", got=f"--vary and --set {key}", expected="one of the two"
+                f"{key} is both varied and set", got=f"--vary and --set {key}", expected="one of the two"
             )
         over[key] = read(key, text, known)
     return over
@@ -163,17 +165,17 @@ def _refuse_used_directory(order: Namespace) -> None:
     stored = (order.out / MEMBERS / MANIFEST).is_file()
     if stored and not (order.force or order.resume):
         raise PeriluneError(
-            "the output directory holds a sweep already",
+            "the output directory already holds a sweep",
             got=str(order.out),
             expected="a new or empty directory",
-            advice="--resume to go on with it, --force to begin anew, or another directory",
+            advice="--resume to continue it, --force to start over, or another directory",
         )
     if order.resume and not stored and in_use(order.out) and not order.force:
         raise PeriluneError(
-            "there is no sweep in the output directory to go on with",
+            "there is no sweep in the output directory to continue",
             got=str(order.out),
             expected=f"the directory of an earlier sweep, with {MEMBERS}/{MANIFEST}",
-            advice="leave out --resume and choose another directory",
+            advice="omit --resume, or choose the directory of an earlier sweep",
         )
     refuse_unusable_target(order.out, order.force or order.resume)
 

@@ -200,9 +200,9 @@ def require_attainable(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> N
         if any(ca.depends_on(condition, u[at]) for at, _ in scalars(phase.controls)):
             return
     raise PeriluneError(
-        f"the indirect method cannot hold {name} along {phase.name}",
-        got="a condition that is not linear in one direction, or one of scalars alone",
-        expected="a held condition that says what the control does",
+        f"the indirect method cannot keep {name} active along {phase.name}",
+        got="a condition that is linear in one direction, or one of scalars only",
+        expected="an active condition that determines the control",
         advice="use the direct method: solve(problem, Pseudospectral())",
     )
 

@@ -219,7 +219,7 @@ def _substitute_singular_control(
     if motion is None or len(singular) > 1 or solved.numel():
         names = tuple(kind.control.name for kind in singular)
         raise no_control_law_error(
-            phase, names, "more than one singular control, or one beside a control without a formula"
+            phase, names, "more than one singular control, or one together with a control without a formula"
         )
     (kind,) = singular
     slope = ca.substitute(ca.gradient(hamiltonian, kind.symbol), u, control)

@@ -89,7 +89,7 @@ class Scalar:
         if isinstance(control, Settled):
             if control.regime == "singular" and not self.linear:
                 raise no_control_law_error(
-                    phase, control.names, "a Hamiltonian that bends in it, and so no singular arc"
+                    phase, control.names, "a Hamiltonian that is nonlinear in it, and so no singular arc"
                 )
             self.regimes: tuple[Regime, ...] = (control.regime,)
             return
@@ -288,6 +288,7 @@ def no_control_law_error(phase: Phase, names: tuple[str, ...], got: str) -> Peri
     return PeriluneError(
         f"the indirect method has no control law for {', '.join(names)} of {phase.name}",
         got=got,
-        expected="a direction or a bounded scalar that enters linearly, or a scalar that bends the Hamiltonian",
+        expected="a direction or a bounded scalar that enters linearly, or a scalar in which the Hamiltonian is"
+        " strictly convex",
         advice="use the direct method: solve(problem, Pseudospectral())",
     )

@@ -70,12 +70,8 @@ def singular_control(name: str, slope: ca.SX, s: ca.SX, z: ca.SX, rate: ca.SX) -
         if not _vanishes_identically(terms):
             if order == 2:
                 return -slope / ca.sum1(terms)
-            raise _no_singular_arc_error(
-                name, f"derivative {order} of the slope of the Hamiltonian is the first with the control"
-            )
-    raise _no_singular_arc_error(
-        name, f"the control is in none of the first {MOST} derivatives of the slope of the Hamiltonian"
-    )
+            raise _no_singular_arc_error(name, f"the control first appears in derivative {order} of dH/du")
+    raise _no_singular_arc_error(name, f"the control appears in none of the first {MOST} time derivatives of dH/du")
 
 
 def _vanishes_identically(terms: ca.SX) -> bool:
@@ -99,7 +95,7 @@ def _vanishes_identically(terms: ca.SX) -> bool:
 
 def _no_singular_arc_error(name: str, why: str) -> PeriluneError:
     return PeriluneError(
-        f"{name} has no singular arc that others can be joined to, as {why}",
-        expected="the control in the second derivative of the slope of the Hamiltonian along the flight",
+        f"{name} has no singular arc that can be joined to others, because {why}",
+        expected="a control that appears in the second time derivative of dH/du",
         advice="use the direct method: solve(problem, Pseudospectral())",
     )

@@ -46,7 +46,7 @@ class TimeLimitReached(BaseException):
     """
 
     def __init__(self) -> None:
-        super().__init__("the time limit is over")
+        super().__init__("the time limit is reached")
         self.tried: tuple[str, ...] = ()
 
 

@@ -28,13 +28,13 @@ def instant(stated: str | datetime, name: str = "the epoch") -> datetime:
         raise wrong_type_error(stated, f'a text such as "{EXAMPLE}", or a datetime', "an epoch")
     if _FINER.search(str(stated)):
         raise PeriluneError(
-            f"{name} has more digits than are kept", got=str(stated)[:60], expected="microseconds at most",
+            f"{name} has more digits than can be stored", got=str(stated)[:60], expected="microseconds at most",
             advice="round it",
         )  # fmt: skip
     if isinstance(stated, str) and "T" in stated and _LEAP.search(stated):
         raise PeriluneError(
-            f"{name} has a second 60, as only leap seconds have", got=stated[:60],
-            expected="a time before or behind it", advice="begin a second earlier or later",
+            f"{name} has a second 60, which only leap seconds have", got=stated[:60],
+            expected="a time before or after it", advice="start a second earlier or later",
         )  # fmt: skip
     try:
         found = datetime.fromisoformat(stated) if isinstance(stated, str) else stated
@@ -44,6 +44,6 @@ def instant(stated: str | datetime, name: str = "the epoch") -> datetime:
         return found
     except (ValueError, OverflowError):
         raise PeriluneError(
-            f"{name} is no time that is computed with", got=repr(stated)[:60],
+            f"{name} is not a supported time", got=repr(stated)[:60],
             expected=f'ISO 8601 from {FIRST.year} on and before {END.year}, as "{EXAMPLE}"',
         ) from None  # fmt: skip

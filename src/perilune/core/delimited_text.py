@@ -120,7 +120,7 @@ def delimited_table(text: str, what: str) -> DelimitedTable:
     Raises
     ------
     PeriluneError
-        If a line is no row of cells, both commas and points stand in numbers, or commas may part thousands.
+        If a line is not a row of cells, both commas and points stand in numbers, or commas may part thousands.
     """
     lines = [TextLine(k, line.strip(" ")) for k, line in enumerate(re.split(r"\r\n|\r|\n", text), 1) if line.strip()]
     if lines and lines[0].number == 1 and _OF_EXCEL.fullmatch(lines[0].text.strip()):
@@ -157,7 +157,8 @@ def _refuse_long(comments: list[TextLine], what: str) -> None:
     if count > _MOST_COMMENTED:
         raise PeriluneError(
             f"the comments of the {what} are too long", got=f"{count} characters",
-            expected=f"at most {_MOST_COMMENTED}, which are searched for units", advice="leave out what says no unit",
+            expected=f"at most {_MOST_COMMENTED}, which are searched for units", advice="leave out comments without"
+            " units",
         )  # fmt: skip
 
 
@@ -176,8 +177,8 @@ def _cell_row(line: TextLine, delimiter: str, what: str) -> CellRow:
     cells = _split_cells(line.text, delimiter)
     if cells is None:
         raise PeriluneError(
-            f"line {line.number} of the {what} is no row of cells", got=one_line(line.text, _LONGEST),
-            expected='quotes that close, with "" for one inside', advice="leave the quotes out",
+            f"line {line.number} of the {what} is not a row of cells", got=one_line(line.text, _LONGEST),
+            expected='closed quotes, with "" for a quote inside', advice="leave the quotes out",
         )  # fmt: skip
     return CellRow(line.number, cells)
 
@@ -221,17 +222,17 @@ def _has_decimal_comma(body: list[CellRow], delimiter: str, what: str) -> bool:
     if len(found) > 1:
         line = max(number for number, _ in found.values())
         raise PeriluneError(
-            f"commas and points stand in the numbers of the {what}: line {line}",
+            f"commas and points both occur in the numbers of the {what}: line {line}",
             got=" and ".join(f"{cell} in line {number}" for number, cell in sorted(found.values())),
             expected="a decimal point, or a decimal comma, in every row",
-            advice="leave out what parts thousands",
+            advice="leave out thousands separators",
         )
     if plain or (delimiter == "," and "." in found):  # nobody parts thousands by points between commas
         return "," in found
     for sign, (line, cell) in found.items():
         bare, decimal = cell.replace(sign, ""), cell.replace(",", ".")
         raise PeriluneError(
-            f"{_CALLED[sign]} in the numbers of the {what} may part thousands or decimals: line {line}", got=cell,
+            f"{_CALLED[sign]} in the numbers of the {what} may separate thousands or decimals: line {line}", got=cell,
             expected=f"{bare} or {decimal}{'' if sign == ',' else '0'}", advice="write it as one of these",
         )  # fmt: skip
     return "," in found

@@ -18,12 +18,14 @@ class Outcome(Enum):
 
     PROVED = "every check of the requested verification level passed"
     SOLVED = (
-        "the method converged; nothing is verified yet: perilune verify DIR proves what --out DIR saved, pl.prove any"
+        "the method converged; nothing is verified yet: use perilune verify DIR for what --out DIR saved, or pl.prove"
     )
     NOT_PROVED = "solved, but at least one check failed: read the failed checks before using it"
-    NOT_CONVERGED = "no solution found: the residual report names the condition and what to try"
-    INFEASIBLE = "it cannot be flown, or every extremal found misses a bound: the message says which and by how much"
-    REFUSED = "what is stated makes no sense: the message says what is wrong"
+    NOT_CONVERGED = "no solution was found: the residual report names the condition and what to try"
+    INFEASIBLE = (
+        "no feasible flight exists, or all extremals found violate a bound: the message says which and by how much"
+    )
+    REFUSED = "the statement of the problem is invalid: the message says what is wrong"
     INTERRUPTED = "stopped by the user: what was computed so far is kept"
 
     @property
@@ -35,7 +37,7 @@ class Outcome(Enum):
 _SHORT_LIST = 6  # names, which a reader takes in at a glance, in their own order
 # The two reasons of a refusal: a bound that holds for every flight, and a search that found none.
 CANNOT_BE_FLOWN = "cannot be flown"
-BEST_MISSES = "the best found misses it"
+BEST_MISSES = "the best found violates it"
 
 _EXIT_CODES = {
     "PROVED": 0,
@@ -169,7 +171,7 @@ def unknown_name(kind: str, got: object, known: Sequence[str], also: Mapping[str
     return PeriluneError(
         f"there is no {kind} of this name",
         got=repr(called[:60]),
-        expected="one of " + ", ".join(known) if known else "none: there are none",
+        expected="one of " + ", ".join(known) if known else "none exist",
         advice=f"did you mean {near[0]!r}?" if near else "",
     )
 

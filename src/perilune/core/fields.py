@@ -65,14 +65,14 @@ class Quantity:
                 "must be a number and a unit in quotes",
                 got=f"{str(value)[:60]} without a unit" if _is_plain_number(value) else str(value)[:60],
                 expected=f'for example "{self.example}"',
-                advice="a bare number is refused, as its unit could only be guessed",
+                advice="a bare number is refused, because its unit could only be guessed",
             )
         if len(value) > LONGEST_VALUE:
             raise PeriluneError(
                 "the text is too long",
                 got=f"{len(value)} characters",
                 expected=f'for example "{self.example}"',
-                advice="a number and a unit, nothing else",
+                advice="only a number and a unit",
             )
         number = parse_quantity(value, self.spoken_unit, self.example, self.hint)
         self.check(number, repr(value))
@@ -85,7 +85,7 @@ class Quantity:
                 raise TypeError
             finite = math.isfinite(value)
         except TypeError:
-            text = "a text with its unit belongs into a scenario file" if isinstance(value, str) else self._advice
+            text = "a text with a unit belongs in a scenario file" if isinstance(value, str) else self._advice
             raise PeriluneError(
                 "must be a number in SI", got=repr(value)[:60], expected=f"a number in {self.unit}", advice=text
             ) from None
@@ -93,7 +93,9 @@ class Quantity:
             raise PeriluneError("is not finite", got=str(value), expected="a finite number")
         if abs(value) > ORDINARY or (self.low == 0 and self.open_low and 0 < value < 1 / ORDINARY):
             size = f"between {1 / ORDINARY:g} and {ORDINARY:g} in SI"
-            raise PeriluneError("is of no ordinary size", got=got or str(value), expected=size, advice=self._advice)
+            raise PeriluneError(
+                "has an implausible magnitude", got=got or str(value), expected=size, advice=self._advice
+            )
         above = value > self.low if self.open_low else value >= self.low
         below = value < self.high if self.open_high else value <= self.high
         if not (above and below):
@@ -370,7 +372,7 @@ def _check_fields(made: Any) -> None:
         (lower, upper), bound = getattr(made, f.name), next(iter(f.metadata["keys"].values()))
         if not bound.low <= lower < upper <= bound.high:
             raise PeriluneError(
-                f"bounds of {f.metadata['span']} are not a range",
+                f"the bounds of {f.metadata['span']} are not a range",
                 got=f"{bound.shown(lower)} to {bound.shown(upper)}",
                 expected=f"lower < upper, {bound.range}",
             )

@@ -97,7 +97,7 @@ class Table:
         good = 3 <= len(self.x) == len(self.y) <= MOST_KNOTS and np.isfinite([*self.x, *self.y]).all()
         if not good or not (np.diff(self.x) > 0).all():
             raise PeriluneError(
-                "a table needs as many finite values as knots, and the knots in increasing order",
+                "a table needs as many finite values as knots, and increasing knots",
                 got=f"{len(self.x)} knots and {len(self.y)} values",
                 expected=f"3 to {MOST_KNOTS} points",
             )

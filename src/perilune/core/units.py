@@ -258,7 +258,7 @@ def parse_quantity(text: str, expected_unit: str, example: str = "", hint: str =
         )
     value = float(match.group(1)) * factor
     if not math.isfinite(value):
-        advice = hint or "write a number of ordinary size"
+        advice = hint or "write a number of plausible magnitude"
         raise PeriluneError("the value is not finite", got=repr(text[:60]), expected=such, advice=advice)
     return value
 
@@ -318,7 +318,7 @@ class Scales:
             number = isinstance(value, Real) and not isinstance(value, bool)
             if not number or not 1 / _LARGEST <= float(value) <= _LARGEST:
                 got, expected = f"{str(value)[:60]} in SI", f"{1 / _LARGEST:g} to {_LARGEST:g}"
-                raise PeriluneError(f"this is no scale of a {name}", got=got, expected=expected)
+                raise PeriluneError(f"this is not a valid scale of a {name}", got=got, expected=expected)
             object.__setattr__(self, name, float(value))  # numpy's numbers show in every answer, and are slow alone
 
     @cached_property
@@ -330,7 +330,7 @@ class Scales:
         size = self._sizes.get(unit_text) if isinstance(unit_text, str) else None
         if size is None:
             if not isinstance(unit_text, str):
-                raise PeriluneError("this is no unit", got=repr(unit_text)[:60], expected='a text, as "km/s"')
+                raise PeriluneError("this is not a unit", got=repr(unit_text)[:60], expected='a text, as "km/s"')
             a, b, c, d = parse_unit(unit_text)[1]
             size = self._sizes[unit_text] = self.length**a * self.time**b * self.mass**c * self.temperature**d
         return size

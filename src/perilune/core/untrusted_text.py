@@ -33,7 +33,7 @@ def bounded_bytes(path: Path, what: str, largest: int, *, expected: str, advice:
         If it is not there, is not a file, cannot be read or is too large.
     """
     if not path.is_file():
-        said = f"there is no {what} here" if not path.exists() else f"this is not a file, and so no {what}"
+        said = f"there is no {what} here" if not path.exists() else f"this is not a file, and so cannot be a {what}"
         raise PeriluneError(said, got=str(path), expected=expected, advice=advice)
     try:
         with path.open("rb") as file:
@@ -42,8 +42,8 @@ def bounded_bytes(path: Path, what: str, largest: int, *, expected: str, advice:
         raise PeriluneError(
             f"the {what} cannot be read",
             got=f"{path}: {error.strerror}",
-            expected="a file you may read",
-            advice="look at its rights",
+            expected="a file that you may read",
+            advice="check its permissions",
         ) from error
     if len(raw) > largest:
         raise PeriluneError(

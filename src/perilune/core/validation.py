@@ -97,7 +97,7 @@ def _wrong_call_error(
         named = [f"{word}=..." for word in known[len(placed) :]] + ["NAME=VALUE"] * any_name
         most = f"at most {len(placed)}" if placed else "none"
         return PeriluneError(
-            f"{name} takes {most} of its values without their names",
+            f"{name} takes {most} of its arguments by position",
             got=", ".join(map(_value_text, args))[:80],
             expected=f"{name}({', '.join((*placed, *named))})",
         )
@@ -195,7 +195,7 @@ def require_path(value: Any, what: str) -> Path:
             os.stat(value)
     except (OSError, ValueError) as error:
         got = f"{str(value)[:60]!r}: {getattr(error, 'strerror', None) or error}"
-        raise PeriluneError(f"this cannot be {what}", got=got, expected="a path that can be looked at") from None
+        raise PeriluneError(f"this cannot be {what}", got=got, expected="a path that can be accessed") from None
     return Path(value)
 
 
@@ -209,7 +209,7 @@ def wrong_type_error(value: Any, expected: str, what: str, advice: str = "") -> 
     what, advice
         Use of the value, for the message; advice on what to try.
     """
-    got = f"the class {value.__name__}, and not {value.__name__}()" if isinstance(value, type) else _value_text(value)
+    got = f"the class {value.__name__} instead of {value.__name__}()" if isinstance(value, type) else _value_text(value)
     return PeriluneError(f"this is not {what}", got=got, expected=expected, advice=advice)
 
 
@@ -224,7 +224,7 @@ def require_level(level: Any, known: Sequence[int]) -> None:
     if isinstance(level, bool) or not isinstance(level, Integral) or level not in known:
         *most, last = map(str, known)
         raise PeriluneError(
-            "there is no such level of verification", got=repr(level)[:60], expected=f"{', '.join(most)} or {last}"
+            "there is no such verification level", got=repr(level)[:60], expected=f"{', '.join(most)} or {last}"
         )
 
 
@@ -269,7 +269,7 @@ def require_si_number(value: Any, what: str, advice: str = "units.parse_quantity
     if not _is_real_number(plain):
         raise wrong_type_error(value, "a number in SI", what, advice)
     if plain != plain:  # as NaN alone is
-        raise wrong_type_error(value, "a number in SI that is finite", what)
+        raise wrong_type_error(value, "a finite number in SI", what)
 
 
 def require_numbers(values: Any, what: str, most: float = math.inf) -> Any:
@@ -336,7 +336,7 @@ def require_identifier(value: Any) -> None:
     if not value.isidentifier():
         raise PeriluneError("a name must be a Python identifier", got=repr(value[:60]))
     if iskeyword(value) or value.startswith("_"):
-        raise PeriluneError("a name must not be a word of Python, nor begin with _", got=repr(value[:60]))
+        raise PeriluneError("a name must not be a Python keyword or begin with _", got=repr(value[:60]))
 
 
 def require_integers(settings: Any, **least: int) -> None:

@@ -66,7 +66,7 @@ def without_misleading_ends(problem: Problem) -> Problem:
     Raises
     ------
     PeriluneError
-        If a rough end is no number.
+        If a rough end is not a number.
     """
     if all(phase.typical_end is None for phase in problem.phases):
         return problem
@@ -99,10 +99,10 @@ def _end_guess(phase: Phase, begin: Vector, p: Any) -> Vector:
     end = np.array(phase.typical_end(p, NUMERIC), dtype=float)
     if not np.isfinite(end).all():
         raise PeriluneError(
-            f"typical_end of {phase.name} is no number",
+            f"typical_end of {phase.name} is not a number",
             got=", ".join(f"{name} {value:g}" for name, value in zip(phase.state_names, end, strict=True)),
             expected="a rough end state in SI",
-            advice="leave typical_end out where nothing is known",
+            advice="leave typical_end out if it is not known",
         )
     return end
 
@@ -124,7 +124,7 @@ def _from_solution(problem: Problem, guess: Solution) -> tuple[Vector, list[Samp
     return (
         canonical_free(problem, free),
         [_trajectory_sampler(t) for t in guess.trajectories],
-        f"start from {guess.method} solution",
+        f"start from a guess ({guess.method})",
     )
 
 

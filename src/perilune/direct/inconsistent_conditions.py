@@ -52,10 +52,10 @@ def check_consistent(problem: Problem) -> None:
             for side in ("lower", "upper"):
                 if getattr(one, side) in problem.free_names:
                     raise PeriluneError(
-                        f"{one.name} of {phase.name} has a bound that is free, which no direct method takes",
+                        f"{one.name} of {phase.name} has a free bound, which direct methods do not support",
                         got=f"{side} = {getattr(one, side)!r}, a free parameter",
                         expected="a number, or the name of a given parameter",
-                        advice="Indirect() alone, or a condition of the path that says the same",
+                        advice="use Indirect(), or an equivalent path condition",
                     )
     refuse_impossible([*between_bounds(problem, p), *at_start(problem, p)])
     function, ends = _states_fixed_by_ends(Unnumbered(problem))

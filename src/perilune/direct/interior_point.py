@@ -109,7 +109,7 @@ def find_local_optimum(posed: PosedProgram, w: Vector, iterations: int, toleranc
     fixed = posed.lower == posed.upper
     if fixed[posed.states].any() or any(fixed[columns].any() for _, columns in posed.lengths):
         return None
-    with np.errstate(all="ignore"):  # what is no number ends the search
+    with np.errstate(all="ignore"):  # what is not a number ends the search
         try:
             return _InteriorPointSearch(posed, tolerance).run(w, iterations)
         except ArithmeticError:

@@ -53,7 +53,7 @@ class Cluster:
         with suppress(OSError):  # a scheduler that is gone gives up its calls
             self._there = bool(self.client.nthreads())
         if before and not self._there:
-            self._tell("no worker is there to compute: waiting for a `dask worker`, or for Ctrl-C")
+            self._tell("no worker is available: waiting for a `dask worker`, or for Ctrl-C")
 
 
 class _Future:
@@ -69,7 +69,7 @@ class _Future:
         try:
             return self._future.result()
         except (KilledWorker, CancelledError) as error:
-            raise BrokenExecutor(str(error)[:200] or "the scheduler is gone") from error
+            raise BrokenExecutor(str(error)[:200] or "the scheduler is no longer reachable") from error
 
     def cancel(self) -> Any:
         """Cancel the call."""
@@ -138,6 +138,6 @@ def _refuse_unreachable_scheduler(address: str) -> None:
 def _no_scheduler_error(address: str, why: str) -> PeriluneError:
     return PeriluneError(
         "no scheduler answers", got=f"{address[:80]}: {why[:120]}",
-        expected="the address of a scheduler that runs: tcp://HOST:PORT",
+        expected="the address of a running scheduler: tcp://HOST:PORT",
         advice="start one with `dask scheduler`, and `dask worker ADDRESS --nthreads 1` on each machine",
     )  # fmt: skip

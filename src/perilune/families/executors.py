@@ -118,7 +118,7 @@ def report_lost_worker(answers: Iterator[Kind]) -> Iterator[Kind]:
         yield from answers
     except BrokenExecutor as error:
         raise PeriluneError(
-            "a worker was lost, or what hands work to it",
+            "a worker, or the connection to it, was lost",
             got=f"{type(error).__name__}: {error}",
-            advice="what was done is kept where it was to be stored (--out DIR): run it again there (--resume)",
+            advice="finished members are kept if they were stored (--out DIR): run again with --resume",
         ) from error

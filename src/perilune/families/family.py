@@ -41,7 +41,7 @@ class FamilyPoint:
         allowed = (None,) if self.solution is not None else tuple(_FAILURES.values())
         if self.failure not in allowed:
             raise PeriluneError(
-                "a member of a family has a solution, or a reason why it has none",
+                "a member of a family has a solution or a reason why it has none",
                 got=str(self.failure and self.failure.name),
                 expected=" or ".join(outcome.name if outcome else "no failure" for outcome in allowed),
             )
@@ -163,11 +163,11 @@ def member_values(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[t
         names = [_parameter(problem, name) for name in over]
         for name, values in over.items():
             if isinstance(values, str) or not isinstance(values, Iterable):
-                raise wrong_type_error(values, "a list of numbers in SI", f"what {name} can be swept over")
+                raise wrong_type_error(values, "a list of numbers in SI", f"a valid set of values of {name}")
         rows = list(product(*(list(values) for values in over.values())))
     elif isinstance(over, str) or not isinstance(over, Iterable):
         raise wrong_type_error(
-            over, "{name: values} of each, or a list of {name: value, ...}", "what can be swept over"
+            over, "{name: values} of each, or a list of {name: value, ...}", "a valid set of values to sweep over"
         )
     else:
         over = list(over)

@@ -97,7 +97,7 @@ class Members:
 
         proofs = run_serially(calls()) if executor is None else report_lost_worker(run_on_executor(executor, calls()))
         for number, (i, verification) in enumerate(proofs, 1):
-            self.watch(f"members of the store proved again: {number} of {len(claims)}")
+            self.watch(f"stored members proved again: {number} of {len(claims)}")
             proved = verification and with_verification(claims[i], verification, self.level)
             if proved and proved.outcome is Outcome.PROVED:
                 yield i, replace(stored[i], solution=proved)

@@ -76,7 +76,7 @@ class FamilyStore:
             differs = [name for name, value in said.items() if found.get(name) != value]
             if found.get("format") != _FORMAT or differs:
                 raise _unusable_family_store(
-                    self.directory, f"a sweep of other {', '.join(differs) or 'format'}", "the same sweep"
+                    self.directory, f"a sweep that differs in its {', '.join(differs) or 'format'}", "the same sweep"
                 )
             for left in self.directory.glob(".writing-*"):
                 left.unlink(missing_ok=True)
@@ -200,7 +200,7 @@ def _read_json(file: Path, what: str) -> dict[str, Any]:
     content = bounded_text(file, what, LARGEST_FILE, expected="JSON as the sweep writes it", advice=advice)
     document = tree(content, what, advice)
     if not isinstance(document, dict):
-        raise PeriluneError(f"the {what} is no record", got=type(document).__name__, advice=advice)
+        raise PeriluneError(f"the {what} is not a record", got=type(document).__name__, advice=advice)
     return document
 
 

@@ -84,7 +84,7 @@ def sweep(
     require_callable(watch, "a watch")
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise wrong_type_error(
-            executor, "a concurrent.futures.Executor, a Dask client or None", "what computes the members"
+            executor, "a concurrent.futures.Executor, a Dask client or None", "an executor for the members"
         )
     say = watch or ignore_events
     members = Members(

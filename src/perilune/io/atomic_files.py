@@ -83,7 +83,7 @@ def fresh_directory(target: str | Path, force: bool = False) -> Iterator[Path]:
             "the output directory is not empty",
             got=str(target),
             expected="a new or empty directory",
-            advice="choose another, or replace what an earlier run wrote: --force (in Python force=True)",
+            advice="choose another, or replace the results of an earlier run: --force (in Python force=True)",
         )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -114,7 +114,7 @@ def refuse_name_of_file(target: Path) -> None:
     """Refuse a missing directory with the name of a file: ``--out map.png`` does not mean a folder."""
     if target.suffix.lower() in _OF_FILES and not target.exists():
         raise PeriluneError(
-            "the output directory is called as a file", got=str(target), expected="a directory, which holds all files",
+            "the output directory is named like a file", got=str(target), expected="a directory for all files",
             advice=f"call it {target.stem}",
         )  # fmt: skip
 
@@ -124,18 +124,18 @@ def new_file(file: str | Path, what: str, force: bool = False) -> Path:
     path = require_path(file, f"the file of {what}")
     if str(path) == "-":
         raise PeriluneError(
-            "what is written is a file, and not standard output", got="-", expected=f"the name of the file of {what}",
-            advice="./- is a file of this name",
+            "the output is a file, not standard output", got="-", expected=f"the name of the file of {what}",
+            advice="use ./- for a file of this name",
         )  # fmt: skip
     if path.is_dir():
         raise PeriluneError("the file is a directory", got=str(path), advice="choose another name")
     # Asked before the link is followed: /dev/stdout leads to a name that is nowhere where it is a pipe.
     if path.exists() and not path.is_file():
-        raise PeriluneError("this is a device or a pipe, and no file", got=str(path), advice="choose another name")
+        raise PeriluneError("this is a device or a pipe, not a file", got=str(path), advice="choose another name")
     path = Path(os.path.realpath(path)) if path.is_symlink() else path
     if path.exists() and not force:
         raise PeriluneError(
-            "the file is there already", got=str(path), advice="choose another name, or --force (in Python force=True)"
+            "the file already exists", got=str(path), advice="choose another name, or --force (in Python force=True)"
         )
     return path
 
@@ -157,7 +157,7 @@ def fresh_file(target: Path, what: str) -> Iterator[Path]:
         raise PeriluneError(
             f"{what} cannot be written", got=f"{target}: {error.strerror or error}",
             expected="a place that you may write, with space left",
-            advice="choose another, look at its rights, or make space; what was there is kept",
+            advice="choose another, check its permissions, or free space; existing files are kept",
         ) from error  # fmt: skip
     finally:
         with suppress(OSError):
@@ -203,10 +203,10 @@ def unwritten(what: str, error: Exception) -> PeriluneError:
     if isinstance(error, PeriluneError):
         got, advice = "; ".join(text for text in (error.what, error.got) if text), error.advice
     elif isinstance(error, OSError):
-        got, advice = error.strerror or str(error), "make space, or look at the rights there, and write it again"
+        got, advice = error.strerror or str(error), "free space, or check the permissions there, and write it again"
     else:
         got = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
-        advice = "a fault of the program: report it with solution.json and what PERILUNE_TRACEBACK=1 shows"
+        advice = "a fault of the program: report it with solution.json and the output under PERILUNE_TRACEBACK=1"
     found = PeriluneError(what, got=got, advice=advice)
     found.__cause__ = error
     return found

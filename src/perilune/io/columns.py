@@ -202,7 +202,7 @@ def per_unit(objective_unit: str, unit: str) -> str:
 
 
 def flight_columns(solution: Solution, name: str) -> list[tuple[Vector, Column]]:
-    """Return (time from the begin of the flight [s], column) for each phase that has the column, as `display_times`.
+    """Return (time from the start of the flight [s], column) for each phase that has the column, as `display_times`.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ def refuse_entry(where: str, got: str, expected: str) -> NoReturn:
         f"the saved solution does not fit its own problem: {where}",
         got=got,
         expected=expected,
-        advice="solve again and save; files are not meant to be edited",
+        advice="solve again and save; saved files are not meant to be edited",
     )
 
 
@@ -56,14 +56,14 @@ def tree(content: str, what: str, advice: str = _AGAIN) -> Any:
     PeriluneError
         If it breaks these rules; `what` names the document, `advice` says what to do.
     """
-    refuse_nested(content, what, DEEPEST_TREE, expected="records and tables, nothing deeper", advice=advice)
+    refuse_nested(content, what, DEEPEST_TREE, expected="records and tables without deeper nesting", advice=advice)
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
         if len(found) < len(pairs):
             names = [name for name, _ in pairs]
             twice = next(name for name in found if names.count(name) > 1)
-            raise PeriluneError(f"the {what} says something twice", got=twice[:60], expected="each name once",
+            raise PeriluneError(f"the {what} has a repeated name", got=twice[:60], expected="each name once",
                                 advice=advice)  # fmt: skip
         for name, value in pairs:
             texts = [name, *(value if isinstance(value, list) else [value])]
@@ -82,7 +82,8 @@ def tree(content: str, what: str, advice: str = _AGAIN) -> Any:
         if isinstance(error, PeriluneError):
             raise
         raise PeriluneError(
-            f"the {what} is not readable JSON", got=str(error)[:120], expected="JSON as this program writes it, whole",
+            f"the {what} is not readable JSON", got=str(error)[:120], expected="complete JSON as this program writes"
+            " it",
             advice=advice,
         ) from None  # fmt: skip
 
@@ -152,7 +153,7 @@ def array(value: Any, where: str, shape: tuple[int | None, ...]) -> Any:
     try:
         found = np.asarray(value)
     except ValueError:
-        refuse_entry(where, "rows of unequal length", "a full table of numbers")
+        refuse_entry(where, "rows of unequal length", "a complete table of numbers")
     wanted = " x ".join("any" if n is None else str(n) for n in shape)
     fits = found.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
     rows = value if len(shape) > 1 else [value]
@@ -200,7 +201,7 @@ def checked_record(kind: type[Kind], document: Any, where: str) -> Kind:
     hints, known = _hints(kind), {f.name: f for f in fields(kind) if f.init}  # type: ignore[arg-type]
     for name in document:
         if name not in known:
-            refuse_entry(f"{where}.{name}"[:100], "a field that is not known", "one of " + ", ".join(known))
+            refuse_entry(f"{where}.{name}"[:100], "an unknown field", "one of " + ", ".join(known))
     for name, f in known.items():
         if name not in document and f.default is MISSING and f.default_factory is MISSING:
             refuse_entry(f"{where}.{name}", "nothing", "an entry")

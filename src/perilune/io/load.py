@@ -132,9 +132,7 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
     conditions = {f"{phase.name}.{condition.name}" for phase in problem.phases for condition in phase.end_conditions}
     for name in multipliers:
         if name not in conditions:
-            refuse_entry(
-                f"multipliers.{name}"[:80], "a condition that is not known", ", ".join(sorted(conditions)) or "none"
-            )
+            refuse_entry(f"multipliers.{name}"[:80], "an unknown condition", ", ".join(sorted(conditions)) or "none")
     outcome = enumeration_member(
         Outcome, Outcome.__members__.get(short_text(part(document, "outcome", dict), "name")), "outcome"
     )
@@ -163,7 +161,7 @@ def _tolerance(said: Any) -> Tolerance:
     values, known = valued_numbers(said, "tolerance"), record_keys(Tolerance)
     for name in values:
         if name not in known:
-            refuse_entry(f"tolerance.{name}"[:80], "a quantity that is not known", ", ".join(known))
+            refuse_entry(f"tolerance.{name}"[:80], "an unknown quantity", ", ".join(known))
         if (unit := short_text(said["tolerance"][name], "unit")) != unit_of(name):
             refuse_entry(f"tolerance.{name}.unit", unit[:40], unit_of(name))
     return record_of_values(Tolerance, values)
@@ -174,9 +172,7 @@ def _solution_tree(path: Path) -> dict[str, Any]:
     expected = f"a directory with {SOLUTION_FILE}, as `perilune.save` and `perilune solve --out` write it"
     if path.suffix.lower() == ".toml" and path.is_file():
         advice = f"perilune solve {path} --out DIR"
-        raise PeriluneError(
-            "this is a scenario, and no saved solution", got=str(path), expected=expected, advice=advice
-        )
+        raise PeriluneError("this is a scenario, not a saved solution", got=str(path), expected=expected, advice=advice)
     content = bounded_text(
         path / SOLUTION_FILE if path.is_dir() else path, "saved solution", LARGEST_FILE, expected=expected,
         advice="perilune.save(solution, DIR), or perilune solve FILE --out DIR",
@@ -226,10 +222,10 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
         return written
     if stated.form != written.form or not _equal_but_rounding(stated.numbers, written.numbers):
         raise PeriluneError(
-            f"the {source} in the saved solution and the expressions beside it state different problems",
+            f"the {source} in the saved solution and its stored expressions state different problems",
             got=f"expressions with digest {written.form.digest[:16]}",
             expected=f"{stated.form.digest[:16]} and the numbers of the {source}",
-            advice=f"solve the {source} again: the file was altered, or written by a version with other models",
+            advice=f"solve the {source} again: the file was altered, or written by a version with different models",
         )
     return stated
 
@@ -240,7 +236,7 @@ def reread_problem(document: Mapping[str, Any]) -> Problem:
 
 
 def _no_scenario(_: str) -> Problem:
-    raise AssertionError("a document that was made without a scenario has none")
+    raise AssertionError("a document made without a scenario has none")
 
 
 def _equal_but_rounding(one: Any, other: Any) -> bool:
@@ -261,7 +257,7 @@ def _scenario_text(document: Mapping[str, Any]) -> str:
             "the scenario in the saved solution was altered",
             got=f"text with SHA-256 {found[:16]}…",
             expected=f"{str(scenario.get('sha256'))[:16]}…",
-            advice="solve the altered scenario anew",
+            advice="solve the altered scenario again",
         )
     return said
 
@@ -271,7 +267,7 @@ def _check_saved_given(document: Mapping[str, Any], problem: Problem) -> None:
     saved = valued_numbers(document, "given")
     for name, given in problem.given.items():
         if name not in saved or not math.isclose(saved[name], given.value, rel_tol=_ROUNDING, abs_tol=0.0):
-            refuse_entry(f"given.{name}", str(saved.get(name, "none")), f"{given.value!r}, as the scenario says")
+            refuse_entry(f"given.{name}", str(saved.get(name, "none")), f"{given.value!r}, as in the scenario")
     if extra := set(saved) - set(problem.given):
         refuse_entry("given", ", ".join(sorted(extra)), "only parameters that the scenario gives")
 
@@ -316,7 +312,7 @@ def _read_curve(entry: Mapping[str, Any], name: str, width: int, where: str) -> 
     # At a switch a time stands there twice, once for each side.
     ordered = 2 <= len(time) <= MOST_NODES and (np.diff(time) >= 0).all() and (time[2:] > time[:-2]).all()
     if not ordered or time[0] != 0.0:
-        expected = f"2 to {MOST_NODES} increasing times that begin at 0, the same twice at a switch only"
+        expected = f"2 to {MOST_NODES} increasing times from 0; a time may occur twice only at a switch"
         refuse_entry(f"{where}.time", f"{len(time)} nodes", expected)
     shape = (len(time), width)
     return Curve(
@@ -341,7 +337,7 @@ def _read_extremals(document: Mapping[str, Any], free: Mapping[str, float]) -> t
     )
     own = (finite_number(part(document, "objective", dict), "value", "objective"), *free.values())
     if found and not np.allclose([found[0].objective, *(found[0].free.get(k, math.nan) for k in free)], own, rtol=1e-6):
-        refuse_entry("extremals", "a first one that is not this solution", "this solution first")
+        refuse_entry("extremals", "a first extremal that is not this solution", "this solution first")
     return found
 
 

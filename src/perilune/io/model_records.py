@@ -50,7 +50,7 @@ def read_model(document: Mapping[str, Any], given: Mapping[str, Given]) -> Probl
     kind = kind_named(name)
     for section in sections:
         if section not in kind.sections:
-            refuse_entry(f"made.sections.{section}"[:80], "a section that is not known", ", ".join(kind.sections))
+            refuse_entry(f"made.sections.{section}"[:80], "an unknown section", ", ".join(kind.sections))
     records = {
         section: _record_of_section(stated, sections.get(section), f"made.sections.{section}")
         for section, stated in kind.sections.items()
@@ -74,9 +74,9 @@ def _record_of_section(section: Section, values: Any, where: str) -> Any:
     keys = record_keys(record)
     for key in values:
         if key not in keys:
-            refuse_entry(f"{where}.{key}"[:80], "a key that is not known", ", ".join(keys))
+            refuse_entry(f"{where}.{key}"[:80], "an unknown key", ", ".join(keys))
         if getattr(keys[key].declared, "file", False):
-            refuse_entry(f"{where}.{key}", "the way to a file", "what can be read from here alone")
+            refuse_entry(f"{where}.{key}", "the path of a file", "content that can be read without further files")
     for key, found in keys.items():
         if found.required and key not in values:
             refuse_entry(f"{where}.{key}", "nothing", "a value")

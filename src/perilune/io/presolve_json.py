@@ -98,7 +98,7 @@ def read_comparisons(document: Any, problem: Problem) -> Comparisons:
         refuse_entry("comparisons", str(stated)[:40], "a list of records")
     stated = [{**_UNSTATED, **f} for f in stated]
     if not all(isinstance(f.get(name), bool) for f in stated for name in _FLAGS):
-        refuse_entry("comparisons", "a side that is not stated", "true or false")
+        refuse_entry("comparisons", "a limit that is not stated", "true or false")
     tape = tape_of(document.get("values"), {"p": tuple(problem.given)}, "comparisons")
     if len(tape.outputs) != len(_NUMBERS) * len(stated):
         refuse_entry("comparisons", f"{len(tape.outputs)} values", f"two of each of {len(stated)}")
@@ -115,7 +115,7 @@ def _differing_comparison(problem: Problem, kept: Comparisons, place: Mapping[st
     if [_comparable_values(f) for f in said] == [_comparable_values(f) for f in again]:
         return None
     other = next((f for f, g in zip(said, again, strict=False) if _comparable_values(f) != _comparable_values(g)), None)
-    got = "more or fewer of them" if other is None else f"'{other.name}', whose words or values are others"
+    got = "more or fewer of them" if other is None else f"'{other.name}', whose words or values differ"
     return f"{got} where " + ", ".join(f"{n} = {v:.6g}" for n, v in place.items())
 
 
@@ -129,9 +129,9 @@ def _comparable_values(found: Finding) -> list[Any]:
 
 def _comparisons_not_kept(got: str, advice: str = "") -> PeriluneError:
     return PeriluneError(
-        "what physics says of this problem (its preflight) is nothing that an atlas can keep",
+        "an atlas cannot store the physical bounds of this problem (its preflight)",
         got=got,
-        expected="comparisons by formulas of the parameters, with words that tell no values",
-        advice=f"{advice or 'state it so'}; or build an atlas of dataclasses.replace(problem, preflight=None), which "
-        "asks nothing of physics",
+        expected="comparisons by formulas in the parameters, with words that contain no values",
+        advice=f"{advice or 'state them so'}; or build an atlas of dataclasses.replace(problem, preflight=None),"
+        f" without these bounds",
     )

@@ -110,7 +110,7 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Pro
         scales=checked_record(Scales, document.get("scales"), "problem.scales"),
     )
     if problem.form.digest != (said := short_text(document, "digest")):
-        refuse_entry("problem.digest", said[:16], f"{problem.form.digest[:16]}, of the expressions beside it")
+        refuse_entry("problem.digest", said[:16], f"{problem.form.digest[:16]}, of the stored expressions")
     return problem
 
 

@@ -41,31 +41,31 @@ INTERPOLATION = {
 }
 
 _FIELDS = {
-    "scenario": "the scenario file this solution answers, word for word, and the SHA-256 of its UTF-8 text; or null",
-    "made": "the model that the problem is of and the values of its records, where no scenario says it; or null",
-    "problem": "the problem without its given values; what is at its default (no bound, no title) is left out",
+    "scenario": "the scenario of this solution, verbatim, and the SHA-256 of its UTF-8 text; or null",
+    "made": "the model of the problem and the values of its records, if there is no scenario; or null",
+    "problem": "the problem without its given values; defaults (no bound, no title) are left out",
     "problem.functions": "physics as operations in order: [record, component], [const, number] or [operation, "
     "operand, ...], an operand being the index of an earlier entry, as the outputs are",
     "problem.digest": "SHA-256 of the problem without its numbers: equal physics has the same",
     "given": "parameters with their values, all in SI (angles in radians)",
-    "free": "parameters chosen by the optimiser, in SI, durations of phases included",
-    "objective": "J, minimised, at the solution",
+    "free": "parameters chosen by the optimiser, including durations of phases, in SI",
+    "objective": "minimised objective J at the solution",
     "multipliers": "nu of each end condition, by phase.condition; lambda(t_f) = dphi/dx + nu.dpsi/dx",
-    "phases": "in order of flight; time of each from its own ignition, in seconds",
+    "phases": "in order of flight; the time of each starts at 0, in seconds",
     "phases.state": "time (n), values (n, states) in their units, rates (n, states) per second",
     "phases.costate": "lambda = dJ*/dx, same layout; H = lambda.f, minimised; lambda' = -dH/dx; null if none",
     "phases.control": "same layout; names and kinds of the components in `controls`",
     "phases.interpolation": "the rule for values between nodes; to normalise is to divide by the length",
-    "results": "what the problem asks of its solution, in SI",
-    "extremals": "every root of the necessary conditions found, best first; the first is this solution. Only a claim: "
-    "`perilune verify` finds each again from its unknowns",
-    "structure": "arcs of the solution in words, each with its phase and times [s]; none where nobody read them",
-    "verification": "checks made; passed when value <= limit. Only a claim: `perilune verify` checks anew",
-    "verification.tolerance": "what was stated of differences that do not matter, {} for nothing; the proof that "
-    "`perilune verify` makes has it too. A limit that it raised has `own_limit` and `raised_by` beside it",
-    "verification.within": "what of it the level needed, in words; empty where it would be reached without",
-    "unknowns": "the method's own unknowns, from which it can start again",
-    "null": "stands for a number that is not known or not finite",
+    "results": "quantities that the problem requests of its solution, in SI",
+    "extremals": "every extremal found, best first; the first is this solution. Only a claim: `perilune verify`"
+    " recomputes each from its unknowns",
+    "structure": "arcs of the solution in words, each with its phase and times [s]; empty if they were not detected",
+    "verification": "checks made; passed if value <= limit. Only a claim: `perilune verify` repeats them",
+    "verification.tolerance": "stated tolerance of the proof, {} for none; `perilune verify` uses it too. A limit"
+    " that it raised is accompanied by `own_limit` and `raised_by`",
+    "verification.within": "the part of it that the level needed, in words; empty if none",
+    "unknowns": "the unknowns of the method, from which it can restart",
+    "null": "stands for an unknown or infinite number",
 }  # fmt: skip
 
 

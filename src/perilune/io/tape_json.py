@@ -23,7 +23,7 @@ def tape_of(document: Any, names: Mapping[str, Sequence[str]], what: str) -> Tap
     entries = document.get("instructions") if isinstance(document, dict) else None
     outputs = document.get("outputs") if isinstance(document, dict) else None
     if not isinstance(entries, list) or not isinstance(outputs, list):
-        raise _unreadable_expressions(what, "no list of instructions and outputs")
+        raise _unreadable_expressions(what, "not a list of instructions and outputs")
     if max(len(entries), len(outputs)) > MOST_INSTRUCTIONS:
         raise _unreadable_expressions(what, f"more than {MOST_INSTRUCTIONS} instructions")
     read = document.get("tables", [])
@@ -74,6 +74,6 @@ def _unreadable_expressions(what: str, got: str) -> PeriluneError:
     return PeriluneError(
         f"the expressions of {what} in the file cannot be read",
         got=got,
-        expected="a list of known operations on values before them, as `perilune.save` writes it",
-        advice="save the solution again; files are not meant to be edited",
+        expected="a list of known operations on earlier values, as `perilune.save` writes it",
+        advice="save the solution again; saved files are not meant to be edited",
     )

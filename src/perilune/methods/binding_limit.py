@@ -82,7 +82,7 @@ def with_binding_limit(problem: Problem, error: NotConvergedError, watch: Watch 
     if error.flight is None or not error.partial.get("missed") or not error.partial.get("settled", True):
         return error  # what is no least miss says nothing of a limit
     watch = watch or ignore_events
-    watch("looking for the limit that stands in the way")
+    watch("looking for the limit that prevents a flight")
     try:
         found = sorted(_relax_each_limit(problem, error.flight, watch), key=lambda one: one.share)
     except (PeriluneError, ArithmeticError):  # what cannot be traced with a limit relaxed
@@ -176,8 +176,8 @@ def _name_limits(problem: Problem, error: NotConvergedError, found: list[Relaxed
         for part, one in zip(parts, found, strict=True)
     ]
     return NotConvergedError(
-        f"no flight was found that keeps every limit: the best misses {first.name} by about {first.much}",
-        got=f"everything else can be kept with {first.enough}{beyond}, as far as a mesh can tell",
+        f"no flight was found that keeps every limit: the best violates {first.name} by about {first.much}",
+        got=f"all other limits can be kept with {first.enough}{beyond}, to the accuracy of a mesh",
         expected=first.stated,
         advice="; ".join(filter(None, (several + "; ".join(ways), easier))),
         partial={**error.partial, "relaxations": given},

@@ -115,7 +115,7 @@ class _DirectPolish:
 
     def unpolished(self, direct: Solution) -> Solution:
         """Return the direct answer, which says why it is not exact."""
-        tried = (*direct.statistics.tried, *self.tried, "polish: the direct answer stays as it is")
+        tried = (*direct.statistics.tried, *self.tried, "polish: the direct answer is kept unchanged")
         return replace(direct, statistics=replace(direct.statistics, tried=tried))
 
     def _found(self, way: Callable[[Solution], Solution | None], direct: Solution) -> Solution | None:
@@ -144,7 +144,7 @@ class _DirectPolish:
     def _admissible_minimum(self, found: Solution, breach: Callable[[], ConstraintViolation | None]) -> Solution | None:
         """Return an extremal if it is a minimum that keeps every condition."""
         if found.extremals[0].nature is Nature.WORST:
-            self.tried.append("polish: an extremal that is no minimum")
+            self.tried.append("polish: an extremal that is not a minimum")
         elif (broken := breach()) is not None:
             self.tried.append(f"polish: an extremal, but {broken.text}")
         else:

@@ -108,9 +108,7 @@ DESCENT = Kind(
         "body": Section(record=OblateBody, known=BODIES),
         "vehicle": Section(record=Vehicle),
         "start": Section(record=Ignition),
-        "site": Section(
-            record=Site, required=False, otherwise=Site(), absent="may be left out with the target anywhere"
-        ),
+        "site": Section(record=Site, required=False, otherwise=Site(), absent='may be omitted if target = "anywhere"'),
         "steering": Section(record=Steering, required=False),
         "throttle": Section(record=Throttle, required=False),
     },
@@ -128,14 +126,14 @@ DESCENT = Kind(
 )
 PRECISION = Kind(
     name="precision_landing",
-    about="The last kilometres: down to a named point with the least propellant, within a corridor.",
+    about="The last kilometres: to a given point with the least propellant, within a corridor.",
     sections={
         "problem": Section(record=Undecided),
         "body": Section(record=OblateBody, known=BODIES, instead=UniformGravity),
         "vehicle": Section(record=Vehicle),
         "throttle": Section(record=Throttle),
         "approach": Section(record=Approach),
-        "site": Section(record=Site, required=False, absent="left out over flat ground"),
+        "site": Section(record=Site, required=False, absent="omitted over flat ground"),
         "corridor": Section(record=Corridor, required=False),
         "final": Section(record=FinalDescent, required=False),
     },
@@ -154,24 +152,26 @@ PRECISION = Kind(
 )
 DEORBIT = Kind(
     name="deorbit_entry",
-    about="From an orbit through a finite burn to the entry interface, and through the air to a place.",
+    about="From an orbit by a finite burn to the entry interface, and through the atmosphere to a site.",
     sections={
         "problem": Section(record=deorbit.Aim),
         "body": Section(record=Planet, known=PLANETS),
         "orbit": Section(record=deorbit.ReturnOrbit),
-        "manoeuvre": Section(record=deorbit.Manoeuvre, required=False, absent="left out where [orbit] says it"),
+        "manoeuvre": Section(record=deorbit.Manoeuvre, required=False, absent="omitted if [orbit] states it"),
         "vehicle": Section(record=deorbit.Returner),
-        "throttle": Section(record=Throttle, required=False, absent="left out, the engine burns at full thrust"),
+        "throttle": Section(record=Throttle, required=False, absent="default: the engine burns at full thrust"),
         "transition": Section(record=deorbit.Transition, required=False, otherwise=deorbit.Transition()),
         "interface": Section(record=deorbit.Interface),
         "atmosphere": Section(
             record=deorbit.Atmosphere, required=False, absent="without it the flight ends at the interface"
         ),
-        "separation": Section(record=deorbit.Separation, required=False, absent="left out, all of it enters the air"),
+        "separation": Section(
+            record=deorbit.Separation, required=False, absent="default: the whole vehicle enters the atmosphere"
+        ),
         "heating": Section(record=deorbit.Heating, required=False),
         "limits": Section(record=deorbit.Limits, required=False),
-        "parachute": Section(record=deorbit.Parachute, required=False, absent="left out, the entry ends at the site"),
-        "site": Section(record=deorbit.Landing, required=False, absent="left out, any place will do"),
+        "parachute": Section(record=deorbit.Parachute, required=False, absent="default: the entry ends at the site"),
+        "site": Section(record=deorbit.Landing, required=False, absent="default: any place"),
     },
     make=_make_deorbit,
     example={
@@ -204,7 +204,7 @@ def kind_names() -> list[str]:
 def unknown_kind(called: str, name: str) -> UnknownKindError:
     """Error for a kind of this name."""
     error = unknown_name(called, name, kind_names())
-    advice = error.advice or f"install the package that brings it (an entry point of the group {GROUP})"
+    advice = error.advice or f"install the package that provides it (an entry point of the group {GROUP})"
     return UnknownKindError(error.what, got=error.got, expected=error.expected, advice=advice)
 
 
@@ -226,7 +226,7 @@ def kind_named(name: str) -> Kind:
     if len(brought) > 1:
         got = ", ".join(sorted(brought))[:300]
         raise PeriluneError(
-            f"packages bring more than one kind {name}", got=got, advice="uninstall all but one of them"
+            f"packages provide more than one kind {name}", got=got, advice="uninstall all but one of them"
         )
     package, entry = next(iter(brought.items()))
     try:
@@ -236,7 +236,9 @@ def kind_named(name: str) -> Kind:
             f"the kind of problem {name} cannot be loaded", got=f"{package}: {one_line_error(error)}"
         ) from error
     if not isinstance(found, Kind) or found.name != name:
-        raise PeriluneError(f"what {package} brings is no kind of problem", expected=f"Kind(name={name!r}, ...)")
+        raise PeriluneError(
+            f"the object provided by {package} is not a kind of problem", expected=f"Kind(name={name!r}, ...)"
+        )
     found = replace(found, make=_check_package_kind(found, package), package=package)
     KINDS[name] = found  # its keys are known like those of the others from now on
     _keys_by_parameter.cache_clear()
@@ -264,11 +266,11 @@ def _check_package_kind(kind: Kind, package: str) -> Callable[..., Problem]:
         except Exception as error:
             raise PeriluneError(
                 f"the kind of problem {kind.name} fails", got=f"{package}: {one_line_error(error)}",
-                advice="it is called with the record of each section by its name; PERILUNE_TRACEBACK=1 shows where",
+                advice="it is called with the record of each section by name; PERILUNE_TRACEBACK=1 shows where",
             ) from error  # fmt: skip
         if not isinstance(made, Problem):
             got = f"{package}: {type(made).__name__}"
-            raise PeriluneError(f"the kind of problem {kind.name} makes no problem", got=got, expected="Problem")
+            raise PeriluneError(f"the kind of problem {kind.name} returns no problem", got=got, expected="Problem")
         return made
 
     return make

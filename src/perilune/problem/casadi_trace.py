@@ -195,9 +195,9 @@ def _on_side(
         held = side(_margin(phase, condition, u), (0.0,), steady=False)
         if sum(not choice.steady for choice in choices) > MOST_CONDITIONS:
             raise PeriluneError(
-                f"too many choices in the dynamics of {phase.name}",
+                f"too many switches in the dynamics of {phase.name}",
                 got=f"more than {MOST_CONDITIONS} different conditions in xp.where",
-                advice="xp.table for tabulated data; phases of their own for what follows in a known order",
+                advice="xp.table for tabulated data; separate phases for what follows in a known order",
             )
         return yes if held else no
 
@@ -239,10 +239,10 @@ def _margin(phase: Phase, condition: Any, u: ca.SX) -> ca.SX:
     order = condition.is_op(ca.OP_LT) or condition.is_op(ca.OP_LE)
     if ca.depends_on(condition, u) or not order:
         raise PeriluneError(
-            f"xp.where in the dynamics of {phase.name} takes a condition that cannot be met in flight",
-            got="one that depends on a control" if order else "a condition that is no < or >",
+            f"xp.where in the dynamics of {phase.name} has a condition that cannot be detected in flight",
+            got="one that depends on a control" if order else "a condition that is not < or >",
             expected="a comparison by < or > of functions of the states and parameters",
-            advice="xp.where(x.h > p.h1, above, below); what depends on a control belongs into its bounds",
+            advice="xp.where(x.h > p.h1, above, below); a dependence on a control belongs in its bounds",
         )
     return condition.dep(1) - condition.dep(0)
 

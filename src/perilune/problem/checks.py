@@ -36,22 +36,20 @@ def check_parts(problem: Any) -> None:
     for name, kind, advice in (
         ("given", Mapping, 'given={"mass": pl.Given(value=300.0, unit="kg")}'),
         ("declared", Sequence, ""),
-        ("views", Views, "pl.Views(...), or leave it out"),
-        ("scales", Scales, "pl.Scales(length=1e3, time=60.0, mass=300.0), or leave it out"),
+        ("views", Views, "pl.Views(...), or omit it"),
+        ("scales", Scales, "pl.Scales(length=1e3, time=60.0, mass=300.0), or omit it"),
     ):
-        require_type(getattr(problem, name), kind, f"what {name} of a problem can be", advice)
+        require_type(getattr(problem, name), kind, f"a valid {name} of a problem", advice)
     for name in HOOKS:
-        require_callable(getattr(problem, name), f"what {name} of a problem can be")
+        require_callable(getattr(problem, name), f"a valid {name} of a problem")
     for record in problem.declared:
         if not hasattr(record, "__section__"):
-            raise wrong_type_error(
-                record, "a record of a class below @record(...)", "what declares numbers of a problem"
-            )
+            raise wrong_type_error(record, "a record of a class below @record(...)", "a record of a problem")
     for name, value in problem.given.items():
         require_type(name, str, "the name of a given parameter")
         shown = value if isinstance(value, float | int) else 3000.0
         advice = f'write pl.Given(value={shown}, unit="m/s"), with its own SI unit'
-        require_type(value, Given, f"what is given of {name}", advice)
+        require_type(value, Given, f"a given value of {name}", advice)
 
 
 def check_structure(problem: Any) -> None:
@@ -67,7 +65,7 @@ def check_structure(problem: Any) -> None:
         )
     both = set(problem.given) & set(problem.free_names)
     if both:
-        raise PeriluneError("a parameter cannot be given and free at once", got=", ".join(sorted(both)))
+        raise PeriluneError("a parameter cannot be both given and free", got=", ".join(sorted(both)))
     check_free(problem)
     limits = [limit for phase in problem.phases for _, c in scalars(phase.controls) for limit in (c.lower, c.upper)]
     for name in (*problem.duration_names, *(limit for limit in limits if isinstance(limit, str))):
@@ -148,7 +146,7 @@ def _check_scales(problem: Any) -> None:
     for variable in (*told, *problem.result_variables):
         if variable.scale is not None:
             raise PeriluneError(
-                f"{variable.name} has a scale, and is only told of an answer",
+                f"{variable.name} has a scale, but is only an output of the solution",
                 got=f"scale={variable.scale:g}",
                 expected="scales of states and of end, path and held conditions; objective_scale of the problem",
             )
@@ -223,8 +221,8 @@ def check_homogeneous(problem: Any) -> None:
         raise PeriluneError(
             f"{undefined[0]} is not a number (NaN)",
             got=f"NaN at each of {_PLACES} points that were tried",
-            expected="a number for states of the size of the problem's scales",
-            advice="look for the root or logarithm of something negative, and for 0/0; check units, scales and values",
+            expected="a number for states of the magnitude of the problem's scales",
+            advice="check for the root or logarithm of a negative number, and for 0/0; check units, scales and values",
         )
     for (function, k, si), (_, _, other) in zip(values, _sampled_results(problem, scales, place), strict=True):
         unit_text = function.results[k][1]
@@ -259,10 +257,10 @@ def _component_units(problem: Any, function: StatedFunction) -> Callable[[str, s
 def _inhomogeneous(what: str, found: Clash | None, wanted: str = "") -> PeriluneError:
     return PeriluneError(
         f"the physics is not dimensionally homogeneous: {what}",
-        got=found.got if found else "a value that depends on the units that it is computed in",
+        got=found.got if found else "a value that depends on the units used for computing it",
         expected=found.expected if found else f"a quantity in {wanted}",
-        advice="move constants with a dimension out of the function into `given`, with their unit; or look for a "
-        "missing factor",
+        advice="move constants with a dimension out of the function into `given`, with their unit; or check for a"
+        " missing factor",
     )
 
 

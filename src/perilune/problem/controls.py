@@ -51,7 +51,7 @@ def demand_limits(bounded: Any) -> None:
     """
     for side in ("lower", "upper"):
         if not isinstance(limit := getattr(bounded, side), str):
-            advice = f"leave {side} out where nothing bounds it, or name the parameter that holds it"
+            advice = f"omit {side} for no bound, or name the parameter that holds it"
             require_si_number(limit, f"the {side} bound of {bounded.name}", advice)
 
 
@@ -203,7 +203,7 @@ class Bounded:
                 f"a population is drawn from within bounds, and control {self.name} has none",
                 got=f"[{lower}, {upper}]",
                 expected="finite bounds",
-                advice="bound it, or use Pseudospectral() alone",
+                advice="bound it, or use only Pseudospectral()",
             )
         return lower, upper
 

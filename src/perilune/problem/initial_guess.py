@@ -82,7 +82,7 @@ def _guess_trajectory(problem: Problem, phase: Phase, times: Any, states: Any, c
     t = _check_guess_array(times, (None,), f"times of {phase.name}")
     if len(t) < 2 or t[0] != 0 or not (np.diff(t) > 0).all():
         raise PeriluneError(
-            f"times of {phase.name} are no flight",
+            f"times of {phase.name} do not describe a flight",
             got=f"{len(t)} times" + (f" from {t[0]:g} to {t[-1]:g} s" if len(t) else ""),
             expected="at least two, from 0 on, increasing",
         )
@@ -107,7 +107,9 @@ def _check_guess_array(given: Any, shape: tuple[int | None, ...], what: str) -> 
     if found.ndim != len(shape) or any(size not in (None, got) for size, got in zip(shape, found.shape, strict=True)):
         raise PeriluneError(f"a guess has the wrong shape: {what}", got=str(found.shape), expected=expected)
     if not np.isfinite(found).all():
-        raise PeriluneError(f"a guess has what is no number: {what}", got="NaN or infinity", expected="numbers in SI")
+        raise PeriluneError(
+            f"a guess has a value that is not a number: {what}", got="NaN or infinity", expected="numbers in SI"
+        )
     return found
 
 
@@ -134,10 +136,10 @@ def fitting_guess(problem: Problem, guess: object) -> Solution:
     """
     if not isinstance(guess, Solution):
         raise PeriluneError(
-            "the guess is no solution",
+            "the guess is not a solution",
             got=f"{type(guess).__name__}",
             expected="a Solution, as solve() returns it and load() reads it",
-            advice="perilune.guess(problem, times, states, controls) makes one of a flight by hand; or leave it out",
+            advice="perilune.guess(problem, times, states, controls) builds one from arrays; or omit it",
         )
     if len(guess.trajectories) != len(problem.phases):
         raise PeriluneError(

@@ -45,7 +45,7 @@ def check_names(problem: Any) -> None:
 
 def _check_distinct(what: str, names: Sequence[str]) -> None:
     if again := next((name for i, name in enumerate(names) if name in names[:i]), None):
-        raise PeriluneError(f"two {what} are called {again}", expected="each by a name of its own")
+        raise PeriluneError(f"two {what} are called {again}", expected="different names")
 
 
 def _check_columns(phase: Phase) -> None:
@@ -72,6 +72,6 @@ def _check_units(phases: Iterable[Phase]) -> None:
         for name, unit in (*((v.name, v.unit) for v in (*phase.states, *phase.output_variables)), *steered):
             if units.setdefault(name, unit) != unit:
                 raise PeriluneError(
-                    f"{name} has another unit in the phase {phase.name} than before", got=unit or "none",
-                    expected=units[name] or "none", advice="another name: tables have one column for both",
+                    f"{name} has a different unit in the phase {phase.name} than before", got=unit or "none",
+                    expected=units[name] or "none", advice="another name, because tables have one column for both",
                 )  # fmt: skip

@@ -42,7 +42,7 @@ def opposite(problem: Problem) -> Problem:
         maximised="",
         minimised="",
         switching_guesses=None,
-        title=f"{problem.title}, the most of what is minimised",
+        title=f"{problem.title}, maximised instead of minimised",
     )
 
 

@@ -57,7 +57,7 @@ class Finding:
         for side in ("at_least", "binding", "lasting", "contradiction"):
             if not isinstance(stated := getattr(self, side), bool | np.bool_):
                 raise wrong_type_error(
-                    stated, "True or False, whatever the parameters are", f"what {side} of a comparison can be"
+                    stated, "True or False, independent of the parameters", f"a valid value of {side} in a comparison"
                 )
             object.__setattr__(self, side, bool(stated))
 
@@ -96,9 +96,9 @@ def preflight(problem: Problem, over: Mapping[str, Any] | None = None) -> tuple[
     tuple of Finding
         All comparisons, in the order in which they make sense; with arrays inside where `over` has arrays.
     """
-    require_type(problem, Problem, "a problem to compare with what physics allows")
+    require_type(problem, Problem, "a problem to compare with physical bounds")
     if over is not None and not isinstance(over, Mapping):
-        raise wrong_type_error(over, "{name: values} of parameters, in SI", "what a problem can be compared at")
+        raise wrong_type_error(over, "{name: values} of parameters, in SI", "a valid set of parameter values")
     for name in over or ():
         if name not in problem.given and name not in problem.free_names:
             raise unknown_name("parameter", name, sorted({*problem.given, *problem.free_names}))
@@ -160,7 +160,7 @@ def at_start(problem: Problem, p: Any) -> tuple[Finding, ...]:
             needed = tape.needed(row)
             if not (unknown & needed or any(op[0] == "u" for op in needed)):
                 keys = ", ".join(stating_keys(problem, 0, "path", row))
-                meaning = f"the start breaks a condition of the path: {keys or quantity_name(condition)}"
+                meaning = f"the start violates a path condition: {keys or quantity_name(condition)}"
                 advice = f"another start, or relax {keys or 'the condition'}"
                 found.append(_compared_at_start(problem, condition, value, 0.0, True, meaning, advice))
     return tuple(found)
@@ -183,11 +183,11 @@ def _of_constant(problem: Problem) -> tuple[Finding, ...]:
     chosen = {op for op in inputs if op[0] == "x" or op[1] in problem.free_names}
     return (
         Finding(
-            name="quantities that are chosen on which the objective depends", value=len(chosen), limit=1, at_least=True,
+            name="optimised quantities on which the objective depends", value=len(chosen), limit=1, at_least=True,
             unit="1", binding=False, lasting=True,
-            meaning="the objective is a constant: it depends on no state at the end and on no free parameter, so that"
-            " each flight that arrives is as good as any other",
-            advice="an objective that tells flights apart, as the mass at the end or a free duration",
+            meaning="the objective is a constant: it depends on no final state and on no free parameter, so that all"
+            " feasible flights are equally good",
+            advice="an objective that differs between flights, such as the final mass or a free duration",
         ),
     )  # fmt: skip
 

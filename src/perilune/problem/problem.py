@@ -252,7 +252,7 @@ class Problem(ShownProblem, SimulatedProblem):
             if name not in kept and name not in _TRACED:
                 raise unknown_name("part of a problem", name, sorted(kept))
             if kind := next((kind for kind in (Mapping, tuple) if isinstance(kept.get(name), kind)), None):
-                require_type(value, kind, f"what {name} of a problem can be")
+                require_type(value, kind, f"a valid {name} of a problem")
         new.__dict__.update(kept, **{"form": self.__dict__.get("form"), **changes})
         if new.__dict__["form"] is None:
             del new.__dict__["form"]
@@ -368,7 +368,7 @@ class Problem(ShownProblem, SimulatedProblem):
         try:
             return SimpleNamespace(**{name: g.value for name, g in self.given.items()}, **free)
         except TypeError:
-            require_type(free, Mapping, "what holds the values of free parameters")
+            require_type(free, Mapping, "a mapping of values of free parameters")
             wrong = next(name for name in free if name in self.given or not isinstance(name, str))
             raise unknown_name("free parameter", wrong, self.free_names) from None
 

@@ -12,7 +12,7 @@ from typing import Any
 from perilune.core.fields import quantity, record, record_keys, record_values
 from perilune.core.units import dimension_text, parse_unit
 
-_NO_PROOF = "is no tolerance but no proof"
+_NO_PROOF = "is too large for a proof"
 LARGEST = 1e-3  # of the range of a quantity along the flight
 SIZED = ("angle", "optimality")  # which have a size where no state is measured in them, 1
 _SPOKEN = {"m": ("km", "m", "mm"), "m/s": ("m/s", "mm/s"), "kg": ("kg", "g"), "rad": ("deg",), "s": ("s", "ms")}
@@ -34,16 +34,16 @@ class Tolerance:
         Of costates, H and its derivatives, relative to their sizes in the problem: at most 1e-3.
     """
 
-    position: float | None = quantity("m", "1 mm", default=None, above=0.0, about="by which lengths may be off")
-    speed: float | None = quantity("m/s", "1 mm/s", default=None, above=0.0, about="by which speeds may be off")
-    mass: float | None = quantity("kg", "1 g", default=None, above=0.0, about="by which masses may be off")
+    position: float | None = quantity("m", "1 mm", default=None, above=0.0, about="tolerance of lengths")
+    speed: float | None = quantity("m/s", "1 mm/s", default=None, above=0.0, about="tolerance of speeds")
+    mass: float | None = quantity("kg", "1 g", default=None, above=0.0, about="tolerance of masses")
     angle: float | None = quantity(
-        "rad", "1e-4 deg", default=None, above=0.0, most=LARGEST, outside=_NO_PROOF, about="by which angles may be off"
+        "rad", "1e-4 deg", default=None, above=0.0, most=LARGEST, outside=_NO_PROOF, about="tolerance of angles"
     )
-    time: float | None = quantity("s", "1 ms", default=None, above=0.0, about="by which times may be off")
+    time: float | None = quantity("s", "1 ms", default=None, above=0.0, about="tolerance of times")
     optimality: float | None = quantity(
         "1", "1e-6", default=None, above=0.0, most=LARGEST, outside=_NO_PROOF,
-        about="of the conditions of optimality, relative",
+        about="relative tolerance of the conditions of optimality",
     )  # fmt: skip
 
     @property

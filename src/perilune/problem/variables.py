@@ -27,10 +27,11 @@ def positive_scale(name: str, scale: Any) -> float | None:
     number = isinstance(scale, (int, float)) and not isinstance(scale, bool)  # NumPy's float64 is a float
     if not (number and 0 < scale < math.inf):
         raise PeriluneError(
-            f"the scale of {name} is no size",
+            f"the scale of {name} is not a magnitude",
             got=repr(scale)[:60],
             expected="a positive, finite number in SI",
-            advice="state how large it becomes, in its unit; without a scale the unit's own is taken (Problem.scales)",
+            advice="state its typical magnitude, in its unit; without a scale that of the unit is used"
+            " (Problem.scales)",
         )
     return float(scale)
 
@@ -138,7 +139,5 @@ class Free:
         require_type(self.name, str, "the name of a free parameter")
         require_si_unit(self.unit, self.name)
         for side in ("lower", "upper"):
-            require_si_number(
-                getattr(self, side), f"the {side} bound of {self.name}", f"leave {side} out where there is none"
-            )
+            require_si_number(getattr(self, side), f"the {side} bound of {self.name}", f"omit {side} for no bound")
         require_si_number(self.typical, f"the typical value of {self.name}")

@@ -136,7 +136,7 @@ class Verification:
 
     @property
     def _claim(self) -> str:
-        return f"not proved again; its file claims {self.claimed}" if self.claimed and not self.checks else ""
+        return f"not verified again; its file claims {self.claimed}" if self.claimed and not self.checks else ""
 
     @property
     def _qualified(self) -> str:
@@ -161,7 +161,7 @@ class Verification:
         return method_function("verification_page")(self)
 
     def __str__(self) -> str:
-        lines = [self.headline + (f", flown: {self.text}" if self.text else "")]
+        lines = [self.headline + (f", integrated: {self.text}" if self.text else "")]
         for c in self.checks:
             mark = "ok  " if c.passed else "FAIL"
             lines.append(f"  {mark} {c.level} {c.name}: {c.value:.3g} ({c.limit_told()}) {c.unit}")

@@ -138,7 +138,7 @@ def _rival_solutions(solution: Solution, other: Method) -> tuple[list[Solution],
     if isinstance(other, Indirect):
         missed = _failed_conditions(first)
         if missed:
-            return [], f", but the extremal that {type(other).__name__} reaches does not meet {', '.join(missed)}"
+            return [], f", but the extremal found by {type(other).__name__} does not meet {', '.join(missed)}"
         return [first], ""
     rivals = [first]
     problem, near = solution.problem, _mesh_error(first)
@@ -201,7 +201,8 @@ def _check_best_extremal(solution: Solution, rivals: Sequence[Solution], error: 
         value=max(solution.objective - found[0][0].objective, 0.0),
         limit=_explained_difference(objective_size(solution), solution.objective, error),
         unit=problem.objective_unit,
-        meaning=f"by how much the best extremal found is better than this one, J = {solution.objective:.9g}; found, "
+        meaning=f"difference by which the best extremal found is better than this one, J = {solution.objective:.9g};"
+        f" found, "
         f"best first: {listed}",
     )
 

@@ -34,8 +34,8 @@ from perilune.proof.sufficient.second_variation import KeptConditions
 from perilune.proof.sufficient.sensitivities import SHIFTED, Resolve, check_neighbours
 from perilune.proof.tolerance import check_tolerance_sense, raise_limit
 
-_ROUGH = "neighbours were not solved again, as a check of level 1 failed"
-_UNTOLD = "neighbours were not solved again, as a check of level 3 cannot be told"
+_ROUGH = "neighbouring problems were not solved, because a check of level 1 failed"
+_UNTOLD = "neighbouring problems were not solved, because a check of level 3 is undetermined"
 
 
 def examine(
@@ -79,7 +79,7 @@ def examine(
                 sign_of_life(f"proof: level {check.level}, {check.name}")
                 checks.append(raise_limit(check, tolerance))
     except (ArithmeticError, np.linalg.LinAlgError) as error:
-        meaning = f"the physics can be computed where the tables lead: {error}"
+        meaning = f"evaluation of the physics along the tables: {error}"
         checks.append(Check(name="computable", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning))
     if level >= 3 and _has_failed_feasibility(checks):
         notes = (_ROUGH, *notes)
@@ -204,7 +204,7 @@ def _note_unused_tolerance(checks: Sequence[Check], tolerance: Tolerance) -> tup
     """Return a note if a tolerance was stated and every check would have passed without it."""
     if not tolerance.stated or not all(check.passed and not check.lenient for check in checks):
         return ()
-    return (f"nothing of the stated tolerance ({tolerance.told()}) was needed",)
+    return (f"no part of the stated tolerance ({tolerance.told()}) was needed",)
 
 
 def _notes_on_loaded_problem(problem: Problem) -> tuple[str, ...]:
@@ -212,11 +212,11 @@ def _notes_on_loaded_problem(problem: Problem) -> tuple[str, ...]:
     missing = [
         what
         for what, stated in (
-            ("the model's bookkeeping of the answer (rocket equation)", problem.bookkeeping),
-            ("what physics says before solving (preflight)", problem.preflight),
+            ("the model's consistency checks (rocket equation)", problem.bookkeeping),
+            ("the physical bounds before solving (preflight)", problem.preflight),
         )
         if stated is None
     ]
     if problem.text == OWN_TEXT or not missing:
         return ()
-    return (f"not checked, as the problem in the file does not state it: {'; '.join(missing)}",)
+    return (f"not checked, because the problem in the file does not state it: {'; '.join(missing)}",)

@@ -38,9 +38,7 @@ def confirm_listed_extremals(solution: Solution, resolve: Resolve) -> tuple[tupl
     listed = solution.listed[:MOST_LISTED]
     own = _find_again(solution, solution, listed[0], resolve)
     if own is None:
-        return (), (
-            f"none of the {len(solution.listed)} extremals that the file lists is confirmed; they are left out",
-        )
+        return (), (f"none of the {len(solution.listed)} extremals listed in the file is confirmed; they are left out",)
     itself = replace(own, free=solution.free, objective=solution.objective)
     others: list[Extremal] = []
     for entry in listed[1:]:
@@ -53,7 +51,7 @@ def confirm_listed_extremals(solution: Solution, resolve: Resolve) -> tuple[tupl
     notes = []
     if left := len(solution.listed) - 1 - len(others):
         total = len(solution.listed)
-        notes.append(f"{left} of the {total} extremals that the file lists {_are(left)} not confirmed, and left out")
+        notes.append(f"{left} of the {total} extremals listed in the file {_are(left)} not confirmed, and left out")
     if any(e.objective < itself.objective for e in others):
         notes.append("a better extremal than this solution is known; it is listed below it")
     elif any(e.nature is not Nature.WORST for e in others):

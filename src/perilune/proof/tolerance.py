@@ -42,9 +42,8 @@ def check_tolerance_sense(tolerance: Tolerance, solution: Solution) -> Iterator[
             limit=LARGEST * size,
             unit=unit_of(name),
             exact=True,
-            meaning=f"the tolerance stated, against a thousandth of the {format_tolerance(name, size)} by which the "
-            f"flight changes "
-            "it: a larger one is no tolerance but no proof",
+            meaning=f"the tolerance stated, against a thousandth of the {format_tolerance(name, size)} by which the"
+            f" flight changes it: a larger one would prove nothing",
         )
 
 

@@ -68,7 +68,7 @@ def animate(
     """
     require_type(solution, Solution, "a solution to show")
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not _FASTEST <= seconds <= _LONGEST:
-        raise wrong_type_error(seconds, f"seconds, {_FASTEST:g} to {_LONGEST:g}", "a time to show a flight in")
+        raise wrong_type_error(seconds, f"seconds, {_FASTEST:g} to {_LONGEST:g}", "a valid duration of an animation")
     target = None if file is None else new_file(file, "an animation", force)
     if target is not None and target.suffix.lower() != ".gif":
         raise wrong_type_error(target.name, "a name that ends in .gif", "the file of an animation")

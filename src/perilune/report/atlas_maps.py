@@ -28,7 +28,7 @@ from perilune.report.time_histories import LONG
 _SHEETS = (BLUE, ORANGE, GREEN, SKY, PURPLE, VERMILION)
 _NOTHING = ("#D0D0D0", "#8C8C8C", "#404040", "#F0E0E0", "#B8A8A8")  # by their reason
 _EMPTY = "#ECECEC"  # where there is no answer, in all other figures
-_FINEST = 1e-16  # what is less is not told from nothing
+_FINEST = 1e-16  # what is less counts as zero
 _SAME = 1e-9  # relative: by less a quantity does not change, it is rounded
 _DOTS = 3000  # nodes that are drawn one by one
 

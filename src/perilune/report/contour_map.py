@@ -104,7 +104,7 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
     placed = grid_of(family)
     if len(family.parameters) != 2 or placed is None or min(placed.shape) < 2:
         raise PeriluneError(
-            "a map needs a family along two parameters, all of whose members are there",
+            "a map needs a family along two parameters, with all of its members",
             got=f"{len(family.points)} members along {', '.join(family.parameters)}",
             expected="a grid of 2 by 2 or more",
         )  # fmt: skip
@@ -120,8 +120,8 @@ def family_map(family: Family, x: str | None = None, y: str | None = None, z: st
     figure, axes = new_figure(height=3.2, width=_WIDTH)
     if not len(good):
         raise PeriluneError(
-            f"there is nothing to draw of {names[2]}", got="no three neighbours that have it",
-            expected="members with a solution side by side",
+            f"there is nothing to draw of {names[2]}", got="no three neighbouring members with a value",
+            expected="neighbouring members with a solution",
         )  # fmt: skip
     infeasible = np.array([p.outcome is Outcome.INFEASIBLE for p in family.points], dtype=bool)
     unknown = (~np.isfinite(height) & ~infeasible)[bad].any(axis=1)
@@ -175,7 +175,7 @@ def _default_quantity(family: Family, table: Mapping[str, tuple[Vector, str]]) -
         known = f.values[np.isfinite(f.values)]
         if len(known) and np.ptp(known) > 1e-9 * np.abs(known).max():
             return f.name
-    raise PeriluneError("no result of this family varies", expected="one that does", advice="say which with z")
+    raise PeriluneError("no result of this family varies", expected="one that varies", advice="choose one with z")
 
 
 def _values_for_axis(values: Vector, unit: str, name: str) -> tuple[Vector, str]:
@@ -278,7 +278,7 @@ def _mark_members(axes: Any, family: Family, along: Vector, across: Vector, good
     lost = int((~placed).sum())
     said += [
         *(["hollow: NOT_PROVED"] if (good & doubted).any() else []),
-        *(["members alone: they lie over each other"] if folded else []),
-        *([f"{lost} without a solution have no place here"] if lost else []),
+        *(["only the members: contours would overlap"] if folded else []),
+        *([f"{lost} without a solution are not shown here"] if lost else []),
     ]
     axes.set_title("; ".join(said), fontsize=6.5, color=VERMILION, loc="left")

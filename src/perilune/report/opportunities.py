@@ -26,7 +26,7 @@ def opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
     """Return a table of the passes that can be made, or of all, and the command that solves the first."""
     shown = [one for one in found if every or one.verdict != OUT_OF_REACH]
     if not shown:
-        return f"no pass of {len(found)} can be made"
+        return f"none of {len(found)} passes can be flown"
     lines = [_HEAD, *map(_opportunity_row, shown)]
     good = (next((one for one in shown if one.verdict == verdict), None) for verdict in (REACHABLE, DOUBTFUL))
     best = next(filter(None, good), None)

@@ -16,13 +16,13 @@ _CAPTIONS = {
     "path": "Path over the limb; strokes show the exhaust",
     "track": "Path from the side and from above",
     "ground_track": "The point below the vehicle; coasts of Natural Earth, where they are drawn",
-    "corridor": "Height against speed, and lines along which the load, or the heat rate, is one",
+    "corridor": "Altitude over speed, with lines of constant load or heat rate",
     "states": "States",
     "controls": "Controls",
     "costates": "Costates",
-    "hamiltonian": "Hamiltonian, and what turning the thrust away would cost",
+    "hamiltonian": "Hamiltonian, and its increase if the thrust is turned away",
 }
-_AGAIN = "those that the file lists, each found again"
+_AGAIN = "those listed in the file, each recomputed"
 
 
 def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
@@ -94,7 +94,7 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
     if len(rows) > 1:
         parts += [
             "## Extremals",
-            "Every root of the necessary conditions that was found, best first; the first is this solution"
+            "Every extremal found, best first; the first is this solution"
             + (f" ({_AGAIN})." if solution.statistics.claimed else "."),
             markdown_table(rows[0], rows[1:]),
         ]

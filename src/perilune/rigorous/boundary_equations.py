@@ -176,7 +176,7 @@ class _EquationBuilder:
     def _sign(self, words: str, value: GraphExpression) -> None:
         """State that something is positive; each in words of its own."""
         if words in self.signs:
-            raise Unsupported(f"two conditions are called alike: {words}")
+            raise Unsupported(f"two conditions have the same name: {words}")
         self.signs[words] = value
 
     def _stationary(self, slopes: list[GraphExpression]) -> list[GraphExpression]:
@@ -208,8 +208,8 @@ class _EquationBuilder:
         follows = self.pieces[i + 1].regimes[scalar.control.name]
         if scalar.regime != "interior":
             if follows != "interior" and not scalar.curvature.vanishes():
-                what = f"H bends in {scalar.control.name}, which jumps from bound to bound"
-                raise Unsupported(f"{what}: level 5 knows such jumps only where H is linear in it")
+                what = f"H is nonlinear in {scalar.control.name}, which jumps from bound to bound"
+                raise Unsupported(f"{what}: level 5 covers such jumps only where H is linear in it")
             return scalar.slope
         limit = scalar.limits[follows == "upper"]
         assert limit is not None  # else it would not be on it

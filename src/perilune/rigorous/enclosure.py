@@ -185,7 +185,7 @@ class _ParallelepipedFrame:
         back = _inverted(B)
         M = back * together
         if not all(abs(M[i, i] - 1) < 1 for i in range(len(end))):
-            raise NotEnclosed("flights of a box go too far from each other")
+            raise NotEnclosed("the flights of a box diverge too far")
         self.middle = ball_centres(end)
         self._r = M * self._r + back * ball_column([a - b for a, b in zip(end, self.middle, strict=True)])
         self._S, self._B = M * self._S, B
@@ -210,7 +210,7 @@ def _inverted(B: Any) -> Any:
     try:
         return B.inv()
     except ZeroDivisionError:
-        raise NotEnclosed("the tangents of a step are singular in so many digits") from None
+        raise NotEnclosed("the tangents of a step are singular at this precision") from None
 
 
 def fly_unproved(

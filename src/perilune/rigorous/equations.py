@@ -175,7 +175,7 @@ class ProblemReader:
         """
         phase, graph = self.problem.phases[k], self.graph
         if phase.held is not None:
-            raise Unsupported(f"the phase {phase.name} is held to a condition")
+            raise Unsupported(f"the phase {phase.name} keeps an active condition")
         free = {name: graph.input(("p", name)) for name in self.problem.free_names}
         x = [graph.input(("x", i)) for i in range(len(phase.states))]
         u = [graph.input(("u", name)) for name in phase.control_names]
@@ -246,7 +246,7 @@ class ProblemReader:
         self, control: Bounded, free: Mapping[str, GraphExpression]
     ) -> tuple[GraphExpression | None, GraphExpression | None]:
         if isinstance(control, Settled):
-            raise Unsupported(f"the control {control.name} is settled to an arc of its own")
+            raise Unsupported(f"the control {control.name} is determined on an arc of its own")
 
         def limit(stated: Any) -> GraphExpression | None:
             if isinstance(stated, str):

@@ -147,12 +147,12 @@ def refine_root(boundary: BoundaryProblem, y: Sequence[Ball], settings: ProofEff
         # unknown that is small relative to the others may come out once as if it did, and not again.
         slow = number > 0 and largest > max(enough, _QUADRATIC * moved[-2] ** 2)
         if slow and slowly:
-            raise NotProved("Newton's method in many digits does not converge quadratically", got=f"steps {moved}")
+            raise NotProved("high-precision Newton's method does not converge quadratically", got=f"steps {moved}")
         if not slow and (largest < enough or (number and _QUADRATIC * largest**2 < enough)):
             break
         slowly = slow
     else:
-        raise NotProved("Newton's method in many digits does not converge", got=f"steps {moved}")
+        raise NotProved("high-precision Newton's method does not converge", got=f"steps {moved}")
     assert grid is not None
     return RefinedRoot(y=y, inverse=inverse, grid=grid, steps=moved)
 

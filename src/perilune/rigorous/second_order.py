@@ -50,7 +50,7 @@ from perilune.rigorous.riccati_junctions import Junction, first_irregular_time, 
 from perilune.rigorous.taylor import Ball
 
 _WEIGHTS = (1e2, 1e4, 1e6)  # times the size of J over the square of that of a state
-_NOT_POSITIVE = "the second variation is not seen to be positive at the end"
+_NOT_POSITIVE = "the second variation is not shown to be positive at the end"
 _HALVED = 5  # times at most is a step
 
 
@@ -102,13 +102,13 @@ def _unsupported_cases(boundary: BoundaryProblem, root: EnclosedRoot) -> Iterato
     """Yield the requirements on scalars on bounds and at switches that are not proved, in words."""
     for i, (piece, arc) in enumerate(zip(boundary.pieces, boundary.arcs, strict=True)):
         if arc.idle:
-            yield "nothing may multiply a direction for a while"
+            yield "the factor of a direction may vanish on an interval"
         if piece.switched and arc.joint:
-            yield "the control that no formula gives has switches"
+            yield "the control without a formula has switches"
         if piece.switched:
             following = boundary.pieces[i + 1].regimes
             if [name for name in piece.regimes if piece.regimes[name] != following[name]] != [piece.switched]:
-                yield f"{piece.switched} does not switch alone"
+                yield f"{piece.switched} does not switch separately"
         flown = root.flight.nodes[i]
         before = boundary.pieces[i - 1].switched if i else ""
         for scalar in arc.scalars:
@@ -121,7 +121,8 @@ def _unsupported_cases(boundary: BoundaryProblem, root: EnclosedRoot) -> Iterato
             sign, slope = 1 if scalar.regime == "lower" else -1, SignedQuantity(arc, scalar.slope, root.y)
             for z, zero in zip((flown[0], flown[-1]), zeros, strict=True):
                 if not sign * (zero * slope.value(z, 1) if zero else slope.value(z)) > 0:
-                    yield f"dH/d({name}) is not seen to {'cross 0 with a slope' if zero else 'keep its sign to an end'}"
+                    what = "cross 0 with a slope" if zero else "keep its sign to an end"
+                    yield f"dH/d({name}) is not shown to {what}"
 
 
 class _SecondVariationForm:
@@ -225,7 +226,7 @@ class _SecondVariationForm:
             at = [*z, *multipliers]
             W = pass_junction(*junction.form(at, W, before), weights)
             if W is None:
-                return f"the weights do not outweigh the curvature of the start of {self.phases[k].name}"
+                return f"the weights do not dominate the curvature of the start of {self.phases[k].name}"
             z = [*junction.follows(at), *self.costates[k], *([arb(0)] * len(self.names))]
             for i, arc in self.arcs[k]:
                 z = [*z[: 2 * half], *self.w[i]]
@@ -273,7 +274,7 @@ def _propagate_bound(
             W = upper_bound_matrix(arb_mat(rows[half : 2 * half]) * arb_mat(rows[:half]).inv(), weights)
             for i, known in zip(own, node, strict=True) if node else ():
                 if not z[i].overlaps(known):
-                    raise NotEnclosed("two enclosures of one flight are apart")
+                    raise NotEnclosed("two enclosures of one flight are disjoint")
                 z[i] = z[i].intersection(known)
         elif depth == _HALVED:
             return z, W, t
@@ -311,5 +312,5 @@ def _tangents_with_control(kept: Differentiated, z: Sequence[Ball], W: Any) -> A
         return V
     _, (by_z, by_w) = kept.slopes(z[: 2 * half], z[2 * half :])
     if not positive_definite(by_w):
-        raise NotEnclosed("H is not seen to be convex in the control that no formula gives")
+        raise NotEnclosed("H is not shown to be convex in the control without a formula")
     return arb_mat(V.tolist() + (by_w.inv() * by_z * V * -1).tolist())

@@ -109,7 +109,7 @@ def attempt_proof(solution: Solution, tell: Callable[[str], None], efforts: Sequ
     except Unsupported as error:
         unsaid = error.what
     except (ArithmeticError, ValueError) as error:  # of FLINT, where a number has no value
-        unsaid = f"the arithmetic of balls has no value somewhere ({error})"
+        unsaid = f"ball arithmetic has no value somewhere ({error})"
     return Attempt(proved=None, unsaid=unsaid, seconds=time.monotonic() - began)
 
 

@@ -34,7 +34,7 @@ def add_attempt(verification: Verification, found: Attempt) -> Verification:
         return _note_no_theorem(verification, found.unsaid)
     if not found.proved.distance <= _FAR:
         return _note_no_theorem(
-            verification, f"beside the answer only another extremal is proved, {found.proved.distance:.2g} away"
+            verification, f"near the answer only another extremal is proved, {found.proved.distance:.2g} away"
         )
     if found.proved.missing:
         return _note_no_theorem(verification, unproved_sentence(found.proved.missing))
@@ -59,7 +59,8 @@ def _theorem_checks(proved: ProvedExtremal) -> tuple[Check, ...]:
         ),
         Check(
             name="distance_proved", level=THEOREM, value=proved.distance, limit=_FAR, unit="1",
-            meaning="from the answer to the extremal that is proved, the largest over the unknowns beside their size",
+            meaning="distance of the answer from the proved extremal, the largest over the unknowns relative to their"
+            " magnitude",
         ),
         Check(
             name="limits_proved", level=THEOREM, value=float(len(proved.missing)), limit=0.0, unit="1",

@@ -58,7 +58,7 @@ def _check_body(body: Body) -> None:
             "body.gravitational_parameter and body.radius do not belong together",
             got=f"a mean density of {density:.3g} kg/m^3",
             expected="about 500 to 6000 kg/m^3",
-            advice="look for m in place of km, or km in place of m",
+            advice="check for m in place of km, or km in place of m",
         )
     break_up = math.sqrt(body.gravitational_parameter / body.radius**3)
     degrees = math.degrees(1.0)
@@ -73,10 +73,10 @@ def _check_body(body: Body) -> None:
         )
     if abs(body.rotation_rate) >= break_up:
         _refuse_implausible(
-            "body.rotation_rate would throw the ground into space",
+            "body.rotation_rate exceeds the break-up rate of the body",
             got=f"{body.rotation_rate:.5g} rad/s",
             expected=f"less than {break_up:.3g} rad/s",
-            advice="look for rad/s in place of deg/s",
+            advice="check for rad/s in place of deg/s",
         )
 
 
@@ -89,7 +89,7 @@ def _check_orbit(orbit: Orbit, body: Body) -> None:
                 f"orbit.{name} is lower than the terrain",
                 got=f"{altitude:g} m",
                 expected=f"at least {terrain:.3g} m",
-                advice="look for m in place of km",
+                advice="check for m in place of km",
             )
     _check_away("orbit.parking_altitude", orbit.parking_altitude, body)
 
@@ -101,14 +101,14 @@ def _check_away(key: str, way: float, body: Body | UniformGravity) -> None:
                 f"{key} is so far away that no ground is flat",
                 got=f"{way / 1e3:g} km",
                 expected=f"at most {FURTHEST_FLAT / 1e3:g} km",
-                advice="look for km in place of m, or state a round body",
+                advice="check for km in place of m, or state a round body",
             )
     elif abs(way) > 50 * body.radius:
         _refuse_implausible(
             f"{key} is so far away that the body no longer rules the flight",
             got=f"{way / 1e3:g} km",
             expected=f"at most {50 * body.radius / 1e3:.3g} km, 50 radii",
-            advice="look for km in place of m",
+            advice="check for km in place of m",
         )
 
 
@@ -118,7 +118,7 @@ def _check_site(key: str, altitude: float, body: Body) -> None:
             f"{key} is deeper than any valley",
             got=f"{altitude / 1e3:g} km",
             expected=f"at least {-DEEPEST_SITE * body.radius / 1e3:.3g} km",
-            advice="altitudes are above the radius of the body; look for km in place of m",
+            advice="altitudes are above the radius of the body; check for km in place of m",
         )
 
 
@@ -129,7 +129,7 @@ def _check_interface(interface: Interface, body: Body) -> None:
             "interface.altitude is lower than mountains",
             got=f"{interface.altitude:g} m",
             expected=f"at least {HIGHEST_GROUND * body.radius / 1e3:.3g} km",
-            advice="look for m in place of km",
+            advice="check for m in place of km",
         )
 
 
@@ -141,14 +141,14 @@ def _check_vehicle(vehicle: Vehicle | Returner) -> None:
             "vehicle.thrust is more than a lander withstands",
             got=f"{acceleration:.3g} m/s^2",
             expected="below 500 m/s^2",
-            advice="look for kN in place of N, or g in place of kg",
+            advice="check for kN in place of N, or g in place of kg",
         )
     if isinstance(vehicle, Vehicle) and acceleration < 1e-8:  # the light of the Sun does more
         _refuse_implausible(
-            "vehicle.thrust moves no lander",
+            "vehicle.thrust is too small for a lander",
             got=f"{acceleration:.3g} m/s^2",
             expected="above 1e-8 m/s^2",
-            advice="look for N in place of kN",
+            advice="check for N in place of kN",
         )
 
 

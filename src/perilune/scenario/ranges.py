@@ -66,7 +66,7 @@ def _listed_values(key: str, text: str, known: Mapping[str, Quantity]) -> list[f
     quantity, parts = _split_range(key, text, known, ",")
     if not all(parts) or any(":" in part for part in parts) or len(text) > _LONGEST_LIST:
         raise PeriluneError(
-            f"the values of {key} are no list", got=one_line(text, 60),
+            f"the values of {key} are not a list", got=one_line(text, 60),
             expected=f"A,B,C UNIT, a comma between values, at most {_LONGEST_LIST} characters; or START:STOP:STEP",
             advice=_ADVICE,
         )  # fmt: skip
@@ -78,7 +78,7 @@ def _listed_values(key: str, text: str, known: Mapping[str, Quantity]) -> list[f
     if len(set(values)) < len(values):
         twice = next(part for k, part in enumerate(parts) if values[k] in values[:k])
         raise PeriluneError(
-            f"a value of {key} stands in its list twice", got=twice, expected="each value once", advice=_ADVICE
+            f"a value of {key} occurs twice in its list", got=twice, expected="each value once", advice=_ADVICE
         )
     return values
 
@@ -122,7 +122,7 @@ def _range_parts(
 
 def _split_range(key: str, text: str, known: Mapping[str, Quantity], sign: str) -> tuple[Quantity, list[str]]:
     """Return the declaration of a key, and the parts between signs; a part without a unit has that of the last."""
-    require_type(known, Mapping, "what is known of the keys that may be varied")
+    require_type(known, Mapping, "a valid table of the keys that may be varied")
     for value, what in ((key, "a key"), (text, "a range")):
         if not isinstance(value, str):
             raise wrong_type_error(value, "a text", what)

@@ -15,7 +15,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.scenario.plausible import refuse_slips
 
-KIND = TextField(example=HYBRID.name, choices=tuple(KINDS), about="which kind of problem the file states")
+KIND = TextField(example=HYBRID.name, choices=tuple(KINDS), about="the kind of problem that the file states")
 
 
 def problem_of(document: Mapping[str, Any], folder: Path | None = None) -> Problem:
@@ -147,10 +147,10 @@ def _refuse_both(name: str, section: Section, values: Mapping[str, Any]) -> None
     if one is not None:
         others = [key for key in values if key in record_keys(section.record)]
         raise PeriluneError(
-            f"{name}.{one} stands in place of other quantities, which are stated too",
+            f"{name}.{one} replaces other quantities, which are also stated",
             got=", ".join(f"{name}.{key}" for key in (one, *others)),
             expected="one or the other",
-            advice=f"leave out {name}.{one}, or all but it",
+            advice=f"omit {name}.{one}, or all the others",
         )
 
 
@@ -163,8 +163,8 @@ def _values_of_named_record(name: str, section: Section, values: dict[str, Any])
             alone = [key for key in section.keys if key not in record_keys(section.record)]
             raise PeriluneError(
                 f"{name}.{missing} is missing",
-                expected=" or ".join(["a name, or " + ", ".join(own), *(f"{key} alone" for key in alone)]),
-                advice=f'{_example_line(missing, own[missing])}, or name = "{next(iter(section.known))}" alone',
+                expected=" or ".join(["a name, or " + ", ".join(own), *(f"only {key}" for key in alone)]),
+                advice=f'{_example_line(missing, own[missing])}, or only name = "{next(iter(section.known))}"',
             )
         return {**values, "name": name}
     if own.keys() & values.keys():
@@ -172,7 +172,7 @@ def _values_of_named_record(name: str, section: Section, values: dict[str, Any])
             f"{name} has a name and quantities of its own",
             got=values["name"][:60],
             expected="one or the other",
-            advice=f"leave out {name}.name to use the quantities",
+            advice=f"omit {name}.name to use the quantities",
         )
     if values["name"].lower() not in section.known:
         raise unknown_name(name, values["name"][:60], list(section.known))
@@ -194,8 +194,8 @@ def _file_in_folder(key: str, stated: str, folder: Path | None) -> str:
     found = None if folder is None or not within or any(c in stated for c in ":\\") else folder / way
     if found is None or folder is None or not found.resolve().is_relative_to(folder.resolve()):
         raise PeriluneError(
-            f"{key} names no file beside the scenario",
-            got=repr(stated[:60]) + (" in a text that lies nowhere" if folder is None else ""),
+            f"{key} names no file in the scenario's folder",
+            got=repr(stated[:60]) + (" in a text without a folder" if folder is None else ""),
             expected="the name of a file in the scenario's own folder or below it, without ..",
             advice="copy the file there",
         )

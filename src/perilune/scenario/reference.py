@@ -52,10 +52,10 @@ def _refuse_no_scenario(kind: Kind, body: str) -> None:
         tolerance_of(document)
     except PeriluneError as error:
         raise PeriluneError(
-            f"the example of the kind of problem {kind.name} is no scenario",
+            f"the example of the kind of problem {kind.name} is not a scenario",
             got=f"{kind.package}: {one_line_error(error)}",
             expected="Kind(example=...) whose values are a problem",
-            advice="tell it who wrote the package",
+            advice="report it to the author of the package",
         ) from error
 
 
@@ -98,9 +98,9 @@ def reference() -> str:
         "# Every key of a scenario",
         "",
         "Written by `python docs/make_reference.py` from the declarations in `perilune.models`. A quantity is a number",
-        'and a unit of its dimension in quotes, `"15 km"`; what has no unit may stand without quotes. The parameter of',
+        'and a unit of its dimension in quotes, `"15 km"`; values without a unit need no quotes. The parameter of',
         "the problem, for `p.`, `with_given` and `pl.sweep`, is section and key with `_` for the dot: `vehicle.thrust`",
-        "is `vehicle_thrust`. `[proof]` is no part of the problem: it states what differences do not matter to the",
+        "is `vehicle_thrust`. `[proof]` is no part of the problem: it states tolerances of the",
         "[proof](verification.md#a-stated-tolerance). `perilune new KIND` writes a file to start from.",
     ]
     for kind in KINDS.values():

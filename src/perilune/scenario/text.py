@@ -36,7 +36,7 @@ def parse(text: str) -> dict[str, Any]:
             advice=_COMPARE,
         )
     refuse_nested(
-        text, "scenario", DEEPEST_NESTING, expected="sections with keys, nothing deeper",
+        text, "scenario", DEEPEST_NESTING, expected="sections with keys, without deeper nesting",
         advice=_COMPARE,
     )  # fmt: skip
     try:

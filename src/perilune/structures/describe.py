@@ -106,7 +106,7 @@ def _boundary_arcs_in_words(solution: Solution, k: int, structure: Structure) ->
                 yield NamedArc(phase=phase.name, begin=begin, end=ends[pieces[-1]], words=f"along {called[name]}")
         for arc, end in zip(arcs, ends, strict=True):
             if name in arc.touches:
-                yield NamedArc(phase=phase.name, begin=end, end=end, words=f"{called[name]} touched")
+                yield NamedArc(phase=phase.name, begin=end, end=end, words=f"contact point of {called[name]}")
 
 
 def _margin_in_words(name: str, variable: Variable) -> str:

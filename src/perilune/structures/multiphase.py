@@ -118,9 +118,9 @@ def _resummed_phases(restated: Problem, problem: Problem, structure: Structure) 
         else:
             alike = not (math.isfinite(lower) or math.isfinite(upper))
         if not alike:
-            what = f"the range of {name} is of another kind there: none, one value, or between bounds"
+            what = f"the range of {name} changes its kind there: none, one value, or between bounds"
             raise PeriluneError(
-                what, got=format_value_range((lower, upper), of.unit), advice="solve there from nothing"
+                what, got=format_value_range((lower, upper), of.unit), advice="solve there without an initial guess"
             )
     return restated.phases if all(new is old for new, old in zip(phases, restated.phases, strict=True)) else phases
 
@@ -146,9 +146,9 @@ def refuse_unstated_ends(
         said = repeated_ends(problem, k, arcs[-1], conditions_of(problem, k, arcs[-1].along), varied)
         for i in left_out - said:
             raise PeriluneError(
-                f"{phase.end_conditions[i].name} is said by the arc along {' and '.join(arcs[-1].along)} no longer",
-                expected="an end where that is ridden, as of the flight that is known",
-                advice="solve at these values from nothing",
+                f"{phase.end_conditions[i].name} is no longer implied by the arc along {' and '.join(arcs[-1].along)}",
+                expected="an end on this boundary arc, as in the known flight",
+                advice="solve at these values without an initial guess",
             )
 
 
@@ -261,7 +261,7 @@ class _Restated:
                 raise PeriluneError(
                     f"no control acts on {name}",
                     got=f"none in its first {MOST_ORDER} derivatives along the flight",
-                    expected="a quantity that a control moves, to ride along it",
+                    expected="a boundary arc needs a quantity that a control influences",
                     advice=f"Arc(touches=({name!r},)), where an arc ends",
                 )
 
@@ -293,7 +293,7 @@ class _Restated:
             found = conditions[name]
             if found.order < 2:
                 raise PeriluneError(
-                    f"{name} can be ridden, and not touched",
+                    f"{name} allows a boundary arc, but no contact point",
                     got=f"a condition of order {found.order}",
                     expected="order 2 or more, so that S = 0 and S' = 0 are conditions on the state",
                     advice=f"Arc(along=({name!r},)), an arc of its own",

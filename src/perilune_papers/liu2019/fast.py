@@ -101,7 +101,7 @@ def time_fast_methods(
     kinds = tuple(charted.chart.course.text or "one arc in each phase" for charted in atlas.charted)
     alone, apart = list[float](), 0.0
     for at, known in zip(points.tolist(), found, strict=True):
-        watch(f"from nothing at {len(alone) + 1} of {len(points)} points")
+        watch(f"without an initial guess at {len(alone) + 1} of {len(points)} points")
         began = time.process_time()
         solution = solve(problem.with_given(**dict(zip(AXES, at, strict=True))), level=0)
         alone.append(time.process_time() - began)

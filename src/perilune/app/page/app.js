@@ -60,7 +60,7 @@
     const few = said.knobs.filter((k) => k.mapped), main = few.length ? few : said.knobs.filter((k) => !k.natural).slice(0, 8), rest = said.knobs.filter((k) => !main.includes(k));
     $("knob-list").replaceChildren(...main.map(row)); $("more-list").replaceChildren(...rest.map(row)); $("more").hidden = !rest.length || !!frozen;
     $("scenario").hidden = !!frozen; if (!said.scenario) { $("scenario").title = `None: ${said.unwritten}`; }
-    $("scenario").onclick = () => { if (said.scenario) { fetched("scenario.toml", "text/plain"); } else { state.notice = `there is no scenario to hand out: ${said.unwritten}`; show(); } };
+    $("scenario").onclick = () => { if (said.scenario) { fetched("scenario.toml", "text/plain"); } else { state.notice = `there is no scenario to download: ${said.unwritten}`; show(); } };
     $("figures").hidden = !!frozen; $("slice-box").hidden = !few.length;
     for (const [id, place] of [["slice-x", 0], ["slice-y", 1]]) {
       $(id).replaceChildren(...(place ? [new Option("nothing else", "")] : []), ...few.map((k) => new Option(k.key, k.name)));
@@ -344,8 +344,8 @@
   document.querySelector(".skip").onclick = (event) => { event.preventDefault(); $("knobs").focus(); $("knobs").scrollIntoView(); }; // the address holds values
   new ResizeObserver(([head]) => document.documentElement.style.setProperty("--head", `${head.target.offsetHeight}px`)).observe(document.querySelector("header"));
   const whole = () => { show(); if (state.refused && state.flight) { numbers(state.flight); drawn(state.flight); } }; // the flight before, behind a refusal, too
-  const anew = () => { Draw.forget(); whole(); };
-  addEventListener("resize", anew);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", anew);
+  const redrawn = () => { Draw.forget(); whole(); };
+  addEventListener("resize", redrawn);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redrawn);
   connect();
 })();

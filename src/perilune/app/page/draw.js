@@ -12,7 +12,7 @@ const Draw = (() => {
 
   // One plot of several curves over a common x; kept and given new numbers as long as its curves are the same.
   // What is not on the screen waits until it is; a span below `least` is rounding, and looks like what it is: nothing.
-  // Places and sizes are told by observers: to ask for them lays the page out anew, each time that something was written.
+  // Places and sizes are told by observers: to ask for them lays the page out again, each time that something was written.
   const later = new Map(), near = new Set(), sizes = new WeakMap();
   const due = (node) => { const work = later.get(node); later.delete(node); if (work) { work(); } };
   const places = new IntersectionObserver((found) => {

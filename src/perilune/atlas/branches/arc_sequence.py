@@ -117,7 +117,7 @@ def arc_sequence_of(solution: Solution, keep: Held) -> tuple[ArcSequence, list[E
     _refuse_unknown(solution, known.structure)
     restated, curves = known.restated, known.restated.trajectories
     if not isinstance(curves, Curves):
-        raise PeriluneError("of this solution nothing but its curves is known")
+        raise PeriluneError("only the curves of this solution are known")
     for own in ((), attainable_conditions(restated.problem)):
         if derive(restated.problem, own) is curves.conditions:
             # Behind those of its arcs a solution lists others, without arcs, that break the path.
@@ -126,7 +126,7 @@ def arc_sequence_of(solution: Solution, keep: Held) -> tuple[ArcSequence, list[E
             settled = _state_bound_regimes(solution, known.structure)
             alike = derive(restate(solution.problem, settled), own).unknowns == curves.conditions.unknowns
             return ArcSequence(own, settled if alike else known.structure), extremals
-    raise PeriluneError("the control keeps some of the conditions that it can keep, which an atlas does not follow yet")
+    raise PeriluneError("the control keeps only some of the mixed constraints, which an atlas does not follow yet")
 
 
 def _state_bound_regimes(solution: Solution, structure: Structure) -> Structure:
@@ -170,11 +170,12 @@ def _refuse_unknown(solution: Solution, structure: Structure) -> None:
     for k, arcs in enumerate(structure.phases):
         for arc in arcs:
             if arc.along and any(regime == "singular" for _, regime in arc.regimes):
-                raise PeriluneError("a control is singular on an arc that rides along a condition", got=structure.text)
+                raise PeriluneError("a control is singular on a boundary arc", got=structure.text)
             for name, condition in conditions_of(solution.problem, k, arc.along).items():
                 if condition.order > _MOST_ORDER:
                     raise PeriluneError(
-                        f"the answer rides along {name}, of order {condition.order}, whose multiplier is not known",
+                        f"the answer has a boundary arc of {name}, of order {condition.order}, whose multiplier is"
+                        f" not known",
                         got=structure.text,
-                        expected=f"a condition that a control moves in its first {_MOST_ORDER} derivatives",
+                        expected=f"a condition in which a control appears within its first {_MOST_ORDER} derivatives",
                     )

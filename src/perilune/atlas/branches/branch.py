@@ -45,4 +45,4 @@ class Sheet:
     def label(self) -> str:
         """Return its active bounds and nature in words."""
         held = ", ".join(f"{name} at its {side} bound" for name, side in self.holds.items())
-        return f"{held or 'nothing at a bound'}: {self.nature.outdone.value}"
+        return f"{held or 'nothing at a bound'}: {self.nature.dominated.value}"

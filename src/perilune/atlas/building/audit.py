@@ -116,14 +116,14 @@ class Sample:
             lines.append(f"{good} of {len(self.thin)} with a thin margin proved, of {self.thin_nodes} that there are")
         if self.kept:
             good = sum(one.proved for one in self.kept)
-            lines.append(f"{good} of {len(self.kept)} drawn of the atlases that were merged proved to level {LEVEL}")
+            lines.append(f"{good} of {len(self.kept)} drawn from the merged atlases proved to level {LEVEL}")
         return [*lines, *(unproved_samples_text(atlas, one) for one in self.unproved)]
 
 
 def require_count(sample: Any) -> None:
     """Refuse anything but a number of proofs."""
     if sample is not None and (isinstance(sample, bool) or not isinstance(sample, int) or sample < 0):
-        raise wrong_type_error(sample, "a whole number from 0, or None", "how many answers are to be proved")
+        raise wrong_type_error(sample, "a whole number from 0, or None", "a valid number of answers to prove")
 
 
 def assured_share(proved: int, drawn: int) -> float:
@@ -146,7 +146,7 @@ def proved_text(proved: int, drawn: int) -> str:
 
 def refused_text(refused: int, drawn: int) -> list[str]:
     """Describe the number of drawn places that a query refuses; an empty list for none."""
-    told = f"of {drawn + refused} places that were drawn {refused} are refused by a query, of which nothing is said"
+    told = f"of {drawn + refused} places that were drawn, a query refuses {refused}; nothing is claimed about these"
     return [told] if refused else []
 
 
@@ -261,7 +261,7 @@ def draw_sample(
                 kept.settled("sample")
                 return
         if not waits:
-            watch("another builder draws the sample that is proved: waiting for it")
+            watch("another builder is drawing the sample to prove: waiting for it")
         waits = True
         time.sleep(PATIENCE)
 
@@ -336,10 +336,14 @@ def refuse_nowhere(kept: AtlasStore, survey: Mapping[str, Any], axes: int) -> No
         if (np.isin(cells["status"], SERVING) & minimum[cells["sheet"]]).any():
             return
         nodes, poor = nodes + len(known), poor + int((known["residual"] > SLACK).sum())
-    sensitive = f"; second flights of {poor} of them miss their ends by more than {SLACK:g}" if poor else ""
+    sensitive = (
+        f"; the independent re-integration of {poor} of them misses the end conditions by more than {SLACK:g}"
+        if poor
+        else ""
+    )
     raise NotConvergedError(
-        "the atlas answers nowhere in its region: no sheet was followed from one of its extremals to another",
+        "the atlas answers nowhere in its region: no sheet could be followed from one of its extremals to another",
         got=f"{nodes} extremals in {len(lines)} bricks{sensitive}",
-        expected="extremals that Newton's method follows, of flights that rounding does not throw off",
-        advice="another region, or perilune solve at single points",
+        expected="extremals that Newton's method can follow, whose flights are not sensitive to rounding",
+        advice="choose another region, or use perilune solve at single points",
     )

@@ -67,7 +67,7 @@ def build(
     axes
         ``{name: (low, high)}`` in SI, one to four; a dot in a name may stand for an underscore.
     store
-        The directory. One that holds part of the same atlas is gone on with.
+        The directory. One that holds part of the same atlas is continued.
     executor
         Where the blocks are computed: a `concurrent.futures.Executor` (a process pool, say) or a Dask client.
     tolerance
@@ -102,7 +102,7 @@ def build(
     region, say = region_of(problem, axes, bricks), watch or ignore_events
     if not (isinstance(tolerance, float) and _TIGHTEST <= tolerance <= _LOOSEST):
         raise PeriluneError(
-            "the tolerance of an atlas is out of range", got=repr(tolerance)[:40],
+            "the tolerance of the atlas is out of range", got=repr(tolerance)[:40],
             expected=f"{_TIGHTEST:g} to {_LOOSEST:g}, relative",
         )  # fmt: skip
     require_count(sample)
@@ -192,7 +192,7 @@ def _node_counts(kept: AtlasStore, region: Region, survey: Mapping[str, Any]) ->
 
 def _progress_text(named: Mapping[str, Key], there: Mapping[str, int], number: int) -> str:
     done = [there[name] for name in named if name in there]
-    again = f", gone on with from their neighbours ({number})" if number else ""
+    again = f", continued from their neighbours ({number})" if number else ""
     return f"{len(done)} of {len(named)} bricks, {sum(done)} nodes{again}"
 
 
@@ -239,15 +239,15 @@ def _ensure_survey_line(
     method: Indirect,
     executor: Submits | None,
     say: Watch,
-    anew: bool,
+    fresh: bool,
 ) -> dict[str, Any]:
-    """Return the survey's line of the manifest, made if missing or with `anew`; a failed survey leaves no files."""
-    kept.prepare(None if anew else header)
-    while anew or (known := kept.survey()) is None:
+    """Return the survey's line of the manifest, made if missing or with `fresh`; a failed survey leaves no files."""
+    kept.prepare(None if fresh else header)
+    while fresh or (known := kept.survey()) is None:
         with kept.claimed("survey") as ours:
             if not ours:
                 time.sleep(PATIENCE)
-            elif anew or kept.survey() is None:
+            elif fresh or kept.survey() is None:
                 try:
                     begin_processes(executor, (compile_for_bricks, problem, region.names, region.high - region.low))
                     survey = Survey(problem=problem, region=region, method=method, watch=say)
@@ -255,9 +255,9 @@ def _ensure_survey_line(
                 except BaseException:
                     kept.leave()
                     raise
-                if anew:
+                if fresh:
                     clear_atlas(kept.directory)
-                    anew = False
+                    fresh = False
                 kept.begin(header)
                 kept.add(_survey_line(kept, region, found, survey.notes))
                 kept.settled("survey")

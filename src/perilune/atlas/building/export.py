@@ -25,12 +25,13 @@ from perilune.io.exports.formats import format_of
 from perilune.io.save import program_versions
 
 _FLOWN = {
-    "margin": "by how much the node is an answer of its sheet, canonical; below zero it is beyond its border",
-    "length": "step that Newton's method would make there, relative",
-    "residual": "largest residual at the ends of the second flight, canonical",
-    "path": "least condition of the path and distance of states from their bounds in the second flight, canonical",
-    "minimum": "least H of another control minus H of the one flown in the second flight, canonical",
-    "drift": "change of H along the second flight, canonical",
+    "margin": "margin by which the node is an answer of its sheet, canonical; negative beyond the sheet's border",
+    "length": "Newton step there, relative",
+    "residual": "largest residual of the end conditions in the independent re-integration, canonical",
+    "path": "least value of the path conditions and of the states' distances from their bounds in the independent"
+    " re-integration, canonical",
+    "minimum": "least H of another control minus H of the control flown, in the independent re-integration, canonical",
+    "drift": "change of H along the independent re-integration, canonical",
 }
 
 
@@ -100,7 +101,9 @@ class NodeTable:
             NodeColumn(name="sheet", unit="1", about="number of the sheet, counted through all charts", kind="<i4"),
             NodeColumn(name="answer", unit="1", about="1 where the node may be an answer, else 0", kind="<i4"),
             *(NodeColumn(name=name, unit="1", about=about) for name, about in _FLOWN.items()),
-            NodeColumn(name="sequence", unit="1", about="number of the modes that the second flight goes through"),
+            NodeColumn(
+                name="sequence", unit="1", about="number of modes that the independent re-integration passes through"
+            ),
             NodeColumn(
                 name="terms",
                 unit="1",
@@ -156,7 +159,7 @@ class NodeTable:
         for number, *place in sorted(atlas.said):
             if (brick := atlas.brick(number, tuple(place))) is None:
                 raise PeriluneError(
-                    atlas.damaged[number, *place], advice="perilune atlas verify DIR names all that is damaged"
+                    atlas.damaged[number, *place], advice="perilune atlas verify DIR lists everything that is damaged"
                 )
             yield self._part(number, brick.nodes)
 

@@ -81,7 +81,7 @@ def extend(
     Raises
     ------
     PeriluneError
-        If there is no atlas, a name is no axis of it, or a range leaves out some of what is mapped.
+        If there is no atlas, a name is no axis of it, or a range excludes a part of the mapped region.
     NotConvergedError
         If no cell answers, once all that there is to compute is there.
     """
@@ -94,8 +94,8 @@ def extend(
     problem = header_problem(header, problem_from_scenario)
     if survey is None:
         raise PeriluneError(
-            "this atlas has no survey yet to be extended", got=str(kept.directory),
-            advice="build it first, or what is missing of it: perilune atlas build ... --resume",
+            "this atlas has no survey yet that could be extended", got=str(kept.directory),
+            advice="build it first, or complete it: perilune atlas build ... --resume",
         )  # fmt: skip
     region = survey_region(header_region(problem, header), survey)
     wide = wider(region, axes)
@@ -104,12 +104,12 @@ def extend(
         if RANGES in header:
             raise PeriluneError(
                 "ranges of free parameters follow from a function that this atlas does not keep",
-                got=str(kept.directory), expected="ranges that hold beyond what is mapped as well",
+                got=str(kept.directory), expected="ranges that also hold outside the mapped region",
                 advice="build an atlas of the wider region from the problem itself",
             )  # fmt: skip
         with kept.claimed("survey") as ours:
             if not ours or kept.survey() != survey:
-                raise PeriluneError("another builder surveys this atlas at this moment", advice="wait until it is done")
+                raise PeriluneError("another builder is surveying this atlas", advice="wait until it is done")
             with damage_text(MANIFEST):
                 survey = _wider_survey_line(kept, problem, region, wide, survey, method or Indirect(), say)
             kept.add(survey)

@@ -139,7 +139,7 @@ def merge(
             advice="choose another directory, or --force (in Python force=True)",
         )  # fmt: skip
     if kept.directory.resolve() in (one.kept.directory.resolve(), other.kept.directory.resolve()):
-        raise PeriluneError("two atlases are merged into a third", got=str(out), expected="another directory")
+        raise PeriluneError("the two atlases are merged into a third", got=str(out), expected="another directory")
     header = {**one.header, **header_axes(region), "versions": _versions_of(one.header, other.header)}
     kept.prepare(None)
 
@@ -212,16 +212,16 @@ def _ordered_parts(one: _Part, other: _Part) -> tuple[_Part, _Part, Region]:
     if apart:
         told = "; ".join(_axis_difference_text(one.region.axes[i], other.region.axes[i]) for i in apart)
         raise PeriluneError(
-            "these two regions do not make one", got=told,
-            expected="the same ranges, but along one axis, along which one ends where the other begins",
-            advice="build the part that is missing, or extend one of them: perilune atlas extend",
+            "these two regions do not form one", got=told,
+            expected="equal ranges along all axes but one, and along this axis one ends where the other begins",
+            advice="build the missing part, or extend one of them: perilune atlas extend",
         )  # fmt: skip
     return one, other, one.region
 
 
 def _axis_difference_text(a: Axis, b: Axis) -> str:
     if (a.low, a.high) == (b.low, b.high):
-        return f"{a.key} is divided at other values"
+        return f"{a.key} is divided at different values"
     ranges = (f"{format_quantity(axis.low, axis.unit)} to {format_quantity(axis.high, axis.unit)}" for axis in (a, b))
     return f"{a.key} {' and '.join(ranges)}"
 
@@ -256,7 +256,7 @@ def _merged_manifest_lines(
     digest = digest_of([edges, lines])
     proofs, lost = _valid_proofs((one, other), region, taken)
     if lost:
-        watch(said := f"{lost} of the proofs of the merged atlases are dropped: what answers at their nodes is of both")
+        watch(said := f"{lost} proofs of the merged atlases are dropped, because both atlases answer at their nodes")
         notes = [*notes, said][-MOST_NOTES:]
     yield {"kind": "survey", "digest": digest, "header": seal, "edges": edges, "charts": lines, "notes": notes}
     for count, (key, (part, line)) in enumerate(sorted(taken.items(), key=lambda item: item[0]), 1):

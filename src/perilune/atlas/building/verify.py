@@ -110,7 +110,7 @@ def verify_atlas(
     if not (charts := atlas.survey["charts"]):
         raise PeriluneError(
             "this atlas has no survey, and nothing to verify", got=str(atlas.store.directory),
-            advice="build it first, or again what is lost of it: perilune atlas build ... --resume",
+            advice="build it first, or rebuild what was lost: perilune atlas build ... --resume",
         )  # fmt: skip
     shards = [(-1, chart["seeds"], seed_type(d, chart["unknowns"])) for chart in charts]
     for (number, *_), line in sorted(atlas.said.items()):
@@ -128,8 +128,8 @@ def verify_atlas(
             good += int(are_possible_answers(rows, atlas.charted[number].sheets).sum())
     if broken := atlas.store.unreadable:
         damaged.append(
-            f"{broken} line{'s' * (broken > 1)} of {MANIFEST} cannot be read, and what they told of is missing: remove"
-            " them; perilune atlas build ... --resume computes it again"
+            f"{broken} line{'s' * (broken > 1)} of {MANIFEST} cannot be read: remove them; perilune atlas build ..."
+            f" --resume computes again what they described"
         )
     ended = not atlas.unbuilt and atlas.store.ended(atlas.survey, d)
     refused = Refused()

@@ -95,9 +95,9 @@ class ReintegratedExtremals:
         """Describe the largest violation of the first extremal."""
         first = MarchedMargins(*self.shown[0].tolist())
         against = {
-            "its ends are missed by": first.residual,
-            "a condition of the path, or a bound, is broken by": -first.path,
-            "another control makes H less by": -first.minimum,
+            "its end conditions are missed by": first.residual,
+            "a path condition or a bound is violated by": -first.path,
+            "another control lowers H by": -first.minimum,
             "H drifts by": first.drift,
         }
         words = max(against, key=lambda name: against[name])
@@ -124,7 +124,7 @@ class _ModeInterval:
 
 
 class ChartReintegration:
-    """Second flights of extremals of a chart.
+    """Independent re-integration of extremals of a chart.
 
     Parameters
     ----------

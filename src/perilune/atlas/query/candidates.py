@@ -58,20 +58,20 @@ class Candidate:
         polished, sheet = self.polished, f"the sheet '{self.label}'"
         if polished is not None and (beyond := self.beyond):
             name, side = beyond[0]
-            return f"an extremal of {sheet} lies beyond the {side} bound of {name}, and one held there may be better"
+            return f"an extremal of {sheet} lies beyond the {side} bound of {name}, and one at this bound may be better"
         if polished is not None and polished.gains[0]:
-            return f"an extremal of {sheet} would gain by leaving what it holds, and what it would become is not known"
+            return f"an extremal of {sheet} has a multiplier of the wrong sign, and the better extremal is not known"
         if self.short:
-            return f"an arc of an extremal of {sheet} has a negative duration, and what it becomes may be better"
+            return f"an extremal of {sheet} has an arc of negative duration, and the extremal without it may be better"
         if self.breaks or (polished is not None and polished.breaking[0]):
-            return f"an extremal of {sheet} breaks a condition, and a flight that keeps it may be better than is known"
+            return f"an extremal of {sheet} violates a condition, and an unknown flight that keeps it may be better"
         if polished is None:
             return f"{sheet} ends in this cell"
         if not polished.reached[0]:
-            return f"Newton's method leads to no extremal of {sheet} from what its cell gives"
+            return f"Newton's method finds no extremal of {sheet} from the cell's first guess"
         if polished.reintegrated.margins.good[0]:
-            return f"the extremal of {sheet} is known to {polished.bound[0]:.1e} alone (relative; limit {SLACK:g})"
-        return f"the second flight does not bear out the extremal of {sheet}: {polished.reintegrated.violation}"
+            return f"the extremal of {sheet} is known only to {polished.bound[0]:.1e} (relative; limit {SLACK:g})"
+        return f"the independent re-integration contradicts the extremal of {sheet}: {polished.reintegrated.violation}"
 
 
 def dominates_known(charted: OpenChart, cost: Any, best: Any) -> Any:

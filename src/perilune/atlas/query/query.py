@@ -149,17 +149,17 @@ class Atlas(AtlasReader):
                 raise TypeError
             values = [float(told[name]) for name in names]
         except (TypeError, ValueError, OverflowError):
-            raise PeriluneError("the values of axes are numbers in SI", got=str(told)[:80]) from None
+            raise PeriluneError("values of the axes as numbers in SI", got=str(told)[:80]) from None
         if not all(map(isfinite, values)):
-            raise PeriluneError("the values of axes are finite", got=str(told)[:80])
+            raise PeriluneError("finite values of the axes", got=str(told)[:80])
         at = np.array(values)
         if (outside := self.region.outside(values)) is not None:
             inside = np.clip(at, self.region.low, self.region.high)
             there = self.query_many(inside[None]).good[0]
             near = self.region.format_point(inside.tolist()) if there else self._nearest(inside)
             raise PeriluneError(
-                "the point lies outside of the atlas", got=outside, expected=f"for instance {near}" if near else "",
-                advice="perilune solve answers anywhere; or build an atlas over a larger region",
+                "the point lies outside the atlas", got=outside, expected=f"for instance {near}" if near else "",
+                advice="use perilune solve, or build an atlas over a larger region",
             )  # fmt: skip
         return at
 
@@ -344,7 +344,9 @@ class Atlas(AtlasReader):
         self._refuse_impossible(at)
         place, got = self.region.brick_of(at), self.region.format_point(at.tolist())
         if broken := self.damage(place):
-            return PeriluneError(broken[0], got=got, advice="perilune atlas verify DIR names all that is damaged")
+            return PeriluneError(
+                broken[0], got=got, advice="perilune atlas verify DIR lists everything that is damaged"
+            )
         if self.missing(place):
             order = "extend DIR" if self.survey["charts"] else "build ... --resume"
             return PeriluneError(
@@ -358,7 +360,7 @@ class Atlas(AtlasReader):
             f"the atlas has no answer here: {why}",
             got=got,
             expected=f"for instance {near}" if near else "another point",
-            advice="perilune solve answers at single points; an atlas of more bricks may answer here (--bricks)",
+            advice="use perilune solve here; an atlas of more bricks may answer here (--bricks)",
         )
 
     def _nearest(self, at: Vector) -> str:

@@ -308,7 +308,7 @@ class AtlasReader:
         place = tuple(brick) if isinstance(brick, Sequence | np.ndarray) else ()
         if len(place) != len(self.region.axes) or not all(isinstance(part, Integral) for part in place):
             expected = f"the number of the brick along each of: {self._axes}"
-            raise PeriluneError("this is no place of a brick", got=repr(brick)[:80], expected=expected)
+            raise PeriluneError("this is not the position of a brick", got=repr(brick)[:80], expected=expected)
         return place
 
     @property
@@ -317,7 +317,9 @@ class AtlasReader:
 
     def _no_brick(self, number: Any, brick: Any) -> PeriluneError:
         expected = f"a chart, 0 to {len(self.charted) - 1}, and the number of the brick along each of: {self._axes}"
-        return PeriluneError("this is no place of a brick", got=f"{number!r}, {brick!r}"[:80], expected=expected)
+        return PeriluneError(
+            "this is not the position of a brick", got=f"{number!r}, {brick!r}"[:80], expected=expected
+        )
 
 
 def are_possible_answers(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.bool_]:
@@ -343,4 +345,4 @@ def _refuse_wild(nodes: NDArray[Any], cells: NDArray[Any], d: int, sheets: int, 
     good &= (cells["axis"] >= -1) & (cells["axis"] < d) & (cells["sheet"] >= 0) & (cells["sheet"] < sheets)
     good &= ~np.isin(cells["status"], SERVING) | (cells["corners"] >= 0).all(axis=1)
     if not good.all() or not ((nodes["sheet"] >= 0) & (nodes["sheet"] < sheets)).all():
-        raise PeriluneError(f"a brick of the atlas is damaged: {name}", got="numbers that lead nowhere")
+        raise PeriluneError(f"a brick of the atlas is damaged: {name}", got="numbers that refer to nothing")

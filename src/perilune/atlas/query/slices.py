@@ -127,7 +127,7 @@ def sliced(
             raise unknown_name("axis", name, [axis.key for axis in region.axes])
         if name in held or names.count(name) > 1:
             raise PeriluneError(
-                f"{key_of(name)} is told twice", expected="an axis either along the slice or at one value"
+                f"{key_of(name)} is given twice", expected="each axis either along the slice or at one value"
             )
     if len(names) not in (1, 2):
         raise PeriluneError("a slice goes along one axis or two", got=str(len(names)), expected="1 or 2 names")
@@ -161,7 +161,7 @@ def _held_axis_values(atlas: Atlas, at: Mapping[str, float]) -> dict[str, float]
         try:
             held[name] = float(value)
         except (TypeError, ValueError, OverflowError):
-            raise PeriluneError("the values of axes are numbers in SI", got=str(value)[:80]) from None
+            raise PeriluneError("values of the axes as numbers in SI", got=str(value)[:80]) from None
     middle = [held.get(axis.name, 0.5 * (axis.low + axis.high)) for axis in region.axes]
     if (outside := region.outside(middle)) is not None:
         raise PeriluneError("the slice lies outside of the atlas", got=outside)

@@ -17,11 +17,13 @@ def unusable_atlas_error(
 
 def unwritable_atlas_error(name: str, error: OSError) -> PeriluneError:
     """Return the error of a file that cannot be written."""
-    helps = "look at its rights" if isinstance(error, PermissionError) or error.errno == errno.EROFS else "make space"
+    helps = (
+        "check its permissions" if isinstance(error, PermissionError) or error.errno == errno.EROFS else "free space"
+    )
     return PeriluneError(
         "the atlas cannot be written", got=f"{name}: {error.strerror}",
         expected="a directory that you may write, with space left",
-        advice=f"what is there is kept: {helps}, and give the same order again (atlas build: with --resume)",
+        advice=f"existing files are kept: {helps}, and run the same command again (atlas build: with --resume)",
     )  # fmt: skip
 
 
@@ -29,7 +31,7 @@ def unreadable_file_error(name: str, error: OSError) -> PeriluneError:
     """Return the error of a file that cannot be read."""
     return PeriluneError(
         f"a file of the atlas cannot be read: {name}", got=str(error.strerror), expected="a file that you may read",
-        advice="look at its rights",
+        advice="check its permissions",
     )  # fmt: skip
 
 
@@ -37,7 +39,7 @@ def damaged_shard_error(name: str, got: str) -> PeriluneError:
     """Return the error of a shard that differs from what was written."""
     again = "the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again"
     if name.startswith("survey-"):  # without its line it is unknown where branches are
-        again = "remove its line from manifest.jsonl, and give the order that built it again: atlas build ... --resume"
+        again = "remove its line from manifest.jsonl, and run the command that built it again: atlas build ... --resume"
     return PeriluneError(
         f"a shard of the atlas is damaged: {name}", got=got, expected="the file as it was written", advice=again
     )

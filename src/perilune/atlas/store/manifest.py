@@ -64,7 +64,7 @@ def damage_text(name: str) -> Iterator[None]:
         raise
     except (LookupError, TypeError, ValueError, OverflowError, AttributeError, MemoryError) as error:
         raise PeriluneError(
-            f"the atlas is damaged: {name} says what no atlas does",
+            f"the atlas is damaged: {name} has an entry that no atlas has",
             got=f"{type(error).__name__}: {error}"[:80], expected="the file as it was written",
         ) from error  # fmt: skip
 
@@ -92,7 +92,8 @@ def refuse_no_survey(line: Mapping[str, Any]) -> None:
         )
         times = chart.get("times")
         _refuse_unless(
-            _is_list_of(times, int) and all(0 < n <= _MOST_TIMES for n in times), "how finely extremals are flown again"
+            _is_list_of(times, int) and all(0 < n <= _MOST_TIMES for n in times),
+            "the steps of the independent re-integration",
         )
         without = chart.get("without", [])
         places = _is_list_of(without, list) and all(_is_exact_integer(number) for place in without for number in place)
@@ -104,7 +105,7 @@ def refuse_no_survey(line: Mapping[str, Any]) -> None:
             holds = sheet.get("holds")
             _refuse_unless(isinstance(holds, dict) and set(holds.values()) <= {"lower", "upper"}, "what a sheet holds")
             _refuse_unless(sheet.get("orientation") in (-1, 1), "the side of a fold")
-            _refuse_unless(sheet.get("nature") in Nature.__members__, "what extremals of a sheet are")
+            _refuse_unless(sheet.get("nature") in Nature.__members__, "the kind of a sheet's extremals")
 
 
 def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:

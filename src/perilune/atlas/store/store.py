@@ -51,7 +51,7 @@ from perilune.io.json_checks import tree
 HEADER, MANIFEST = "atlas.json", "manifest.jsonl"
 PATIENCE = 0.2  # seconds between looks at what another builder does
 _OURS = re.compile(r"(brick|survey)-[\w.~-]{1,80}\.npy", re.ASCII)
-_ANEW = "build the atlas anew: perilune atlas build ... --force"
+_ANEW = "rebuild the atlas: perilune atlas build ... --force"
 
 
 class AtlasStore:
@@ -93,9 +93,9 @@ class AtlasStore:
         said, found = json.loads(json.dumps(finite(dict(header)))), self.header()
         differs = [name for name, value in said.items() if name != "versions" and found.get(name) != value]
         if differs:
-            got, advice = f"an atlas of other {', '.join(differs)}", "choose another directory"
+            got, advice = f"an atlas that differs in its {', '.join(differs)}", "choose another directory"
             if differs == ["axes"]:
-                advice = f"perilune atlas extend makes ranges wider, and completes what was made so; or {advice}"
+                advice = f"perilune atlas extend widens ranges, and completes an atlas that was widened; or {advice}"
             raise unusable_atlas_error(self.directory, got, "the same atlas", advice)
 
     def begin(self, header: Mapping[str, Any]) -> None:
@@ -137,7 +137,7 @@ class AtlasStore:
         if found != with_checksum(found):
             raise PeriluneError(
                 f"the atlas is damaged: {HEADER} is not as it was written",
-                got="another content than its checksum says",
+                got="content that does not match its checksum",
                 expected="the file as it was written",
                 advice=_ANEW,
             )
@@ -203,9 +203,9 @@ class AtlasStore:
                     found = line
         if others and found is None and self.seal:
             raise PeriluneError(
-                f"the atlas is damaged: {HEADER} and {MANIFEST} are of two atlases", got=str(self.directory),
+                f"the atlas is damaged: {HEADER} and {MANIFEST} belong to two atlases", got=str(self.directory),
                 expected="the files of one, as they were written",
-                advice=f"copy the whole directory again; open one that was replaced meanwhile anew; or {_ANEW}",
+                advice=f"copy the whole directory again; reopen an atlas that was replaced meanwhile; or {_ANEW}",
             )  # fmt: skip
         return found
 
@@ -322,7 +322,7 @@ class AtlasStore:
         except (OSError, ValueError, EOFError) as error:
             raise damaged_shard_error(name, str(error)[:80]) from error
         if found is None:
-            raise damaged_shard_error(name, "another content than its checksum says")
+            raise damaged_shard_error(name, "content that does not match its checksum")
         if found.dtype != dtype or found.ndim != 1 or len(found) != said.get("rows"):
             raise damaged_shard_error(name, f"{found.dtype} {found.shape}"[:80])
         return found

@@ -102,7 +102,7 @@ class RegionSolver:
             if len(kinds) < 2 or looked[kinds] >= _HALVINGS:
                 continue
             looked[kinds] += 1
-            self.watch("survey: between points whose answers have different arcs")
+            self.watch("survey: between points whose answers have different arc structures")
             values = 0.5 * (one + other)
             if (answer := self._solved(values)) is not None:
                 found.append(answer)
@@ -122,7 +122,7 @@ class RegionSolver:
         while len(found) < _MOST_HELD and failed < _MOST_FAILED and (gap := scan.gap()) is not None:
             place, values, name, share = gap
             called = free_name(self.problem, name)
-            self.watch(f"survey: with {called} held where no flight that is known keeps the path")
+            self.watch(f"survey: with {called} held where no known flight keeps the path conditions")
             answer = self._solved(values, name, share)
             if answer is not None and scan.add(answer.values, answer.course, answer.extremals, place):
                 found.append(answer)

@@ -93,7 +93,8 @@ class Survey:
         if not (charts := [found for one in courses if (found := self._found(*one, corners)).sheets]):
             raise PeriluneError(
                 "there is nothing to map",
-                got="; ".join(self.notes)[:300] or "extremals that Newton's method does not follow from where they are",
+                got="; ".join(self.notes)[:300]
+                or "Newton's method does not converge from the extremals that are known",
                 advice="solve the problem at one point of the region first: perilune solve",
             )
         return charts
@@ -128,8 +129,8 @@ class Survey:
         for extremal in extremals:
             if extremal.unknowns and len(extremal.unknowns) != len(chart.own.unknowns):
                 self.notes.append(
-                    f"at {self.region.format_point(at.tolist())}: '{chart.course.text}' is not mapped, as an"
-                    " end condition is one that the arc to the end keeps at these values, and at others not"
+                    f"at {self.region.format_point(at.tolist())}: '{chart.course.text}' is not mapped, as the last"
+                    f" arc implies an end condition at these values but not at others"
                 )
             elif extremal.unknowns:
                 y = chart.from_problem_unknowns(np.array(extremal.unknowns))
@@ -183,7 +184,7 @@ class Survey:
             if not start.converged[0]:
                 continue
             if _sided_by_rounding(chart, start):
-                said = f"'{chart.course.text or 'a flight of one arc'}' switches by rounding, and is not mapped"
+                said = f"'{chart.course.text or 'a flight of one arc'}' switches by rounding errors, and is not mapped"
                 self.notes.append(f"at {self.region.format_point((values * chart.scale).tolist())}: {said}")
                 continue
             sheet = replace(sheet, orientation=float(start.orientation[0]))
@@ -216,7 +217,7 @@ class Survey:
     def _note_many(self, chart: Chart) -> None:
         """Note, once, that a chart has more branches than are mapped."""
         flown = f"'{chart.course.text or 'a flight of one arc'}' has more than {_MOST_SHEETS} sheets"
-        if (said := f"{flown}: others, behind folds and at bounds, are not mapped and may be better") not in self.notes:
+        if (said := f"{flown}: others, beyond folds and at bounds, are not mapped and may be better") not in self.notes:
             self.notes.append(said)
 
     def _with_small(self, known: SurveyedChart, sheet: Sheet, values: Vector, y: Vector) -> SurveyedChart:
@@ -231,7 +232,7 @@ class Survey:
         beside = continue_sheet_to(chart, known.borders, sheet, values, y, there[None])[0]
         if not np.isfinite(beside[0]):
             told = self.region.format_point(at.tolist())
-            self.notes.append(f"at {told}: the sheet '{sheet.label}' goes nowhere from there, and is not mapped")
+            self.notes.append(f"at {told}: the sheet '{sheet.label}' cannot be followed from there, and is not mapped")
             return known
         one = InteriorSeed(len(known.sheets), brick, place, there, beside)
         none = np.full((1, *known.y.shape[1:]), np.nan)

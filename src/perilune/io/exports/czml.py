@@ -26,7 +26,7 @@ from perilune.problem.results.solution import Solution
 NAME = "CZML"
 _LONGEST = 0.05  # of the way, the longest arrow of thrust
 _TURNED = np.radians(0.1)  # that attitudes and arrows are off; Cesium takes those less than 0.003 rad apart for one
-_AXES = "axes that turn with the body (FIXED); at the begin of the flight they are the model's own, which do not turn"
+_AXES = "body-fixed axes (FIXED); at the start of the flight they coincide with the model's inertial axes"
 _PLAYED = 60.0  # s, that a flight takes when it is played
 
 
@@ -100,7 +100,7 @@ def _czml_document(flown: list[InertialLeg], about: Mapping[str, str], epoch: da
         "name": "thrust",
         "availability": whole,
         "parent": "vehicle",
-        "description": f"An arrow along the acceleration by thrust, {stretch:.6g} m long for each m/s^2.",
+        "description": f"An arrow along the thrust acceleration, {stretch:.6g} m long for each m/s^2.",
         "position": {**sampled, **curved, "cartesianVelocity": _interleaved_samples(flight.time, tip_at, tip_velocity)},
         "polyline": {
             "positions": {"references": ["vehicle#position", "thrust#position"]},

@@ -27,12 +27,12 @@ def flight_epoch(solution: Solution, stated: str | datetime | None) -> datetime 
     found = instant(own if stated is None else stated)
     if own and found != instant(own, "the problem's epoch"):
         raise PeriluneError(
-            "the problem has an epoch of its own", got=str(stated), expected=own,
-            advice="leave the epoch out, or solve the problem at the other one",
+            "the problem already has an epoch", got=str(stated), expected=own,
+            advice="leave the epoch out, or solve the problem for the other one",
         )  # fmt: skip
     if solution.duration > (END - found).total_seconds():
         raise PeriluneError(
-            f"the flight goes on behind the year {END.year - 1}", got=f"an epoch of {found.isoformat()}",
+            f"the flight extends beyond the year {END.year - 1}", got=f"an epoch of {found.isoformat()}",
             expected="an earlier one",
         )  # fmt: skip
     return found
@@ -49,7 +49,7 @@ def needed_epoch(solution: Solution, stated: str | datetime | None, form: str) -
     found = flight_epoch(solution, stated)
     if found is None:
         raise PeriluneError(
-            f"{form} needs the time at which the flight begins, and {solution.problem.name} states none",
+            f"{form} needs the time at which the flight starts, and {solution.problem.name} states none",
             expected="UTC in ISO 8601",
             advice=f'--epoch {EXAMPLE} (in Python epoch="{EXAMPLE}")',
         )
@@ -70,6 +70,6 @@ def leap_seconds_sentence(epoch: datetime, seconds: float) -> str:
     """Return a sentence on the known leap seconds within so many seconds after the epoch."""
     days = leap_seconds_within(epoch, seconds)
     if not days:
-        return "No leap second that is known lies within the flight."
+        return "No known leap second lies within the flight."
     named = ", ".join(f"{day - timedelta(days=1):%Y-%m-%d}T23:59:60" for day in days)
-    return f"Within the flight lies the leap second {named}."
+    return f"The leap second {named} lies within the flight."

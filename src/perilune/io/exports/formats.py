@@ -38,14 +38,14 @@ def format_of(path: Path, format: str | None, known: Sequence[str]) -> str:
         return known[0]
     fits = known if format is None else [format]
     raise PeriluneError(
-        f"the file is called as if it held {named or 'something else'}",
+        f"the file name has the ending of {named or 'no known format'}",
         got=path.name,
         expected=" or ".join(f"{path.stem}{ENDINGS[name]} for {name}" for name in fits),
-        advice=f"call it by its format{_or_ask(named, format)}",
+        advice=f"name it by its format{_or_ask(named, format)}",
     )
 
 
 def _or_ask(named: str | None, format: str | None) -> str:
     if named is None:
-        return ", or say which with format=... (--format)"
-    return f", or ask for {named}" if format else ""
+        return ", or give the format with format=... (--format)"
+    return f", or request {named}" if format else ""

@@ -76,7 +76,7 @@ def require_object_name(text: str, keyword: str) -> None:
     fits = isinstance(text, str) and 0 < len(text) <= _NAMED and text.isascii() and text.isprintable()
     if not fits or text != text.strip():
         raise PeriluneError(
-            f"this is no {keyword} of {NAME}", got=repr(text)[:_NAMED],
+            f"this is not a valid {keyword} of {NAME}", got=repr(text)[:_NAMED],
             expected=f"1 to {_NAMED} printable ASCII characters, as "
             + ("'LANDER 1'" if keyword == "OBJECT_NAME" else "the designator '2030-001A'"),
             advice="leave it out for the name of the problem" if keyword == "OBJECT_NAME" else f"or {UNNAMED}",
@@ -95,7 +95,8 @@ def _header_comments(
     if space is not None and space.chosen:
         yield space.chosen
     yield (
-        "The model flies in inertial axes that are those of the body at the begin of the flight. Axes of the body in "
+        "The model uses inertial axes that coincide with those of the body at the start of the flight. Axes of the"
+        " body in "
         f"the ICRF at that time: {describe_orientation(body, epoch)}."
     )
     yield f"Hermite interpolation of degree 3 between two lines loses at most {1e3 * lost:.1g} mm."
@@ -113,7 +114,7 @@ def _mass_and_thrust(solution: Solution, name: str) -> list[str]:
     mass = solution.flown(k, t)[0][masses[0]]
     thrust = mass * np.linalg.norm(solution.inertial(k, t)[2], axis=0)
     pushed = f"thrust from {thrust.min():.6g} to {thrust.max():.6g} N" if thrust.any() else "no thrust"
-    text = f"mass {mass[0]:.6f} kg at the begin and {mass[-1]:.6f} kg at the end of the phase, {pushed}"
+    text = f"mass {mass[0]:.6f} kg at the start and {mass[-1]:.6f} kg at the end of the phase, {pushed}"
     return list(_comments(iter([text])))
 
 

@@ -32,7 +32,7 @@ class InertialLeg:
     time
         From the begin of the flight [s], shape (n,), increasing.
     position, velocity, push, push_rate
-        [m], [m/s], acceleration by thrust [m/s^2] and its rate [m/s^3], each (3, n).
+        [m], [m/s], thrust acceleration [m/s^2] and its rate [m/s^3], each (3, n).
     lost
         Most that interpolation of position and velocity loses half-way between two times [m].
     """
@@ -98,10 +98,11 @@ def space_of(solution: Solution, form: str) -> Space:
     problem = solution.problem
     unseen = [phase.name for phase in problem.phases if phase.inertial is None]
     if problem.views.space is None or unseen:
-        what = f"its phase {unseen[0]} states no inertial view" if unseen else "it states no body in space"
+        what = f"its phase {unseen[0]} states no inertial view" if unseen else "it states no celestial body"
         raise PeriluneError(
-            f"{form} needs a place in space, and {problem.name} has none", got=what,
-            expected="Phase(inertial=...) of every phase, and Views(space=Space(...)); flat ground is nowhere",
+            f"{form} needs a position in space, and {problem.name} has none", got=what,
+            expected="Phase(inertial=...) of every phase, and Views(space=Space(...)); flat ground has no position in"
+            " space",
             advice="csv, parquet and netcdf need neither",
         )  # fmt: skip
     return problem.views.space
@@ -136,7 +137,7 @@ def legs(solution: Solution, bent: float | None = None, tick: float | None = Non
         begin += trajectory.duration
     if not found or not all(np.isfinite([leg.position, leg.velocity, leg.push]).all() for leg in found):
         raise PeriluneError(
-            "this is no flight that could be placed in space", got="numbers that are not finite, or no time at all",
+            "this flight cannot be placed in space", got="numbers that are not finite, or no duration",
             expected="a solution of `perilune.solve`",
         )  # fmt: skip
     return found

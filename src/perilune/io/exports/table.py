@@ -1,7 +1,7 @@
 """Flight as one table: all phases below each other at the nodes of their states, each column described.
 
 The columns are those of `perilune.io.columns`: outputs, states, controls, costates and H, angles in degrees and
-everything else in SI; and where the problem says where in space it flies, position, velocity and acceleration by thrust
+everything else in SI; and where the problem says where in space it flies, position, velocity and thrust acceleration
 in inertial axes. What a phase does not have is NaN in it. Where a phase ends and the next begins, and at a switch, a
 time stands twice: before it and behind it; or, where each time must be another, the row before it is that of a
 microsecond earlier.
@@ -133,10 +133,13 @@ def _column_descriptions(solution: Solution) -> dict[str, str]:
     for phase in phases:
         for v in (*phase.output_variables, *phase.states):
             told[v.name] = v.description or v.label
-        told |= {f"lambda_{v.name}": f"costate of {v.name}: derivative of the least J by it" for v in phase.states}
+        told |= {
+            f"lambda_{v.name}": f"costate of {v.name}: derivative of the optimal J with respect to it"
+            for v in phase.states
+        }
         for control in phase.controls:
             told |= {name: f"control, component of {control.kind}" for name in control.names}
-    for stem, what in (("", "position"), ("v", "velocity"), ("thrust_", "acceleration by thrust")):
+    for stem, what in (("", "position"), ("v", "velocity"), ("thrust_", "thrust acceleration")):
         told |= {f"inertial_{stem}{axis}": f"{what} along {axis} in inertial axes" for axis in _AXES}
     return told
 

@@ -38,7 +38,8 @@ _PLACES = {
 _CF_UNITS = {"deg": "degree"}  # UDUNITS knows no "deg"
 _DIMENSION = "time"
 _PARTED = (
-    "Where a phase ends or something jumps, the row before it is that of a microsecond earlier: no time stands twice."
+    "Where a phase ends or a value jumps, the row before is that of a microsecond earlier, so that no time occurs"
+    " twice."
 )
 
 
@@ -100,7 +101,7 @@ def write_netcdf(table: FlightTable, about: Mapping[str, str], epoch: datetime |
     for name in (f.name for f in table.fields):
         if not name.isascii():
             raise PeriluneError(
-                "NetCDF as it is written here has names of ASCII letters only", got=name,
+                "NetCDF names are written in ASCII letters only", got=name,
                 advice="csv or parquet, or another name in the problem",
             )  # fmt: skip
     with netcdf_file(str(path), "w", version=2) as file:
@@ -146,7 +147,7 @@ def frame_of(table: FlightTable, about: Mapping[str, str]) -> pandas.DataFrame:
     return found
 
 
-_TIME = "time from the begin of the flight"
+_TIME = "time from the start of the flight"
 _TRAJECTORY = "trajectory"
 
 
@@ -175,7 +176,7 @@ def _netcdf_variables(table: FlightTable, epoch: datetime | None) -> dict[str, t
         if leap_seconds_within(epoch, float(table.time[-1])):
             # No calendar that readers know has leap seconds; lengths of time are right, dates behind the leap are not.
             leap = leap_seconds_sentence(epoch, float(table.time[-1]))
-            late = f"{leap} It is counted here, and dates behind it are late."
+            late = f"{leap} It is counted here, so that later dates are one second late."
             time |= {"long_name": "UTC until a leap second", "units_metadata": "leap_seconds: none", "comment": late}
         else:
             time["units_metadata"] = "leap_seconds: utc"

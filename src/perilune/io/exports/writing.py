@@ -67,7 +67,7 @@ def export(
     ------
     PeriluneError
         If the format is not known or does not fit the problem or how the file is called, an epoch is missing, an object
-        is named in a way that the format cannot have, the file is there already or cannot be written, or a package is
+        is named in a way that the format cannot have, the file already exists or cannot be written, or a package is
         not installed.
     """
     require_type(solution, Solution, "a solution to export", "perilune.load(DIR) reads one that was saved")
@@ -169,7 +169,7 @@ def to_xarray(solution: Solution, *, epoch: str | datetime | None = None) -> xar
 
 
 def to_dataframe(solution: Solution) -> pandas.DataFrame:
-    """Return the flight as a frame of pandas, its index the time from the begin of the flight [s].
+    """Return the flight as a frame of pandas, its index the time from the start of the flight [s].
 
     Raises
     ------

@@ -224,7 +224,7 @@ def trace_function(function: Any) -> Program:
             raise PeriluneError(
                 f"the operation {_casadi_names().get(op, op)} in {function.name()!r} has no machine code",
                 expected="one of " + ", ".join(sorted(set(OPERATIONS.values()) - {"assign"})),
-                advice="write the model without it, or fly it by SciPy (backend='scipy')",
+                advice="write the model without it, or integrate it by SciPy (backend='scipy')",
             )
     zero = numbering.const(0.0)  # entries that casadi leaves out of the tape
     shape = [(i, j) for i in range(function.n_out()) for j in range(function.nnz_out(i))]

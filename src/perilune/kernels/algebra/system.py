@@ -105,7 +105,9 @@ class ArcSystem:
         """Check that modes, what they solve for and events speak of the same z and p."""
         if len(self.solved) != len(self.modes):
             raise PeriluneError(
-                "each mode says what it solves for", got=f"{len(self.solved)} entries", expected=str(len(self.modes))
+                "each mode states the unknowns it solves for",
+                got=f"{len(self.solved)} entries",
+                expected=str(len(self.modes)),
             )
         taken = [(mode, self._unknowns(i)) for i, mode in enumerate(self.modes)]
         taken += [
@@ -115,7 +117,7 @@ class ArcSystem:
             sizes = (function.size1_in(0), function.size1_in(1) - unknowns)
             if sizes != (self.nz, self.np):
                 raise PeriluneError(
-                    f"{function.name()!r} takes another z or p than the first right-hand side",
+                    f"{function.name()!r} has a z or p of another shape than the first right-hand side",
                     got=str(sizes),
                     expected=str((self.nz, self.np)),
                 )

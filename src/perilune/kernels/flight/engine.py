@@ -77,7 +77,7 @@ def compile_arcs(
 
     if backend is None and not _told:
         _told.append("told")
-        _LOG.warning("llvmlite is not installed: arcs are flown by SciPy, some hundred times slower")
+        _LOG.warning("llvmlite is not installed: arcs are integrated by SciPy, about a hundred times slower")
     return ScipyEngine(system)
 
 

@@ -128,7 +128,7 @@ class FirstMesh:
         if not found.converged:
             # First steps as long as the adaptive barrier allows may lose the flight, as air is far from linear: with
             # little barrier it is kept.
-            name = "from there, by little barrier"
+            name = "from there, with a small barrier"
             found = self.run.attempt(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
         return nearest, found
 
@@ -162,7 +162,9 @@ class FirstMesh:
         counts = fitting_segments(flown)
         meshes = [Mesh.uniform(count, NODES) if s.refine else Mesh.uniform(s.segments, s.nodes) for count in counts]
         program = self.run.program(tuple(meshes))
-        return Start(program, free, sample_guess(program, flown), "flown under its controls", winds_repeatedly(flown))
+        return Start(
+            program, free, sample_guess(program, flown), "integrated under its controls", winds_repeatedly(flown)
+        )
 
     def rough(self, program: TranscribedProgram, answer: ProgramSolution) -> bool:
         """Return True if the flight between the nodes is another one."""
@@ -184,15 +186,15 @@ class FirstMesh:
 
         errors = zip(self.problem.phases, self.run.looked_at(program, best).relative, strict=True)
         error = max(float(relative[:, : len(phase.states)].max()) for phase, relative in errors)
-        self.run.say(f"the least miss is {best.violation:.2g}, the error of the mesh {error:.1g}")
+        self.run.say(f"the least violation is {best.violation:.2g}, the error of the mesh {error:.1g}")
         if best.violation > error:
             missed = missed_conditions(program, best, MISSED)
             told = [f"{name} is missed by {much}" for name, much in missed]
             raise NotConvergedError(
-                f"the best of {count} found misses {missed[0][0]} by {missed[0][1]}",
+                f"the best of {count} found violates {missed[0][0]} by {missed[0][1]}",
                 got="; ".join(told[:4]),
                 expected="every condition met",
-                advice="relax the condition named first, or give a guess (a solution of a nearby problem)",
+                advice="relax the first condition named, or give a guess (a solution of a nearby problem)",
                 partial=self.partial(best, told) | {"least_miss": float(best.violation)},
                 flight=self.run.missing(program, best),
             )
@@ -221,7 +223,7 @@ class FirstMesh:
             "no trajectory was found that meets every condition" if missed else "the optimum was not reached",
             got="; ".join(missed[:4]) or f"feasible after {answer.iterations} iterations, but not yet optimal",
             expected="every condition met",
-            advice="relax the condition named first, or give a guess (a solution of a nearby problem)"
+            advice="relax the first condition named, or give a guess (a solution of a nearby problem)"
             if missed
             else "raise iterations, give a guess, or loosen nlp_tolerance",
             partial=self.partial(answer, missed),

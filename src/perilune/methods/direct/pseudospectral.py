@@ -124,10 +124,10 @@ class _MeshRefinement(Run):
             if number == s.refine:
                 self.fail_mesh(*best, f"{s.refine} refinements")
             if number - gained == STALLED:
-                self.fail_mesh(*best, f"{number} refinements, of which the last {STALLED} gained little")
+                self.fail_mesh(*best, f"{number} refinements, the last {STALLED} of which gained little")
             program, answer = self.finer(program, answer, look, f"mesh {number + 1}")
             if not answer.converged:
-                self.fail_mesh(*best, f"{number} refinements, as the next was not solved")
+                self.fail_mesh(*best, f"{number} refinements, because the next was not solved")
 
     def finer(
         self, program: TranscribedProgram, answer: ProgramSolution, look: Look, name: str
@@ -152,11 +152,11 @@ class _MeshRefinement(Run):
         from perilune.direct.mesh_error import error_text
 
         jumps = [phase.name for k, phase in enumerate(self.problem.phases) if self.problem.form.chooses(k)]
-        cause = "an arc whose control H_u leaves open may need its own phase"
+        cause = "an arc whose control is not determined by H_u may need its own phase"
         if jumps:
             cause = (
-                f"the dynamics of {', '.join(jumps)} choose (xp.where), and no polynomial follows a jump: give each "
-                "side a phase of its own, or let the indirect method find where it changes"
+                f"the dynamics of {', '.join(jumps)} switch (xp.where), and no polynomial approximates a jump: give"
+                f" each side its own phase, or let the indirect method find the switch"
             )
         raise NotConvergedError(
             "the mesh did not reach the requested accuracy",

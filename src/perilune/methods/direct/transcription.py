@@ -58,7 +58,7 @@ class Transcription:
                     expected="more than 0 and less than 1",
                 )  # fmt: skip
         if not isinstance(self.polish, bool):
-            raise PeriluneError("polish is a yes or a no", got=repr(self.polish)[:60], expected="True or False")
+            raise PeriluneError("polish must be True or False", got=repr(self.polish)[:60], expected="True or False")
 
 
 class Look(NamedTuple):

@@ -110,7 +110,7 @@ class Genetic:
                 raise PeriluneError(f"{name} must not be negative", got=str(getattr(self, name)))
         if self.best > self.population:
             raise PeriluneError(
-                "more individuals are asked for than live",
+                "more individuals are requested than exist",
                 got=f"best={self.best}",
                 expected=f"<= {self.population}",
             )
@@ -230,13 +230,13 @@ def _distinct_individuals(genes: Matrix, values: Vector, count: int, distance: f
 
 def _check_box(lower: Vector, upper: Vector) -> None:
     if lower.shape != upper.shape or lower.ndim != 1 or not len(lower):
-        raise PeriluneError("the bounds have no common length", got=f"shapes {lower.shape} and {upper.shape}")
+        raise PeriluneError("the bounds have different lengths", got=f"shapes {lower.shape} and {upper.shape}")
     bad = np.nonzero(~(np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)))[0]
     if len(bad):
         i = int(bad[0])
         raise PeriluneError(
-            f"bounds of gene {i} are no finite range",
+            f"bounds of gene {i} are not a finite range",
             got=f"[{lower[i]}, {upper[i]}]",
             expected="finite, lower <= upper",
-            advice="a population is drawn from within bounds: give every variable some",
+            advice="a population is drawn from within bounds: bound every variable",
         )

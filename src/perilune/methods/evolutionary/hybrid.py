@@ -47,7 +47,7 @@ class Hybrid:
     def __post_init__(self) -> None:
         if not isinstance(self.first, Genetic) or not isinstance(self.second, Indirect | Pseudospectral):
             raise PeriluneError(
-                "a hybrid is a genetic search and another method",
+                "a hybrid consists of a genetic search and another method",
                 got=f"Hybrid({type(self.first).__name__}, {type(self.second).__name__})",
                 expected="Hybrid(Genetic(...), Pseudospectral(...)) or Hybrid(Genetic(...), Indirect(...))",
             )

@@ -76,7 +76,7 @@ class AdmissibilityTest:
             lower = max(free.lower, 0.0) if free.name in self.problem.duration_names else free.lower
             yield from bound_violations(self.problem, free, np.array([values[free.name]]), (lower, free.upper), _SLACK)
             if self.problem.duration_names == (free.name,) and 0.0 <= values[free.name] < _NO_FLIGHT * free.typical:
-                text, much = f"{free.name} vanishes, and a flight of no length is none", free.typical
+                text, much = f"{free.name} vanishes, and a flight needs a positive duration", free.typical
                 canonical = much / self.problem.size_of(free)
                 yield ConstraintViolation(name=free.name, text=text, miss=much, unit=free.unit, canonical=canonical)
         settings = {"rtol": _ACCURACY, "atol": _ACCURACY}

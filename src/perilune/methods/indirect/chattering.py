@@ -64,7 +64,7 @@ def _jump_samples(along: Vector) -> Vector:
 
 
 def _describe_chattering(flight: Solution, phase: Phase, name: str, jumps: Vector, u: Vector) -> ChatteringControl:
-    text = f"{name.replace('_', ' ')} of {phase.name} jumps {len(jumps)} times, and no mesh follows it"
+    text = f"{name.replace('_', ' ')} of {phase.name} jumps {len(jumps)} times, and no mesh resolves it"
     for at, control in scalars(phase.controls):
         lower, _ = control.limits(flight.parameters)
         on_floor = control.bounded and lower > 0 and control.share(u[at], flight.parameters) < _ON_FLOOR
@@ -73,12 +73,12 @@ def _describe_chattering(flight: Solution, phase: Phase, name: str, jumps: Vecto
             return ChatteringControl(
                 text=f"{text}, while {quantity_name(control)} is at its floor "
                 f"({format_quantity(float(lower), control.unit)}): "
-                "the engine pushes more than the flight needs, and turning it back and forth wastes the rest",
-                advice=f"lower {floor}, or free the time of ignition (a coast before the burn), so that it burns "
-                "later; a narrower limit of the thrust direction",
+                "the engine pushes more than the flight needs, and turning it back and forth wastes the excess",
+                advice=f"lower {floor}, or free the time of ignition (a coast before the burn), so that it burns"
+                f" later; or narrow the limit of the thrust direction",
             )
     return ChatteringControl(
         text=text,
-        advice="the usual cause is a thrust that cannot be as small as the flight needs (a throttle floor, a fixed "
-        "ignition time): give it room; or a control that J does not count: add a small cost of it",
+        advice="the usual cause is a thrust that cannot be as small as the flight needs (a throttle floor, a fixed"
+        " ignition time): relax it; or a control that J does not depend on: add a small cost of it",
     )

@@ -30,12 +30,14 @@ from perilune.shooting.nonisolated import nearly_open
 from perilune.shooting.shooting_function import Root
 
 _DEFECT = "the dynamics of "  # in a least miss: it is no flight, and nothing that was stated stands in the way
-_BROKEN = "every extremal found breaks a condition"
+_BROKEN = "every extremal found violates a condition"
 NO_EXTREMAL = "no extremal was found (a flight that meets every condition of an optimum)"
-CHATTERS = "no best flight was found: it chatters, or switches more often than any mesh follows"
+CHATTERS = "no optimal flight was found: it chatters, or switches more often than any mesh resolves"
 _STATIONARITY, _TRANSVERSALITY = "stationarity in ", ": transversality of "  # as `conditions.residuals` names them
 _ARRIVED = 1e-4  # canonical: an end that is missed by less is satisfied, as far as messages go
-NOT_ISOLATED = "extremals are not isolated here: beside one lie others with the same J (spare time, a free angle)"
+NOT_ISOLATED = (
+    "extremals are not isolated here: others with the same J are arbitrarily close (spare time, a free angle)"
+)
 
 
 def explain_refusal(coarse: Coarse, breaches: list[ConstraintViolation]) -> PeriluneError | None:
@@ -55,7 +57,7 @@ def explain_refusal(coarse: Coarse, breaches: list[ConstraintViolation]) -> Peri
         priced := [b for b in bounds if bound_unreachable_objective(coarse.problem, b) is not None]
     ):
         if _by_the_mesh_alone(coarse, flight, priced[0]):
-            got = "the direct method's flight keeps it by less than the error of its mesh"
+            got = "the direct method's flight keeps it by a margin below its mesh error"
             return best_misses_bound_error(coarse.problem, priced, len(breaches), got, {"tried": list(coarse.tried)})
     if flight is not None and (breaches or active_path_condition(coarse.problem, flight)):
         return no_extremal_error(coarse.problem, flight, breaches, coarse.tried)
@@ -106,7 +108,7 @@ def best_misses_bound_error(
     """
     best = min(bounds, key=lambda breach: breach.canonical)
     return InfeasibleError(
-        f"the best of {count} found misses {best.limit or best.name} by {format_quantity(best.miss, best.unit)}",
+        f"the best of {count} found violates {best.limit or best.name} by {format_quantity(best.miss, best.unit)}",
         got=f"{best.text}; {direct}",
         expected=best.kept,
         advice="; or ".join(filter(None, (best.enough, _suggest_easier_problem(problem)))),
@@ -135,20 +137,21 @@ def no_extremal_error(
         if broken > 1e-6 * np.ptp(values):
             called = quantity_name(condition)
             words.append(
-                f"{called} broken by {format_quantity(broken, condition.unit, 2)} between the points of the mesh"
+                f"{called} violated by {format_quantity(broken, condition.unit, 2)} between the points of the mesh"
             )
     best = "direct method: " + ", ".join(words)
     ridden = active_path_condition(problem, flight)
     parts = [_describe_mildest_violation(problem, flight, breaches)] if breaches else []
     if ridden is not None:
-        parts.append(f"the best path that keeps {ridden} rides along it ({best})")
+        parts.append(f"the optimal path that keeps {ridden} has a boundary arc along it ({best})")
     else:
         parts.append(f"a flight that keeps every condition is known ({best})")
     return NotConvergedError(
         f"{_BROKEN} of the path" if breaches else NO_EXTREMAL,
         got="; ".join(parts),
-        expected="an optimal flight that keeps every condition" if breaches else "a flight that no change improves",
-        advice="the direct method (--method direct, Pseudospectral()) may ride it; " + _suggest_easier_problem(problem),
+        expected="an optimal flight that keeps every condition" if breaches else "a flight that no variation improves",
+        advice="the direct method (--method direct, Pseudospectral()) may find this arc; "
+        + _suggest_easier_problem(problem),
         partial={"tried": list(tried)},
         flight=flight,
     )
@@ -162,7 +165,7 @@ def _describe_mildest_violation(problem: Problem, flight: Solution, breaches: li
     least = min(breaches, key=lambda breach: breach.canonical)
     room = {condition.name: float(values.max()) for condition, values in path_condition_values(problem, flight)}
     if least.path and least.miss > room.get(least.name, math.inf):
-        return f"what is optimal where {least.limit or least.name} is left out does not come near to keeping it"
+        return f"the optimum without {least.limit or least.name} is far from keeping it"
     return least.text
 
 
@@ -170,7 +173,7 @@ def _suggest_easier_problem(problem: Problem) -> str:
     """Return what makes a problem easier, in its own terms."""
     if "vehicle_thrust" in problem.given:
         return "more thrust, less mass or a higher start"
-    return "given values that leave more room"
+    return "given values that leave more margin"
 
 
 def undecided_error(
@@ -194,15 +197,15 @@ def undecided_error(
     least = min(breaches, key=lambda breach: breach.canonical)
     keys = _stating_keys_of_violation(problem, least)
     called, stated = least.limit or least.name, f" ({', '.join(keys)})" if keys else ""
-    ends = "its flight is too rough to tell" if direct is None else direct.what
+    ends = "its flight is too inaccurate to tell" if direct is None else direct.what
     if _DEFECT in ends:
         ends = "it found none either"
     return NotConvergedError(
-        f"{_BROKEN}, the nearest {called}{stated} by {format_quantity(least.miss, least.unit)}, "
-        "and whether any flight keeps them all is not settled",
+        f"{_BROKEN}, the nearest {called}{stated} by {format_quantity(least.miss, least.unit)}, and whether any"
+        f" flight keeps them all remains open",
         got=f"{least.text}; direct method: {ends}",
         expected=least.kept or f"{called} never below 0",
-        advice=f"relax {keys[0] if keys else called}, and follow it back from where it flies (perilune sweep)",
+        advice=f"relax {keys[0] if keys else called}, and tighten it step by step from a solved value (perilune sweep)",
         partial={**getattr(direct, "partial", {}), "tried": list(tried)},
         flight=getattr(direct, "flight", None),
     )
@@ -244,7 +247,7 @@ def no_start_converged_error(
     """
     problem, tried, flight = coarse.problem, coarse.tried, coarse.flight
     partial: dict[str, Any] = {"tried": list(tried), "iterations": iterations}
-    what, got = NO_EXTREMAL, "no start could even be flown to its end"
+    what, got = NO_EXTREMAL, "no start could be integrated to its end"
     if nearest is not None:
         scaled = nearest.residual[: len(conditions.residuals)]
         values = scaled * residual_scales(problem, conditions)
@@ -258,13 +261,13 @@ def no_start_converged_error(
     got += "".join(f"; before solving, physics warns: {meaning}" for meaning in warned)
     advice = "more starts (Indirect(starts=100)), a nearby guess"
     if not warned:
-        advice = "what physics says (perilune check, perilune.preflight); " + advice
+        advice = "compare with physical bounds (perilune check, perilune.preflight);  " + advice
     if nearest is not None and nearly_open(nearest):
         got += f"; {NOT_ISOLATED}"
-        advice = "a condition more at the end, a shorter or a free duration; " + advice
+        advice = "an additional end condition, a shorter or a free duration; " + advice
     if coarse.solution is not None and (loose := undetermined_controls(coarse.solution)):
-        got += f"; in the direct method's flight nothing determines {' and '.join(loose)}: any that arrives is as good"
-        advice = "minimise what depends on it, as the time of flight; " + advice
+        got += f"; in the direct method's flight nothing determines {' and '.join(loose)}: all values are equally good"
+        advice = "minimise a quantity that depends on it, such as the time of flight; " + advice
     if flight is not None and (beyond := unreachable_by_shooting(flight, conditions)) is not None:
         got, advice = beyond
     elif flight is None and coarse.solution is not None and (found := detect_chattering(coarse.solution)) is not None:
@@ -272,7 +275,7 @@ def no_start_converged_error(
     return NotConvergedError(
         what,
         got=got,
-        expected="a flight that meets every end condition, and that no change improves",
+        expected="a flight that meets every end condition and that no variation improves",
         advice=advice,
         partial={**_direct_misses(coarse), **partial},
         flight=flight or getattr(coarse.refusal, "flight", None),
@@ -295,12 +298,15 @@ def _nearest_approach(problem: Problem, conditions: Conditions, scaled: Vector, 
         return f"the nearest approach misses {name} by {format_quantity(abs(float(values[k])), unit, 4)}"
     name, _ = conditions.residuals[worst]
     if name.startswith(_STATIONARITY):
-        return f"the nearest approach arrives, but another {name.removeprefix(_STATIONARITY)} would be better"
+        return (
+            f"the nearest approach meets the end conditions, but another {name.removeprefix(_STATIONARITY)} is better"
+        )
     if _TRANSVERSALITY in name:
         phase = name.partition(_TRANSVERSALITY)[0]
         ends = end_text(problem, phase)
-        return f"the nearest approach arrives, but another end of {phase}{f' ({ends})' * bool(ends)} would be better"
-    return f"the nearest approach arrives, but is not optimal yet ({name})"
+        end = f"another end of {phase}{f' ({ends})' * bool(ends)}"
+        return f"the nearest approach meets the end conditions, but {end} would be better"
+    return f"the nearest approach meets the end conditions, but is not optimal yet ({name})"
 
 
 _LOOKS = 40  # times of a phase

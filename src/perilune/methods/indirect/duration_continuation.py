@@ -1,9 +1,9 @@
 """Continuation in the given durations: extremals found for shorter flights and carried to the whole.
 
 Random costates fly a long arc anywhere; of a short one many lead to an extremal. So extremals are looked for at rising
-shares of the durations, and each is carried from share to share by Newton's method, its step halved where that fails.
-Random costates and neighbours of those known are tried at every share as well, as families begin and end on the way.
-All of them go in lanes.
+fractions of the durations, and each is carried from one to the next by Newton's method, its step halved where that
+fails. Random costates and neighbours of those known are tried at every fraction as well, as families begin and end on
+the way. All of them go in lanes.
 
 After Haberkorn, Martinon, Gergaud, "Low-thrust minimum-fuel orbital transfer: a homotopic approach", J. Guidance,
 Control, and Dynamics 27(6), 2004, here with the time of flight as the parameter.
@@ -69,7 +69,7 @@ class FinalTimeContinuation:
             fresh = self._roots(np.vstack(Y), share, doubt=0.0)
             known = distinct_roots([*carried, *(root for root in fresh if root.converged)])[:_KEPT]
             self.family_count += sum(not any(same_extremal(root, other) for other in carried) for root in known)
-        shares = f"{count + 1} shares of the duration from {RATIO**-count:.2g} on"
+        shares = f"{count + 1} fractions of the duration from {RATIO**-count:.2g} on"
         self.summary = f"{shares}, where {self.family_count} families were met"
         return known
 

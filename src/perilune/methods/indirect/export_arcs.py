@@ -243,9 +243,10 @@ def _refuse_stuck(problem: Problem, flown: Sequence[PropagatedPhase]) -> None:
             stuck = next(i for i, arc in enumerate(own.arcs) if not arc.end.succeeded.all())
             at = (float(own.begins[stuck]) + float(own.arcs[stuck].end.time[0])) * problem.scales.time
             raise NotConvergedError(
-                "an extremal was found, and its flight cannot be computed to its end",
-                got=f"it is stuck {at:.9g} s into {phase.name}, of {own.duration * problem.scales.time:.9g} s",
-                expected="steps up to the end: a control that switches to and fro at one time has none",
+                "an extremal was found, but its flight cannot be integrated to its end",
+                got=f"it stops {at:.9g} s into {phase.name}, of {own.duration * problem.scales.time:.9g} s",
+                expected="steps up to the end, which do not exist for a control that switches back and forth at one"
+                " time",
                 advice="the direct method (--method direct, Pseudospectral()); another value of what was changed last",
             )
 

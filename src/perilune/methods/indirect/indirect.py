@@ -85,7 +85,7 @@ class Indirect(SearchSettings):
         NotConvergedError
             If every way of starting failed; its `flight` is the direct method's, where one keeps every condition.
         InfeasibleError
-            If bounds and conditions contradict each other, or if every extremal found breaks a condition and the
+            If bounds and conditions contradict each other, or if every extremal found violates a condition and the
             direct method finds no flight either.
         """
         search = Search(self, problem, watch or ignore_events)
@@ -113,7 +113,7 @@ class Indirect(SearchSettings):
         drawn = [] if guess is not None or base is not None else self._of_known_arcs(search)
         search.answered = bool(drawn)
         for one in drawn:
-            _report_best(search, one, "of arcs that the model knows")
+            _report_best(search, one, "from an arc sequence that the model proposes")
         try:
             solution = search.solve(guess, base)
         except (NotConvergedError, InfeasibleError) as error:
@@ -134,14 +134,14 @@ class Indirect(SearchSettings):
             raise
         if drawn:
             solution = _merge_searches([solution, *drawn], search)
-        _report_best(search, solution, "and whether another is better is open")
+        _report_best(search, solution, "and whether another is better remains open")
         outdoing = () if any(solution.objective == one.objective for one in drawn) else search.flights_near_better()
         for rough in outdoing:
             if not rough.objective < solution.objective:
                 continue
             found = self._structured(search, rough)
             if found is not None and found.objective < solution.objective:
-                others = (replace(e, nature=e.nature.outdone) for e in solution.extremals)
+                others = (replace(e, nature=e.nature.dominated) for e in solution.extremals)
                 solution = replace(found, extremals=(*found.extremals, *others))
         return self._compared(search, self._exactly(search, solution)) if guess is None else solution
 
@@ -170,14 +170,14 @@ class Indirect(SearchSettings):
         rough = search.coarse.solve()
         if rough is None or not rough.objective < solution.objective:
             return None
-        search.watch("the extremal is no minimum: from the direct method's answer")
+        search.watch("the extremal is not a minimum: restart from the direct method's answer")
         try:
             found = self.run(problem, rough, watch)
         except PeriluneError:
             return None
         if not found.objective < solution.objective:
             return None
-        others = (replace(e, nature=e.nature.outdone) for e in solution.extremals)
+        others = (replace(e, nature=e.nature.dominated) for e in solution.extremals)
         tried = (*solution.statistics.tried, *search.tried, *found.statistics.tried)
         return replace(
             found,
@@ -191,7 +191,7 @@ class Indirect(SearchSettings):
             return []
         from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 
-        search.watch("start: arcs that the problem's model knows")
+        search.watch("start: arc sequences that the model proposes")
         found = list[Solution]()
         try:
             for rough, structure in search.problem.switching_guesses(search.problem):
@@ -203,7 +203,7 @@ class Indirect(SearchSettings):
                 if found:
                     break
         except (PeriluneError, ArithmeticError, ValueError) as error:  # a guess of numbers that no flight has
-            search.tried.append(f"arcs that the problem's model knows: {error}".partition("\n")[0])
+            search.tried.append(f"arc sequences that the model proposes: {error}".partition("\n")[0])
         return found
 
     def _structured(
@@ -233,10 +233,10 @@ def _merge_searches(found: Sequence[Solution], search: Search) -> Solution:
     best = min(found, key=lambda one: one.objective)  # of equals the first
     alike = _ALIKE * abs(best.objective)
     others = (one for one in found if one is not best and one.objective - best.objective > alike)
-    outdone = (replace(e, nature=e.nature.outdone) for one in others for e in one.extremals)
+    dominated = (replace(e, nature=e.nature.dominated) for one in others for e in one.extremals)
     took = time.perf_counter() - search.began
     statistics = replace(best.statistics, tried=tuple(search.tried), wall_time=took)
-    return replace(best, extremals=(*best.extremals, *outdone), statistics=statistics)
+    return replace(best, extremals=(*best.extremals, *dominated), statistics=statistics)
 
 
 def _may_be_structured(guess: Solution) -> bool:

@@ -93,7 +93,7 @@ class ColdStarts:
             trials.shooting.plan.hold(choices, trials.scanned, held)
         roots = self._settled(Y, choices)
         if not roots.converged.any() and vanishing_durations(trials):
-            trials.watch(f"start: {_RANDOM}{where}, without what may be left out")
+            trials.watch(f"start: {_RANDOM}{where}, without the conditions that may be left out")
             leave_out_vanishing(trials, Y, choices)
             roots = self._settled(Y, choices)
         members: list[Member] = []

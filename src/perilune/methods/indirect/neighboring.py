@@ -51,9 +51,9 @@ class Nearby:
         curves = known.restated.trajectories if isinstance(known, JoinedTrajectories) else known
         if not isinstance(curves, Curves):
             raise PeriluneError(
-                "of this solution nothing but its curves is known",
+                "only the curves of this solution are known",
                 got=f"a solution of the method {solution.method}",
-                expected="one of Indirect(), as it was found",
+                expected="a solution of Indirect() as it was returned",
                 advice="perilune.solve(solution.problem, guess=solution)",
             )
         self.problem: Problem = curves.problem
@@ -76,7 +76,7 @@ class Nearby:
                 raise unknown_name("given parameter", name, sorted(self.solution.problem.given))
             if name in bounds:
                 raise PeriluneError(
-                    f"{name} bounds an end condition, which may be held at it or not",
+                    f"{name} bounds an end condition, which may or may not be active",
                     expected="a parameter of the equations",
                     advice="perilune.solve(problem.with_given(...), guess=solution), one by one",
                 )

@@ -212,7 +212,7 @@ class Search:
 
     def _keeping(self, more: Held) -> Search:
         """Return the same search with a control that keeps more conditions of the path."""
-        self.watch(f"the flight is held back by {kept_text(self.problem, more)}: the control keeps to it")
+        self.watch(f"{kept_text(self.problem, more)} is active: the control keeps it")
         keep = tuple(name for name in attainable_conditions(self.problem) if name in {*self.keep, *more})
         search = Search(self.settings, self.problem, self.watch, keep, self.tried)
         search.coarse, search.trials.history = self.coarse, self.trials.history
@@ -237,7 +237,7 @@ class Search:
         left = [(f, trials.scanned) for f in unknown_extremals(found, self.followed)]
         while left:
             if len(self.followed) >= _MOST_FOLLOWED:
-                self.tried.append(f"{len(left)} more extremals, from which no other family was followed")
+                self.tried.append(f"{len(left)} more extremals, from which no further family was followed")
                 break
             one, along = left.pop(0)
             self.followed.append(one)

@@ -141,7 +141,7 @@ def unreachable_by_shooting(rough: Solution, conditions: Conditions) -> tuple[st
     for phase, flown, extremal in zip(rough.problem.phases, rough.trajectories, conditions.phases, strict=True):
         if flown.duration <= _NO_TIME * typical.get(phase.duration, 0.0):
             return (
-                f"in the direct solution {phase.duration} goes to 0 s: the best {phase.name} is none at all",
+                f"in the direct solution {phase.duration} goes to 0 s: the optimal flight has no {phase.name}",
                 f"give {phase.duration} a lower bound above 0, or leave the phase {phase.name} out",
             )
         t = np.linspace(0.0, 1.0, 401)[20:] * flown.duration

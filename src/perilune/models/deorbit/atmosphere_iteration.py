@@ -42,7 +42,7 @@ def solve_with_epoch_air(problem: Problem, solve: Callable[..., Solution], *, ne
     PeriluneError
         If there is no such air, or the table does not settle, or as `solve`.
     """
-    require_type(problem, Problem, "a problem to solve in the air along its flight")
+    require_type(problem, Problem, "a problem to solve in the atmosphere along its flight")
     air, solution, last = _air_of(problem), solve(problem), float("inf")
     for _ in range(_ROUNDS):
         again = with_air_along_flight(problem, solution)
@@ -51,7 +51,7 @@ def solve_with_epoch_air(problem: Problem, solve: Callable[..., Solution], *, ne
             return solution
         air, solution = _air_of(again), solve(again, guess=solution)
     raise NotConvergedError(
-        "the air along the flight does not settle", got=f"densities that change by {100 * last:.2g} %",
+        "the atmosphere along the flight does not converge", got=f"densities that change by {100 * last:.2g} %",
         expected=f"at most {100 * near:.2g} %", advice="a greater `near`",
     )  # fmt: skip
 
@@ -63,7 +63,7 @@ def with_air_along_flight(problem: Problem, solution: Solution) -> Problem:
     epoch = aim.instant()
     if air is None or air.model != "nrlmsis" or epoch is None:
         raise PeriluneError(
-            "this problem has no air of a day", got=f"a problem called {problem.name}"[:80],
+            "this problem has no atmosphere of an epoch", got=f"a problem called {problem.name}"[:80],
             expected='a return with atmosphere.model = "nrlmsis" and problem.epoch',
         )  # fmt: skip
     k = [trajectory.phase for trajectory in solution.trajectories].index("entry")

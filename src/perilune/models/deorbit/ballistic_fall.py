@@ -1,6 +1,6 @@
 """Ballistic falls through the air, in a plane: a typical one, and whether any arrives slowly enough.
 
-Beside the turning body, with the speed V, the path angle g, the height h and the distance r,
+Relative to the rotating body, with the speed V, the path angle g, the height h and the distance r,
 
     h' = V sin g,   V' = -drag - mu/r^2 sin g,   g' = ((V + turning)^2/r - mu/r^2) cos g / V
 

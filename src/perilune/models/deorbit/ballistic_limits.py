@@ -109,7 +109,7 @@ def _over_box(
         mildest, hardest = np.min(peaks[lands]) / one, np.max(peaks[lands]) / one
         beside = _compare_with_limit(
             name, "every fall", least, p, binding=True,
-            meaning=f"no ballistic entry that the interface allows keeps limits.{name}: over"
+            meaning=f"no ballistic entry allowed at the interface keeps limits.{name}: over"
             f" all masses, angles and speeds there they peak at {mildest:.3g} to {hardest:.3g} {_SAID[name].unit}",
         )  # fmt: skip
         yield beside, mildest > beside.limit
@@ -118,8 +118,8 @@ def _over_box(
 def _compare_typical_load(name: str, fallen: Fall, p: Any, air: Air) -> Finding:
     return _compare_with_limit(
         name, "a fall", peak_load(name, fallen, p, air) / _SAID[name].one, p, binding=False,
-        meaning=f"a typical ballistic entry does not keep limits.{name}; whether any does is said where the speeds and"
-        " angles at the interface are bounded (interface.speed_lower, vehicle.dry_mass)",
+        meaning=f"a typical ballistic entry does not keep limits.{name}; whether any does can be decided if the"
+        f" speeds and angles at the interface are bounded (interface.speed_lower, vehicle.dry_mass)",
     )  # fmt: skip
 
 

@@ -26,8 +26,8 @@ def require_epoch(aim: Aim) -> datetime:
     epoch = aim.instant()
     if epoch is None:
         raise PeriluneError(
-            "it is not said when the air of nrlmsis is", expected="problem.epoch, the time at t = 0",
-            advice='model = "us1976" is of no time',
+            "the epoch of the nrlmsis atmosphere is not stated", expected="problem.epoch, the time at t = 0",
+            advice='model = "us1976" depends on no epoch',
         )  # fmt: skip
     return epoch
 
@@ -36,12 +36,13 @@ def refuse_impossible_masses(vehicle: Returner, separation: Separation | None) -
     """Refuse a vehicle that is heavier after a part of it is left behind, or the propellant is burnt."""
     if separation is not None and separation.mass >= vehicle.mass:
         raise PeriluneError(
-            "separation.mass is no part of the vehicle", got=f"{separation.mass:g} kg of {vehicle.mass:g} kg",
-            expected="separation.mass < vehicle.mass", advice="what of it goes on into the air",
+            "separation.mass is not below the mass of the vehicle", got=f"{separation.mass:g} kg of {vehicle.mass:g}"
+            f" kg",
+            expected="separation.mass < vehicle.mass", advice="the part that enters the atmosphere",
         )  # fmt: skip
     if separation is not None and vehicle.dry_mass is not None and separation.mass > vehicle.dry_mass:
         raise PeriluneError(
-            "separation.mass is no part of what the burn may leave",
+            "separation.mass exceeds the mass that the burn may leave",
             got=f"{separation.mass:g} kg of vehicle.dry_mass = {vehicle.dry_mass:g} kg",
             expected="separation.mass <= vehicle.dry_mass", advice="a greater vehicle.dry_mass",
         )  # fmt: skip
@@ -53,8 +54,8 @@ def refuse_undetermined_lift(aim: Aim, vehicle: Returner, air: Air | None, site:
     if above and vehicle.lift_to_drag is not None and air is not None and (site is None or site.longitude is None):
         raise PeriluneError(
             "the lift is undetermined",
-            got=f'minimise = "{aim.minimise}", which no lift changes, and no place to reach',
-            expected="something that depends on the lift, or no lift",
+            got=f'minimise = "{aim.minimise}", which lift does not change, and no site to reach',
+            expected="a quantity that depends on the lift, or no lift",
             advice='minimise = "flight_time" or "heat_load", a site.longitude and site.latitude, or no'
             " vehicle.lift_to_drag",
         )  # fmt: skip
@@ -72,12 +73,14 @@ def refuse_without_effect(
     named = {"heating": heating, "separation": separation, "limits": limits, "parachute": parachute}
     for name in (name for name, made in named.items() if made is not None and air is None):
         raise PeriluneError(
-            f"[{name}] needs air", got=f"a section [{name}], and no [atmosphere]", expected="both of them, or neither"
+            f"[{name}] needs an atmosphere",
+            got=f"a section [{name}], and no [atmosphere]",
+            expected="both of them, or neither",
         )
     heated = heating is not None or (limits is not None and limits.heat_rate is not None)
     if heated and vehicle.nose_radius is None:
         raise PeriluneError(
-            "vehicle.nose_radius is missing", expected="the radius at the stagnation point, for its heat"
+            "vehicle.nose_radius is missing", expected="the radius at the stagnation point, for its heat rate"
         )
 
 
@@ -90,7 +93,7 @@ def refuse_out_of_order(interface: Interface, site: Landing | None, parachute: P
             raise PeriluneError(
                 f"{lower}.altitude is not below {upper}.altitude", got=f"{low / 1e3:g} km below {high / 1e3:g} km",
                 expected=" above ".join(f"{name}.altitude" for name, _ in found),
-                advice="look for m in place of km, or km in place of m",
+                advice="check for m in place of km, or km in place of m",
             )  # fmt: skip
 
 
@@ -110,11 +113,11 @@ def refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | No
     reached = {"interface.altitude": interface.altitude, "site.altitude": site.altitude}
     for name, altitude in reached.items():
         if not air.bottom <= altitude <= air.top:
-            read = f"more rows, or another {name}; its file was read as {air.said}"
+            read = f"add rows, or choose another {name}; its file was read as {air.said}"
             raise PeriluneError(
                 f"{air.name} ends before the flight does",
                 got=f"data from {air.bottom / 1e3:g} to {air.top / 1e3:g} km, and {name} = {altitude / 1e3:g} km",
-                expected="data from the site up to the interface",
+                expected="data from the site to the interface",
                 advice=read if air.said else f"another {name}",
             )
 
@@ -125,7 +128,7 @@ def refuse_incomplete(
     """Refuse what is left out, or stated and of no effect."""
     if manoeuvre is None and (orbit_.node_longitude is None or orbit_.argument_of_latitude is None):
         raise PeriluneError(
-            "it is not said where on its orbit the vehicle is",
+            "the position of the vehicle on its orbit is not stated",
             expected="a section [manoeuvre]; or orbit.node_longitude and orbit.argument_of_latitude at t = 0",
         )
     if air is not None and not vehicle.flies_through_air:
@@ -135,11 +138,11 @@ def refuse_incomplete(
         )  # fmt: skip
     if air is None and site is not None:
         raise PeriluneError(
-            "a site needs air to come down through", got="a section [site], and no [atmosphere]",
+            "a site needs an atmosphere", got="a section [site], and no [atmosphere]",
             expected="both of them, or neither: the flight then ends at the interface",
         )  # fmt: skip
     if aim.minimise == "heat_load" and (air is None or vehicle.nose_radius is None):
         raise PeriluneError(
-            "vehicle.nose_radius is missing" if air is not None else "without air there is no heat",
+            "vehicle.nose_radius is missing" if air is not None else "without an atmosphere there is no heat load",
             expected="an atmosphere and vehicle.nose_radius, for the least heat load",
         )

@@ -28,7 +28,7 @@ BANKS: dict[str, Direction | Bounded] = {
 }
 STATES = (
     *(Variable(name=name, unit="m") for name in ("x", "y", "z")),
-    *(Variable(name=name, unit="m/s", description="beside the turning body") for name in ("vx", "vy", "vz")),
+    *(Variable(name=name, unit="m/s", description="relative to the rotating body") for name in ("vx", "vy", "vz")),
 )
 SITE = ("site_up", "site_north", "site_east")
 HEAT_SIZE = 1e7  # J/m^2

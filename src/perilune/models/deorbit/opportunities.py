@@ -90,7 +90,7 @@ def opportunities(problem: Problem, days: float) -> tuple[Opportunity, ...]:
     p = problem.parameters({})
     if apsis_radii(p)[0] < p.body_radius + p.interface_altitude:
         raise InfeasibleError(
-            "the orbit comes down into the air by itself, before any other pass", got="a perigee below the interface",
+            "the orbit enters the atmosphere by itself before any other pass", got="a perigee below the interface",
             expected="a perigee above it", advice="a higher orbit, or a lower interface.altitude",
         )  # fmt: skip
     state = [float(value) for value in problem.start(p, NUMERIC)]
@@ -118,7 +118,7 @@ def refuse_no_opportunity(found: Sequence[Opportunity], days: float) -> None:
         if near is None
         else f"the nearest is {math.degrees(abs(near.away)):.3g} deg"
         f" ({near.distance / 1e3:.0f} km) off, {near.ignition / 3600:.2f} h after t = 0",
-        expected="a pass to which the propellant can turn the plane of the orbit",
+        expected="a pass for which the propellant suffices to turn the plane of the orbit",
         advice="more --days, more propellant, or another site",
     )
 
@@ -131,23 +131,23 @@ def _refuse_unfit(problem: Problem, days: float) -> None:
         )  # fmt: skip
     if "site_longitude" not in problem.given:
         raise PeriluneError(
-            "there is no site to have opportunities of", expected="site.longitude and site.latitude",
-            advice="without a place any time will do",
+            "opportunities need a site", expected="site.longitude and site.latitude",
+            advice="without a site any time is as good",
         )  # fmt: skip
     if "vehicle_dry_mass" not in problem.given:
         raise PeriluneError(
-            "it is not said how much propellant there is", expected="vehicle.dry_mass",
-            advice="state what must be left after the burn",
+            "the amount of propellant is not stated", expected="vehicle.dry_mass",
+            advice="state the mass that must be left after the burn",
         )  # fmt: skip
     if not 0 < days <= MOST_DAYS:
         raise PeriluneError(
-            "the days to look ahead are out of range", got=f"{days:g}", expected=f"above 0, at most {MOST_DAYS:g}",
-            advice="drag on the orbit, which is left out, matters sooner: begin from a newer orbit",
+            "the number of days is out of range", got=f"{days:g}", expected=f"above 0, at most {MOST_DAYS:g}",
+            advice="the neglected drag on the orbit matters sooner: start from a newer orbit",
         )  # fmt: skip
 
 
 def _typical_entry(problem: Problem, p: Any) -> tuple[float, float]:
-    """Time [s] of a typical fall through the air, and the angle swept [rad] in axes that do not turn."""
+    """Time [s] of a typical fall through the air, and the angle swept [rad] in inertial axes."""
     assert problem.ranges is not None and problem.rough_flight is not None
     times = {name: typical() for name, (_, _, typical) in problem.ranges(p, NUMERIC).items()}
     rows = problem.rough_flight(problem.parameters(times))[problem.duration_names.index("entry_time")]

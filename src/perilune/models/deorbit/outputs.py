@@ -1,7 +1,7 @@
 """Outputs of a return: quantities along the way, at the interface and at the end, and their figures.
 
 A speed or an angle is relative to the turning body where both exist, and the inertial one says so in its name.
-Longitude and latitude are those of the point below, geodetic above an ellipsoid.
+Longitude and latitude are those of the point below the vehicle, geodetic above an ellipsoid.
 """
 
 from __future__ import annotations
@@ -30,28 +30,30 @@ from perilune.problem.variables import Variable
 
 PLACED = (
     Variable(name="altitude", unit="m"),
-    Variable(name="longitude", unit="rad", description="of the point below"),
-    Variable(name="latitude", unit="rad", description="of the point below"),
-    Variable(name="speed", unit="m/s", description="beside the turning body"),
-    Variable(name="path_angle", unit="rad", description="of the velocity beside the body above the horizon"),
+    Variable(name="longitude", unit="rad", description="of the point below the vehicle"),
+    Variable(name="latitude", unit="rad", description="of the point below the vehicle"),
+    Variable(name="speed", unit="m/s", description="relative to the rotating body"),
+    Variable(name="path_angle", unit="rad", description="of the velocity relative to the body, above the horizon"),
 )
 PUSHED = Variable(name="thrust_acceleration", unit="m/s^2")
 FELT = (
     Variable(name="dynamic_pressure", unit="Pa"),
     Variable(name="load", unit="1", description="drag and lift in units of g0", label="load (g0)"),
 )
-HEATED = Variable(name="heat_rate", unit="W/m^2", description="of convection at the stagnation point")
-HEAT_LOAD = Variable(name="heat_load", unit="J/m^2", description="heat rate over the flight")
+HEATED = Variable(name="heat_rate", unit="W/m^2", description="convective, at the stagnation point")
+HEAT_LOAD = Variable(name="heat_load", unit="J/m^2", description="integral of the heat rate")
 AT_INTERFACE = (
-    Variable(name="interface_speed", unit="m/s", description="beside the turning body, where the air begins"),
-    Variable(name="interface_angle", unit="rad", description="of that velocity above the horizon"),
-    Variable(name="interface_inertial_speed", unit="m/s", description="in axes that do not turn"),
-    Variable(name="interface_inertial_angle", unit="rad", description="in axes that do not turn"),
+    Variable(name="interface_speed", unit="m/s", description="relative to the rotating body, at the interface"),
+    Variable(name="interface_angle", unit="rad", description="of this velocity, above the horizon"),
+    Variable(name="interface_inertial_speed", unit="m/s", description="in inertial axes"),
+    Variable(name="interface_inertial_angle", unit="rad", description="in inertial axes"),
     Variable(name="interface_longitude", unit="rad"),
     Variable(name="interface_latitude", unit="rad"),
     Variable(name="mass_at_interface", unit="kg"),
 )
-AT_OPENING = (Variable(name="opening_speed", unit="m/s", description="where the parachute opens, beside the body"),)
+AT_OPENING = (
+    Variable(name="opening_speed", unit="m/s", description="where the parachute opens, relative to the body"),
+)
 _CONVECTIVE, _RADIATING = 1e6, 10e3  # W/m^2, m/s: up to which the heat of convection alone tells
 _TIMES = {
     "flight_time": "from ignition to the end",
@@ -68,7 +70,7 @@ def return_result_variables(names: Sequence[str]) -> tuple[Variable, ...]:
     """Return the results of a flight with these phases."""
     known = {"transition_time", "flight_time", *(f"{name}_time" for name in names)}
     landed = (
-        Variable(name="landing_speed", unit="m/s", description="at the end, beside the turning body"),
+        Variable(name="landing_speed", unit="m/s", description="at the end, relative to the rotating body"),
         Variable(name="landing_longitude", unit="rad"),
         Variable(name="landing_latitude", unit="rad"),
     )
@@ -185,10 +187,10 @@ def validity_ranges(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
     """Return the ranges in which the model of the air and of its heat hold."""
     if air is None:
         return ()
-    told_air = f"{air.name}, whose data go from {air.bottom / 1e3:g} to {air.top / 1e3:g} km"
+    told_air = f"{air.name}, whose data range from {air.bottom / 1e3:g} to {air.top / 1e3:g} km"
     known = ValidRange(quantity="altitude", lower=air.bottom, upper=air.top, phases=("entry",), because=told_air)
-    hot = "convection at a cold wall alone (Sutton and Graves 1971); beyond, heat shields ablate and the gas radiates "
-    hot += "too (Tauber and Sutton 1991)"
+    hot = "only convection at a cold wall (Sutton and Graves 1971); beyond, heat shields ablate and the gas also "
+    hot += "radiates (Tauber and Sutton 1991)"
     heats = (
         ValidRange(quantity="heat_rate", upper=_CONVECTIVE, phases=("entry",), because=f"up to 1000 kW/m^2, {hot}"),
         ValidRange(quantity="speed", upper=_RADIATING, phases=("entry",), because=f"up to 10 km/s, {hot}"),
@@ -207,13 +209,13 @@ def return_views(
             History(name="altitude", quantities=("altitude",), caption="Altitude"),
             History(
                 name="speed_and_angle", quantities=("speed", "path_angle"),
-                caption="Speed beside the turning body, and its angle above the horizon",
+                caption="Speed relative to the rotating body, and its angle above the horizon",
             ),
-            *((History(name="air", quantities=peaks, caption="What the air does"),) if flown else ()),
+            *((History(name="air", quantities=peaks, caption="Aerodynamics"),) if flown else ()),
             History(name="mass", quantities=("m",), caption="Mass"),
             History(
                 name="steering", quantities=("toward_x", "toward_y", "toward_z", "throttle", "lift_up", "lift_right"),
-                caption="Thrust direction in axes that turn with the body, and lift in the air",
+                caption="Thrust direction in body-fixed axes, and lift in the atmosphere",
             ),
         ),
         height="altitude", radius="body_radius", frame=INERTIAL_AXES, peaks=peaks,

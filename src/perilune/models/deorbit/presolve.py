@@ -135,7 +135,7 @@ def _compare_with_standard_air(air: Air) -> list[Finding]:
             limit=_OTHER_AIR, at_least=False, unit="1", binding=False,
             meaning=f"at {altitude[worst] / 1e3:.3g} km the {air.name} has {share[worst]:.3g} times the density of the"
             f" US Standard Atmosphere 1976; its file was read as {air.said}",
-            advice="look at the units in its headings, and at the order of its columns",
+            advice="check the units in its headings and the order of its columns",
         )
     ]  # fmt: skip
 
@@ -152,7 +152,7 @@ def _compare_lowest_altitude(p: Any, xp: Any, low: Any, angles: Physics) -> list
         Finding(
             name=f"{name} above the interface", value=(height - p.interface_altitude) / 1e3, limit=0.0, at_least=True,
             unit="km", binding=binding,
-            meaning="the orbit comes down into the air by itself, and there is no air above the interface here",
+            meaning="the orbit enters the atmosphere by itself, but the model has no atmosphere above the interface",
             advice="a higher orbit (its radius is from the centre of the body), or a lower interface.altitude",
         )
         for name, (height, binding) in heights.items()
@@ -167,13 +167,13 @@ def _least_change(p: Any, xp: Any, low: Any, high: Any, gate: Any) -> Any:
 
 def _compare_deorbit_change(p: Any, xp: Any, low: Any, high: Any) -> Finding:
     return Finding(
-        name="velocity change that comes down to the interface",
+        name="velocity change to reach the interface",
         value=_least_change(p, xp, low, high, p.body_radius + p.interface_altitude + oblateness_height_shift(p, xp)),
         limit=total_velocity_change(p, xp),
         at_least=False,
         unit="m/s",
         binding=True,
-        meaning="the propellant cannot bring the vehicle down to the interface",
+        meaning="the propellant does not suffice to reach the interface",
         advice="more propellant (a lower vehicle.dry_mass or separation.mass), a lower orbit, or another engine",
     )
 
@@ -188,10 +188,10 @@ def _compare_burn_with_turn(p: Any, low: float, high: float) -> list[Finding]:
         return []
     return [
         Finding(
-            name="turns of the orbit that the burn takes", value=turns, limit=_ONE_TURN, at_least=False, unit="1",
+            name="revolutions during the burn", value=turns, limit=_ONE_TURN, at_least=False, unit="1",
             binding=False,
-            meaning=f"the engine is so weak that coming down to the interface takes {change:.0f} m/s or more, a burn of"
-            f" {burn / 3600:.1f} h: a spiral, which no search may find, and which arrives almost level",
+            meaning=f"the engine is so weak that reaching the interface takes {change:.0f} m/s or more, a burn of"
+            f" {burn / 3600:.1f} h: a spiral, which the search may not find and which arrives almost horizontally",
             advice="more vehicle.thrust, less mass, or a lower orbit",
         )
     ]  # fmt: skip
@@ -199,14 +199,14 @@ def _compare_burn_with_turn(p: Any, low: float, high: float) -> list[Finding]:
 
 def _compare_burn_descent(p: Any, xp: Any, low: Any) -> Finding:
     return Finding(
-        name="way down to the interface",
+        name="time to the interface",
         value=(low - p.body_radius - p.interface_altitude - oblateness_height_shift(p, xp)) / 1e3,
         limit=largest_altitude_change(p, xp, total_velocity_change(p, xp)) / 1e3,
         at_least=False,
         unit="km",
         binding=True,
-        meaning="the burn, which lasts all the way to the interface, takes longer than there is propellant",
-        advice="transition.longest_coast, for a way down after the burn; or more propellant, less thrust",
+        meaning="the burn lasts all the way to the interface, longer than the propellant",
+        advice="transition.longest_coast, for a coast after the burn; or more propellant, less thrust",
     )
 
 
@@ -221,8 +221,8 @@ def _compare_interface_values(p: Any, xp: Any) -> list[Finding]:
                 Finding(
                     name=f"{'greatest' if at_least else 'least'} speed at the interface", value=stated, limit=limit,
                     at_least=at_least, unit="m/s", binding=True,
-                    meaning="the velocity change of all propellant gives no such speed at the interface",
-                    advice="another interface.speed, beside the turning body; look for m/s in place of km/s",
+                    meaning="all propellant together cannot give this speed at the interface",
+                    advice="another interface.speed, relative to the rotating body; check for m/s in place of km/s",
                 )
             )  # fmt: skip
     stated = getattr(p, "interface_angle", getattr(p, "interface_angle_upper", None))
@@ -231,7 +231,7 @@ def _compare_interface_values(p: Any, xp: Any) -> list[Finding]:
             Finding(
                 name="path angle at the interface below the horizon", value=-stated * _DEGREE,
                 limit=steepest_angle(p, xp) * _DEGREE, at_least=False, unit="deg", binding=True,
-                meaning="the velocity change of all propellant gives no flight so steep at the interface",
+                meaning="all propellant together cannot make the flight so steep at the interface",
                 advice="a flatter interface angle, or more propellant (a lower vehicle.dry_mass or separation.mass)",
             )
         )  # fmt: skip
@@ -249,22 +249,22 @@ def _compare_arrival_speed(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...
     found, light = list[Finding](), ""
     if fallen.lands and hasattr(p, "vehicle_drag_area") and not hasattr(p, "separation_mass"):
         enough = p.vehicle_mass * (p.site_speed_upper / terminal_speed(p, air)) ** 2
-        light = f"; falling steadily it is slow enough below {enough:.0f} kg of its {p.vehicle_mass:g} kg"
+        light = f"; its terminal speed is low enough below {enough:.0f} kg of its {p.vehicle_mass:g} kg"
     if fallen.lands:
         found.append(
             Finding(
-                name="landing speed of a fall without lift", value=float(fallen.rows[-1, 2]), limit=p.site_speed_upper,
+                name="landing speed of a ballistic entry", value=float(fallen.rows[-1, 2]), limit=p.site_speed_upper,
                 at_least=False, unit="m/s", binding=False,
-                meaning=f"the vehicle may arrive faster than site.speed_upper, which a parachute can take{light}",
+                meaning=f"the vehicle may arrive faster than site.speed_upper, the speed a parachute can take{light}",
                 advice=advice,
             )
         )  # fmt: skip
     else:
         found.append(
             Finding(
-                name="altitude of a fall without lift after three turns", value=float(fallen.rows[-1, 0]) / 1e3,
+                name="altitude of a ballistic entry after three revolutions", value=float(fallen.rows[-1, 0]) / 1e3,
                 limit=entry_end_altitude(p) / 1e3, at_least=False, unit="km", binding=False,
-                meaning="the vehicle may float, or leave the air again",
+                meaning="the vehicle may float, or leave the atmosphere again",
                 advice="a smaller drag area, or a steeper interface.angle",
             )
         )  # fmt: skip
@@ -278,14 +278,14 @@ def _compare_arrival_speed(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...
     slowest = slowest_arrival(light, air, -float(steep), (float(speeds[0]), float(speeds[1])))
     steady = terminal_speed(light, air)
     for name, value, sure in (
-        ("landing speed of the slowest fall, less a tenth", 0.9 * slowest, True),
-        ("speed of a steady fall at the site", steady, steady > p.site_speed_upper and all_falls_too_fast(light, air)),
+        ("landing speed of the slowest entry, less a tenth", 0.9 * slowest, True),
+        ("terminal speed at the site", steady, steady > p.site_speed_upper and all_falls_too_fast(light, air)),
     ):
         if sure:
             found.append(
                 Finding(
                     name=name, value=value, limit=p.site_speed_upper, at_least=False, unit="m/s", binding=True,
-                    meaning="no entry without lift arrives as slowly as site.speed_upper, which a parachute can take",
+                    meaning="no ballistic entry arrives as slowly as site.speed_upper, the speed a parachute can take",
                     advice=advice,
                 )
             )  # fmt: skip
@@ -304,10 +304,10 @@ def _compare_plane_turn(p: Any, angles: Physics, fallen: Fall, *, drifts: bool) 
         advice = f"{_describe_next_pass(p, find_passes(p, orbit, entry, drifts=drifts, until=_AHEAD))}; or another site"
     return (
         Finding(
-            name="site out of the plane of the orbit", value=math.degrees(away),
+            name="distance of the site from the plane of the orbit", value=math.degrees(away),
             limit=math.degrees(turned + OFF_PLANE), at_least=False, unit="deg", binding=not lifts,
-            meaning=f"the site stays {away * p.body_radius / 1e3:.0f} km or more"
-            " out of the plane of the orbit, which is further than the propellant can turn it",
+            meaning=f"the site stays {away * p.body_radius / 1e3:.0f} km or more out of the plane of the orbit, which"
+            f" is further than the propellant can turn this plane",
             advice=advice,
         ),
     )  # fmt: skip
@@ -318,14 +318,14 @@ def _describe_next_pass(p: Any, found: Sequence[Pass]) -> str:
     available = total_velocity_change(p)
     good = next((one for one in found if one.velocity_change <= available), None)
     if good is not None:
-        return f"the first pass that can be made has its ignition {good.ignition / 3600:.1f} h after t = 0"
+        return f"the first pass that can be flown has its ignition {good.ignition / 3600:.1f} h after t = 0"
     if abs(p.site_latitude) > math.asin(math.sin(p.orbit_inclination)):
         return "the plane of the orbit never comes over its latitude: a higher orbit.inclination"
     days = _AHEAD / _DAY
     if not found:
-        return f"no pass within {days:g} days is surely within reach"
+        return f"no pass within {days:g} days is certainly within reach"
     least = min(found, key=lambda one: abs(one.away))
     return (
-        f"no pass within {days:g} days is surely within reach; the nearest is"
+        f"no pass within {days:g} days is certainly within reach; the nearest is"
         f" {math.degrees(abs(least.away)):.1f} deg off, {least.ignition / 3600:.1f} h after t = 0"
     )

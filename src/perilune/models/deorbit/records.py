@@ -27,9 +27,9 @@ _LATITUDE: dict[str, Any] = {
     "least": -0.5 * math.pi - 1e-12, "most": 0.5 * math.pi + 1e-12, "outside": "lies beyond the pole",
     "hint": "are longitude and latitude exchanged?",
 }  # fmt: skip
-_SPEED: dict[str, Any] = {"above": 0.0, "most": 1e5, "hint": "look for km/s in place of m/s"}
+_SPEED: dict[str, Any] = {"above": 0.0, "most": 1e5, "hint": "check for km/s in place of m/s"}
 _ANGLE: dict[str, Any] = {"least": -0.5 * math.pi, "most": 0.5 * math.pi, "hint": "negative is below the horizon"}
-_DOWN: dict[str, Any] = {**_ANGLE, "most": 0.0, "outside": "leads up, and the way comes from above"}
+_DOWN: dict[str, Any] = {**_ANGLE, "most": 0.0, "outside": "points upwards, but the vehicle arrives from above"}
 _ENTERING: dict[str, Any] = {"least": 100.0, "most": 1e5, "hint": "is it in m/s, or in km/s?"}
 
 
@@ -39,7 +39,7 @@ def _one_of(section: str, stated: dict[str, Any], *, needed: bool) -> None:
     if len(found) > 1 or (needed and not found):
         names = [f"{section}.{name}" for name in stated]
         raise PeriluneError(
-            f"{' and '.join(f'{section}.{n}' for n in found)} say one thing twice"
+            f"{' and '.join(f'{section}.{n}' for n in found)} state the same quantity"
             if found
             else f"{names[0]} is missing",
             got=f"{len(found)} of them",
@@ -57,7 +57,7 @@ class Aim:
         about="flight_time (from ignition to the end), transition_time (to the interface), propellant or heat_load",
     )  # fmt: skip
     epoch: str | None = text_field(
-        "2026-06-01T12:00:00Z", default=None, about="time at t = 0, UTC unless it says otherwise; nrlmsis needs it"
+        "2026-06-01T12:00:00Z", default=None, about="time at t = 0, UTC unless stated otherwise; nrlmsis needs it"
     )
 
     def __post_init__(self) -> None:
@@ -81,14 +81,14 @@ class ReturnOrbit:
     inclination: float = quantity("rad", "50 deg", least=0.0, most=math.pi, about="against the equator")
     node_longitude: float | None = quantity(
         "rad", "-27 deg", default=None, **_TURNS,
-        about="of the ascending node at t = 0, where no [manoeuvre] says where ignition is",
+        about="of the ascending node at t = 0, if no [manoeuvre] states where ignition is",
     )  # fmt: skip
     argument_of_latitude: float | None = quantity(
         "rad", "120 deg", default=None, **_TURNS, about="from the ascending node to the vehicle at t = 0"
     )  # fmt: skip
     longest_coast: float | None = quantity(
         "s", "5600 s", default=None, above=SHORTEST, most=LONGEST_COAST,
-        about="longest coast before ignition, whose length is then chosen; left out, ignition is at the start",
+        about="longest coast before ignition, whose length is then optimised; default: ignition at the start",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -106,7 +106,7 @@ class ReturnOrbit:
                 if missing
                 else "orbit.perigee_altitude is above orbit.apogee_altitude",
                 expected="an ellipse: perigee_altitude <= apogee_altitude, and argument_of_perigee",
-                advice="or state orbit.radius alone, of a circular orbit",
+                advice="or state only orbit.radius, of a circular orbit",
             )
 
 
@@ -127,15 +127,19 @@ class Returner:
     thrust: float = quantity("N", "100 N", above=0.0, about="of the engine, which burns at full thrust")
     exhaust_velocity: float | None = quantity("m/s", "3000 m/s", default=None, **_SPEED, about="of the engine")
     specific_impulse: float | None = quantity(
-        "s", "306 s", default=None, above=20.0, most=1000.0, hint="an exhaust velocity in m/s has a key of its own",
+        "s", "306 s", default=None, above=20.0, most=1000.0, hint="an exhaust velocity in m/s has its own key",
         about="of the engine, in place of its exhaust velocity",
     )  # fmt: skip
     dry_mass: float | None = quantity(
-        "kg", "300 kg", default=None, above=0.0, about="what must be left after the burn; left out, what enters the air"
+        "kg",
+        "300 kg",
+        default=None,
+        above=0.0,
+        about="mass that must be left after the burn; default: the mass that enters the atmosphere",
     )
     drag_area: float | None = quantity("m^2", "0.6 m^2", default=None, above=0.0, about="drag coefficient times area")
     ballistic_coefficient: float | None = quantity(
-        "kg/m^2", "300 kg/m^2", default=None, above=0.0, about="mass over drag area, in place of that"
+        "kg/m^2", "300 kg/m^2", default=None, above=0.0, about="mass over drag area, in place of drag_area"
     )
     base_radius: float | None = quantity(
         "m", "0.5 m", default=None, above=0.0, about="of a sphere-cone in Newtonian flow, in place of a drag area"
@@ -144,15 +148,15 @@ class Returner:
         "rad", "20 deg", default=None, least=0.0, below=0.5 * math.pi, about="half angle of the sphere-cone"
     )
     nose_radius: float | None = quantity(
-        "m", "0.3 m", default=None, above=0.0, about="at the stagnation point: heat rate and load need it"
+        "m", "0.3 m", default=None, above=0.0, about="at the stagnation point; needed for heat rate and heat load"
     )
     lift_to_drag: float | None = quantity(
-        "1", "0.25", default=None, above=0.0, most=10.0, about="with it there is a lift, turned by the bank"
+        "1", "0.25", default=None, above=0.0, most=10.0, about="if stated there is a lift, turned by the bank angle"
     )
     bank: str | None = text_field(
         "reversed", *BANKS, default=None,
-        about="free, as where it is left out: all of the lift, to any side; reversed: bank reversals cancel what acts"
-        " sideways, and leave a share of the lift up or down",
+        about="free (default): the whole lift, at any bank angle; reversed: bank reversals cancel the lateral lift"
+        " and leave a fraction of the lift up or down",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -169,7 +173,8 @@ class Returner:
             and (self.nose_radius or 0.0) * math.cos(self.cone_angle or 0.0) > self.base_radius
         ):
             raise PeriluneError(
-                "this is no sphere-cone", got=f"a nose of {self.nose_radius:g} m on a base of {self.base_radius:g} m",
+                "this is not a sphere-cone", got=f"a nose of {self.nose_radius:g} m on a base of {self.base_radius:g}"
+                f" m",
                 expected="nose_radius cos(cone_angle) <= base_radius, where the nose meets the cone",
             )  # fmt: skip
         if self.bank is not None and self.lift_to_drag is None:
@@ -194,7 +199,7 @@ class Transition:
 
     longest_coast: float | None = quantity(
         "s", "3000 s", default=None, above=SHORTEST, most=LONGEST_COAST,
-        about="longest coast from the end of the burn to the interface; left out, the engine burns all the way",
+        about="longest coast from the end of the burn to the interface; default: the engine burns all the way",
     )  # fmt: skip
 
 
@@ -217,7 +222,7 @@ class Interface:
             _one_of("interface", {name: fixed, f"{name}_lower": bounds}, needed=False)
             if lower is not None and upper is not None and not lower < upper:
                 raise PeriluneError(
-                    f"bounds of the {name} at the interface are no range",
+                    f"bounds of the {name} at the interface are not a range",
                     got=f"{format_quantity(lower, unit)} to {format_quantity(upper, unit)}",
                     expected=f"interface.{name}_lower < interface.{name}_upper",
                 )  # fmt: skip
@@ -232,10 +237,14 @@ class Atmosphere:
         about="exponential; us1976 (US Standard Atmosphere); nrlmsis (2.1, by pymsis, along the flight); or file",
     )  # fmt: skip
     density: float | None = quantity(
-        "kg/m^3", "1.225 kg/m^3", default=None, above=0.0, about="of exponential air at altitude 0"
+        "kg/m^3", "1.225 kg/m^3", default=None, above=0.0, about="of an exponential atmosphere at altitude 0"
     )
     scale_height: float | None = quantity(
-        "m", "7.2 km", default=None, above=0.0, about="of exponential air: over it the density falls by e"
+        "m",
+        "7.2 km",
+        default=None,
+        above=0.0,
+        about="of an exponential atmosphere: height over which the density falls by a factor of e",
     )
     file: str | None = text_field(
         "my_air.csv", default=None, file=True,
@@ -267,7 +276,7 @@ class Separation:
     """Part of the vehicle that enters the air."""
 
     mass: float = quantity(
-        "kg", "2900 kg", above=0.0, about="of what enters the air; the rest is left at the interface"
+        "kg", "2900 kg", above=0.0, about="mass that enters the atmosphere; the rest is dropped at the interface"
     )
 
 
@@ -292,7 +301,7 @@ class Heating:
 
     constant: float = quantity(
         "kg^0.5/m", "1.7415e-4 kg^0.5/m", default=SUTTON_GRAVES, above=0.0,
-        about="of Sutton and Graves: heat rate = constant sqrt(density/nose_radius) V^3; that of air if it is left out",
+        about="of Sutton and Graves: heat rate = constant sqrt(density/nose_radius) V^3; default: that of air",
     )  # fmt: skip
 
 
@@ -300,7 +309,9 @@ class Heating:
 class Parachute:
     """Parachute that opens at the end of the entry, and falls steadily to the altitude of the site."""
 
-    altitude: float = quantity("m", "10 km", above=0.0, about="at which it opens, no faster than site.speed_upper")
+    altitude: float = quantity(
+        "m", "10 km", above=0.0, about="at which it opens; the speed there is limited by site.speed_upper"
+    )
     drag_area: float = quantity("m^2", "1000 m^2", above=0.0, about="drag coefficient times area of the canopy")
 
 
@@ -308,13 +319,13 @@ class Parachute:
 class Landing:
     """Site at which the flight ends."""
 
-    longitude: float | None = quantity("rad", "-98 deg", default=None, **_TURNS, about="east; left out, it is free")
-    latitude: float | None = quantity("rad", "38 deg", default=None, **_LATITUDE, about="north; left out, it is free")
+    longitude: float | None = quantity("rad", "-98 deg", default=None, **_TURNS, about="east; free by default")
+    latitude: float | None = quantity("rad", "38 deg", default=None, **_LATITUDE, about="north; free by default")
     altitude: float = quantity(
         "m",
         "10 km",
         default=0.0,
-        about="of the end of the flight, where a parachute takes over or brings the vehicle",
+        about="of the end of the flight, where a parachute takes over or lands the vehicle",
     )
     speed_upper: float = quantity(
         "m/s", "300 m/s", default=300.0, **_SPEED, about="greatest speed there, or where the [parachute] opens"

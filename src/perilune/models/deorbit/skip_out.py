@@ -50,20 +50,21 @@ def compare_skip_out(p: Any, air: Air, typical: Fall) -> Iterator[Finding]:
         least = (1 - LEFT_OUT) * cell_minima(tops)
         if least > 0:
             yield _compare_with_interface(
-                "every fall", least, binding=True,
-                meaning="every ballistic entry that the interface allows leaves the air again (skip-out): over all"
-                f" masses, angles and speeds there they rise to {np.min(tops) / 1e3:.3g} km above it or more",
+                "every entry", least, binding=True,
+                meaning="every ballistic entry allowed at the interface leaves the atmosphere again (skip-out): over"
+                f" all masses, angles and speeds there they rise to {np.min(tops) / 1e3:.3g} km above it or more",
             )  # fmt: skip
             return
     yield _compare_with_interface(
-        "a fall", rebound_height(typical, p.interface_altitude), binding=False,
-        meaning="a typical ballistic entry leaves the air again (skip-out)",
+        "a typical entry", rebound_height(typical, p.interface_altitude), binding=False,
+        meaning="a typical ballistic entry leaves the atmosphere again (skip-out)",
     )  # fmt: skip
 
 
 def _compare_with_interface(which: str, top: float, *, binding: bool, meaning: str) -> Finding:
     return Finding(
-        name=f"how far {which} without lift rises again above the interface", value=max(top, 0.0) / 1e3,
+        name=f"skip-out: altitude above the interface regained by {which} without lift",
+        value=max(top, 0.0) / 1e3,
         limit=0.0, at_least=False, unit="km", binding=binding, meaning=meaning,
         advice="a steeper interface.angle, or a lower speed at the interface",
     )  # fmt: skip

@@ -149,7 +149,7 @@ class _SearchData:
         return self._told(program, found, numbers) if solved else None
 
     def _told(self, program: BurnProgram, found: Any, numbers: Vector) -> TwoBurns:
-        """Return an answer of a program in SI and in axes that do not turn."""
+        """Return an answer of a program in SI and in inertial axes."""
         x, multipliers = np.array(found["x"]).ravel(), np.array(found["lam_g"]).ravel()
         unknown = {name: x[at] for name, at in program.unknowns.items()}
         falls, axes, seen = (np.array(value) for value in program.falls(x, numbers))

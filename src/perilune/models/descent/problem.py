@@ -60,13 +60,13 @@ from perilune.problem.variables import Free, Given
 
 _FRAMES = {"cartesian": CARTESIAN, "spherical": SPHERICAL}
 
-SPEED: dict[str, Any] = {"least": -1e5, "most": 1e5, "hint": "look for km/s in place of m/s"}
+SPEED: dict[str, Any] = {"least": -1e5, "most": 1e5, "hint": "check for km/s in place of m/s"}
 _TURNS: dict[str, Any] = {"least": -4 * math.pi, "most": 4 * math.pi}
 _LATITUDE: dict[str, Any] = {
     "least": -0.5 * math.pi - 1e-12,
     "most": 0.5 * math.pi + 1e-12,
     "outside": "lies beyond the pole",
-    "hint": "is it in radians inside, and longitude and latitude not exchanged?",
+    "hint": "is it in radians, and are longitude and latitude exchanged?",
     "about": "north",
 }
 
@@ -105,7 +105,7 @@ class Choices:
 
     coordinates: str = text_field(
         "cartesian", *_FRAMES, default="cartesian",
-        about="cartesian, or spherical: the paper's, singular over a pole, for the direct method",
+        about="cartesian; or spherical: that of the paper, singular over a pole, for the direct method",
     )  # fmt: skip
     target: str = text_field(
         "site", *CARTESIAN.ends, default="site",
@@ -113,7 +113,7 @@ class Choices:
     )  # fmt: skip
     minimise: str = text_field(
         "propellant", "propellant", "flight_time", default="propellant",
-        about="propellant or flight_time, the same with constant thrust",
+        about="propellant or flight_time; equivalent at constant thrust",
     )  # fmt: skip
 
 
@@ -123,7 +123,7 @@ class Ignition:
 
     altitude: float = quantity("m", "15 km", about="above the body's radius")
     longitude: float = quantity(
-        "rad", "0 deg", **_TURNS, about="east; over a pole it names the meridian from which the heading is measured"
+        "rad", "0 deg", **_TURNS, about="east; over a pole it states the meridian from which the heading is measured"
     )  # fmt: skip
     latitude: float = quantity("rad", "90 deg", **_LATITUDE)
     heading: float = quantity(
@@ -141,10 +141,10 @@ class Site:
 
     altitude: float = quantity("m", "2 km", default=0.0, about="above the body's radius")
     longitude: float | None = quantity(
-        "rad", "5 deg", default=None, **_TURNS, about="east; needed but for the target anywhere"
+        "rad", "5 deg", default=None, **_TURNS, about='east; needed unless target = "anywhere"'
     )  # fmt: skip
     latitude: float | None = quantity(
-        "rad", "76 deg", default=None, **{**_LATITUDE, "about": "north; needed but for the target anywhere"}
+        "rad", "76 deg", default=None, **{**_LATITUDE, "about": 'north; needed unless target = "anywhere"'}
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -219,7 +219,7 @@ def _compare_reach(position: Any, velocity: Any, r_site: Any, p: Any, xp: Any) -
     to_lose, ground = speed_to_lose(position, velocity, AXIS, r_site, p, xp), speed_of_ground(r_site, p, xp)
     fastest = 0.5 * (to_lose + 2 * ground + velocity_change(p, xp)) + ground
     return Finding(
-        name="way to the site",
+        name="distance to the site",
         value=way / 1e3,
         limit=SLACK * longest_burn(p) * fastest / 1e3,
         at_least=False,
@@ -333,7 +333,7 @@ def powered_descent(
     steering
         Bounds of elevation and azimuth (24); in Cartesian coordinates they are path conditions.
     throttle
-        Least and greatest share of full thrust; None is constant full thrust.
+        Least and greatest fraction of full thrust; None is constant full thrust.
     minimise
         ``"propellant"``: J = -m(t_f) (29); ``"flight_time"``: J = t_f (19).
     dry_mass

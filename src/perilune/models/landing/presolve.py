@@ -67,7 +67,7 @@ def _compare_altitudes(p: Any) -> tuple[Finding, ...]:
         ),
         at_least(
             "height of the parking orbit above the perilune", parking - perilune, 0.0,
-            "the perilune lies above the parking orbit", "exchange the two, or look for km in place of m",
+            "the perilune lies above the parking orbit", "exchange the two, or check for km in place of m",
         ),
     )  # fmt: skip
 
@@ -97,19 +97,19 @@ def _compare_burns(p: Any, xp: Any) -> tuple[Finding, ...]:
                     binding=binding,
                     lasting=not binding,
                     meaning=meaning,
-                    advice="lower retro.delta_v, or leave it out and the best one is found",
+                    advice="lower retro.delta_v, or omit it to have it optimised",
                 )
             )
     for name, value, meaning, advice in (
         (
             "landed mass that the thrust can hold", largest_mass_stopped(p.body_radius + p.landing_altitude, p, xp),
-            f"the lander is too weak: its thrust cannot carry {said} at touchdown",
-            "raise vehicle.thrust, lower vehicle.mass, or state what must land as vehicle.dry_mass",
+            f"the engine is too weak: its thrust cannot carry {said} at touchdown",
+            "raise vehicle.thrust, lower vehicle.mass, or state the mass that must land as vehicle.dry_mass",
         ),
         (
             "landed mass by the rocket equation", _mass_by_rocket_equation(p, xp, speed),
             f"there is not enough propellant: even an ideal landing leaves less than {said}",
-            "raise the specific impulse, or state what must land as vehicle.dry_mass",
+            "raise the specific impulse, or state the mass that must land as vehicle.dry_mass",
         ),
     ):  # fmt: skip
         found.append(
@@ -153,12 +153,12 @@ def _compare_unusual_values(p: Any, xp: Any) -> tuple[Finding, ...]:
     return (
         compare_thrust_and_weight(r, p),
         at_most(
-            "mass when braking has taken the speed",
+            "mass after braking",
             "kg",
             _mass_by_rocket_equation(p, xp, perilune_speed(p, xp)),
             largest_mass_stopped(r, p, xp),
-            "braking alone leaves the lander heavier than its thrust can hold: the rest has to be burnt before it can"
-            " come down, and the best flight may run along the ground, which is hard to solve",
+            "braking by itself leaves the lander heavier than its thrust can hold: it must burn the rest before it can"
+            " descend, and the optimal flight may follow the ground, which is hard to solve",
             "lower vehicle.mass, raise vehicle.thrust",
         ),
         at_most(
@@ -192,8 +192,9 @@ def _compare_unusual_values(p: Any, xp: Any) -> tuple[Finding, ...]:
             at_least=True,
             unit="m/s",
             binding=False,
-            meaning="coasting first, until the fall grazes the ground, would need so little: full throttle from the"
-            f" perilune to the ground is one burn and spends more than {SPENDS:g} times as much",
+            meaning="coasting first, until the trajectory grazes the ground, would need only this: full throttle from"
+            " the"
+            f" perilune to the ground is one burn and needs more than {SPENDS:g} times as much",
             advice="a perilune next to the ground; or the kind powered_descent with throttle.lower = 0, which coasts",
         ),
     )

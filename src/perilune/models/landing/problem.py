@@ -149,7 +149,7 @@ _VIEWS = Views(
 _SPACE = Space(
     rotation="body_rotation_rate",
     chosen="The model is planar: its plane is the equator, flown along the rotation, and longitude 0 is where the "
-    "Hohmann transfer starts, half a revolution before the begin of the flight.",
+    "Hohmann transfer starts, half a revolution before the start of the flight.",
 )
 
 
@@ -305,7 +305,7 @@ def mass_consistency_checks(solution: Solution) -> tuple[Check, ...]:
     retro_ratio = math.exp(-p.retro_delta_v / (p.retro_specific_impulse * p.vehicle_standard_gravity))
     found = (
         ("retro_mass", "kg", mass[0] - p.vehicle_mass * retro_ratio,
-         "mass at ignition and the one the retro burn leaves"),
+         "mass at ignition and mass after the retro burn"),
         ("propellant", "kg", mass[0] - mass[1] - p.vehicle_thrust / exhaust_speed * p.flight_time,
          "propellant burnt in the tables and thrust over exhaust speed times flight time"),
         ("rocket_equation", "m/s", exhaust_speed * float(np.log(mass[0] / mass[1])) - gained,

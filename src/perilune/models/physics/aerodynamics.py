@@ -4,8 +4,9 @@ Velocities are relative to the turning body, and so to the air. Drag is along th
 
     drag = rho V^2 S/2 / m,  S = C_D A, or m/S a ballistic coefficient;   lift = (L/D) drag
 
-**Load** is what an accelerometer shows, drag and lift together, in units of g0. **Heat rate** is that of convection at
-the stagnation point of a nose of radius R_n, to a cold wall (Sutton, Graves, NASA TR R-376, 1971):
+**Load** is what an accelerometer shows, drag and lift together, in units of g0. **Heat rate** is
+that of convection at the stagnation point of a nose of radius R_n, to a cold wall (Sutton, Graves, NASA TR R-376,
+1971):
 
     q = k sqrt(rho/R_n) V^3,   k = 1.7415e-4 kg^(1/2)/m for the Earth's air
 

@@ -83,12 +83,12 @@ def read_air_table(path: Path) -> AirTable:
     """
     text = bounded_text(
         path, "table of air", LARGEST_FILE, expected="a CSV file of altitude and density",
-        advice="give the way to it, beside the scenario file",
+        advice="give its path, relative to the scenario file",
     )  # fmt: skip
     table = delimited_table(text, "table of air")
     if not table.body:
         raise PeriluneError(
-            "the table of air needs rows", got="no line of numbers", expected="at least 3", advice=_EXPECTED
+            "the table of air needs rows", got="no row of numbers", expected="at least 3", advice=_EXPECTED
         )
     count = _column_count(table)
     headings, units = _headings(table, count)
@@ -169,7 +169,7 @@ def _heading_cells(table: DelimitedTable, line: TextLine, count: int) -> list[st
     if cells is not None:
         return cells
     raise PeriluneError(
-        f"line {line.number} of the table of air has not one heading for each column",
+        f"line {line.number} of the table of air does not have one heading for each column",
         got=line.text[:60], expected=f"{count} headings, as rows have {count} cells",
         advice="a line that begins with # is a comment",
     )  # fmt: skip
@@ -239,14 +239,14 @@ def _refuse_role(name: str, headings: list[TableHeading], count: int) -> None:
     advice = _EXPECTED
     if count:
         what = f"more than one column of the table of air can be its {name}"
-        advice = f"leave one column of {name}, or call the others something else"
+        advice = f"keep one column of {name}, or rename the others"
     elif not named:
         what = f"no column of the table of air is its {name}"
     else:
         got = repr(named[0].text)
         what = f"the table of air has no {name} that can be read"
         if "geopotential" in _heading_words(named[0]):
-            advice = "geopotential altitudes h are not heights: with the radius R of the body, z = R h/(R - h)"
+            advice = "geopotential altitudes h are not geometric: with the radius R of the body, z = R h/(R - h)"
         elif named[0].unit:
             expected = f"{name} in {_SI[name]}, or in another unit of that dimension"
     raise PeriluneError(what, got=got, expected=expected, advice=advice)
@@ -286,9 +286,10 @@ def _refuse_conflicting_unit(name: str, comments: list[TextLine]) -> None:
                 and parse_unit(stated) != parse_unit(_SI[name])
             ):
                 raise PeriluneError(
-                    f"line {line.number} of the table of air names {stated}, and no heading the unit of the {name}",
+                    f"line {line.number} of the table of air mentions {stated}, but no heading states the unit of the"
+                    f" {name}",
                     got=line.text[:60], expected=f"a heading such as {name} [{stated}]",
-                    advice="state the units in headings, or change the comment where it means something else",
+                    advice="state the units in headings, or change the comment if it means something else",
                 )  # fmt: skip
 
 

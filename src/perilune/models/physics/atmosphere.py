@@ -78,7 +78,7 @@ class Air:
 def exponential(density: float, scale_height: float) -> Air:
     """Air whose density [kg/m^3] falls by e with each scale height [m]."""
     given = _air_parameters("atmosphere_density", density, "atmosphere_scale_height", scale_height)
-    return Air(name=f"exponential air of scale height {scale_height / 1e3:g} km", given=given)
+    return Air(name=f"exponential atmosphere of scale height {scale_height / 1e3:g} km", given=given)
 
 
 @cache
@@ -238,10 +238,10 @@ def _check_samples(altitude: Vector, density: Vector, name: str, places: Sequenc
     if len(wrong):
         k = int(wrong[0])
         raise PeriluneError(
-            f"{name}: {places[k]} is no altitude with a density",
+            f"{name}: {places[k]} is not an altitude with a density",
             got=f"{altitude[k]:g} m, {density[k]:g} kg/m^3",
             expected="finite numbers, and a density above 0",
-            advice="leave the row out: above and below its ends a table goes on as exponential air does",
+            advice="leave the row out: beyond its ends a table is continued as an exponential atmosphere",
         )
     back = np.flatnonzero(np.diff(altitude) <= 0)
     if len(back):
@@ -259,10 +259,10 @@ def _refuse_rough(x: Vector, y: Vector, table: Table, away: float, name: str, pl
     """Refuse samples that a smooth table misses, or between which it swings."""
     if away > ROUGHEST:
         raise PeriluneError(
-            f"{name}: the densities are too rough for a smooth table",
-            got=f"{MOST_KNOTS} knots, and still {100 * away:.2g} % off",
+            f"{name}: the densities are too irregular for a smooth table",
+            got=f"{MOST_KNOTS} knots,and still {100 * away:.2g} % off",
             expected=f"at most {100 * ROUGHEST:g} %",
-            advice="smooth the data, or leave out what no flight reaches",
+            advice="smooth the data, or leave out altitudes that no flight reaches",
         )
     middle = table(0.5 * (x[1:] + x[:-1]))
     low, high = np.minimum(y[1:], y[:-1]), np.maximum(y[1:], y[:-1])
@@ -272,6 +272,6 @@ def _refuse_rough(x: Vector, y: Vector, table: Table, away: float, name: str, pl
         raise PeriluneError(
             f"{name}: a smooth table swings between {places[k]} and {places[k + 1]}",
             got=f"between {x[k]:g} and {x[k + 1]:g} km it leaves the range of both densities",
-            expected="densities that lead from one to the next",
+            expected="densities that vary gradually from row to row",
             advice="add rows there, evenly spaced",
         )

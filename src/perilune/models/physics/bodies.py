@@ -10,7 +10,7 @@ from perilune.core.fields import quantity, record, text_field
 
 # Of each harmonic alone: above 1/(n + 1) a pole would push away, and far below 0 another place on the surface.
 _ZONAL: dict[int, dict[str, Any]] = {
-    n: {"least": low, "most": high, "outside": "is more than a body has that pulls everywhere"}
+    n: {"least": low, "most": high, "outside": "is more than a body has whose gravity attracts everywhere"}
     for n, low, high in ((2, -0.66, 0.33), (3, -0.25, 0.25), (4, -0.46, 0.2))
 }
 LIKE = 0.02  # of its radius and of its pull: constants of a body differ by less, from paper to paper
@@ -28,7 +28,7 @@ class Body:
         "rad/s",
         "2.6617e-6 rad/s",
         hint="write rad/s or deg/s; the sidereal day T gives 360 deg / T",
-        about="inertial (sidereal); negative is retrograde, 0 rad/s a body at rest",
+        about="inertial (sidereal); negative is retrograde, 0 rad/s does not rotate",
     )
 
     air: float = 0.0  # Pa, pressure at the surface; the equations of every model leave it out, and say so
@@ -53,7 +53,7 @@ class Body:
     @property
     def titled(self) -> str:
         """Return the same in addition to an answer, which must mention the air."""
-        return f"{self.spoken}, its air left out" if self.air else self.spoken
+        return f"{self.spoken}, without its atmosphere" if self.air else self.spoken
 
 
 @record("body")
@@ -85,8 +85,8 @@ class Planet(OblateBody):
     )  # fmt: skip
     flattening: float | None = quantity(
         "1", "3.353e-3", above=0.0, below=0.5, default=None,
-        hint="1/298.257 of the Earth; leave it out for a sphere",
-        about="of the ellipsoid whose equatorial radius is body.radius: altitudes and latitudes are geodetic then",
+        hint="1/298.257 for the Earth; omit it for a sphere",
+        about="of the ellipsoid whose equatorial radius is body.radius; altitudes and latitudes are then geodetic",
     )  # fmt: skip
 
 
@@ -96,7 +96,7 @@ class UniformGravity:
 
     gravity: float = quantity(
         "m/s^2", "3.7114 m/s^2", above=0.0, most=300.0, hint="write it with its unit; the Earth has 9.8 m/s^2",
-        about="uniform gravity over flat ground that does not turn, in place of the others",
+        about="uniform gravity over flat ground that does not rotate, in place of the others",
     )  # fmt: skip
 
     @property

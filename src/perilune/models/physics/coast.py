@@ -20,7 +20,7 @@ from perilune.problem.variables import Free, Variable
 SHORTEST = 1e-3  # s: a curve has a length; the landed mass does not feel it
 LONGEST: Any = quantity(
     "s", "900 s", default=None, above=SHORTEST,
-    about="longest free fall before ignition, whose length is then chosen; left open, ignition is at the start",
+    about="longest free fall before ignition, whose length is then optimised; default: ignition at the start",
 )  # fmt: skip
 COAST_TIME = Variable(name="coast_time", unit="s", description="free fall before ignition")
 FREE = Free(name="coast_time", unit="s")

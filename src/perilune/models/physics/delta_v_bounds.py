@@ -101,7 +101,7 @@ def largest_mass_stopped(r_site: Any, p: Any, xp: Any) -> Any:
 def compare_thrust_and_weight(r_site: Any, p: Any) -> Finding:
     """Compare the thrust at ignition with the weight at the site: whether the vehicle could hover."""
     return Finding(
-        name="thrust against weight at ignition",
+        name="thrust-to-weight ratio at ignition",
         value=greatest_thrust(p) / (p.vehicle_mass * gravity_at(r_site, p)),
         limit=1.0,
         at_least=True,
@@ -138,7 +138,7 @@ def compare_start_height(start: Any, site: Any) -> Finding:
         at_least=True,
         unit="m",
         binding=True,
-        meaning="the descent does not begin above its site, and no flight here goes below that",
+        meaning="the descent does not start above its site, and no flight of this model goes below the site",
         advice="a higher start, or a lower site",
     )
 
@@ -149,14 +149,14 @@ def compare_neglected_air(body: Body) -> tuple[Finding, ...]:
         return ()
     return (
         Finding(
-            name="pressure of the air at the surface",
+            name="atmospheric pressure at the surface",
             value=body.air,
             limit=0.0,
             at_least=False,
             unit="Pa",
             binding=False,
-            meaning=f"{body.spoken} has air, which is left out: the answer is that of an airless body",
-            advice="take it for the last part, where the lander is slow, and know the drag to be missing",
+            meaning=f"{body.spoken} has an atmosphere, which is neglected: the answer is that of an airless body",
+            advice="use it only for the last part, where the lander is slow, and note that drag is neglected",
             lasting=True,
         ),
     )
@@ -192,15 +192,15 @@ def speed_to_lose(
 def compare_propellant(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, xp: Any, left: Any = 0.0
 ) -> Finding:
-    """Compare the speed to lose with what the propellant gives; arguments as `compare_stopping_distance`."""
+    """Compare the speed to be removed with what the propellant gives; arguments as `compare_stopping_distance`."""
     return Finding(
-        name="speed to lose",
+        name="speed to be removed",
         value=speed_to_lose(position, velocity, axis, r_site, p, xp) - left,
         limit=SLACK * velocity_change(p, xp),
         at_least=False,
         unit="m/s",
         binding=True,
-        meaning="the propellant cannot take away the speed of the start and of the fall to the site",
+        meaning="the propellant cannot remove the initial speed and the speed gained by falling to the site",
         advice="more propellant, a higher specific impulse, or a slower start",
     )
 
@@ -229,7 +229,7 @@ def compare_stopping_distance(
     fastest = inertial_speed(position, velocity, axis, p, xp) + down + (gravity_at(r_site, p) + oblate) * time
     pull = gravity_at(r, p) - oblate - _centrifugal(fastest, r_site, p)
     return Finding(
-        name="fall before full thrust can stop it",
+        name="stopping distance at full thrust",
         value=distance + 0.5 * pull * time * time,
         limit=r - r_site,
         at_least=False,
@@ -272,8 +272,8 @@ def compare_late_ignition(position: Any, velocity: Any, p: Any, xp: Any) -> Find
         at_least=True,
         unit="1",
         binding=False,
-        meaning="the orbit is circular, the body does not turn, and any place will do: equally good flights"
-        " ignite later, so that none is strictly the best, and local optimality (level 3) cannot be proved",
-        advice="any of them may be flown; a site, a body that turns, or an orbit that is not circular chooses one",
+        meaning="the orbit is circular, the body does not rotate, and any place is allowed: equally good flights"
+        " ignite later, so that none is strictly optimal, and local optimality (level 3) cannot be proved",
+        advice="any of them may be flown; a site, a rotating body, or a non-circular orbit selects one",
         lasting=True,
     )

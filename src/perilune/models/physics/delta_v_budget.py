@@ -26,17 +26,15 @@ _REST = 1e-300
 
 LANDED_MASS = Variable(name="landed_mass", unit="kg", description="mass at touchdown")
 PROPELLANT = Variable(
-    name="propellant", unit="kg", description="everything burnt, of an impulsive burn before ignition too"
+    name="propellant", unit="kg", description="all propellant burnt, including an impulsive burn before ignition"
 )
 FLIGHT_TIME = Variable(name="flight_time", unit="s", description="from ignition to touchdown")
 LANDING = (LANDED_MASS, PROPELLANT, FLIGHT_TIME)
 
 SPENT = (
     Variable(name="main_delta_v", unit="m/s", description="integral of the main engine's thrust acceleration"),
-    Variable(
-        name="gravity_loss", unit="m/s", description="speed over the ground that gravity adds, to be taken away again"
-    ),
-    Variable(name="steering_loss", unit="m/s", description="thrust not straight against the velocity over the ground"),
+    Variable(name="gravity_loss", unit="m/s", description="ground speed that gravity adds and that must be removed"),
+    Variable(name="steering_loss", unit="m/s", description="loss by thrust not opposite to the ground velocity"),
 )
 
 

@@ -69,7 +69,8 @@ def one_burn_wastes(
         name="velocity change of impulses", value=xp.where(low > r_site, clear, fallen) + ground,
         limit=full_burn(speed, xp.fmax(-rising, 0.0), r - r_site, p, xp) / SPENDS,
         at_least=True, unit="m/s", binding=False,
-        meaning="coasting first, until the fall meets or grazes the ground, would need so little: full throttle all the"
-        f" way down is one burn and spends more than {SPENDS:g} times as much",
+        meaning="coasting first, until the trajectory meets or grazes the ground, would need only this: full throttle"
+        " all the"
+        f" way down is one burn and needs more than {SPENDS:g} times as much",
         advice="throttle.lower = 0 and throttle.upper = 1, with which the engine may be off",
     )  # fmt: skip

@@ -150,7 +150,7 @@ def _orientation_elements(body: str) -> Elements:
     known = sorted((*ELEMENTS, "earth"))
     if body not in ELEMENTS:
         raise unknown_name(
-            "body whose orientation in space is known",
+            "a body whose orientation in space is known",
             body or "a body of another mass or rotation, or without a name",
             known,
         )

@@ -174,7 +174,8 @@ def apparent_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, xp: A
 
 
 INERTIAL_AXES = (
-    "inertial axes that are the body's own at the begin of the flight: z along its rotation, x to longitude 0"
+    "inertial axes that coincide with the body-fixed axes at the start of the flight: z along its rotation, x to"
+    " longitude 0"
 )
 
 

@@ -48,7 +48,7 @@ def describe_tdb(epoch: datetime) -> str:
     if epoch < _LEAPS[0]:
         return (
             f"TDB taken as {ahead:.1f} s ahead of UTC, which in {epoch.year} is taken as universal time, within some "
-            f"0.2 s; who takes the {_TT + _FIRST:.3f} s of 1972 is {_TT + _FIRST - ahead:.1f} s off"
+            f"0.2 s; taking the {_TT + _FIRST:.3f} s of 1972 instead is {_TT + _FIRST - ahead:.1f} s off"
         )
     told = f"TDB taken as {ahead:.3f} s ahead of UTC"
     return f"{told} as since {_LEAPS[-1].year}: later leap seconds are not known" if epoch >= _LEAPS[-1] else told

@@ -34,7 +34,7 @@ class Vehicle:
         default=STANDARD_GRAVITY,
         above=9.7,
         most=9.9,
-        hint="leave it out: it turns seconds of specific impulse into m/s and is the same on every body",
+        hint="omit it: it converts seconds of specific impulse to m/s and is the same on every body",
         about="converts seconds to m/s, the same on every body",
     )
     dry_mass: float | None = quantity(
@@ -42,7 +42,7 @@ class Vehicle:
         "120 kg",
         default=None,
         above=0.0,
-        about="what must be left at touchdown; else any landed mass will do",
+        about="mass that must be left at touchdown; default: any landed mass",
         also=("empty_mass", "final_mass", "landed_mass"),
     )
 
@@ -52,7 +52,8 @@ class Vehicle:
                 "vehicle.dry_mass leaves no propellant",
                 got=f"{self.dry_mass:g} kg of {self.mass:g} kg",
                 expected="vehicle.dry_mass < vehicle.mass",
-                advice="vehicle.mass is that before the first burn, propellant included; look for g in place of kg",
+                advice="vehicle.mass is the mass before the first burn, including propellant; check for g in place of"
+                " kg",
             )
 
 
@@ -66,13 +67,13 @@ class Retro:
         "1200 m/s",
         default=None,
         least=0.0,
-        hint="leave delta_v out and the best one is found",
-        about="fixes the burn; without it the best one is found",
+        hint="omit delta_v to have it optimised",
+        about="fixes the burn; optimised by default",
     )
 
 
 _SHARE: dict[str, Any] = {
-    "least": 0.0, "most": 1.0, "hint": "a share of vehicle.thrust: divide a thrust in newtons by that",
+    "least": 0.0, "most": 1.0, "hint": "a fraction of vehicle.thrust: divide a thrust in newtons by it",
 }  # fmt: skip
 
 
@@ -80,13 +81,13 @@ _SHARE: dict[str, Any] = {
 class Throttle:
     """Range of the throttle, in shares of full thrust."""
 
-    lower: float = quantity("1", "0.3", **_SHARE, about="smallest share of full thrust")
-    upper: float = quantity("1", "0.9", **_SHARE, about="greatest share of full thrust")
+    lower: float = quantity("1", "0.3", **_SHARE, about="smallest fraction of full thrust")
+    upper: float = quantity("1", "0.9", **_SHARE, about="greatest fraction of full thrust")
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise PeriluneError(
-                "the throttle's bounds are no range of shares of full thrust",
+                "the throttle's bounds are not a range of fractions of full thrust",
                 got=f"{self.lower:g} to {self.upper:g}",
                 expected="0 <= lower < upper <= 1",
             )

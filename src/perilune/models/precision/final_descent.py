@@ -34,11 +34,11 @@ class FinalDescent:
 
     height: float = quantity(
         "m", "50 m", above=0.0, outside="must be positive",
-        about="above the site, where the flight goes over into a vertical, upright descent",
+        about="above the site, where the vertical, upright descent starts",
     )  # fmt: skip
     touchdown_speed: float = quantity(
-        "m/s", "1 m/s", default=0.0, least=0.0, most=30.0, hint="a speed downwards, without a sign",
-        about="straight down, at which the vehicle meets the ground",
+        "m/s", "1 m/s", default=0.0, least=0.0, most=30.0, hint="a downward speed, without a sign",
+        about="vertical speed at which the vehicle touches down",
     )  # fmt: skip
 
 

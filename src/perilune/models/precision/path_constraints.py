@@ -23,16 +23,16 @@ class Corridor:
     """Limits on the path of a precision landing, each of them optional; without any, only the ground remains."""
 
     tilt: float | None = quantity(
-        "rad", "50 deg", default=None, above=0.0, below=0.5 * math.pi, outside="is no angle",
-        about="greatest angle of the thrust from the vertical; up to it the lander may touch down tilted",
+        "rad", "50 deg", default=None, above=0.0, below=0.5 * math.pi, outside="is not an angle",
+        about="greatest tilt of the thrust from the vertical; the lander may touch down with it",
     )  # fmt: skip
     slope: float | None = quantity(
-        "rad", "20 deg", default=None, above=0.0, below=0.5 * math.pi, outside="is no angle",
-        about="least elevation of the vehicle above the horizon as seen from the site; else the ground alone",
+        "rad", "20 deg", default=None, above=0.0, below=0.5 * math.pi, outside="is not an angle",
+        about="least elevation of the vehicle above the horizon as seen from the site; default: only the ground",
     )  # fmt: skip
     pad_radius: float = quantity(
         "m", "10 m", default=10.0, above=0.0, outside="must be positive",
-        about="where the glide slope begins: its tip is rounded so far",
+        about="radius within which the tip of the glide slope is rounded",
     )  # fmt: skip
 
 

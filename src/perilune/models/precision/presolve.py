@@ -59,7 +59,7 @@ def _compare_start_with_slope(start: Any, p: Any, xp: Any) -> Finding:
         at_least=True,
         unit="m",
         binding=True,
-        meaning="the approach begins below the glide slope",
+        meaning="the approach starts below the glide slope",
         advice="a higher or nearer start, or a flatter corridor.slope",
     )
 
@@ -81,13 +81,13 @@ def _compare_stop_above_slope(start: Any, velocity: Any, left: Any, p: Any, xp: 
     if not is_flat(p):
         pull -= lever * _change_of_gravity(velocity, closing / lever, time, p, xp)
     return Finding(
-        name="way to the glide slope before full thrust can stop it",
+        name="stopping distance at full thrust towards the glide slope",
         value=distance + 0.5 * pull * time * time,
         limit=above_slope(start, p, xp),
         at_least=False,
         unit="m",
         binding=True,
-        meaning="the approach is too fast: even full thrust straight away from the glide slope cuts it",
+        meaning="the approach is too fast: even full thrust straight away from the glide slope crosses it",
         advice="a slower, higher or nearer start, a flatter corridor.slope, or more thrust",
     )
 
@@ -125,7 +125,7 @@ def _compare_start_with_gate(p: Any) -> Finding:
         at_least=True,
         unit="m",
         binding=True,
-        meaning="the approach begins below the height from which the final descent is vertical",
+        meaning="the approach starts below the height from which the final descent is vertical",
         advice="a lower final.height, or a higher start",
     )
 
@@ -138,13 +138,13 @@ def _compare_vertical_tilt(p: Any, xp: Any) -> Finding:
         east, north, up = ground_free_acceleration(_on_vertical(0.0), (0.0, 0.0, -speed), p, xp)
         tilts.append(xp.atan2(xp.sqrt(east * east + north * north), -up) * (180.0 / math.pi))
     return Finding(
-        name="tilt that holds it on the vertical",
+        name="tilt that keeps it on the vertical",
         value=xp.fmax(*tilts),
         limit=1.0,
         at_least=False,
         unit="deg",
         binding=False,
-        meaning="the turning of the body asks for a tilt in the final descent, which is left out",
+        meaning="the rotation of the body requires a tilt in the final descent, which is neglected",
         advice="a lower final.height, or no [final]",
     )
 
@@ -158,12 +158,12 @@ def _compare_throttle_floor(p: Any, xp: Any) -> Finding:
     weight = -ground_free_acceleration(_on_vertical(0.0), (0.0, 0.0, 0.0), p, xp)[2]
     lift = p.throttle_lower * p.vehicle_thrust * xp.cos(p.corridor_tilt) / p.vehicle_mass - weight
     return Finding(
-        name="speed of descent that reaches the site with the throttle at its floor",
+        name="descent speed that reaches the site with the throttle at its floor",
         value=xp.fmax(-p.approach_up_speed, 0.0),
         limit=xp.sqrt(2 * xp.fmax(lift, 0.0) * p.approach_up * 0.99),
         at_least=True,
         unit="m/s",
         binding=True,
-        meaning="the throttle floor hovers or climbs: the vehicle cannot come down to the site",
+        meaning="at its throttle floor the vehicle hovers or climbs and cannot descend to the site",
         advice="a lower throttle floor, or a heavier vehicle",
     )

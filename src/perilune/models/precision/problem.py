@@ -66,7 +66,7 @@ class Approach:
     up: float = quantity("m", "1 km", about="height above the site")
     east_speed: float = quantity("m/s", "50 m/s", **SPEED, default=0.0, about="relative to the site")
     north_speed: float = quantity("m/s", "0 m/s", **SPEED, default=0.0, about="relative to the site")
-    up_speed: float = quantity("m/s", "-30 m/s", **SPEED, default=0.0, about="negative when it descends")
+    up_speed: float = quantity("m/s", "-30 m/s", **SPEED, default=0.0, about="negative in descent")
     longest_coast: float | None = LONGEST
 
 
@@ -205,7 +205,7 @@ def precision_landing(
         The lander, where it begins, where it lands, what it must keep to (None: only the ground), and on what body.
         Flat ground (`UniformGravity`) is everywhere the same: there the site is None.
     throttle
-        Least and greatest share of full thrust.
+        Least and greatest fraction of full thrust.
     final
         A vertical, upright end of the landing; None comes to rest on the site from anywhere.
     dry_mass
@@ -278,7 +278,8 @@ _FLAT = tuple(
         lower=-math.inf if name == "up" else -_FAR,
         upper=_FAR,
         title="height" if name == "up" else f"distance {name}",
-        because="flat ground and uniform gravity, which hold for some 10 km from the site (on the Moon the ground "
+        because="flat ground and uniform gravity, which are valid within some 10 km of the site (on the Moon the"
+        " ground "
         "curves away by 29 m over them, and gravity falls by 1 % above them); state a round body instead",
     )
     for name in ("east", "north", "up")
@@ -298,8 +299,8 @@ def _ground_records(body: Body | UniformGravity, site: Site | None, j2: float) -
         if site is None:
             raise PeriluneError(
                 "site is missing",
-                expected="where on its body the landing ends: a section [site], or Site(...)",
-                advice="only flat ground, which body.gravity states, is the same everywhere",
+                expected="the place on the body where the landing ends: a section [site], or Site(...)",
+                advice="only flat ground (body.gravity) is the same everywhere",
             )
         require_records((site, Site), (body, Body))
         refuse_unplaced(site)
@@ -307,9 +308,11 @@ def _ground_records(body: Body | UniformGravity, site: Site | None, j2: float) -
     if site is not None or j2:
         raise PeriluneError(
             "flat ground has no longitude, latitude or oblateness",
-            got="a site beside body.gravity" if site is not None else f"j2 = {j2:g} beside body.gravity",
-            expected="uniform gravity alone; positions are from the site",
-            advice="leave the site out ([site], or site=None), or state a round body in place of body.gravity",
+            got="a site in addition to body.gravity"
+            if site is not None
+            else f"j2 = {j2:g} in addition to body.gravity",
+            expected="only uniform gravity; positions are relative to the site",
+            advice="omit the site ([site], or site=None), or state a round body in place of body.gravity",
         )
     return (body,)
 

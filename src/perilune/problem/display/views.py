@@ -258,7 +258,7 @@ class Views:
         _demand_texts(self, "Views", "height", "radius", "frame", "label", "floor")
         for name, kind in _PARTS.items():
             if (part := getattr(self, name)) is not None:
-                require_type(part, kind, f"what {name} of Views can be", f"pl.views.{kind.__name__}(...), or None")
+                require_type(part, kind, f"a valid {name} of Views", f"pl.views.{kind.__name__}(...), or None")
 
 
 _PARTS = {"beside": Beside, "ground": Ground, "corridor": Corridor, "dispersion": Dispersion, "space": Space}
@@ -266,7 +266,7 @@ _PARTS = {"beside": Beside, "ground": Ground, "corridor": Corridor, "dispersion"
 
 def _demand_texts(record: Any, called: str, *names: str) -> None:
     for name in names:
-        require_type(getattr(record, name), str, f"what {name} of {called} can be")
+        require_type(getattr(record, name), str, f"a valid {name} of {called}")
 
 
 def check_views(

@@ -41,7 +41,8 @@ def _dispersion_variables(views: Any) -> tuple[Variable, ...]:
     return tuple(
         Variable(
             name=f"{way}_track_per_{d.name}", unit="m/s" if d.begins else "m",
-            description=f"by which the landing point moves {where} for each {d.name.replace('_', ' ')}, control held",
+            description=f"shift of the landing point {where} for each {d.name.replace('_', ' ')}, with the control"
+            f" unchanged",
         )
         for d in asked.disturbances
         for way, where in (("along", "ahead"), ("across", "to the left"))

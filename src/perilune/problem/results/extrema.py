@@ -26,7 +26,7 @@ def peaks(solution: Any) -> tuple[list[Variable], list[float]]:
         label = f"peak {of.label}" if of.label else ""
         variables += [
             Variable(name=f"peak_{name}", unit=of.unit, description=what, label=label),
-            Variable(name=f"peak_{name}_time", unit="s", description="when, from the begin of the flight"),
+            Variable(name=f"peak_{name}_time", unit="s", description="time from the start of the flight"),
         ]
         values += best
     return variables, values

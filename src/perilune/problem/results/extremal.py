@@ -25,7 +25,7 @@ class Nature(Enum):
     UNPROVED = "not proved an optimum"
 
     @property
-    def outdone(self) -> Nature:
+    def dominated(self) -> Nature:
         """Return the kind that the best extremal found takes where a better one is known."""
         return {Nature.BEST: Nature.LOCAL_OPTIMUM, Nature.BEST_AT_BOUND: Nature.LOCAL_OPTIMUM_AT_BOUND}.get(self, self)
 

@@ -13,7 +13,7 @@ from perilune.core.errors import PeriluneError
 from perilune.core.validation import check_call, require_numbers
 from perilune.problem.display.reprs import ShownCurve, ShownTrajectory
 
-_TIMES = "a time at which to look at a curve"
+_TIMES = "a time at which to evaluate a curve"
 _ROUNDING = 1e-9  # of a curve's length: by so much a time may lie beyond its ends
 
 

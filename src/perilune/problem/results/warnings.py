@@ -82,12 +82,12 @@ def _held_parameters(solution: Any) -> Iterator[str]:
                 name, limit = free_name(solution.problem, free.name), format_quantity(bound, free.unit)
                 phase = next((x.name for x in solution.problem.phases if x.duration == free.name), None)
                 if phase is not None and side == "lower" and 0 <= bound <= _NO_LENGTH * solution.duration:
-                    yield f"{name} is at its lower bound of {limit}: the best flight leaves out the phase {phase}"
+                    yield f"{name} is at its lower bound of {limit}: the optimal flight has no phase {phase}"
                     continue
                 own = parameter_key(solution.problem, free.name) == free.name
                 key = _stated_by(solution.problem, bound, free.unit) if own else None
                 of = f", {key}" if key else ""
-                yield f"{name} is at its {side} bound of {limit}{of}: with a wider one it may be better"
+                yield f"{name} is at its {side} bound of {limit}{of}: with a wider one the optimum may be better"
 
 
 def _stated_by(problem: Any, bound: float, unit: str) -> str | None:
@@ -180,7 +180,7 @@ def _warn_of_valid_ranges(solution: Any) -> Iterator[str]:
         if worst > 0:
             said = meant.title or name.replace("_", " ")
             value = format_quantity(reached, unit, 3)
-            yield f"{said} reaches {value}, beyond what the model is meant for: {meant.because}"
+            yield f"{said} reaches {value}, outside the validity of the model: {meant.because}"
 
 
 def _warn_of_reached_limits(solution: Any) -> Iterator[str]:

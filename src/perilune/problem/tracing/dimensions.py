@@ -96,7 +96,7 @@ class _DimensionWalk:
             a, b = of[-2:]
             if a is not None and b is not None and a != b:
                 first, second = (self.told(place) for place in rest[-2:])
-                wrong = Clash(f"{first}, beside {second}, in {self.text(number)}", "one unit of both")
+                wrong = Clash(f"{first}, beside {second}, in {self.text(number)}", "the same unit for both")
             found = _NONE if name in _BARE else a or b if a != _NONE else b or a
         elif name in ("mul", "div"):
             found = _product(of[0], of[1], 1 if name == "mul" else -1)

@@ -70,7 +70,7 @@ class SimulatedProblem:
             if error.name not in self.free_names:
                 raise
             raise PeriluneError(
-                f"the dynamics of {stated.name} depend on the free parameter {error.name}", got="no value of it",
+                f"the dynamics of {stated.name} depend on the free parameter {error.name}", got="no value given",
                 expected="a value of each that the dynamics take", advice="problem.rates(x, u, free=solution.free)",
             ) from None  # fmt: skip
         rates = np.array([np.broadcast_to(np.asarray(rate, dtype=float), shape) for rate in found])
@@ -85,7 +85,7 @@ def _common_shape(state: Any, control: Any) -> tuple[int, ...]:
     except ValueError:
         got = f"{state.shape[1]} states and {control.shape[1]} controls"
         expected = "one control for each state, or one for all"
-        raise PeriluneError("states and controls are not equally many", got=got, expected=expected) from None
+        raise PeriluneError("the numbers of states and controls differ", got=got, expected=expected) from None
 
 
 def _number_of(problem: Any, phase: str | int | None) -> int:
@@ -131,6 +131,6 @@ def _refuse_infinite(stated: Phase, rates: Matrix, state: Matrix, control: Matri
     at = [f"{name} = {np.broadcast_to(values, rates.shape[1:])[tuple(column)]:g}" for name, values in named]
     raise PeriluneError(
         f"the rate of {stated.state_names[row]} in {stated.name} is not finite", got=", ".join(at),
-        expected="a state and a control at which the dynamics are defined, as a mass above 0",
-        advice="end the simulation before it comes there",
+        expected="a state and a control at which the dynamics are defined, such as a mass above 0",
+        advice="end the simulation before this state",
     )  # fmt: skip

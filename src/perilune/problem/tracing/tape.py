@@ -76,7 +76,7 @@ class Symbol:
 
     def __float__(self) -> float:
         raise NotAFormula(
-            "it makes a plain number (float, math.sin, np.interp) of a value that is known only in flight",
+            "it converts a value that is known only in flight to a plain number (float, math.sin, np.interp)",
             "the functions of xp: xp.sin, xp.sqrt, ...; xp.table for tabulated data",
         )
 

@@ -98,7 +98,7 @@ class StatedFunction:
         except PeriluneError:
             raise
         except NotAFormula as error:
-            raise PeriluneError(f"{self.what} is no formula", got=error.got, advice=error.advice) from None
+            raise PeriluneError(f"{self.what} is not a formula", got=error.got, advice=error.advice) from None
         except AttributeError as error:
             raise self._misspelt(error, {**given, "xp": xp}) from error
         except Exception as error:
@@ -165,15 +165,17 @@ class StatedFunction:
     def _no_numbers(self, values: Sequence[Any]) -> PeriluneError:
         strange = [v for v in values if not isinstance(v, (int, float, Symbol))]
         return PeriluneError(
-            f"{self.what} returns what is no number", got=str(strange)[:80], expected=f"numbers, {self._wanted}"
+            f"{self.what} returns a value that is not a number",
+            got=str(strange)[:80],
+            expected=f"numbers, {self._wanted}",
         )
 
     def _failing(self, error: Exception) -> PeriluneError:
         return PeriluneError(
-            f"{self.what} fails where it is tried",
+            f"{self.what} fails when it is tried",
             got=f"{type(error).__name__}: {error}",
             expected=f"a function of ({', '.join(self.records)}, m) that returns {self._wanted}",
-            advice="call it yourself with such values; it computes with single values, by the functions of xp",
+            advice="call it yourself with such values; it must compute with single values, using the functions of xp",
         )
 
     def _misspelt(self, error: AttributeError, records: Mapping[str, Any]) -> PeriluneError:

@@ -50,7 +50,7 @@ def check_tables(solution: Solution) -> Check:
     bad += sum(not np.isfinite(v) for v in numbers)
     return Check(
         name="tables", level=1, value=float(bad), limit=0.0, unit="1",
-        meaning="how many entries of the exported tables are not finite, or not in order of time from 0",
+        meaning="number of entries of the exported tables that are not finite or not in order of time from 0",
     )  # fmt: skip
 
 
@@ -89,12 +89,12 @@ def _check_ends(arc: PhaseData, flight: Reintegration) -> Iterator[Check]:
     sizes = np.clip(np.abs(end_slopes(arc)) @ flight.grown, arc.end_scale, MOST_GROWTH * arc.end_scale)
     of_conditions = zip(arc.phase.end_conditions, sizes, zip(*residuals, strict=True), strict=True)
     for condition, size, values in of_conditions:
-        what = f"by how much {condition.name} leaves its range" if condition.ranged else f"{condition.name} left"
+        what = f"violation of the range of {condition.name}" if condition.ranged else f"{condition.name} left"
         yield Check(
             name=f"{arc.prefix}{condition.name}", level=1, unit=condition.unit,
             value=float(np.max([abs(condition.missed(float(value), arc.p)) for value in values])),
             limit=END_LIMIT * float(size),
-            meaning=f"{what} when the exported control is flown by another integrator",
+            meaning=f"{what} when the exported control is integrated by another method",
         )  # fmt: skip
 
 
@@ -104,8 +104,8 @@ def _check_states(arc: PhaseData, flight: Reintegration) -> Iterator[Check]:
         yield Check(
             name=f"{arc.prefix}state_{state.name}", level=1, value=float(difference * scale), unit=state.unit,
             limit=STATE_LIMIT * scale * float(flight.growth[row]),
-            meaning=f"largest difference between {state.name} of the table and as flown again, inside every piece of "
-            f"the tables{missed}",
+            meaning=f"largest difference between {state.name} of the table and of the independent re-integration,"
+            f" inside every interval of the tables{missed}",
         )  # fmt: skip
         lower, upper = state.limits(arc.p)
         if np.isfinite(lower) or np.isfinite(upper):
@@ -124,14 +124,14 @@ def _first_missed_jump(arc: PhaseData) -> str:
     for crossing in arc.crossings:
         if crossing.jump.any() and np.abs(breaks - crossing.time).min(initial=np.inf) > SAME_TIME * arc.duration:
             by = " and ".join(s.name for s, slope in zip(arc.phase.states, crossing.normal, strict=True) if slope)
-            return f"; at {crossing.time:.6g} s a choice by {by} changes the rates, and the table has no break"
+            return f"; at {crossing.time:.6g} s a switch by {by} changes the rates, but the table has no break"
     return ""
 
 
 def _check_bound(name: str, what: str, values: Vector, lower: float, upper: float, unit: str, scale: float) -> Check:
     return Check(
         name=name, level=1, value=float(np.max([lower - values, values - upper, 0 * values])), unit=unit,
-        limit=END_LIMIT * scale, meaning=f"by how much {what} leaves its bounds [{lower:g}, {upper:g}]",
+        limit=END_LIMIT * scale, meaning=f"violation of the bounds [{lower:g}, {upper:g}] by {what}",
     )  # fmt: skip
 
 
@@ -146,7 +146,7 @@ def _check_controls(arc: PhaseData) -> Iterator[Check]:
             yield Check(
                 name=f"{arc.prefix}direction_{name}", level=1, unit="1", limit=1e-9,
                 value=max(float(control.broken(part, arc.p).max()) for part in (u[here], nodes)),
-                meaning="how far the interpolated direction is from length 1 before it is normalised",
+                meaning="deviation of the interpolated direction from length 1 before normalisation",
             )  # fmt: skip
         elif np.isfinite(limits := control.limits(arc.p)).any():
             values, scale = of_pieces[here].ravel(), float(arc.control_scale[here.start])
@@ -163,7 +163,8 @@ def _check_path(arc: PhaseData, flight: Reintegration) -> Iterator[Check]:
             yield Check(
                 name=f"{arc.prefix}path_{condition.name}", level=1, unit=condition.unit,
                 value=float(np.max(np.maximum(-values, 0.0))), limit=END_LIMIT * float(size),
-                meaning=f"largest violation of {condition.name} >= 0 inside {count} pieces of the new flight",
+                meaning=f"largest violation of {condition.name} >= 0 inside {count} intervals of the re-integrated"
+                f" flight",
             )  # fmt: skip
     if phase.held_conditions:
         rows = zip(phase.held_conditions, arc.held_scale, _values_inside_pieces(arc, flight, arc.held), strict=True)
@@ -171,7 +172,8 @@ def _check_path(arc: PhaseData, flight: Reintegration) -> Iterator[Check]:
             yield Check(
                 name=f"{arc.prefix}held_{condition.name}", level=1, unit=condition.unit,
                 value=float(np.max(np.abs(values))), limit=END_LIMIT * float(size),
-                meaning=f"largest difference of {condition.name} from 0 inside {count} pieces of the new flight",
+                meaning=f"largest difference of {condition.name} from 0 inside {count} intervals of the re-integrated"
+                f" flight",
             )  # fmt: skip
 
 
@@ -211,7 +213,7 @@ def _check_objective(solution: Solution, arc: PhaseData, flight: Reintegration) 
         name="objective", level=1, value=float(np.max(np.abs(np.array(flown) - solution.objective))),
         unit=solution.problem.objective_unit,
         limit=END_LIMIT * float(np.clip(grown, arc.objective_scale, MOST_GROWTH * arc.objective_scale)),
-        meaning="difference between the objective of the new flight and the one claimed",
+        meaning="difference between the objective of the re-integrated flight and the one claimed",
     )  # fmt: skip
 
 
@@ -220,5 +222,5 @@ def _consistency_checks(solution: Solution) -> Sequence[Check]:
     try:
         return () if solution.problem.bookkeeping is None else solution.problem.bookkeeping(solution)
     except PeriluneError as error:
-        meaning = f"the model's own checks can be made: {error.what} ({error.got})"
+        meaning = f"evaluation of the model's own checks: {error.what} ({error.got})"
         return [Check(name="bookkeeping", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning)]

@@ -172,16 +172,16 @@ def integrate_by_steps(arc: PhaseData, x0: Vector) -> tuple[Vector, Vector]:
 
         def rates(t: float, x: Vector, control: Any = control, held: Vector = held) -> Any:
             if (number := next(evaluations)) % _ALIVE == 0:
-                sign_of_life("proof: the flight is flown again")
+                sign_of_life("proof: independent re-integration")
             if number > MOST_EVALUATIONS:
-                raise ArithmeticError(f"the flight takes more than {MOST_EVALUATIONS} evaluations")
+                raise ArithmeticError(f"the re-integration needs more than {MOST_EVALUATIONS} evaluations")
             if not len(held):
                 return phase.rates(x.tolist(), control(t), p)
             # From kink to kink on its own side, which goes on smoothly where a step looks beyond.
             return watched_rates(phase, x, np.array(control(t)), p, held)[0].real
 
         if not np.isfinite(x).all():
-            raise ArithmeticError("the flight starts where there is no number")
+            raise ArithmeticError("the flight starts at a state that is not a number")
         with np.errstate(all="ignore"):
             flown = solve_ivp(rates, (left, right), x, method="DOP853", rtol=_TOLERANCE, atol=_TOLERANCE * scale)
         if not flown.success:

@@ -173,18 +173,18 @@ def _check_contact_point(part: PhaseData, condition: Condition) -> Iterator[Chec
     yield _check_contact(part, [at, rate], name)
     yield Check(
         name=f"{part.prefix}touch", level=2, unit="1", limit=STATIONARY_LIMIT, value=float(np.maximum(0.0, scaled[at])),
-        meaning=f"what J would gain if the flight left {name} where it touches it (scaled): the multiplier is not "
-        "positive",
+        meaning=f"positive part of the multiplier at the contact point of {name} (scaled): the decrease of J if the"
+        f" flight left it",
     )  # fmt: skip
     yield Check(
         name=f"{part.prefix}touch_jump", level=2, unit="1", limit=SIDEWAYS, value=abs(float(scaled[rate])),
-        meaning=f"jump of the costates along the slope of the rate of {name}, where it is touched (scaled): they jump "
-        "along its own slope alone",
+        meaning=f"component of the costates' jump along the gradient of the rate of {name} at its contact point"
+        f" (scaled): they may jump only along the gradient of {name} itself",
     )  # fmt: skip
     yield Check(
         name=f"{part.prefix}strict_touch", level=3, unit="1", limit=-STRICT, value=float(scaled[at]),
-        meaning=f"multiplier of {name} where it is touched (scaled): strictly negative, so that a flight that does not "
-        "touch it pays to first order",
+        meaning=f"multiplier at the contact point of {name} (scaled): strictly negative, so that J rises to first"
+        f" order if the flight leaves it",
     )  # fmt: skip
 
 
@@ -192,8 +192,8 @@ def relax_strict_check(strict: Check) -> Check:
     """Return the check of a multiplier that need not be strict, as the second variation is positive without that."""
     return replace(
         strict, limit=STATIONARY_LIMIT,
-        meaning=strict.meaning.partition(":")[0] + ": next to nothing, but not positive; the second variation is "
-        "positive for flights that leave the condition as well, so that it need not be strictly negative",
+        meaning=strict.meaning.partition(":")[0] + ": almost zero, but not positive; the second variation is positive"
+        " also for flights that leave the condition, so that it need not be strictly negative",
     )  # fmt: skip
 
 
@@ -203,5 +203,5 @@ def _check_contact(part: PhaseData, rows: list[int], name: str) -> Check:
     values = np.array(part.phase.evaluate("end", end, (), part.p), dtype=float) / part.end_scale
     return Check(
         name=f"{part.prefix}met", level=2, unit="1", limit=MET, value=float(np.abs(values[rows]).max()),
-        meaning=f"{name} and its rates where the flight is said to meet it (scaled): they vanish",
+        meaning=f"{name} and its rates at the stated contact point (scaled): they vanish",
     )  # fmt: skip

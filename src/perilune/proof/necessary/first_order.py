@@ -69,7 +69,7 @@ def check_extremality(solution: Solution, flown: Sequence[tuple[PhaseData, Reint
     if any(t.costate is None for t in solution.trajectories):
         yield Check(
             name="costates", level=2, value=float("nan"), limit=0.0, unit="1",
-            meaning="the method gave no costates, so optimality cannot be shown; solve again with Indirect()",
+            meaning="the method gave no costates, so that optimality cannot be shown; solve again with Indirect()",
         )  # fmt: skip
         return
     arcs = [arc for arc, _ in flown]
@@ -104,8 +104,8 @@ def _check_costates(arc: PhaseData, flight: Reintegration, deviation: Deviation)
         yield Check(
             name=f"{arc.prefix}costate_{state.name}", level=2, value=float(value), unit="1",
             limit=COSTATE_LIMIT * float(growth),
-            meaning=f"largest difference between the costate of {state.name} and lam' = -dH/dx flown again, inside "
-            f"every piece of the tables (scaled){active}",
+            meaning=f"largest difference between the costate of {state.name} and an independent integration of lam' ="
+            f" -dH/dx, inside every interval of the tables (scaled){active}",
         )  # fmt: skip
 
 
@@ -208,8 +208,8 @@ def _check_range_signs(arc: PhaseData, nu: Vector) -> Iterator[Check]:
             wrong = 0.0 if side == INSIDE else float(np.maximum(0.0, -side * value)) * size  # a NaN stays one
             yield Check(
                 name=f"{arc.prefix}range_{condition.name}", level=2, unit="1", limit=STATIONARY_LIMIT, value=wrong,
-                meaning=f"multiplier of {condition.name} on the wrong side: what J would gain if it left its bound "
-                "(scaled); inside the range it has none",
+                meaning=f"multiplier of {condition.name} of the wrong sign: the decrease of J if it left its bound"
+                f" (scaled); inside the range it vanishes",
             )  # fmt: skip
 
 
@@ -229,8 +229,9 @@ def _check_transversality(arc: PhaseData, known: Vector | float) -> Check:
     return Check(
         name=f"{arc.prefix}transversality", level=2, limit=STATIONARY_LIMIT, unit="1",
         value=float((missed / sizes).max()),
-        meaning="part of lam(t_f) - d(phi)/dx that no multipliers of the end conditions explain, by what errors of "
-        "lam(t_f) make of it (scaled); the bound of a state that is reached there alone is one of them, with its sign",
+        meaning="part of lam(t_f) - d(phi)/dx that no multipliers of the end conditions explain, relative to its"
+        " sensitivity to errors of lam(t_f) (scaled); a state bound reached only there counts as an end condition,"
+        " with its sign",
     )  # fmt: skip
 
 
@@ -248,8 +249,8 @@ def _check_multipliers(
     if differences:
         yield Check(
             name="multipliers", level=2, value=float(np.max(differences)), limit=STATIONARY_LIMIT, unit="1",
-            meaning="largest difference between an end condition's multiplier and the one lam(t_f) implies, by what "
-            "errors of lam(t_f) make of it (scaled)",
+            meaning="largest difference between an end condition's multiplier and the one implied by lam(t_f),"
+            " relative to its sensitivity to errors of lam(t_f) (scaled)",
         )  # fmt: skip
 
 
@@ -360,12 +361,12 @@ def _check_stationarity(arc: PhaseData, free: Free, parts: Sequence[Any]) -> Che
     )
     if timed:
         limit = HAMILTONIAN_LIMIT
-        meaning += ": how far the Hamiltonian is from its required value, 0 for a free flight time"
+        meaning += ": deviation of the Hamiltonian from its required value, 0 for a free flight time"
     value = abs(scaled)
     if lower or upper:
         allowed = (lower and scaled > 0) or (upper and scaled < 0)
         value = 0.0 if allowed else abs(scaled)
-        meaning += f"; {free.name} is at its bound, so only a gain from leaving the bound counts"
+        meaning += f"; {free.name} is at its bound, so that only a decrease of J on leaving the bound counts"
     return Check(
         name=f"stationary_{free.name}", level=2, value=float(value), limit=limit, unit="1", meaning=meaning,
     )  # fmt: skip
@@ -391,8 +392,8 @@ def _name_active_limits(arc: PhaseData, flight: Reintegration) -> str:
     near, long = float(np.fmax(_TOUCHING, _MESH * arc.solution.statistics.residual)), _WHILE * arc.duration
     said = ""
     for group, what in (
-        (margins, "active, whose multiplier no table holds"),
-        (loose, "met too loosely for a multiplier"),
+        (margins, "active, but no table has its multiplier"),
+        (loose, "kept too inaccurately for a multiplier"),
     ):
         stays = [text for text, size, margin in group if inside.weights[margin <= near * size].sum() > long]
         if stays:

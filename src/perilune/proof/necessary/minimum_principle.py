@@ -68,8 +68,8 @@ def _check_multiplier_signs(arc: PhaseData, allowed: MixedConstraints, found: Mu
         yield Check(
             name=f"{arc.prefix}multiplier_{condition.name}", level=2, unit="1", limit=SLOPE_LIMIT,
             value=float(np.maximum(-falls, 0.0).max() * _size_factors(arc).max()) / arc.rate_scale,
-            meaning=f"most that the Hamiltonian falls as the control leaves {condition.name} = 0 for the inside: a "
-            "multiplier of the wrong sign (scaled)",
+            meaning=f"largest decrease of the Hamiltonian as the control moves inside from {condition.name} = 0: a"
+            f" multiplier of the wrong sign (scaled)",
         )  # fmt: skip
 
 
@@ -121,7 +121,11 @@ def _check_switching_function(arc: PhaseData) -> Iterator[Check]:
             chord = np.abs(hamiltonian_chords(arc, at, control, arc.state(times), (before, after), arc.costate(times)))
             bent = S > SLOPE_LIMIT
             S = np.where(bent, np.minimum(S, chord), S)
-            told = ", or where the Hamiltonian bends its change over that of the control" if bent.any() else ""
+            told = (
+                ", or, where the Hamiltonian is nonlinear in it, the difference quotient across the jump"
+                if bent.any()
+                else ""
+            )
             yield Check(
                 name=f"{arc.prefix}switch_{control.name}", level=2, value=float(S.max()), unit="1",
                 limit=SLOPE_LIMIT,
@@ -184,7 +188,8 @@ def _check_minimum(arc: PhaseData) -> Check:
     return Check(
         name=f"{arc.prefix}minimum_of_hamiltonian", level=2, limit=HAMILTONIAN_LIMIT, unit="1",
         value=float(worst) / arc.rate_scale,
-        meaning=f"most that any of {samples} controls inside each of {count} pieces lowers the Hamiltonian (scaled)",
+        meaning=f"largest decrease of the Hamiltonian by any of {samples} controls inside each of {count} intervals"
+        f" (scaled)",
     )  # fmt: skip
 
 

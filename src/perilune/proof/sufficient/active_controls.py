@@ -150,7 +150,7 @@ def check_strict_conditions(
         yield Check(
             name=f"{arc.prefix}strict_{name}", level=3, limit=STRICT_LIMIT, unit="1",
             value=-float(slopes.min()) * arc.duration / float(np.abs(pull).max()),
-            meaning=f"minus the least multiplier of {name} where it holds the control, over the time to the nearest "
-            "break of the table (in units of its largest value over the flight time): below 0 when it vanishes only "
-            "where the condition takes hold and lets go",
+            meaning=f"minus the least multiplier of {name} where it is active, over the time to the nearest break of"
+            f" the table (in units of its largest value over the flight time): below 0 if it vanishes only where the"
+            f" condition becomes active or inactive",
         )  # fmt: skip

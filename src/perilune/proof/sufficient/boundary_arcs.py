@@ -196,11 +196,12 @@ class BoundaryArcs:
             if along:
                 value, why = _check_lowered_hamiltonian(along), ""
                 if value > _LEAST and (name := _concave_scalar(along[0].part)):
-                    why = f"; H is concave in {name} there: to switch back and forth between its bounds lowers J, the "
-                    why += "faster the more, so that no best flight follows it (chattering)"
+                    why = f"; H is concave in {name} there: faster switching between its bounds lowers J "
+                    why += "further, so that no optimal flight follows it (chattering)"
                 yield Check(
                     name=f"{along[0].part.prefix}along_minimum", level=2, unit="1", limit=_LEAST, value=value,
-                    meaning="most that a control which leaves the arc lowers the Hamiltonian of the multiplier of "
+                    meaning="largest decrease, by a control that leaves the arc, of the Hamiltonian with the"
+                    " multiplier of "
                     f"{' and '.join(r.condition.name for r in along)} itself (scaled){why}",
                 )  # fmt: skip
 
@@ -324,14 +325,14 @@ def _check_arc_multiplier(rides: BoundaryArcs, ridden: BoundaryArc, of: str) -> 
     yield _check_arc_start(rides, ridden, of)
     yield Check(
         name=f"{part.prefix}along{of}", level=2, unit="1", limit=ALONG, value=float(np.maximum(0.0, -ridden.mu.min())),
-        meaning=f"multiplier of {name} along the arc, where it is negative (scaled): what J would gain if the flight "
-        f"left it{beyond}; not available where it is no smooth function of time",
+        meaning=f"multiplier of {name} along the boundary arc, where it is negative (scaled): the decrease of J if"
+        f" the flight left it{beyond}; not available where it is not a smooth function of time",
     )  # fmt: skip
     yield Check(
         name=f"{part.prefix}along_ends{of}", level=2, unit="1", limit=SIDEWAYS,
         value=float(np.max([rides.jump(part.index), rides.jump(part.index + 1)])),
-        meaning=f"jumps of the costates where the flight meets and leaves {name}, of a wrong sign or not along its "
-        f"slope, as far as no condition at the end of a phase and no given start has them (scaled){beyond}",
+        meaning=f"jumps of the costates at entry to and exit from {name}, of the wrong sign or not along its"
+        f" gradient, unless explained by an end condition of a phase or a given start (scaled){beyond}",
     )  # fmt: skip
 
 
@@ -345,7 +346,7 @@ def _check_arc_start(rides: BoundaryArcs, ridden: BoundaryArc, of: str) -> Check
         worst = float(np.max([worst, abs(off) / rides.scale(ridden, i)]))
     return Check(
         name=f"{part.prefix}met{of}", level=2, unit="1", limit=MET, value=worst,
-        meaning=f"{condition.name} and its rates where the flight is said to ride along it (scaled): they vanish",
+        meaning=f"{condition.name} and its rates along the stated boundary arc (scaled): they vanish",
     )  # fmt: skip
 
 

@@ -95,13 +95,13 @@ def check_local_optimality(solution: Solution, kept: Mapping[int, KeptConditions
     forms = form_of if regular else None
     others = [name for name in inner if name not in durations]
     yield _check_positive(forms, [inner.index(name) for name in others], name="conjugate_point",
-        meaning="how far the arc reaches towards a conjugate point: 1 means there is one at its start, beyond 1 a "
-        "better arc lies close by",
+        meaning="extent of the arc relative to a conjugate point: 1 means a conjugate point at its start, beyond 1 a"
+        " better neighbouring arc exists",
     )  # fmt: skip
     if others:
         yield _check_positive(forms, [], name="second_variation",
-            meaning=f"the same with {', '.join(others)} varied together with the control: beyond 1 a better choice "
-            "is near",
+            meaning=f"the same with {', '.join(others)} varied together with the control: beyond 1 a better"
+            f" neighbouring choice exists",
         )  # fmt: skip
     if forms is not None:
         gain = newton_gain(forms(1))
@@ -110,8 +110,8 @@ def check_local_optimality(solution: Solution, kept: Mapping[int, KeptConditions
                 gain = newton_gain(forms(finer))
         yield Check(
             name="nothing_gained", level=3, value=gain, limit=GAIN_LIMIT, unit="1",
-            meaning="by how much a step of Newton's method on the second variation lowers J, over its size: what is "
-            "flown is the minimum that it tells of, whatever sizes the costates and slopes were judged by",
+            meaning="decrease of J by one Newton step on the second variation, over its magnitude: almost zero if the"
+            " flight is the minimum itself, independent of the scales of costates and gradients",
         )  # fmt: skip
 
 
@@ -122,18 +122,20 @@ def _check_positive(
     if forms is None:
         meaning += (
             "; not available: H is not strictly convex in a control between its bounds, a scalar reaches its bound "
-            "without a switch in the table, a path condition takes hold of the control without a break in it, or what "
-            "jumps there is not one scalar that crosses its switch by more than rounding (that of an instant does not)"
+            "without a switch in the table, a path condition becomes active without a break in the table, or the jump"
+            " there is not that of one scalar whose switching function crosses zero by more than rounding (at an"
+            " instantaneous one it does not)"
         )
     else:
         value, variations = _kappa_with_fixed(forms(1), fixed)
         if KAPPA_LIMIT < value < _DOUBTFUL:
             value, limit = _extrapolate_kappa(lambda finer: _kappa_with_fixed(forms(finer), fixed)[0])
-            meaning += "; extrapolated to steps of no length, the limit being 1 less what that leaves open"
+            meaning += "; extrapolated to zero step size, with a limit of 1 less the uncertainty of the extrapolation"
         if np.isnan(value):
-            meaning += "; not available: a free parameter alone, or an impulse as a singular arc ends, costs nothing"
+            meaning += "; not available: the second variation vanishes for a free parameter or for an impulse at the "
+            meaning += "end of a singular arc"
         if not variations:
-            meaning += "; the end conditions leave nothing to vary, so that strict switching suffices for a minimum"
+            meaning += "; the end conditions leave no variation, so that strict switching suffices for a minimum"
     return Check(name=name, level=3, value=value, limit=limit, unit="1", meaning=meaning)
 
 
@@ -173,8 +175,8 @@ def _check_legendre_clebsch(arc: PhaseData, pieces: Sequence[VariationPiece]) ->
     value = max((-float(c.min() / np.abs(c).max()) for c in curvature), default=-1.0)
     return Check(
         name=f"{arc.prefix}legendre_clebsch", level=3, value=value, limit=CURVATURE_LIMIT, unit="1",
-        meaning="minus the smallest second derivative of the Hamiltonian in the control, over its largest: below 0 "
-        "when a control that is not on a bound is a strict minimum all along (-1: there is none)",
+        meaning="minus the smallest second derivative of the Hamiltonian in the control, over its largest: below 0 if"
+        " a control that is not on a bound is a strict minimum along the whole arc (-1: there is none)",
     )  # fmt: skip
 
 
@@ -196,8 +198,8 @@ def _check_legendre_on_arcs(arc: PhaseData, pieces: Sequence[VariationPiece]) ->
         return Check(
             name=f"{arc.prefix}along_sufficient", level=3,
             value=-pieces[0].kept.least_multiplier, limit=CURVATURE_LIMIT, unit="1",
-            meaning="minus the least multiplier of what is ridden over its largest, where H is linear in the control: "
-            "below 0 where flights that leave it for a moment pay to first order",
+            meaning="minus the least multiplier of the boundary arc over its largest, where H is linear in the"
+            " control: below 0 if J rises to first order for flights that leave it briefly",
         )  # fmt: skip
     value, loose = float("nan"), [piece.loosened for piece in pieces]
     if all(piece.regular for piece in loose) and pieces[0].kept.steady:
@@ -205,7 +207,8 @@ def _check_legendre_on_arcs(arc: PhaseData, pieces: Sequence[VariationPiece]) ->
         value = max((-float(c.min() / np.abs(c).max()) for c in curvature), default=float("nan"))
     return Check(
         name=f"{arc.prefix}along_sufficient", level=3, value=value, limit=CURVATURE_LIMIT, unit="1",
-        meaning="minus the smallest second derivative of the Hamiltonian of what is ridden, in all of the control that "
-        "may leave it, over the largest: below 0 where flights that leave it for a moment are worse to second order; "
-        "not available where it is linear in a control, or one reaches a bound or jumps as the arc begins or ends",
+        meaning="minus the smallest second derivative of the Hamiltonian with the multiplier of the boundary arc, in"
+        " the controls that may leave it, over the largest: below 0 if J rises to second order for flights that leave"
+        " it briefly; not available where it is linear in a control, or where a control reaches a bound or jumps as"
+        " the arc begins or ends",
     )  # fmt: skip

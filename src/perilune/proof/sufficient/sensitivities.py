@@ -46,7 +46,7 @@ SHIFTED = "initial_costate_"  # how the names of checks of shifted starts begin
 
 def _neighbour_objective(resolve: Resolve, problem: Problem, guess: Solution) -> float:
     """J of a neighbouring problem, NaN where it could not be solved: the check then fails, saying so."""
-    sign_of_life("proof: neighbouring problems are solved again")
+    sign_of_life("proof: neighbouring problems are solved")
     try:
         return float(resolve(problem, guess).objective)
     except PeriluneError:

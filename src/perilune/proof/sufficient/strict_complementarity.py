@@ -148,11 +148,11 @@ def check_strictness(arc: PhaseData) -> Iterator[Check]:
         yield Check(
             name=f"{arc.prefix}strict_{control.name}", level=3, limit=STRICT_LIMIT, unit="1",
             value=float(-slopes.min() / S.max()),
-            meaning=f"minus the least switching function of {control.name} on a bound, over the time to the nearest "
-            "switch, and its slope at each switch (in units of its largest value over the flight time): below 0 "
-            "when it vanishes at switches only and crosses zero there; beside a singular arc, over the square of that "
-            "time"
-            + "".join(f"; that it vanishes where the flight {'ends' if end.time else 'begins'} is a switch there"
+            meaning=f"minus the least switching function of {control.name} on a bound, over the time to the nearest"
+            f" switch, and its slope at each switch (in units of its largest value over the flight time): below 0 if"
+            f" it vanishes only at switches and crosses zero there; next to a singular arc, over the square of that"
+            f" time"
+            + "".join(f"; its zero where the flight {'ends' if end.time else 'begins'} counts as a switch"
                       for end in own),
         )  # fmt: skip
 

@@ -216,7 +216,7 @@ class StructureRefinement:
         # A neighbour has the arcs of its guess.
         revised = kept if is_neighbour(self.problem) else revise_structure(self.problem, kept, solved, whole)
         if revised is not kept:
-            self._say(f"structure {structure.text}: an extremal of another one")
+            self._say(f"structure {structure.text}: an extremal of another structure")
             return None, revised
         if not is_neighbour(self.problem) and (breach := violation_by_control(kept, whole)) is not None:
             self._say(f"structure {structure.text}: an extremal, but {breach.text}")
@@ -253,7 +253,7 @@ class StructureRefinement:
                     left.append(turned)
             answers.append(self._composed(join_solution(self.problem, solution_of(kept), known.structure)))
         best = min(answers, key=lambda one: one.objective)
-        others = (replace(e, nature=e.nature.outdone) for one in answers if one is not best for e in one.extremals)
+        others = (replace(e, nature=e.nature.dominated) for one in answers if one is not best for e in one.extremals)
         return replace(best, extremals=(*best.extremals, *others))
 
     def _composed(self, found: Solution) -> Solution:
@@ -275,7 +275,7 @@ class StructureRefinement:
         restated = restate(self.problem, structure, repeated=False)
         guess, failure, found = split_solution(rough, structure, restated), None, False
         if (pair := begun_pair(self.problem, structure)) is not None:
-            self.watch("structure: a pair of switches that begins")
+            self.watch("structure: a new pair of switches")
             search = Search(self.settings, guess.problem, self.watch)
             if (solved := with_pair(search, guess, pair)) is not None:
                 yield solved
@@ -310,8 +310,8 @@ class StructureRefinement:
             exact = mesh is not None and start.statistics.residual < _WITHOUT_NEWTON
             if exact and (name := find_chattering_arc(start)) is not None:
                 self._say(
-                    f"structure {structure.text}: no best flight follows it (chattering), as {name} switching to and "
-                    "fro between its bounds along it lowers J, the faster the more: a flight along it, no extremal"
+                    f"structure {structure.text}: no optimal flight follows it (chattering), because faster switching"
+                    f" of {name} between its bounds lowers J further: a flight along it, not an extremal"
                 )
                 self.chattering = start
                 break
