@@ -39,7 +39,7 @@ ROOMS = {
     "conditions": ("conditions/*.py",),
     "shooting": ("shooting/[!e]*.py",),
     "extremals": (
-        "shooting/parameter_scan.py",
+        "methods/indirect/continuation/parameter_scan.py",
         "problem/results/extremal.py",
         "methods/indirect/search.py",
         "methods/indirect/result.py",

@@ -14,12 +14,11 @@ import perilune as pl
 from perilune.core.arrays import Matrix
 from perilune.core.callbacks import ignore_events
 from perilune.methods.indirect.coarse_direct import Coarse
-from perilune.methods.indirect.homotopy import Smoothing
+from perilune.methods.indirect.continuation.homotopy import Smoothing
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.search import Search
 from perilune.problem.results.extremal import Nature
-from perilune.shooting.nonisolated import open_directions
 from perilune.shooting.shooting_function import Roots, Shooting
 from problems.circles import meeting, to_circle
 from problems.constrained import brachistochrone, bryson_denham, bryson_denham_truth, speed_limit, speed_limit_truth
@@ -117,13 +116,13 @@ def test_where_none_is_reached_it_is_said_that_they_are_not_isolated(monkeypatch
     """Newton's method alone comes as near as rounding lets it, which is no root; said with the nearest approach."""
 
     def isolated(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
-        return roots.failed(np.array([open_directions(root) > 0 for root in roots]))
+        return roots.failed(np.array([root.open_directions > 0 for root in roots]))
 
     monkeypatch.setattr("perilune.methods.indirect.newton_trials.complete_open_roots", isolated)
     monkeypatch.setattr(
-        "perilune.methods.indirect.duration_continuation.FinalTimeContinuation.extremals", lambda self: []
+        "perilune.methods.indirect.continuation.duration_continuation.FinalTimeContinuation.extremals", lambda self: []
     )
-    monkeypatch.setattr("perilune.methods.indirect.homotopy.Smoothing.root", lambda self, choice: None)
+    monkeypatch.setattr("perilune.methods.indirect.continuation.homotopy.Smoothing.root", lambda self, choice: None)
     with pytest.raises(pl.NotConvergedError, match=r"(?s)nearest approach.*not isolated.*an additional end condition"):
         pl.solve(to_circle(12.0, radius=2.0, exhaust_speed=1.0, eccentricity=0.0), pl.Indirect(starts=48), level=0)
 
@@ -201,7 +200,7 @@ def test_the_better_well_is_found_where_in_it_alone_the_flight_is_held_back() ->
 def test_members_beyond_a_bound_do_not_hide_those_behind_them() -> None:
     """Nor does one that was walked through; one that breaks a condition comes last, and is said."""
     out, old, breaking, kept = (
-        SimpleNamespace(root=SimpleNamespace(name=n, inverse=np.eye(1))) for n in ("out", "", "bad", "")
+        SimpleNamespace(root=SimpleNamespace(name=n, open_directions=0)) for n in ("out", "", "bad", "")
     )
     search = SimpleNamespace(
         trials=SimpleNamespace(outside=lambda root: "T" if root.name == "out" else None),

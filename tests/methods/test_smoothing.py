@@ -12,7 +12,7 @@ from perilune.conditions.pontryagin import derive
 from perilune.core.callbacks import ignore_events
 from perilune.core.errors import PeriluneError
 from perilune.core.maths import NUMERIC
-from perilune.methods.indirect.homotopy import Smoothing
+from perilune.methods.indirect.continuation.homotopy import Smoothing
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.problem.problem import Problem
 from perilune.structures.regularized import RATE, smooth_problem

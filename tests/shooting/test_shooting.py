@@ -14,6 +14,13 @@ import pytest
 from many_problems import KINDS, Kind
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
+from perilune.methods.indirect.continuation.parameter_scan import (
+    HeldFamily,
+    _connected_members,
+    _extremal_pairs,
+    distinct_roots,
+    same_vector,
+)
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
@@ -21,13 +28,6 @@ from perilune.shooting import plan as planning
 from perilune.shooting.continuation import Member
 from perilune.shooting.integrate_plan import Code, FewLanes, PlanIntegrator, fleet
 from perilune.shooting.newton import FINEST
-from perilune.shooting.parameter_scan import (
-    HeldFamily,
-    _connected_members,
-    _extremal_pairs,
-    distinct_roots,
-    same_vector,
-)
 from perilune.shooting.plan import plan
 from perilune.shooting.shooting_function import Root, Shooting
 from test_bounds import push, shove

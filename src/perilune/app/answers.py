@@ -18,7 +18,7 @@ from perilune.methods import Curves, solution_violations
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.variables import Given
-from perilune.shooting.shooting_function import Shooting
+from perilune.shooting import Shooting
 from perilune.solve import solve
 
 _SAME = 1e-12  # relative: a value that was not moved

@@ -14,9 +14,7 @@ from perilune.core.callbacks import Watch
 from perilune.methods import Indirect, Search
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.shooting.active_set import ActiveSetBounds
-from perilune.shooting.continuation import Member, follow_family
-from perilune.shooting.shooting_function import Root
+from perilune.shooting import ActiveSetBounds, Member, Root, follow_family
 
 
 class Continuation:

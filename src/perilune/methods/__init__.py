@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from perilune.methods.evolutionary.fitness import ControlFitness
     from perilune.methods.evolutionary.genetic import Genetic
     from perilune.methods.evolutionary.hybrid import Hybrid
+    from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot
     from perilune.methods.indirect.indirect import Indirect
     from perilune.methods.indirect.neighboring import Nearby
     from perilune.methods.indirect.random_costates import SIGNED
@@ -28,6 +29,7 @@ __all__ = [
     "SIGNED",
     "ControlFitness",
     "Curves",
+    "ExtremalRoot",
     "Genetic",
     "Hybrid",
     "Indirect",
@@ -49,6 +51,7 @@ __getattr__: Callable[[str], Any] = deferred(
         "evolutionary.fitness": "ControlFitness",
         "evolutionary.genetic": "Genetic",
         "evolutionary.hybrid": "Hybrid",
+        "indirect.continuation.parameter_scan": "ExtremalRoot",
         "indirect.indirect": "Indirect",
         "indirect.neighboring": "Nearby",
         "indirect.random_costates": "SIGNED",

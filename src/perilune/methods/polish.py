@@ -19,7 +19,7 @@ from perilune.core.errors import NotConvergedError, PeriluneError
 from perilune.methods.direct.initialization import ROUGHEST
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.coarse_direct import switches_often
-from perilune.methods.indirect.homotopy import SMOOTH
+from perilune.methods.indirect.continuation.homotopy import SMOOTH
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.indirect.refinement.structure_search import StructureRefinement
 from perilune.methods.indirect.search import Search

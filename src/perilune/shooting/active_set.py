@@ -33,6 +33,22 @@ class ActiveSetBounds:
     lower: Vector | Matrix
     upper: Vector | Matrix
 
+    @classmethod
+    def of(cls, problem: Problem, conditions: Conditions) -> ActiveSetBounds:
+        """Return the bounds of the free parameters and of the ranges of a problem."""
+        free = problem.free
+        ends = [c for phase in problem.phases for c in phase.end_conditions]
+        ranges = [ends[row] for row, _ in conditions.ranges]
+        size_of, p = problem.size_of, problem.parameters({})
+        both = [(size_of(f), f.lower, f.upper) for f in free] + [(size_of(v), *v.limits(p)) for v in ranges]
+        canonical = [(low / size, high / size) for size, low, high in both]
+        lower, upper = np.array(canonical, dtype=float).reshape(-1, 2).T
+        if len(problem.phases) == 1 and problem.duration_names[0] in problem.free_names:
+            # The only phase cannot vanish: a flight of zero length is none.
+            at = problem.free_names.index(problem.duration_names[0])
+            lower[at] = -np.inf if lower[at] == 0 else lower[at]
+        return cls(lower=lower, upper=upper)
+
     @property
     def count(self) -> int:
         """Return the number of limits, of a lane at most."""
@@ -68,51 +84,30 @@ class ActiveSetBounds:
         held = np.where(low, self.lower, np.where(high, self.upper, np.where(free, 0.0, held)))
         return np.hstack([((masks & ~free) | low | high).astype(float), held])
 
+    def solve(
+        self, shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, watch: Watch | None = None, **settings: Any
+    ) -> Roots:
+        """Solve for roots that keep the limits, each with its own choice of what is held.
 
-def limits_of(problem: Problem, conditions: Conditions) -> ActiveSetBounds:
-    """Return the bounds of the free parameters and of the ranges, canonical."""
-    free = problem.free
-    ends = [c for phase in problem.phases for c in phase.end_conditions]
-    ranges = [ends[row] for row, _ in conditions.ranges]
-    size_of, p = problem.size_of, problem.parameters({})
-    both = [(size_of(f), f.lower, f.upper) for f in free] + [(size_of(v), *v.limits(p)) for v in ranges]
-    canonical = [(low / size, high / size) for size, low, high in both]
-    lower, upper = np.array(canonical, dtype=float).reshape(-1, 2).T
-    if len(problem.phases) == 1 and problem.duration_names[0] in problem.free_names:
-        # The only phase cannot vanish: a flight of zero length is none.
-        at = problem.free_names.index(problem.duration_names[0])
-        lower[at] = -np.inf if lower[at] == 0 else lower[at]
-    return ActiveSetBounds(lower=lower, upper=upper)
+        A lane in which no active set is found counts as not converged.
 
-
-def solve_active_set(
-    shooting: Shooting,
-    Y: Matrix,
-    p: Matrix,
-    choice: Matrix,
-    limits: ActiveSetBounds,
-    watch: Watch | None = None,
-    **settings: Any,
-) -> Roots:
-    """Solve for roots that keep the limits, each with its own choice of what is held.
-
-    Parameters
-    ----------
-    Y, p, choice, watch, **settings
-        As for `Shooting.solve`; `choice` is where the search for the active set begins.
-    limits
-        Limits that the roots have to keep. A lane in which no active set is found counts as not converged.
-    """
-    roots = shooting.solve(Y, p, choice, watch, **settings)
-    wanted = limits.revised(shooting, roots)
-    if wanted is roots.choice:
-        return roots
-    for _ in range(2 * limits.count + 1):
-        changed = np.nonzero(roots.converged & (wanted != roots.choice).any(axis=1))[0]
-        if not len(changed):
+        Parameters
+        ----------
+        shooting
+            The shooting function.
+        Y, p, choice, watch, **settings
+            As for `Shooting.solve`; `choice` is where the search for the active set begins.
+        """
+        roots = shooting.solve(Y, p, choice, watch, **settings)
+        wanted = self.revised(shooting, roots)
+        if wanted is roots.choice:
             return roots
-        lanes_p = p if np.ndim(p) == 1 or len(p) == 1 else p[changed]
-        again = shooting.solve(roots.y[changed], lanes_p, wanted[changed], watch, **settings)
-        roots = roots.replaced(changed, again)
-        wanted = limits.revised(shooting, roots)
-    return roots.failed((wanted != roots.choice).any(axis=1))
+        for _ in range(2 * self.count + 1):
+            changed = np.nonzero(roots.converged & (wanted != roots.choice).any(axis=1))[0]
+            if not len(changed):
+                return roots
+            lanes_p = p if np.ndim(p) == 1 or len(p) == 1 else p[changed]
+            again = shooting.solve(roots.y[changed], lanes_p, wanted[changed], watch, **settings)
+            roots = roots.replaced(changed, again)
+            wanted = self.revised(shooting, roots)
+        return roots.failed((wanted != roots.choice).any(axis=1))

@@ -25,32 +25,28 @@ _FLAT = 1e3  # by which the largest singular value of J^-1 stands beyond all oth
 _ROUNDS = 8
 
 
-def flat_direction(root: Root) -> tuple[Vector, Vector] | None:
-    """Return the singular vectors (v, u) of the direction in which the residual is flat; None where there is not one.
+def root_across(shooting: Shooting, like: Root, p: Vector) -> Root | None:
+    """Return the root near another, with the unknowns held along its flat direction; None where that has not one.
 
     Parameters
     ----------
-    root
-        An extremal, with the inverse of its Jacobian.
+    shooting, p
+        The shooting function, and the given parameters of the root, canonical.
+    like
+        Where the search begins: an extremal of other parameters, with the inverse of its Jacobian.
+
+    Returns
+    -------
+    Root or None
+        Its residual keeps what is left along the flat direction.
     """
-    if not np.isfinite(root.inverse).all():
+    if not np.isfinite(like.inverse).all():
         return None
-    V, s, Ut = np.linalg.svd(root.inverse)
-    return (V[:, 0], Ut[0]) if len(s) > 1 and s[0] > _FLAT * s[1] else None
-
-
-def root_across(shooting: Shooting, Y: Vector, p: Vector, choice: Vector, flat: tuple[Vector, Vector]) -> Root:
-    """Return the root with the unknowns held along a flat direction; its residual keeps what that leaves.
-
-    Parameters
-    ----------
-    shooting, Y, p, choice
-        Starting point, as for `Shooting.root`.
-    flat
-        Of `flat_direction`.
-    """
-    (v, u), active, least = flat, shooting.plan.active, np.inf
-    here = best = shooting.at(Y[None], p, choice)[0]
+    V, s, Ut = np.linalg.svd(like.inverse)
+    if len(s) < 2 or not s[0] > _FLAT * s[1]:
+        return None
+    v, u, active, least = V[:, 0], Ut[0], shooting.plan.active, np.inf
+    here = best = shooting.at(like.y[None], p, like.choice)[0]
     for _ in range(_ROUNDS):
         h = here.residual[shooting.plan.rows]
         towards, along = here.inverse @ h, here.inverse @ u
@@ -63,5 +59,5 @@ def root_across(shooting: Shooting, Y: Vector, p: Vector, choice: Vector, flat: 
         best, least = replace(here, converged=ended), length
         Y = here.y.copy()
         Y[active] += step
-        here = shooting.at(Y[None], p, choice)[0]
+        here = shooting.at(Y[None], p, like.choice)[0]
     return best

@@ -23,7 +23,6 @@ from perilune.shooting.shooting_function import Root, Roots, Shooting
 _NEAR = 1e-5  # largest residual from which the shortest steps are tried
 _MOST = 8  # lanes tried; many starts end near one curve
 _OPEN = 1e3  # by which singular values of J^-1 of an open direction stand beyond all others
-_SINGULAR = 1e8  # the same at a root: round-off is all that keeps J from being singular
 _FLAT = 1e6  # the same of J itself, which is known better than its inverse
 _ROUNDS = 12
 _TOLERANCE = 1e-11  # on the largest residual, as for Newton's method
@@ -31,14 +30,9 @@ _ALONG = 1e-4  # relative move along the curve that shows it
 _SAME = 1e-9  # relative change of J by it
 
 
-def open_directions(root: Root) -> int:
-    """Count the directions that lead from a root to others; none from one that is isolated."""
-    return _count_flat_directions(root.inverse, _SINGULAR)
-
-
 def nearly_open(root: Root) -> bool:
     """Return True if Newton's method ended near roots that are not isolated, without reaching one."""
-    return float(np.abs(root.residual).max()) < _NEAR and _count_flat_directions(root.inverse, _OPEN) > 0
+    return float(np.abs(root.residual).max()) < _NEAR and root.flat_directions(_OPEN) > 0
 
 
 def complete_open_roots(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
@@ -52,7 +46,7 @@ def complete_open_roots(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
     residuals = np.where(roots.converged | ~np.isfinite(roots.rows).all(axis=1), np.inf, roots.residuals)
     near = np.argsort(residuals)[:_MOST]
     near = near[residuals[near] < _NEAR]
-    leave = np.array([_count_flat_directions(roots[lane].inverse, _OPEN) for lane in near.tolist()], dtype=int)
+    leave = np.array([roots[lane].flat_directions(_OPEN) for lane in near.tolist()], dtype=int)
     near, leave = near[leave > 0], leave[leave > 0]
     if not len(near):
         return roots
@@ -114,18 +108,6 @@ def _shortest_steps(shooting: Shooting, Y: Matrix, p: Matrix, choice: Matrix, le
         better = np.nonzero(roots.residuals < best.residuals)[0]
         best = best.replaced(better, roots.of(better))
     return replace(best, converged=converged)
-
-
-def _count_flat_directions(inverse: Matrix, beyond: float) -> int:
-    """Count the singular values of J^-1 that exceed all others by `beyond`: directions in which the residual is flat.
-
-    None are counted where J has no finite inverse.
-    """
-    if not np.isfinite(inverse).all():
-        return 0
-    s = np.linalg.svd(inverse, compute_uv=False)
-    gaps = np.nonzero(s[:-1] > beyond * s[1:])[0]
-    return int(gaps[0]) + 1 if len(gaps) else 0
 
 
 def _lane_parameters(p: Matrix, lanes: Lanes) -> Matrix:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.conditions import PhaseExtremal
-from perilune.core.arrays import Vector
-from perilune.kernels import DenseArc, Engine, Event, compile_arcs, prune
+from perilune.core.arrays import Matrix, Vector
+from perilune.kernels import Arcs, DenseArc, Engine, Event, compile_arcs, prune
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,8 +102,10 @@ def arc_engine(flown: Equations, seeds: Pattern = ()) -> Engine:
     )
 
 
-def propagate_arc(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, **settings: float) -> DenseArc:
-    """Propagate all of z along one arc.
+def propagate_arc(
+    extremal: PhaseExtremal, z0: Vector, p: Vector, duration: float, states_only: bool = False, /, **settings: float
+) -> DenseArc:
+    """Propagate z along one arc.
 
     Parameters
     ----------
@@ -115,16 +117,43 @@ def propagate_arc(extremal: PhaseExtremal, z0: Vector, p: Vector, duration: floa
         Numbers of the canonical equations, `extremal_parameters`.
     duration
         Duration of the arc, canonical.
+    states_only
+        True if costates that do not act upon the states are left out.
     settings
         As for the engine's `dense`.
 
     Returns
     -------
     DenseArc
-        z as a function of time.
+        z, or its first entries, as a function of time.
+    """
+    flown = reduced_equations(extremal, tuple(range(extremal.half)) if states_only else (), ())
+    mode = mode_at(extremal, z0, p)
+    return arc_engine(flown).dense(z0[flown.kept], p[flown.numbers], duration, mode=mode, **settings)
+
+
+def propagate_lanes(
+    extremal: PhaseExtremal, z: Matrix, p: Matrix, duration: Vector, mode: NDArray[np.int64], **settings: float
+) -> Arcs:
+    """Propagate all of z along arcs, in lanes.
+
+    Parameters
+    ----------
+    extremal
+        The canonical equations of the phase.
+    z
+        States and costates at the starts, canonical, (lanes, nz).
+    p
+        Numbers of the canonical equations, (np,), (1, np) or (lanes, np).
+    duration
+        Durations, canonical, (lanes,).
+    mode
+        Modes at the starts, (lanes,).
+    settings
+        As for the engine's `propagate`.
     """
     whole = reduced_equations(extremal, (), ())
-    return arc_engine(whole).dense(z0, p[whole.numbers], duration, mode=mode_at(extremal, z0, p), **settings)
+    return arc_engine(whole).propagate(z, p[..., whole.numbers], duration, mode=mode, **settings)
 
 
 def mode_at(extremal: PhaseExtremal, z: Vector, p: Vector) -> int:

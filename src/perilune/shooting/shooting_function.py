@@ -18,12 +18,13 @@ from perilune.conditions import Conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Iteration, Watch
 from perilune.shooting.integrate_plan import fleet, jacobians
-from perilune.shooting.newton import FINEST, Ends, Lanes, newton
+from perilune.shooting.newton import FINEST, TOLERANCE, Ends, Lanes, newton
 from perilune.shooting.plan import Plan
 from perilune.shooting.propagate import propagate_arc
 
 _FLOWN = 1e-11  # relative error of what a flight ends with
 _LAST_DIGITS = 1e-12  # of |y|: a smaller change is rounding
+_SINGULAR = 1e8  # by which singular values of J^-1 of open directions exceed all others at a root
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +58,27 @@ class Root:
     choice: Vector
     converged: bool
     history: tuple[Iteration, ...] = ()
+
+    @property
+    def exact(self) -> bool:
+        """Return True if the residual is as small as Newton's method asks for."""
+        return bool(np.abs(self.residual).max() <= TOLERANCE)
+
+    @property
+    def open_directions(self) -> int:
+        """Count the directions that lead from this root to others; none from one that is isolated."""
+        return self.flat_directions(_SINGULAR)
+
+    def flat_directions(self, beyond: float) -> int:
+        """Count the singular values of J^-1 that exceed all others by `beyond`: in these the residual is flat.
+
+        None are counted where J has no finite inverse.
+        """
+        if not np.isfinite(self.inverse).all():
+            return 0
+        s = np.linalg.svd(self.inverse, compute_uv=False)
+        gaps = np.nonzero(s[:-1] > beyond * s[1:])[0]
+        return int(gaps[0]) + 1 if len(gaps) else 0
 
 
 @dataclass(frozen=True, kw_only=True)

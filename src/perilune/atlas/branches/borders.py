@@ -22,7 +22,7 @@ from perilune.core.maths import NUMERIC
 from perilune.kernels import Map, compile_map
 from perilune.methods import SIGNED
 from perilune.problem.casadi_trace import SYMBOLIC, free_scales
-from perilune.shooting.active_set import limits_of
+from perilune.shooting import ActiveSetBounds
 from perilune.structures.part_durations import sums_of
 
 Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held
@@ -43,7 +43,7 @@ class Borders:
     def __init__(self, chart: Chart) -> None:
         self.chart: Chart = chart
         problem = chart.problem
-        plan, own = chart.shooting.plan, limits_of(problem, chart.own)
+        plan, own = chart.shooting.plan, ActiveSetBounds.of(problem, chart.own)
         free, ends = len(problem.free), [c for phase in problem.phases for c in phase.end_conditions]
         lower, upper = np.full(plan.held, -np.inf), np.full(plan.held, np.inf)
         lower[:free], upper[:free] = own.lower[:free], own.upper[:free]

@@ -22,8 +22,7 @@ from perilune.conditions import Conditions, derive, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.problem.parametric import parametric_problem, sizes_of
 from perilune.problem.problem import Problem
-from perilune.shooting.newton import FINEST
-from perilune.shooting.shooting_function import Roots, Shooting
+from perilune.shooting import FINEST, Roots, Shooting
 
 _BESIDE = 1e-4  # of the range of a parameter: where its mixed derivatives are taken; errors are of its square
 

@@ -25,7 +25,7 @@ from perilune.problem.casadi_trace import SYMBOLIC, column, elements, trace_para
 from perilune.problem.controls import Bounded, Settled, control_slices, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.shooting.contracting_phases import settling_equations
+from perilune.shooting import settling_equations
 
 FAR = 1e30  # stands for infinity: nothing was looked at yet
 # The least condition, the least gain of another control, the least and most H, the least multiplier of boundary arcs.

@@ -18,12 +18,11 @@ from perilune.atlas.evaluate.polish import Polished, Polisher
 from perilune.atlas.evaluate.reintegrate import ChartReintegration
 from perilune.atlas.region import Region
 from perilune.core.arrays import Matrix, Vector
-from perilune.methods import Indirect, compose_solution
+from perilune.methods import ExtremalRoot, Indirect, compose_solution
 from perilune.problem.casadi_trace import free_scales
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics
-from perilune.shooting.parameter_scan import ExtremalRoot
-from perilune.shooting.shooting_function import Root
+from perilune.shooting import Root
 from perilune.structures.multiphase import renumber_restated
 from perilune.structures.part_durations import sums_of
 from perilune.structures.split_join import join_solution

@@ -35,15 +35,13 @@ from perilune.atlas.evaluate.multiplier_signs import ChartBoundaryArcs
 from perilune.conditions import Conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import Map, compile_map
-from perilune.shooting.newton import Lanes
-from perilune.shooting.propagate import arc_engine, reduced_equations
+from perilune.shooting import propagate_lanes
 
 STEPS = 48  # of a piece, or a multiple of it
 _MOST, _EXACT = 32, 1e-11  # times as many, and what the end of a phase may be wrong by, where they are chosen
 _FINER = 4  # times as many for a lane that misses something by as little as coarse steps may
 
-
-Arcs = tuple[Lanes, tuple[int, ...]]  # lanes, and the modes that they go through in a phase
+Arcs = tuple[NDArray[np.int64], tuple[int, ...]]  # lanes, and the modes that they go through in a phase
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +66,7 @@ class ReintegratedExtremals:
     shown: Matrix
     rates: Matrix
     ranges: Matrix
-    arcs: tuple[tuple[int, Lanes, tuple[int, ...]], ...]
+    arcs: tuple[tuple[int, NDArray[np.int64], tuple[int, ...]], ...]
 
     @property
     def rows(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
@@ -108,7 +106,7 @@ class ReintegratedExtremals:
         residuals, shown, rates, ranges = (array.copy() for array in self.rows)
         return ReintegratedExtremals(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=self.arcs)
 
-    def replace(self, lanes: Lanes, by: ReintegratedExtremals) -> None:
+    def replace(self, lanes: NDArray[np.int64], by: ReintegratedExtremals) -> None:
         """Replace some flights by others of the same arcs."""
         for own, other in zip(self.rows, by.rows, strict=True):
             own[lanes] = other
@@ -254,12 +252,13 @@ class ChartReintegration:
             state[lanes] = here
         return arcs
 
-    def _sequences(self, k: int, z: Matrix, duration: Vector, p: Matrix) -> Iterator[tuple[Lanes, list[_ModeInterval]]]:
+    def _sequences(
+        self, k: int, z: Matrix, duration: Vector, p: Matrix
+    ) -> Iterator[tuple[NDArray[np.int64], list[_ModeInterval]]]:
         """Yield lanes with the same sequence of modes, and their intervals between switches."""
         extremal = self.conditions.phases[k]
         first = self._modes[k](z, p)[0][:, 0]
-        whole = reduced_equations(extremal, (), ())
-        flown = arc_engine(whole).propagate(z, p[:, whole.numbers], duration, mode=first)
+        flown = propagate_lanes(extremal, z, p, duration, first)
         met = flown.event_index
         keys = np.column_stack([first.astype(np.int64), met[:, : max(1, int((met >= 0).sum(axis=1).max()))]])
         for key in np.unique(keys, axis=0):

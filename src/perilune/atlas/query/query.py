@@ -27,11 +27,11 @@ from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import NotConvergedError, PeriluneError, unknown_name
 from perilune.core.fields import parameter_name
 from perilune.core.validation import check_call, require_path
+from perilune.methods import ExtremalRoot
 from perilune.problem.perturbed import with_given_unchecked
 from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics
-from perilune.shooting.parameter_scan import ExtremalRoot
 
 _NEAREST = 64  # nodes that are asked where there is an answer
 

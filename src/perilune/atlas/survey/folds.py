@@ -25,11 +25,11 @@ from perilune.atlas.evaluate.open_chart import OpenChart
 from perilune.atlas.region import Region
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import PeriluneError
+from perilune.methods import ExtremalRoot
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Statistics
 from perilune.proof import check_local_optimality
-from perilune.shooting.parameter_scan import ExtremalRoot
 
 _FIRST, _LONGEST, _SHORTEST = 0.01, 0.1, 1e-6  # steps, in lengths of (y / (1 + |y|), s)
 _STEPS, _CORRECTIONS = 60, 6

@@ -42,7 +42,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Variable
-from perilune.shooting.propagate import arc_engine, reduced_equations
+from perilune.shooting import propagate_lanes
 
 STEPS = 40  # of one phase under given controls: far more accurate than what a population resolves
 TOLERANCE, MOST_STEPS = 1e-6, 300  # of extremals; one that needs more steps is no good start either
@@ -253,9 +253,8 @@ class CostateFitness:
         for extremal, start in zip(self.conditions.phases, self.conditions.starts, strict=True):
             z0, duration = (np.array(out) for out in self._over(start, size)(y.T, before, self._numbers(size)))
             mode = np.array(self._over(extremal.mode, size)(z0, self._numbers(size))).ravel().astype(int)
-            settings = {"rtol": TOLERANCE, "atol": TOLERANCE, "max_steps": MOST_STEPS, "mode": mode}
-            whole = reduced_equations(extremal, (), ())
-            arcs = arc_engine(whole).propagate(z0.T, self.p[whole.numbers], duration.ravel(), **settings)
+            settings = {"rtol": TOLERANCE, "atol": TOLERANCE, "max_steps": MOST_STEPS}
+            arcs = propagate_lanes(extremal, z0.T, self.p, duration.ravel(), mode, **settings)
             before = np.where(arcs.succeeded, arcs.z.T, np.nan)
             ends.append(before)
         return np.vstack(ends)

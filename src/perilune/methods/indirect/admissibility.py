@@ -19,7 +19,7 @@ from perilune.problem.casadi_trace import state_scales
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
-from perilune.shooting.shooting_function import Root
+from perilune.shooting import Root
 from perilune.structures.detect_arcs import CLOSEST
 from perilune.structures.state_margins import refine_minima
 

@@ -26,8 +26,7 @@ from perilune.problem.display.quantity_names import end_text, limit_name, object
 from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.shooting.nonisolated import nearly_open
-from perilune.shooting.shooting_function import Root
+from perilune.shooting import Root, nearly_open
 
 _DEFECT = "the dynamics of "  # in a least miss: it is no flight, and nothing that was stated stands in the way
 _BROKEN = "every extremal found violates a condition"

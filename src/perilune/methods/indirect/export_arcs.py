@@ -21,10 +21,7 @@ from perilune.core.errors import NotConvergedError
 from perilune.kernels import DenseArc
 from perilune.problem.casadi_trace import state_scales
 from perilune.problem.problem import Problem
-from perilune.shooting.contracting_phases import propagate_settling_phase
-from perilune.shooting.newton import FINEST, Lanes
-from perilune.shooting.propagate import Equations, arc_engine, mode_at, propagate_arc, reduced_equations
-from perilune.shooting.shooting_function import Root, Shooting
+from perilune.shooting import FINEST, Root, Shooting, propagate_arc, propagate_settling_phase
 
 _FINE = {"rtol": 1e-13, "atol": 1e-13}  # of the arcs that are exported
 _FINEST = {"rtol": 1e-14, "atol": 1e-14}  # the same where a phase settles (`perilune.shooting.integrate_plan.Split`)
@@ -160,25 +157,14 @@ class PropagatedStates:
     def _phase(self, k: int) -> PropagatedPhase:
         if k not in self._flown:
             extremal, (z, duration) = self.conditions.phases[k], self.start(k)
-            of = self._equations(k)
-            arc = arc_engine(of).dense(
-                z[of.kept],
-                self._p[of.numbers],
-                duration,
-                mode=mode_at(extremal, z, self._p),
-                **_export_accuracy(self.conditions),
-            )
+            fine = _export_accuracy(self.conditions)
+            arc = propagate_arc(extremal, z, self._p, duration, extremal.settles, **fine)
             self._flown[k] = PropagatedPhase(arcs=(arc,), begins=np.zeros(1), duration=duration)
         return self._flown[k]
 
-    def _equations(self, k: int) -> Equations:
-        extremal = self.conditions.phases[k]
-        return reduced_equations(extremal, tuple(range(extremal.half)) if extremal.settles else (), ())
-
     def _end(self, k: int) -> Vector:
-        z = np.zeros(2 * self.conditions.phases[k].half)
-        z[self._equations(k).kept] = self._phase(k).arcs[-1].z[-1]
-        return z
+        extremal, end = self.conditions.phases[k], self._phase(k).arcs[-1].z[-1]
+        return np.concatenate([end[: extremal.half], np.zeros(extremal.half)]) if extremal.settles else end
 
 
 def _export_accuracy(conditions: Conditions) -> dict[str, float]:
@@ -257,7 +243,7 @@ def can_use_multiple_shooting(conditions: Conditions, segments: int = _SEGMENTS)
 
 
 def correct_last_digits(
-    problem: Problem, conditions: Conditions, root: Root, rows: Lanes, active: Lanes
+    problem: Problem, conditions: Conditions, root: Root, rows: NDArray[np.int64], active: NDArray[np.int64]
 ) -> tuple[Root, float]:
     """Correct a root by its last digits until its exported flight ends where it should; return what is missed too.
 

@@ -14,8 +14,7 @@ from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.random_costates import NEARLY, beside_flat, continue_from_guess
 from perilune.problem.perturbed import is_neighbour
 from perilune.problem.results.solution import Solution
-from perilune.shooting.newton import FINEST, ROUGHEST, TOLERANCE
-from perilune.shooting.shooting_function import Root
+from perilune.shooting import FINEST, Root
 
 _ROUNDED = 1e-9  # residual: no step of Newton lowers it, as each is rounding; a flight that ends so near is exported
 _NEXT = 40  # evaluations of Newton's method from an extremal to a neighbour: with more it is led elsewhere
@@ -77,18 +76,18 @@ class GuessNewton:
         finest: dict[str, Any] = {"accuracy": FINEST} if self.near else {}
         finest |= {"limit": _NEXT} if self.compared else {}
 
-        def led(accuracy: float, tolerance: float) -> Iterator[Root]:
+        def led(**settings: Any) -> Iterator[Root]:
             if guess is not None and (there := continue_from_guess(trials, guess, y)) is not None:
                 start, held, limits = there[0][None], there[1], trials.limits
-                yield trials.settled(start, held, limits=limits, accuracy=accuracy, tolerance=tolerance)[0]
+                yield trials.settled(start, held, limits=limits, **settings)[0]
 
         if self.near and (beside := beside_flat(trials, y, choice)) is not None:
             yield beside
         if can_use_multiple_shooting(trials.conditions):
             yield trials.settled(y[None], choice, limits=trials.limits, **finest)[0]
-            yield from led(ROUGHEST, TOLERANCE)
+            yield from led()
         else:
-            yield from map(self._met, led(FINEST, NEARLY))
+            yield from map(self._met, led(accuracy=FINEST, tolerance=NEARLY))
             yield self._met(trials.settled(y[None], choice, limits=trials.limits, **finest)[0])
 
     def _met(self, root: Root) -> Root:
@@ -120,7 +119,7 @@ class GuessNewton:
 
         So is one of several phases whose flight misses its ends: pieces leave as much again where phases meet.
         """
-        exact = np.abs(root.residual).max() <= TOLERANCE
+        exact = root.exact
         if exact and (
             len(self.trials.problem.phases) == 1 or ends_well(self.trials.problem, self.trials.conditions, root)
         ):

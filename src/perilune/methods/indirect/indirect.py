@@ -5,16 +5,16 @@ They are tried in order, the last two only where those before failed:
 1. *random costates*: the conditions are linear in the costates up to a factor, and `Problem.scales` make
    their components comparable, so random directions of length one cover the possibilities;
 2. *continuation in the duration*, where every duration is given and nothing is free: extremals of shorter flights are
-   carried to the whole one (`perilune.methods.indirect.duration_continuation`), and those with smoothed controls where
-   there are several, unless most of the random directions led to a single one;
+   carried to the whole one (`continuation.duration_continuation`), and those with smoothed controls where there are
+   several, unless most of the random directions led to a single one;
 3. *direct transcription*: a coarse pseudospectral solution and the costates that its multipliers give;
 4. *multiple shooting* from the same, for arcs too unstable to fly in one piece; where no coarse mesh follows the flight
-   from finer ones, and of many switches by way of *smoothed controls* (`perilune.methods.indirect.homotopy`).
+   from finer ones, and of many switches by way of *smoothed controls* (`continuation.homotopy`).
 
 Where the proof says that the answer is no minimum, `beyond` asks the direct method for a better one.
 
 A free parameter between finite bounds (the retro burn) is held at first; then the whole family along it is followed
-and every extremal on it found (`perilune.shooting.parameter_scan`).
+and every extremal on it found (`perilune.methods.indirect.continuation.parameter_scan`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from perilune.problem.perturbed import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.warnings import KNOWN_BETTER
-from perilune.shooting.continuation import Member
+from perilune.shooting import Member
 from perilune.structures.split_join import JoinedTrajectories
 
 _ROUGH = 1e-6  # relative: what flights of known arcs err in J

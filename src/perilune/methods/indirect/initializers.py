@@ -15,9 +15,10 @@ from perilune.conditions import Held
 from perilune.core.arrays import Matrix
 from perilune.core.errors import InfeasibleError
 from perilune.methods.indirect.coarse_direct import Coarse
-from perilune.methods.indirect.duration_continuation import FinalTimeContinuation, given_durations
+from perilune.methods.indirect.continuation.duration_continuation import FinalTimeContinuation, given_durations
+from perilune.methods.indirect.continuation.homotopy import SMOOTH, Smoothing
+from perilune.methods.indirect.continuation.parameter_scan import distinct_roots
 from perilune.methods.indirect.export_arcs import can_use_multiple_shooting
-from perilune.methods.indirect.homotopy import SMOOTH, Smoothing
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.random_costates import (
     PATIENCE,
@@ -32,9 +33,7 @@ from perilune.methods.indirect.settings import TRANSCRIBED, SearchSettings
 from perilune.methods.indirect.unknowns import unknowns_from_solution
 from perilune.problem.display.quantity_names import free_name, kept_text
 from perilune.problem.results.solution import Solution
-from perilune.shooting.continuation import Member
-from perilune.shooting.parameter_scan import distinct_roots
-from perilune.shooting.shooting_function import Roots
+from perilune.shooting import Member, Roots
 
 _RANDOM = "random costates"  # on the unit sphere, as H has no scale
 _DURATION = "continuation in the duration"

@@ -25,8 +25,7 @@ from perilune.methods.indirect.result import Curves, compose_solution
 from perilune.problem.perturbed import with_given_unchecked
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics
-from perilune.shooting.active_set import ActiveSetBounds, limits_of, solve_active_set
-from perilune.shooting.shooting_function import Root, Roots, Shooting
+from perilune.shooting import ActiveSetBounds, Root, Roots, Shooting
 from perilune.structures.multiphase import refuse_unstated_ends, renumber_restated
 from perilune.structures.split_join import JoinedTrajectories, join_solution
 
@@ -58,7 +57,7 @@ class Nearby:
             )
         self.problem: Problem = curves.problem
         self.root, self.shooting = curves.root, Shooting(curves.conditions)
-        self.limits = limits_of(self.problem, curves.conditions)
+        self.limits = ActiveSetBounds.of(self.problem, curves.conditions)
         self._places = {name: i for i, name in enumerate(self.problem.given)}
 
     def numbers(self, values: Mapping[str, ArrayLike]) -> Matrix:
@@ -110,7 +109,7 @@ class Nearby:
         limits = ActiveSetBounds(
             lower=np.array([one.lower for one in each]), upper=np.array([one.upper for one in each])
         )
-        return solve_active_set(self.shooting, Y, p, choice, limits)
+        return limits.solve(self.shooting, Y, p, choice)
 
     def _limits(self, values: Mapping[str, ArrayLike], lanes: int) -> list[ActiveSetBounds]:
         """Return the limits of each lane: ranges of free parameters may follow from the given ones."""
@@ -127,7 +126,7 @@ class Nearby:
             found = known.ranges(SimpleNamespace(**{**vars(known.parameters({})), **values}), NUMERIC)
         if all(found.get(f.name, (f.lower, f.upper))[:2] == (f.lower, f.upper) for f in known.free):
             return self.limits
-        return limits_of(self._own(with_given_unchecked(known, values)), self.shooting.conditions)
+        return ActiveSetBounds.of(self._own(with_given_unchecked(known, values)), self.shooting.conditions)
 
     def _own(self, problem: Problem) -> Problem:
         """Return the user's problem at other values as it is solved: with a phase for each arc."""

@@ -10,15 +10,12 @@ import numpy as np
 from perilune.conditions import Conditions, Held, derive, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Iteration, Watch
+from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot
 from perilune.methods.indirect.unknowns import joints_from_solution
 from perilune.problem.casadi_trace import free_scales
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.shooting.active_set import ActiveSetBounds, limits_of, solve_active_set
-from perilune.shooting.newton import FINEST
-from perilune.shooting.nonisolated import complete_open_roots
-from perilune.shooting.parameter_scan import ExtremalRoot
-from perilune.shooting.shooting_function import Root, Roots, Shooting
+from perilune.shooting import FINEST, ActiveSetBounds, Root, Roots, Shooting, complete_open_roots
 
 AT_BOUND = 1e-8  # canonical distance at which a value counts as lying on a bound
 _ROUNDED = 1e-8  # residual of pieces that are an answer by themselves: rounding, as in the air of a day
@@ -47,7 +44,7 @@ class Trials:
         self.conditions: Conditions = derive(problem, keep, watch)
         self.p: Vector = extremal_parameters(problem)
         self.shooting: Shooting = Shooting(self.conditions)
-        self.limits: ActiveSetBounds = limits_of(problem, self.conditions)
+        self.limits: ActiveSetBounds = ActiveSetBounds.of(problem, self.conditions)
         self.bounded: tuple[int, ...] = bounded_parameters(problem)
         self.scanned: int | None = next(iter(self.bounded), None)
         self.history: list[Iteration] = []
@@ -72,7 +69,7 @@ class Trials:
         function = shooting or self.shooting
         numbers = self.p if p is None else p
         roots = complete_open_roots(
-            function, solve_active_set(function, Y, numbers, choice, limits, self.watch, **settings), numbers
+            function, limits.solve(function, Y, numbers, choice, self.watch, **settings), numbers
         )
         self.history += roots.history
         if function is not self.shooting:

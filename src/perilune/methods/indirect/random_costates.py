@@ -14,10 +14,7 @@ from perilune.methods.indirect.unknowns import unknowns_from_solution
 from perilune.problem.casadi_trace import canonical_free
 from perilune.problem.perturbed import is_neighbour, move_start, offset_of
 from perilune.problem.results.solution import Solution
-from perilune.shooting.active_set import ActiveSetBounds, limits_of
-from perilune.shooting.continuation import Member, follow_family
-from perilune.shooting.flat_direction import flat_direction, root_across
-from perilune.shooting.shooting_function import Root
+from perilune.shooting import ActiveSetBounds, Member, Root, follow_family, root_across
 
 PATIENCE = 24  # evaluations of a random start: the first to reach an extremal take 6 to 24, on nearly all landers
 STRIDE = 0.5  # largest component of a step from a random start, whose costates have length one
@@ -168,7 +165,7 @@ def continue_from_guess(trials: Trials, guess: Solution, y: Vector) -> tuple[Vec
     alike = (before.structure, before.scales) == (problem.structure, problem.scales)
     if is_neighbour(problem) or guess.unknowns is None or not alike or len(guess.unknowns) != len(y):
         return None
-    limits = limits_of(before, trials.conditions)
+    limits = ActiveSetBounds.of(before, trials.conditions)
     first = extremal_parameters(before), active_set_of_guess(trials, guess, y, limits)
     last = trials.p, trials.limits.taken_over(first[1], limits)
     way = last[0] - first[0], last[1] - first[1]
@@ -215,5 +212,5 @@ def beside_flat(trials: Trials, y: Vector, choice: Vector) -> Root | None:
     if not any(problem.given[name].value for name in names):
         return None
     same = move_start(problem, **dict.fromkeys(names, 0.0))
-    flat = flat_direction(shooting.at(y[None], extremal_parameters(same), choice)[0])
-    return None if flat is None else root_across(shooting, y, trials.p, choice, flat)
+    like = shooting.at(y[None], extremal_parameters(same), choice)[0]
+    return root_across(shooting, like, trials.p)

@@ -11,6 +11,7 @@ from perilune.conditions import Conditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import Outcome
 from perilune.core.lazy import Deferred
+from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot, same_vector
 from perilune.methods.indirect.export_arcs import PropagatedStates, propagate_for_export
 from perilune.methods.indirect.exported_phases import assemble_trajectories
 from perilune.methods.indirect.unknowns import free_values, objective_scale, scaled_end_multipliers
@@ -18,8 +19,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal, Nature
 from perilune.problem.results.solution import Solution, Statistics
 from perilune.problem.results.trajectory import Trajectory
-from perilune.shooting.parameter_scan import ExtremalRoot, same_vector
-from perilune.shooting.shooting_function import Root
+from perilune.shooting import Root
 
 _SAME = 1e-9  # of J and of the free parameters, canonical: what two extremals may differ by and be listed as one
 

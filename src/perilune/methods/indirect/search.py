@@ -19,6 +19,14 @@ from perilune.core.callbacks import Watch
 from perilune.core.errors import NotConvergedError, PeriluneError
 from perilune.methods.indirect.admissibility import ALLOWED, AdmissibilityTest
 from perilune.methods.indirect.coarse_direct import Coarse, nearly_active_conditions
+from perilune.methods.indirect.continuation.homotopy import SMOOTH, Smoothing
+from perilune.methods.indirect.continuation.parameter_scan import (
+    ExtremalRoot,
+    HeldFamily,
+    same_vector,
+    scan_family,
+    unknown_extremals,
+)
 from perilune.methods.indirect.diagnosis import (
     NOT_ISOLATED,
     best_misses_bound_error,
@@ -27,7 +35,6 @@ from perilune.methods.indirect.diagnosis import (
     no_start_converged_error,
 )
 from perilune.methods.indirect.guess_newton import GuessNewton
-from perilune.methods.indirect.homotopy import SMOOTH, Smoothing
 from perilune.methods.indirect.initializers import ColdStarts, StartMembers
 from perilune.methods.indirect.newton_trials import Trials, found_at
 from perilune.methods.indirect.random_costates import active_set_of_guess, unknowns_of_guess
@@ -40,10 +47,7 @@ from perilune.problem.display.quantity_names import free_name, kept_text
 from perilune.problem.perturbed import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics
-from perilune.shooting.continuation import Member
-from perilune.shooting.nonisolated import open_directions
-from perilune.shooting.parameter_scan import ExtremalRoot, HeldFamily, same_vector, scan_family, unknown_extremals
-from perilune.shooting.shooting_function import Root
+from perilune.shooting import Member, Root
 
 _MOST_FOLLOWED = 24  # extremals from which families along other parameters are followed
 _MOST_OUTDOING = 6  # extremals that break the path, in whose basins admissible ones are looked for
@@ -359,7 +363,7 @@ class Search:
                 self.breaking.append(member.root)
         breaks = f"{len(breaking)} of them break{'s' if len(breaking) == 1 else ''} a condition" if met else ""
         self.tried.append(", ".join(filter(None, (tried, _count_extremals(met), breaks))))
-        if any(open_directions(member.root) for member in members):
+        if any(member.root.open_directions for member in members):
             self.tried.append(NOT_ISOLATED)
         if self.base is None:
             yield from ((member, name) for member in breaking)

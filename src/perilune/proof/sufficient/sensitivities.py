@@ -2,7 +2,7 @@
 
 lam(0) = dJ*/dx0      against central differences of J over problems whose initial state is shifted; what else is
                       free, but for durations, is held: by the envelope theorem choosing it again changes nothing;
-                      and so is what an optimum hardly determines, as a wait (`perilune.shooting.flat_direction`).
+                      and so is what an optimum hardly determines, as a wait (`perilune.shooting.root_across`).
                       A bound of a duration that holds nothing back is left out, as neighbours may take longer
 d2J*/dp2 > 0          over problems with a free parameter held to either side of its optimum
 """

@@ -15,8 +15,7 @@ from perilune.methods.indirect.search import Search
 from perilune.problem.casadi_trace import free_scales
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.shooting.newton import FINEST
-from perilune.shooting.shooting_function import Root
+from perilune.shooting import FINEST, Root
 from perilune.structures.part_durations import part_durations
 from perilune.structures.revise_regimes import PAIR
 from perilune.structures.structure import Structure

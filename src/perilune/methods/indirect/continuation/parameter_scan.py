@@ -16,10 +16,7 @@ import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch, ignore_events
-from perilune.shooting.active_set import ActiveSetBounds, solve_active_set
-from perilune.shooting.continuation import Member, follow_family
-from perilune.shooting.nonisolated import open_directions
-from perilune.shooting.shooting_function import Root, Roots, Shooting
+from perilune.shooting import ActiveSetBounds, Member, Root, Roots, Shooting, follow_family
 
 _HALVINGS = 18  # of a step along a family: where a flight becomes short its costates grow a hundredfold in a step
 _ATTEMPTS = 24  # at an extremal between two members: from 1 mm over the site dJ/dq is a step of some cm/s in 50 m/s
@@ -62,13 +59,13 @@ class HeldFamily:
         """Solve in lanes with q held at `values`; the initial active set is otherwise that of `like`."""
         choices = np.tile(like.choice, (len(values), 1))
         self.shooting.plan.hold(choices, self.index, values)
-        return solve_active_set(self.shooting, Y, self.p, choices, self.limits, self.watch)
+        return self.limits.solve(self.shooting, Y, self.p, choices, self.watch)
 
     def released(self, Y: Matrix, like: Root) -> Roots:
         """Solve in lanes with q free: the transversality condition (19) in place of the held value."""
         choice = like.choice.copy()
         choice[[self.index, self.shooting.plan.held + self.index]] = 0.0
-        return solve_active_set(self.shooting, Y, self.p, np.tile(choice, (len(Y), 1)), self.limits, self.watch)
+        return self.limits.solve(self.shooting, Y, self.p, np.tile(choice, (len(Y), 1)), self.watch)
 
     def value(self, root: Root) -> float:
         """Return q at a root."""
@@ -245,7 +242,7 @@ def same_extremal(one: Root, other: Root) -> bool:
     if same_vector(one.y, other.y, 1e-6):
         return True
     alike = abs(one.cost - other.cost) <= 1e-8 * (1.0 + abs(other.cost))
-    return alike and open_directions(one) > 0 and open_directions(other) > 0
+    return alike and one.open_directions > 0 and other.open_directions > 0
 
 
 def unknown_extremals(found: list[ExtremalRoot], known: list[ExtremalRoot]) -> list[ExtremalRoot]:

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
+from perilune.methods.indirect.continuation.parameter_scan import distinct_roots, same_extremal
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.random_costates import PATIENCE, STRIDE, random_costate_unknowns
-from perilune.shooting.nonisolated import open_directions, reach_open_roots
-from perilune.shooting.parameter_scan import distinct_roots, same_extremal
-from perilune.shooting.shooting_function import Root, Roots
+from perilune.shooting import Root, Roots, reach_open_roots
 
 LEAST, RATIO = 0.2, 1.12  # the shortest share, and of each to the one before
 _STARTS = 8  # random starts at each share, in those of the settings
@@ -89,7 +88,7 @@ class FinalTimeContinuation:
 
     def _corrected(self, known: list[Root], share: float) -> list[Root]:
         """Correct each by Newton's method; those that are not isolated by the shortest steps."""
-        leave, found = np.array([open_directions(root) for root in known]), dict[int, Root]()
+        leave, found = np.array([root.open_directions for root in known]), dict[int, Root]()
         for lanes in (np.nonzero(leave == 0)[0], np.nonzero(leave)[0]):
             if not len(lanes):
                 continue

@@ -8,8 +8,7 @@ switched problem is reached by one more run of Newton's method.
 Multiple shooting, as a flight in one piece hardly converges while each of dozens of burns changes its length.
 
 Where the duration is given there are many extremals, of very different cost. Smoothed ones are carried from short
-flights to the whole like those of the problem itself (`perilune.methods.indirect.duration_continuation`), and each then
-made sharp.
+flights to the whole like those of the problem itself (`duration_continuation`), and each then made sharp.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ import numpy as np
 from perilune.conditions import Conditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import PeriluneError
-from perilune.methods.indirect.duration_continuation import FinalTimeContinuation
+from perilune.methods.indirect.continuation.duration_continuation import FinalTimeContinuation
 from perilune.methods.indirect.export_arcs import can_use_multiple_shooting
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.unknowns import joints_from_solution, unknowns_from_solution
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.shooting.shooting_function import Root, Shooting
+from perilune.shooting import Root, Shooting
 from perilune.structures.regularized import RATE, smooth_problem
 
 SMOOTH = "smoothed controls"  # what this way of starting is called

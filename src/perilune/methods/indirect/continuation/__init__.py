@@ -1,0 +1,1 @@
+"""Continuation of extremals: along a free parameter, a smoothing of the problem, the durations."""
