@@ -35,19 +35,21 @@ SOURCE = ROOT / "src" / "perilune"
 AT = ROOT / "build" / "mutants"
 CONFIG, SESSION, COVERED, TIMES = AT / "config.toml", AT / "session.sqlite", AT / "covered.sqlite", AT / "times.xml"
 ROOMS = {
-    "proof": ("proof/*.py",),
-    "conditions": ("conditions/*.py",),
+    "proof": ("proof/**/*.py",),
+    "conditions": ("conditions/**/*.py",),
     "shooting": ("shooting/[!e]*.py",),
     "extremals": (
         "methods/indirect/continuation/parameter_scan.py",
         "problem/results/extremal.py",
+        "methods/indirect/cold_search.py",
+        "methods/indirect/continuation/family_search.py",
         "methods/indirect/search.py",
         "methods/indirect/result.py",
     ),
-    "structures": ("structures/*.py",),
+    "structures": ("structures/**/*.py",),
     "units": ("core/units.py", "core/untrusted_text.py", "problem/tracing/dimensions.py"),
-    "preflight": ("problem/presolve.py", "models/**/preflight.py", "models/**/checks.py"),
-    "atlas": ("atlas/*.py",),
+    "preflight": ("problem/presolve.py", "models/**/presolve.py"),
+    "atlas": ("atlas/**/*.py",),
 }
 BUDGET, STUCK = 240.0, 900.0  # seconds
 

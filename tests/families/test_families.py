@@ -189,7 +189,7 @@ def test_a_store_of_another_sweep_is_refused(
     sweep(fixed, {"vehicle.thrust": [440.0, 450.0]}, store=tmp_path)
     problem = fixed.with_given(**changes.get("given", {}))
     options = {name: changes[name] for name in ("level", "method") if name in changes}
-    with pytest.raises(PeriluneError, match=rf"cannot be used(.|\n)*sweep with a different {words}"):
+    with pytest.raises(PeriluneError, match=rf"cannot be used(.|\n)*sweep that differs in its {words}"):
         sweep(problem, changes.get("over", {"vehicle.thrust": [440.0, 450.0]}), store=tmp_path, **options)
 
 
@@ -198,7 +198,7 @@ def test_a_store_of_other_ranges_is_refused(tmp_path: Path) -> None:
     wide = meditch()
     sweep(wide, {"h": [1.0]}, store=tmp_path)
     (t_f,) = wide.free
-    with pytest.raises(PeriluneError, match=r"sweep with a different problem"):
+    with pytest.raises(PeriluneError, match=r"sweep that differs in its problem"):
         sweep(replace(wide, free=(replace(t_f, upper=1.4),)), {"h": [1.0]}, store=tmp_path)
     assert len(sweep(meditch(), {"h": [1.0]}, store=tmp_path).points) == 1
 

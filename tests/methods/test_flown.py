@@ -100,8 +100,8 @@ def test_a_root_of_amplified_rounding_is_moved_by_its_last_digits() -> None:
         (flown,) = propagate_in_one_piece(problem, known.conditions, root.y)
         return abs(float(flown.z[-1, 0]) - 1.0)
 
-    assert missed(rounded) > 1e-8 and missed(search.newton.to_last_digits(rounded)) < 1e-11
-    assert search.newton.to_last_digits(root) is root
+    assert missed(rounded) > 1e-8 and missed(search.state.newton.to_last_digits(rounded)) < 1e-11
+    assert search.state.newton.to_last_digits(root) is root
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,14 @@ import pytest
 import perilune as pl
 from perilune.core.arrays import Matrix
 from perilune.core.callbacks import ignore_events
+from perilune.methods.indirect import cold_search
 from perilune.methods.indirect.coarse_direct import Coarse
+from perilune.methods.indirect.continuation import family_search
 from perilune.methods.indirect.continuation.homotopy import Smoothing
 from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.initializers import StartMembers
 from perilune.methods.indirect.newton_trials import Trials
-from perilune.methods.indirect.search import Search
+from perilune.methods.indirect.search_state import SearchState
 from perilune.problem.results.extremal import Nature
 from perilune.shooting.shooting_function import Roots, Shooting
 from problems.circles import meeting, to_circle
@@ -202,14 +205,15 @@ def test_members_beyond_a_bound_do_not_hide_those_behind_them() -> None:
     out, old, breaking, kept = (
         SimpleNamespace(root=SimpleNamespace(name=n, open_directions=0)) for n in ("out", "", "bad", "")
     )
-    search = SimpleNamespace(
+    state = SimpleNamespace(
         trials=SimpleNamespace(outside=lambda root: "T" if root.name == "out" else None),
         judge=SimpleNamespace(breach=lambda root: root.name or None),
-        _walked_through=lambda member: member is old, tried=[], broken=[], breaking=[], base=None,
+        walked_through=lambda member: member is old, tried=[], broken=[], breaking=[], base=None,
     )  # fmt: skip
-    met = Search._keeping_bounds(cast("Search", search), cast("Any", [out, old, breaking, kept]), "family", "walked")
+    ways = [StartMembers(cast("Any", [out, old, breaking, kept]), "family", "walked")]
+    met = cold_search._members_in_bounds(cast("SearchState", state), ways)
     assert list(met) == [(kept, "family"), (breaking, "family")]
-    assert search.broken == ["bad"] and search.tried == ["walked, 3 extremals, 1 of them breaks a condition"]
+    assert state.broken == ["bad"] and state.tried == ["walked, 3 extremals, 1 of them breaks a condition"]
 
 
 @pytest.mark.parametrize(("converged", "held", "known"), [(True, True, 3), (False, True, 1), (True, False, 1)])
@@ -228,6 +232,6 @@ def test_at_the_limits_of_a_range_what_newton_loses_or_lets_go_is_no_extremal(
     root = SimpleNamespace(y=np.zeros(1), converged=True, choice=np.zeros(2))
     shooting = SimpleNamespace(plan=plan, curving_down=lambda one, p: [0] if one is root else [])
     limits = SimpleNamespace(lower=np.array([-1.0]), upper=np.array([1.0]))
-    search = SimpleNamespace(trials=SimpleNamespace(shooting=shooting, limits=limits, p=None, settled=settled))
-    found = Search._over_ranges(cast(Search, search), cast(Any, root))
+    state = SimpleNamespace(trials=SimpleNamespace(shooting=shooting, limits=limits, p=None, settled=settled))
+    found = family_search._over_ranges(cast(SearchState, state), cast(Any, root))
     assert [f.minimum for f in found] == [False, True, True][:known]

@@ -338,5 +338,5 @@ def test_arcs_are_looked_for_from_extremals_that_break_a_limit_by_little(slope: 
     search = Search(Indirect(), problem, lambda _: None)
     with pytest.raises(pl.PeriluneError):
         search.solve()
-    assert search.answering.better_inadmissible
+    assert search.better_inadmissible
     assert bool(list(search.breaking_path())) == little

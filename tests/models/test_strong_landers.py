@@ -100,7 +100,7 @@ def test_a_root_whose_exported_flight_misses_its_ends_is_moved_by_its_last_digit
     of, exact = (curves.problem, curves.conditions), curves.root
     off = replace(exact, y=exact.y * (1 + 1e-10), residual=0.0 * exact.residual)
     assert ends_well(*of, exact) and not ends_well(*of, off)
-    moved = Search(Indirect(), curves.problem, ignore_events).newton.to_last_digits(off)
+    moved = Search(Indirect(), curves.problem, ignore_events).state.newton.to_last_digits(off)
     assert ends_well(*of, moved)
     assert np.abs(moved.y - exact.y).max() < 1e-10
 

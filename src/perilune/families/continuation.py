@@ -35,8 +35,8 @@ class Continuation:
         search = Search(self.settings, problem, watch)
         base = None if self.base is None else self._continued(problem, self.base, search)
         solution = self.settings.answer(search, base=base)
-        self.base, self.before = search.base, problem.given[self.name].value
-        self.limits = search.trials.others
+        self.base, self.before = search.state.base, problem.given[self.name].value
+        self.limits = search.state.trials.others
         return solution
 
     def _continued(self, problem: Problem, base: Member, search: Search) -> Member | None:
@@ -47,20 +47,20 @@ class Continuation:
         at, scale = list(problem.given).index(self.name), problem.scales.of(problem.unit_of(self.name))
 
         def numbers(value: float) -> Vector:
-            p = search.trials.p.copy()
+            p = search.state.trials.p.copy()
             p[at] = value / scale
             return p
 
-        like, limits = base.root, search.trials.others
+        like, limits = base.root, search.state.trials.others
         if self.limits is not None:  # what varies may be the limit itself
             like = replace(like, choice=limits.taken_over(like.choice, self.limits))
 
         def correct(y: Vector, value: float) -> Root:
-            return search.trials.correct(y, like, numbers(value))
+            return search.state.trials.correct(y, like, numbers(value))
 
         def tangent(root: Root, value: float) -> Vector:
             step = 1e-6 * max(abs(value), abs(target - before))  # a central difference of the residual
-            return search.trials.shooting.shift(root, numbers(value + step), numbers(value - step)) / (2 * step)
+            return search.state.trials.shooting.shift(root, numbers(value + step), numbers(value - step)) / (2 * step)
 
         reached = next(iter(follow_family(Member(value=before, root=base.root), [target], correct, tangent)))
         return None if reached is None else Member(value=base.value, root=reached.root)

@@ -120,7 +120,7 @@ class Indirect(SearchSettings):
             if drawn:
                 return self._compared(search, _merge_searches(drawn, search))
             # What no single arc keeps, a structure of arcs may.
-            rough = search.coarse.solution if guess is None else None
+            rough = search.state.coarse.solution if guess is None else None
             if rough is not None and (found := self._structured(search, rough)) is not None:
                 return found
             # So may an extremal that breaks the path by little: a mesh need not show the moment for which it does.
@@ -167,7 +167,7 @@ class Indirect(SearchSettings):
     def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:
         """Return the extremal found from an unguided direct solution, if better than this one, which is no minimum."""
         search = Search(self, problem, watch or ignore_events)
-        rough = search.coarse.solve()
+        rough = search.state.coarse.solve()
         if rough is None or not rough.objective < solution.objective:
             return None
         search.watch("the extremal is not a minimum: restart from the direct method's answer")
@@ -217,7 +217,7 @@ class Indirect(SearchSettings):
         ).run(rough)  # fmt: skip
         if found is None:
             return None
-        took = time.perf_counter() - search.began
+        took = time.perf_counter() - search.state.began
         return replace(found, statistics=replace(found.statistics, wall_time=took))
 
 
@@ -234,7 +234,7 @@ def _merge_searches(found: Sequence[Solution], search: Search) -> Solution:
     alike = _ALIKE * abs(best.objective)
     others = (one for one in found if one is not best and one.objective - best.objective > alike)
     dominated = (replace(e, nature=e.nature.dominated) for one in others for e in one.extremals)
-    took = time.perf_counter() - search.began
+    took = time.perf_counter() - search.state.began
     statistics = replace(best.statistics, tried=tuple(search.tried), wall_time=took)
     return replace(best, extremals=(*best.extremals, *dominated), statistics=statistics)
 

@@ -55,7 +55,7 @@ def with_pair(search: Search, guess: Solution, duration: str) -> Solution | None
     duration
         Name of the free parameter that the length of the phase is.
     """
-    trials, index = search.trials, search.problem.free_names.index(duration)
+    trials, index = search.state.trials, search.problem.free_names.index(duration)
     y = unknowns_of_guess(search.settings, trials, guess)
     free = active_set_of_guess(trials, guess, y)
     free[[index, trials.shooting.plan.held + index]] = 0.0
@@ -79,4 +79,4 @@ def with_pair(search: Search, guess: Solution, duration: str) -> Solution | None
     found = trials.settled((root if root.converged else last).y[None], free, limits=trials.limits, accuracy=FINEST)[0]
     if not found.converged or trials.outside(found) is not None:
         return None
-    return search.compose([found_at(trials.shooting, search.problem, found)], "guess")
+    return search.state.compose([found_at(trials.shooting, search.problem, found)], "guess")
