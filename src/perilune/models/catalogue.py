@@ -202,7 +202,15 @@ def kind_names() -> list[str]:
 
 
 def unknown_kind(called: str, name: str) -> UnknownKindError:
-    """Error for a kind of this name."""
+    """Error for a kind of this name.
+
+    Parameters
+    ----------
+    called
+        Description of the value in the message, such as "problem.kind".
+    name
+        Kind that no record and no entry point provides.
+    """
     error = unknown_name(called, name, kind_names())
     advice = error.advice or f"install the package that provides it (an entry point of the group {GROUP})"
     return UnknownKindError(error.what, got=error.got, expected=error.expected, advice=advice)

@@ -57,7 +57,20 @@ def solve_with_epoch_air(problem: Problem, solve: Callable[..., Solution], *, ne
 
 
 def with_air_along_flight(problem: Problem, solution: Solution) -> Problem:
-    """Return the same problem in the air of its epoch along a flight of it."""
+    """Return the same problem in the air of its epoch along a flight of it.
+
+    Parameters
+    ----------
+    problem
+        A return through the air of its epoch (``atmosphere.model = "nrlmsis"``).
+    solution
+        A flight of it, whose entry is tabulated at 401 times.
+
+    Raises
+    ------
+    PeriluneError
+        If the air of the problem is not that of an epoch.
+    """
     stated = {type(record): record for record in problem.declared}
     air, aim = stated.get(records.Atmosphere), stated.get(records.Aim, records.Aim())
     epoch = aim.instant()

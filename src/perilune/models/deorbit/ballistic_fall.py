@@ -50,7 +50,15 @@ def typical_angle(p: Any) -> float:
 
 
 def typical_speed(p: Any, radius: float) -> float:
-    """Return a speed [m/s] relative to the body at the interface, within the stated range, coming from a radius."""
+    """Return a speed [m/s] relative to the body at the interface, within the stated range, coming from a radius.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    radius
+        Distance from the centre at which the fall from the orbit begins [m].
+    """
     gate = p.body_radius + p.interface_altitude
     inertial = math.sqrt(2 * p.body_gravitational_parameter / gate * radius / (radius + gate))
     speed = getattr(p, "interface_speed", inertial - turning_speed(p, gate))
@@ -58,7 +66,15 @@ def typical_speed(p: Any, radius: float) -> float:
 
 
 def turning_speed(p: Any, distance: float) -> float:
-    """Speed [m/s] of the body's turning along the orbit."""
+    """Speed [m/s] of the body's turning along the orbit.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    distance
+        Distance from the centre [m].
+    """
     return p.body_rotation_rate * distance * math.cos(p.orbit_inclination)
 
 
@@ -102,7 +118,19 @@ def entry_end_altitude(p: Any) -> Any:
 
 
 def fall(p: Any, air: Air, angle: float | None = None, speed: float | None = None, points: int = POINTS) -> Fall:
-    """Return the fall from the interface to the end of the entry; from a typical path angle and speed by default."""
+    """Return the fall from the interface to the end of the entry; from a typical path angle and speed by default.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    air
+        Density of the air against altitude.
+    angle, speed
+        Path angle, above the horizon [rad], and speed [m/s] at the interface, relative to the body.
+    points
+        Number of rows, evenly apart in time.
+    """
     if angle is None and speed is None:  # which a problem, its rough flight and its preflight ask for, one by one
         return _typical_falls_of(_IdentityKey(air), points).of({name: float(value) for name, value in vars(p).items()})
     return _integrate_fall(p, air, angle, speed, points)
@@ -198,7 +226,15 @@ def _integrate_fall(p: Any, air: Air, angle: float | None, speed: float | None, 
 
 
 def terminal_speed(p: Any, air: Air) -> float:
-    """Speed [m/s] of a steady vertical fall where the entry ends, without bound where there is no air."""
+    """Speed [m/s] of a steady vertical fall where the entry ends, without bound where there is no air.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    air
+        Density of the air against altitude.
+    """
     radius, mass = p.body_radius + entry_end_altitude(p), getattr(p, "separation_mass", p.vehicle_mass)
     slowed = drag_acceleration(air.density(entry_end_altitude(p), p, NUMERIC), (1.0, 0.0, 0.0), mass, p, NUMERIC)
     pull = p.body_gravitational_parameter / (radius * radius)
@@ -232,7 +268,15 @@ def slowest_arrival(p: Any, air: Air, steepest: float, speeds: tuple[float, floa
 
 
 def all_falls_too_fast(p: Any, air: Air) -> bool:
-    """Return True if no fall without lift from the interface arrives as slowly as ``site_speed_upper``."""
+    """Return True if no fall without lift from the interface arrives as slowly as ``site_speed_upper``.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    air
+        Density of the air against altitude.
+    """
     speeds = [share * p.site_speed_upper for share in _SHARES]
     return all(_turned_below_interface(p, air, speed, float(angle)) for speed in speeds for angle in _ANGLES)
 

@@ -169,20 +169,44 @@ def with_upward_bound(p: Any) -> Any:
 
 
 def with_mass(p: Any, mass: float) -> Any:
-    """Return the parameters with another mass [kg] at the interface."""
+    """Return the parameters with another mass [kg] at the interface.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    mass
+        Mass that enters the air [kg].
+    """
     name = "separation_mass" if hasattr(p, "separation_mass") else "vehicle_mass"
     return SimpleNamespace(**{**vars(p), name: mass})
 
 
 def mass_interval(p: Any, count: int = _GRIDS[0][2]) -> Vector:
-    """Masses [kg] at the interface."""
+    """Masses [kg] at the interface.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    count
+        Number of masses, where more than one is possible.
+    """
     if hasattr(p, "separation_mass"):
         return np.array([p.separation_mass])
     return np.linspace(least_burnout_mass(p), p.vehicle_mass, count)
 
 
 def angle_interval(p: Any, count: int = _GRIDS[0][0]) -> Vector | None:
-    """Angles [rad] at the interface; None where a bound is not known or not below the horizon."""
+    """Angles [rad] at the interface; None where a bound is not known or not below the horizon.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    count
+        Number of angles, where more than one is possible.
+    """
     stated = getattr(p, "interface_angle", math.nan)
     lower, upper = (getattr(p, f"interface_angle_{side}", stated) for side in ("lower", "upper"))
     leans = getattr(p, "body_flattening", 0.0)
@@ -191,7 +215,15 @@ def angle_interval(p: Any, count: int = _GRIDS[0][0]) -> Vector | None:
 
 
 def speed_interval(p: Any, count: int = _GRIDS[0][1]) -> Vector | None:
-    """Speeds [m/s] relative to the body at the interface; None where neither bounds nor the propellant give them."""
+    """Speeds [m/s] relative to the body at the interface; None where neither bounds nor the propellant give them.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    count
+        Number of speeds, where more than one is possible.
+    """
     if hasattr(p, "interface_speed"):
         return np.array([p.interface_speed])
     low, high = (getattr(p, f"interface_speed_{side}", math.nan) for side in ("lower", "upper"))
@@ -202,7 +234,17 @@ def speed_interval(p: Any, count: int = _GRIDS[0][1]) -> Vector | None:
 
 
 def peak_load(name: str, fallen: Fall, p: Any, air: Air) -> float:
-    """Return the greatest value of a limited quantity at the points of a fall, a lower bound of its true peak."""
+    """Return the greatest value of a limited quantity at the points of a fall, a lower bound of its true peak.
+
+    Parameters
+    ----------
+    name
+        "load" [m/s^2], "heat_rate" [W/m^2] or "dynamic_pressure" [Pa].
+    fallen
+        Fall whose rows are evaluated.
+    p, air
+        Parameters [SI], with the mass that falls, and the density of the air against altitude.
+    """
     height, speed = fallen.rows[:, 0], fallen.rows[:, 2]
     density, mass = air.density(height, p, NUMERIC), getattr(p, "separation_mass", p.vehicle_mass)
     velocity = (speed, 0.0 * speed, 0.0 * speed)

@@ -33,7 +33,20 @@ def require_epoch(aim: Aim) -> datetime:
 
 
 def refuse_impossible_masses(vehicle: Returner, separation: Separation | None) -> None:
-    """Refuse a vehicle that is heavier after a part of it is left behind, or the propellant is burnt."""
+    """Refuse a vehicle that is heavier after a part of it is left behind, or the propellant is burnt.
+
+    Parameters
+    ----------
+    vehicle
+        Mass at t = 0, and dry mass where stated [kg].
+    separation
+        Mass that enters the air [kg]; None where nothing is left behind.
+
+    Raises
+    ------
+    PeriluneError
+        If the entering mass is not below that of the vehicle, or above the dry mass.
+    """
     if separation is not None and separation.mass >= vehicle.mass:
         raise PeriluneError(
             "separation.mass is not below the mass of the vehicle", got=f"{separation.mass:g} kg of {vehicle.mass:g}"
@@ -49,7 +62,22 @@ def refuse_impossible_masses(vehicle: Returner, separation: Separation | None) -
 
 
 def refuse_undetermined_lift(aim: Aim, vehicle: Returner, air: Air | None, site: Landing | None) -> None:
-    """Refuse a bank that changes neither what is minimised nor a place where the flight ends."""
+    """Refuse a bank that changes neither what is minimised nor a place where the flight ends.
+
+    Parameters
+    ----------
+    aim
+        What is minimised.
+    vehicle, air
+        The vehicle, which may have lift, and the air, None where there is none.
+    site
+        End of the flight, which need not state a longitude.
+
+    Raises
+    ------
+    PeriluneError
+        If the lift changes neither the objective nor the end.
+    """
     above = aim.minimise in ("propellant", "transition_time")
     if above and vehicle.lift_to_drag is not None and air is not None and (site is None or site.longitude is None):
         raise PeriluneError(
@@ -69,7 +97,22 @@ def refuse_without_effect(
     limits: Limits | None,
     parachute: Parachute | None,
 ) -> None:
-    """Refuse values that only matter in air where there is none, and heat without a nose."""
+    """Refuse values that only matter in air where there is none, and heat without a nose.
+
+    Parameters
+    ----------
+    vehicle
+        Its nose radius is what heat needs.
+    air
+        None where the flight ends at the interface.
+    heating, separation, limits, parachute
+        Sections of the scenario that only matter in air; None where not stated.
+
+    Raises
+    ------
+    PeriluneError
+        If one of them is stated without air, or heat without a nose radius.
+    """
     named = {"heating": heating, "separation": separation, "limits": limits, "parachute": parachute}
     for name in (name for name, made in named.items() if made is not None and air is None):
         raise PeriluneError(
@@ -85,7 +128,18 @@ def refuse_without_effect(
 
 
 def refuse_out_of_order(interface: Interface, site: Landing | None, parachute: Parachute | None) -> None:
-    """Refuse a site above the air, and a parachute that opens above the one or below the other."""
+    """Refuse a site above the air, and a parachute that opens above the one or below the other.
+
+    Parameters
+    ----------
+    interface, site, parachute
+        Altitudes of the interface, of the opening parachute and of the site [m], from above.
+
+    Raises
+    ------
+    PeriluneError
+        If one of them does not lie below the one before.
+    """
     named = {"interface": interface, "parachute": parachute, "site": site}
     found = [(name, made.altitude) for name, made in named.items() if made is not None]
     for (upper, high), (lower, low) in pairwise(found):
@@ -98,7 +152,20 @@ def refuse_out_of_order(interface: Interface, site: Landing | None, parachute: P
 
 
 def refuse_below_centre(altitude: float, radius: float) -> None:
-    """Refuse a flight that would end below the centre of the body, altitude and radius in m."""
+    """Refuse a flight that would end below the centre of the body, altitude and radius in m.
+
+    Parameters
+    ----------
+    altitude
+        Where the flight would end, above the radius of the body [m].
+    radius
+        Radius of the body [m].
+
+    Raises
+    ------
+    PeriluneError
+        If the end is not above the centre.
+    """
     if not altitude > -radius:
         raise PeriluneError(
             "an altitude lies below the centre of the body", got=f"{altitude / 1e3:g} km",
@@ -107,7 +174,20 @@ def refuse_below_centre(altitude: float, radius: float) -> None:
 
 
 def refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | None) -> None:
-    """Refuse a table of air that ends somewhere on the way: beyond its ends it extrapolates, but holds no data."""
+    """Refuse a table of air that ends somewhere on the way: beyond its ends it extrapolates, but holds no data.
+
+    Parameters
+    ----------
+    air
+        Air with the altitudes of its first and last datum [m].
+    interface, site
+        Altitudes between which the flight passes through the air [m].
+
+    Raises
+    ------
+    PeriluneError
+        If the data do not reach one of them.
+    """
     if air is None or site is None:
         return
     reached = {"interface.altitude": interface.altitude, "site.altitude": site.altitude}
@@ -125,7 +205,20 @@ def refuse_beyond_data(air: Air | None, interface: Interface, site: Landing | No
 def refuse_incomplete(
     aim: Aim, vehicle: Returner, orbit_: ReturnOrbit, manoeuvre: Manoeuvre | None, air: Air | None, site: Landing | None
 ) -> None:
-    """Refuse what is left out, or stated and of no effect."""
+    """Refuse what is left out, or stated and of no effect.
+
+    Parameters
+    ----------
+    aim, vehicle, orbit_
+        Sections that every return has.
+    manoeuvre, air, site
+        Sections that it may have; None where not stated.
+
+    Raises
+    ------
+    PeriluneError
+        If the place on the orbit, the drag, the atmosphere of a site or the nose of a heat load is missing.
+    """
     if manoeuvre is None and (orbit_.node_longitude is None or orbit_.argument_of_latitude is None):
         raise PeriluneError(
             "the position of the vehicle on its orbit is not stated",

@@ -25,7 +25,29 @@ _LEVEL = 1e-12  # rad, of an orbit above the equator
 def return_time_ranges(
     p: Any, xp: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...]
 ) -> dict[str, tuple[float, float, Callable[[], float]]]:
-    """Return bounds and orders of magnitude of the times [s]; refuse a manoeuvre where the orbit never comes."""
+    """Return bounds and orders of magnitude of the times [s]; refuse a manoeuvre where the orbit never comes.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    angles
+        ``angles(p, xp)`` returns the argument of latitude and the longitude of the node at t = 0 [rad].
+    air
+        Density of the air against altitude; None where the flight ends at the interface.
+    names
+        Phases in order of flight.
+
+    Returns
+    -------
+    dict[str, tuple[float, float, Callable[[], float]]]
+        By the name of the duration: least and greatest [s], and a function that returns the typical value [s].
+
+    Raises
+    ------
+    PeriluneError
+        If the orbit never comes to the latitude of the manoeuvre.
+    """
     checks.refuse_below_centre(p.interface_altitude if air is None else entry_end_altitude(p), p.body_radius)
     highest = math.asin(math.sin(p.orbit_inclination))
     low, _ = apsis_radii(p)

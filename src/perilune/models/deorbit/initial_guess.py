@@ -57,6 +57,15 @@ def impulsive_deorbit(radius: float, interface: float, angle: float, mu: float) 
     """Single impulse against the velocity on a circular orbit, to a radius under an (inertial) path angle [rad].
 
     Milstead's closed form; the rest is Kepler's ellipse from its apogee.
+
+    Parameters
+    ----------
+    radius, interface
+        Radii of the orbit and of the interface [m], the latter the smaller.
+    angle
+        Inertial path angle at the interface [rad].
+    mu
+        Gravitational parameter of the body [m^3/s^2].
     """
     ratio = radius / interface
     left = math.sqrt(2 * (ratio - 1) / ((ratio / math.cos(angle)) ** 2 - 1))
@@ -73,6 +82,15 @@ def impulsive_deorbit(radius: float, interface: float, angle: float, mu: float) 
 
 def integrate_planar_descent(p: Any, angle: float, coast: float, burn: float, drift: float) -> tuple[Matrix, Any]:
     """Flight in the plane of the orbit to the interface, thrust against the velocity.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    angle
+        Argument of latitude at t = 0 [rad].
+    coast, burn, drift
+        Durations of the fall before the burn, of the burn and of the fall after it [s].
 
     Returns
     -------
@@ -123,12 +141,32 @@ class DescentEstimate:
 
 
 def mean_rate(p: Any, angle: float) -> float:
-    """Rate [rad/s] of a circular orbit through the place at an argument of latitude."""
+    """Rate [rad/s] of a circular orbit through the place at an argument of latitude.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    angle
+        Argument of latitude [rad].
+    """
     return math.sqrt(p.body_gravitational_parameter / float(radius_and_speeds(angle, p, NUMERIC)[0]) ** 3)
 
 
 def estimate_descent(p: Any, angle: float, *, drifts: bool, coast: float = 0.0) -> DescentEstimate:
-    """A typical way down that begins with a coast, which is not counted, at an argument of latitude [rad]."""
+    """A typical way down that begins with a coast, which is not counted, at an argument of latitude [rad].
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    angle
+        Argument of latitude at which the coast begins [rad].
+    drifts
+        Let a fall without thrust follow the burn; the burn lasts to the interface otherwise.
+    coast
+        Duration of the coast [s].
+    """
     radius, gate = float(radius_and_speeds(angle, p, NUMERIC)[0]), p.body_radius + p.interface_altitude
     down = impulsive_deorbit(max(radius, 1.0001 * gate), gate, typical_angle(p), p.body_gravitational_parameter)
     mean, change = mean_rate(p, angle), down.velocity_change
@@ -175,7 +213,19 @@ def _find_burn_length(p: Any, angle: float, coast: float, burn: float, whole: fl
 
 
 def typical_times(p: Any, angles: Physics, air: Air | None, *, coasts: bool, drifts: bool) -> dict[str, float]:
-    """Rough lengths [s] of the phases, by the names of their durations."""
+    """Rough lengths [s] of the phases, by the names of their durations.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    angles
+        ``angles(p, xp)`` returns the argument of latitude and the longitude of the node at t = 0 [rad].
+    air
+        Density of the air against altitude; None where the flight ends at the interface.
+    coasts, drifts
+        Let a fall without thrust come before the burn, and after it.
+    """
     angle, node = (float(v) for v in angles(p, NUMERIC))
     times = {"coast_time": 0.3 * p.orbit_longest_coast} if coasts else {}
     down = estimate_descent(p, angle, drifts=drifts, coast=times.get("coast_time", 0.0))
@@ -236,7 +286,21 @@ def _delay_to_site(
 
 
 def rough_trajectory(p: Any, *, angles: Physics, air: Air | None, names: tuple[str, ...], heat: bool) -> list[Matrix]:
-    """States (points, states) [SI] of each phase, given the durations in `p`."""
+    """States (points, states) [SI] of each phase, given the durations in `p`.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI], durations included.
+    angles
+        ``angles(p, xp)`` returns the argument of latitude and the longitude of the node at t = 0 [rad].
+    air
+        Density of the air against altitude; None where the flight ends at the interface.
+    names
+        Phases in order of flight.
+    heat
+        Add the heat load [J/m^2] to the states in the air.
+    """
     angle, node = (float(v) for v in angles(p, NUMERIC))
     gate, rate = p.body_radius + p.interface_altitude, greatest_thrust(p) / engine_exhaust_speed(p)
     lengths = {name: float(getattr(p, f"{name}_time")) for name in names}

@@ -36,7 +36,13 @@ _STEEP = 20.0  # -ln c of a path that is as good as vertical
 
 
 def oblateness_height_shift(p: Any, xp: Any) -> Any:
-    """Return how far [m] oblateness and the ellipsoid move the height of a flight within a turn."""
+    """Return how far [m] oblateness and the ellipsoid move the height of a flight within a turn.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     return xp.fmax(_OBLATE * xp.fabs(p.body_j2) * p.body_radius, _LEAST_SLACK)
 
 
@@ -46,7 +52,13 @@ def gate_radius(p: Any) -> Any:
 
 
 def interface_speeds(p: Any, xp: Any) -> tuple[Any, Any]:
-    """Return the least and the greatest speed [m/s] relative to the body at the interface."""
+    """Return the least and the greatest speed [m/s] relative to the body at the interface.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     gate, change = gate_radius(p), total_velocity_change(p, xp)
     speed, turning = _orbital_speed_at(p, xp, gate), p.body_rotation_rate * gate
     # The body turns below the plane of the orbit, which the velocity change tilts.
@@ -58,7 +70,13 @@ def interface_speeds(p: Any, xp: Any) -> tuple[Any, Any]:
 
 
 def steepest_angle(p: Any, xp: Any) -> Any:
-    """Return the steepest path angle [rad] relative to the body at the interface, positive below the horizon."""
+    """Return the steepest path angle [rad] relative to the body at the interface, positive below the horizon.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     low, high = apsis_radii(p)
     mu, gate, change = (
         p.body_gravitational_parameter,
@@ -92,6 +110,13 @@ def largest_altitude_change(p: Any, xp: Any, change: Any) -> Any:
     """Return the most [m] that a burn of a velocity change [m/s] raises or lowers the vehicle by its end.
 
     A burn lasts longest at its least thrust, without bound where that is zero.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    change
+        Velocity change of the burn [m/s].
     """
     low, _ = apsis_radii(p)
     least = p.vehicle_thrust * xp.fmax(getattr(p, "throttle_lower", 1.0), _NOTHING)

@@ -28,7 +28,18 @@ def angles_of_place(going: str) -> Physics:
 
 
 def angles_of_node(p: Any, xp: Any) -> tuple[Any, Any]:
-    """Angles of an orbit that says where it is at t = 0."""
+    """Angles of an orbit that says where it is at t = 0.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    tuple[Any, Any]
+        Argument of latitude and longitude of the node [rad].
+    """
     return p.orbit_argument_of_latitude, p.orbit_node_longitude
 
 
@@ -55,7 +66,20 @@ def _angles_at_latitude(p: Any, xp: Any, northwards: float) -> tuple[Any, Any]:
 
 
 def plane_axes(angle: Any, node: Any, p: Any, xp: Any) -> tuple[Triple, Triple]:
-    """Unit vectors up and ahead at an argument of latitude, for a node given relative to the body."""
+    """Unit vectors up and ahead at an argument of latitude, for a node given relative to the body.
+
+    Parameters
+    ----------
+    angle, node
+        Argument of latitude, and longitude of the ascending node [rad].
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    tuple[Triple, Triple]
+        Each (3,), in axes that turn with the body.
+    """
     sin_i, cos_i = xp.sin(p.orbit_inclination), xp.cos(p.orbit_inclination)
     to_node, beyond = (xp.cos(node), xp.sin(node), 0.0), (-cos_i * xp.sin(node), cos_i * xp.cos(node), sin_i)
     return (
@@ -65,7 +89,15 @@ def plane_axes(angle: Any, node: Any, p: Any, xp: Any) -> tuple[Triple, Triple]:
 
 
 def radius_and_speeds(angle: Any, p: Any, xp: Any) -> tuple[Any, Any, Any]:
-    """Distance [m], and inertial speeds upwards and ahead [m/s], at an argument of latitude."""
+    """Distance [m], and inertial speeds upwards and ahead [m/s], at an argument of latitude.
+
+    Parameters
+    ----------
+    angle
+        Argument of latitude [rad].
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     if hasattr(p, "orbit_radius"):
         return p.orbit_radius, 0.0 * p.orbit_radius, xp.sqrt(p.body_gravitational_parameter / p.orbit_radius)
     low, high = p.body_radius + p.orbit_perigee_altitude, p.body_radius + p.orbit_apogee_altitude
@@ -77,7 +109,20 @@ def radius_and_speeds(angle: Any, p: Any, xp: Any) -> tuple[Any, Any, Any]:
 
 
 def orbit_state(angle: Any, node: Any, p: Any, xp: Any) -> tuple[Triple, Triple]:
-    """Position [m], and velocity [m/s] relative to the turning body."""
+    """Position [m], and velocity [m/s] relative to the turning body.
+
+    Parameters
+    ----------
+    angle, node
+        Argument of latitude, and longitude of the ascending node [rad].
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    tuple[Triple, Triple]
+        Each (3,), in axes that turn with the body.
+    """
     up, ahead = plane_axes(angle, node, p, xp)
     distance, rise, level = radius_and_speeds(angle, p, xp)
     position = combine((distance, up))

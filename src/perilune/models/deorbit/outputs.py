@@ -83,7 +83,17 @@ def return_result_variables(names: Sequence[str]) -> tuple[Variable, ...]:
 
 
 def return_results(first: Any, last: Any, p: Any, xp: Any, *, names: Sequence[str]) -> Sequence[Any]:
-    """Values of `return_result_variables`."""
+    """Values of `return_result_variables`.
+
+    Parameters
+    ----------
+    first, last
+        States at t = 0 and at the end [SI].
+    p, xp
+        Parameters [SI] and maths namespace.
+    names
+        Phases in order of flight.
+    """
     lengths = {name: getattr(p, f"{name}_time") for name in names}
     to_interface = sum(lengths.get(name, 0.0) for name in ("burn", "drift"))
     in_air = sum(lengths.get(name, 0.0) for name in ("entry", "parachute"))
@@ -102,22 +112,66 @@ def _subpoint(x: Any, p: Any, xp: Any) -> tuple[Any, Any]:
 
 
 def position_outputs(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Values of `PLACED`."""
+    """Values of `PLACED`.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     return ellipsoid.altitude(position_vector(x), p, xp), *_subpoint(x, p, xp), relative_speed(x, xp), path_angle(x, xp)
 
 
 def opening_outputs(x: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Value of `AT_OPENING`."""
+    """Value of `AT_OPENING`.
+
+    Parameters
+    ----------
+    x
+        State where the parachute opens [SI].
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     return (relative_speed(x, xp),)
 
 
 def burn_outputs(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Values of `PLACED`, and the acceleration by thrust."""
+    """Values of `PLACED`, and the acceleration by thrust.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        In SI, the acceleration in m/s^2.
+    """
     return *position_outputs(x, u, p, xp), engine_thrust(u, p) / x.m
 
 
 def entry_outputs(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
-    """Values of `PLACED` and `FELT`, and of the heat rate of a vehicle with a nose radius."""
+    """Values of `PLACED` and `FELT`, and of the heat rate of a vehicle with a nose radius.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+    air
+        Density of the air against altitude.
+
+    Returns
+    -------
+    Sequence[Any]
+        In SI, the load in units of g0.
+    """
     density, v = air.density(ellipsoid.altitude(position_vector(x), p, xp), p, xp), velocity_vector(x)
     load = aerodynamics.aerodynamic_load(density, v, x.m, p, xp) / p.standard_gravity
     heat = (aerodynamics.heat_rate(density, v, p, xp),) if hasattr(p, "vehicle_nose_radius") else ()
@@ -125,13 +179,36 @@ def entry_outputs(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]
 
 
 def heat_load_rate(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
-    """Rate of the heat load."""
+    """Rate of the heat load.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+    air
+        Density of the air against altitude.
+
+    Returns
+    -------
+    Sequence[Any]
+        One value [W/m^2].
+    """
     density = air.density(ellipsoid.altitude(position_vector(x), p, xp), p, xp)
     return (aerodynamics.heat_rate(density, velocity_vector(x), p, xp),)
 
 
 def interface_outputs(x: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Values of `AT_INTERFACE`."""
+    """Values of `AT_INTERFACE`.
+
+    Parameters
+    ----------
+    x
+        State at the interface [SI].
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     r, v = position_vector(x), _inertial_velocity(x, p)
     fast = xp.sqrt(scalar_product(v, v))
     steep = xp.asin(scalar_product(r, v) / (xp.sqrt(scalar_product(r, r)) * fast))
@@ -143,7 +220,20 @@ def _inertial_velocity(x: Any, p: Any) -> Triple:
 
 
 def burn_loss_rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Rates of the velocity losses of a burn, from the inertial velocity."""
+    """Rates of the velocity losses of a burn, from the inertial velocity.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        In m/s^2, in the order of `perilune.models.physics.delta_v_budget.SPENT`.
+    """
     pull = zonal_gravity(position_vector(x), AXIS, p, xp)
     return velocity_loss_rates(
         _inertial_velocity(x, p), engine_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z), pull, xp
@@ -151,13 +241,43 @@ def burn_loss_rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
 
 
 def inertial_burn(x: Any, u: Any, t: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """`perilune.problem.phase.Phase.inertial` of a burn."""
+    """`perilune.problem.phase.Phase.inertial` of a burn.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    t
+        Time from the begin of the flight [s].
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        Position [m], velocity [m/s] and acceleration by thrust [m/s^2] in inertial axes, (9,).
+    """
     push = combine((engine_thrust(u, p) / x.m, (u.toward_x, u.toward_y, u.toward_z)))
     return inertial_triples(position_vector(x), velocity_vector(x), push, t, p, xp)
 
 
 def inertial_without_thrust(x: Any, u: Any, t: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """`perilune.problem.phase.Phase.inertial` of a coast or an entry."""
+    """`perilune.problem.phase.Phase.inertial` of a coast or an entry.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    t
+        Time from the begin of the flight [s].
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        Position [m], velocity [m/s] and an acceleration of 0 [m/s^2] in inertial axes, (9,).
+    """
     none = 0.0 * p.vehicle_thrust / x.m
     return inertial_triples(position_vector(x), velocity_vector(x), (none, none, none), t, p, xp)
 
@@ -184,7 +304,15 @@ def return_dispersion(given: Iterable[str]) -> Dispersion:
 
 
 def validity_ranges(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
-    """Return the ranges in which the model of the air and of its heat hold."""
+    """Return the ranges in which the model of the air and of its heat hold.
+
+    Parameters
+    ----------
+    air
+        Air with the altitudes of its first and last datum [m]; None where there is none.
+    heat
+        Add the ranges of the heat rate [W/m^2] and of the speed [m/s].
+    """
     if air is None:
         return ()
     told_air = f"{air.name}, whose data range from {air.bottom / 1e3:g} to {air.top / 1e3:g} km"
@@ -201,7 +329,21 @@ def validity_ranges(air: Air | None, *, heat: bool) -> tuple[ValidRange, ...]:
 def return_views(
     *, air: Air | None, heat: bool, coasts: bool, given: Iterable[str], body: str = "", epoch: str = ""
 ) -> Views:
-    """Return the figures of a return, for its air, heat and body (whose coasts are drawn where they are known)."""
+    """Return the figures of a return, for its air, heat and body (whose coasts are drawn where they are known).
+
+    Parameters
+    ----------
+    air
+        Density of the air against altitude; None where the flight ends at the interface.
+    heat
+        Draw the heat rate.
+    coasts
+        Draw the coastlines of the body.
+    given
+        Names of the parameters that the problem states, of which some are dispersed.
+    body, epoch
+        Name of the body, and UTC of t = 0 in ISO 8601; "" where not known.
+    """
     flown = air is not None
     peaks = (("dynamic_pressure", "load") if flown else ()) + (("heat_rate",) if flown and heat else ())
     return Views(

@@ -30,45 +30,147 @@ from perilune.problem.variables import Variable
 
 
 def sinking_velocity(x: Any, p: Any, xp: Any, *, air: Air) -> Triple:
-    """Steady velocity [m/s] relative to the turning body."""
+    """Steady velocity [m/s] relative to the turning body.
+
+    Parameters
+    ----------
+    x
+        State [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+    air
+        Density of the air against altitude.
+
+    Returns
+    -------
+    Triple
+        Along the apparent gravity, (3,).
+    """
     pull = apparent_gravity(flight.position_vector(x), AXIS, p, xp)
     density = air.density(ellipsoid.altitude(flight.position_vector(x), p, xp), p, xp)
     return combine((xp.sqrt(2 * x.m / (density * p.parachute_drag_area * xp.sqrt(scalar_product(pull, pull)))), pull))
 
 
 def with_steady_velocity(x: Any, p: Any, xp: Any, *, air: Air) -> Any:
-    """The state with its velocity."""
+    """The state with its velocity.
+
+    Parameters
+    ----------
+    x
+        State without a velocity [SI].
+    p, xp
+        Parameters [SI] and maths namespace.
+    air
+        Density of the air against altitude.
+
+    Returns
+    -------
+    Any
+        Record with vx, vy, vz [m/s] as well.
+    """
     vx, vy, vz = sinking_velocity(x, p, xp, air=air)
     return SimpleNamespace(**x._asdict(), vx=vx, vy=vy, vz=vz)
 
 
 def sinking_rates(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
-    """Rates: x, y, z, m, and the heat load and the whole mass where they are states."""
+    """Rates: x, y, z, m, and the heat load and the whole mass where they are states.
+
+    Parameters
+    ----------
+    x, u
+        State without a velocity [SI], and the control, of which there is none.
+    p, xp
+        Parameters [SI] and maths namespace.
+    air
+        Density of the air against altitude.
+
+    Returns
+    -------
+    Sequence[Any]
+        In m/s for the position, and 0 for all else.
+    """
     return *sinking_velocity(x, p, xp, air=air), *(0.0 for _ in x._fields[3:])
 
 
 def parachute_link(x: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Link from the entry: all but the velocity."""
+    """Link from the entry: all but the velocity.
+
+    Parameters
+    ----------
+    x
+        State at the end of the entry [SI].
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     return tuple(value for name, value in zip(x._fields, x, strict=True) if name not in ("vx", "vy", "vz"))
 
 
 def parachute_outputs(x: Any, u: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
-    """Values of `outputs.PLACED` without the path angle, which is nearly straight down."""
+    """Values of `outputs.PLACED` without the path angle, which is nearly straight down.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+    air
+        Density of the air against altitude.
+    """
     return told.position_outputs(with_steady_velocity(x, p, xp, air=air), u, p, xp)[:-1]
 
 
 def inertial_descent(x: Any, u: Any, t: Any, p: Any, xp: Any, *, air: Air) -> Sequence[Any]:
-    """`perilune.problem.phase.Phase.inertial`."""
+    """`perilune.problem.phase.Phase.inertial`.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    t
+        Time from the begin of the flight [s].
+    p, xp
+        Parameters [SI] and maths namespace.
+    air
+        Density of the air against altitude.
+
+    Returns
+    -------
+    Sequence[Any]
+        Position [m], velocity [m/s] and an acceleration of 0 [m/s^2] in inertial axes, (9,).
+    """
     return told.inertial_without_thrust(with_steady_velocity(x, p, xp, air=air), u, t, p, xp)
 
 
 def parachute_results(first: Any, last: Any, p: Any, xp: Any, *, names: Sequence[str], air: Air) -> Sequence[Any]:
-    """`outputs.return_results` of a flight that ends below a parachute."""
+    """`outputs.return_results` of a flight that ends below a parachute.
+
+    Parameters
+    ----------
+    first, last
+        States at t = 0 and at the end [SI], the last without a velocity.
+    p, xp
+        Parameters [SI] and maths namespace.
+    names
+        Phases in order of flight.
+    air
+        Density of the air against altitude.
+    """
     return told.return_results(first, with_steady_velocity(last, p, xp, air=air), p, xp, names=names)
 
 
 def parachute_phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> Phase:
-    """Return the phase from the opening to the altitude of the site, with the states kept in addition to the motion."""
+    """Return the phase from the opening to the altitude of the site, with the states kept in addition to the motion.
+
+    Parameters
+    ----------
+    air
+        Density of the air against altitude.
+    kept
+        States in addition to the motion: heat load, mass of the whole vehicle.
+    placed_
+        Let it end at a place rather than at an altitude.
+    """
     names = flight.SITE if placed_ else flight.SITE[:1]
     return Phase(
         name="parachute",
@@ -84,7 +186,15 @@ def parachute_phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> P
 
 
 def typical_parachute_time(p: Any, air: Air) -> float:
-    """Return a typical time [s] from the opening to the altitude of the site."""
+    """Return a typical time [s] from the opening to the altitude of the site.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    air
+        Density of the air against altitude.
+    """
     from scipy.integrate import quad
 
     mass = getattr(p, "separation_mass", p.vehicle_mass)

@@ -26,12 +26,35 @@ _CONDITIONS = {"altitude": "m", "speed": "m/s", "angle": "rad"}
 
 
 def continuity_link(x: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Return the state at the end of a phase, with which the next begins."""
+    """Return the state at the end of a phase, with which the next begins.
+
+    Parameters
+    ----------
+    x
+        State [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     return tuple(x)
 
 
 def entry_link(x: Any, p: Any, xp: Any, *, heat: bool, weighed: bool) -> Sequence[Any]:
-    """Return the link into the air: the entering mass, and if counted a heat load of 0 and the whole vehicle's mass."""
+    """Return the link into the air: the entering mass, and if counted a heat load of 0 and the whole vehicle's mass.
+
+    Parameters
+    ----------
+    x
+        State at the interface [SI].
+    p, xp
+        Parameters [SI] and maths namespace.
+    heat, weighed
+        Count the heat load [J/m^2], and keep the mass of the whole vehicle [kg].
+
+    Returns
+    -------
+    Sequence[Any]
+        State with which the entry begins [SI].
+    """
     entering = *tuple(x)[:-1], getattr(p, "separation_mass", x.m)
     return *entering, *((0.0,) if heat else ()), *((x.m,) if weighed else ())
 
@@ -54,7 +77,21 @@ def _interface_conditions(interface: Interface, *, left: str | None) -> tuple[Va
 
 
 def vacuum_phase(name: str, *, last: bool, interface: Interface, left: str | None, throttled: bool) -> Phase:
-    """Return a phase between the orbit and the interface, with or without thrust; `left` names its least final mass."""
+    """Return a phase between the orbit and the interface, with or without thrust; `left` names its least final mass.
+
+    Parameters
+    ----------
+    name
+        "coast", "burn" or "drift".
+    last
+        Let it end at the interface.
+    interface
+        What is stated there: altitude, speed, path angle.
+    left
+        Parameter that is the least mass at the end of a throttled burn [kg]; None for no such bound.
+    throttled
+        Let the throttle of the burn be a control.
+    """
     burns = name == "burn"
     outputs = told.PLACED + ((told.PUSHED,) if burns else ())
     return Phase(
@@ -80,7 +117,25 @@ def vacuum_phase(name: str, *, last: bool, interface: Interface, left: str | Non
 def entry_phase(
     air: Air, *, bank: str | None, nose: bool, kept: tuple[Variable, ...], placed: bool, limits: Limits, opens: bool
 ) -> Phase:
-    """Return the phase in the air; it ends at the site, or where the parachute opens."""
+    """Return the phase in the air; it ends at the site, or where the parachute opens.
+
+    Parameters
+    ----------
+    air
+        Density of the air against altitude.
+    bank
+        Key of `dynamics.BANKS`, the directions of the lift; None for a vehicle without lift.
+    nose
+        Return heat rate and heat load as well.
+    kept
+        States in addition to the motion: heat load, mass of the whole vehicle.
+    placed
+        Let it end at a place rather than at an altitude.
+    limits
+        Greatest load, heat rate and dynamic pressure, None where not stated.
+    opens
+        Let it end where the parachute opens.
+    """
     names = flight.SITE if placed else flight.SITE[:1]
     ends = ("height_above_opening",) if opens else names
     limited = [name for name in flight.LIMITED if getattr(limits, name) is not None]

@@ -88,7 +88,7 @@ def compare_return(
 
     Parameters
     ----------
-    p, m
+    p, xp
         Parameters [SI] and the maths namespace.
     angles
         Argument of latitude and node at t = 0 [rad].

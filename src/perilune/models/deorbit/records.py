@@ -349,7 +349,13 @@ def engine_exhaust_speed(p: Any) -> Any:
 
 
 def total_velocity_change(p: Any, xp: Any = NUMERIC) -> Any:
-    """Velocity change [m/s] of all that may be burnt; infinite where nothing is said to be left."""
+    """Velocity change [m/s] of all that may be burnt; infinite where nothing is said to be left.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     if not is_something_left(p):
         return math.inf
     return engine_exhaust_speed(p) * xp.log(p.vehicle_mass / least_mass_left(p, xp))
@@ -361,7 +367,13 @@ def is_something_left(p: Any) -> bool:
 
 
 def least_mass_left(p: Any, xp: Any = NUMERIC) -> Any:
-    """Return the mass [kg] that the burn must leave: the larger of dry mass and entering mass; 0 without both."""
+    """Return the mass [kg] that the burn must leave: the larger of dry mass and entering mass; 0 without both.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     return xp.fmax(getattr(p, "vehicle_dry_mass", 0.0), getattr(p, "separation_mass", 0.0))
 
 

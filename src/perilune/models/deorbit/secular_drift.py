@@ -64,7 +64,20 @@ class Drift:
 
 
 def drift(position: Sequence[float], velocity: Sequence[float], p: Any) -> Drift:
-    """Return the orbit of a state [m], [m/s] relative to the turning body."""
+    """Return the orbit of a state [m], [m/s] relative to the turning body.
+
+    Parameters
+    ----------
+    position, velocity
+        In axes that turn with the body, (3,) each.
+    p
+        Parameters [SI].
+
+    Returns
+    -------
+    Drift
+        Mean elements at t = 0 [rad] and their secular rates [rad/s].
+    """
     mu, r = p.body_gravitational_parameter, math.sqrt(scalar_product(position, position))
     v = combine((1, velocity), (p.body_rotation_rate, cross_product(AXIS, position)))
     momentum = cross_product(position, v)

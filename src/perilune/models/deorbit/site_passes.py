@@ -86,7 +86,15 @@ class Pass:
 
 
 def site_relative_to_plane(p: Any, node: Any) -> tuple[Any, Any]:
-    """Locate the site relative to a plane of this node [rad]: argument of latitude of its foot, angle left [rad]."""
+    """Locate the site relative to a plane of this node [rad]: argument of latitude of its foot, angle left [rad].
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    node
+        Longitude of the ascending node [rad], a number or an array of any shape.
+    """
     to_node, beyond = plane_axes(0.0, node, p, NUMERIC)
     site = ellipsoid.geodetic_position(p.site_longitude, p.site_latitude, p.site_altitude, p, NUMERIC)
     distance = math.sqrt(scalar_product(site, site))
@@ -157,7 +165,17 @@ def least_burnout_mass(p: Any) -> Any:
 
 
 def largest_plane_turn(p: Any, change: Any, xp: Any = NUMERIC) -> Any:
-    """Angle [rad] by which a velocity change [m/s] turns the plane of the orbit at most, its apogee raised before."""
+    """Angle [rad] by which a velocity change [m/s] turns the plane of the orbit at most, its apogee raised before.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    change
+        Velocity change [m/s], a number or an array of any shape.
+    xp
+        Maths namespace.
+    """
     share = change / _apogee_speed(p, xp)
     return xp.where(3 * share < 1, xp.asin(xp.fmin(3 * share, 1.0)) / 3, math.pi)
 
@@ -175,6 +193,17 @@ def nearest_approach_to_plane(
 
     Both [rad], at the time of nearest approach among those at which the site can be reached; if there are none, at the
     time at which the least turn is missing; less than half a turn from a landing [s] where that is given.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    orbit
+        Drift of the orbit from t = 0.
+    entry
+        Typical duration of the entry [s], and the angle that it sweeps [rad].
+    landing
+        Time from t = 0 [s]; None for any.
     """
     rate = greatest_thrust(p) / engine_exhaust_speed(p)
     burn = (p.vehicle_mass - least_burnout_mass(p)) / rate

@@ -87,7 +87,15 @@ def _rebound_heights(p: Any, air: Air) -> Matrix | None:
 
 
 def rebound_height(fallen: Fall, interface: float) -> float:
-    """Return how far [m] a fall rises above the interface after its lowest point; -inf where it never climbs."""
+    """Return how far [m] a fall rises above the interface after its lowest point; -inf where it never climbs.
+
+    Parameters
+    ----------
+    fallen
+        Fall whose rows begin with the height [m].
+    interface
+        Altitude of the interface [m].
+    """
     heights = fallen.rows[:, 0]
     climbs = np.nonzero(np.diff(heights) > 0)[0]
     return float(np.max(heights[climbs[0] + 1 :])) - interface if len(climbs) else -math.inf

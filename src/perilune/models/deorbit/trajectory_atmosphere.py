@@ -28,7 +28,17 @@ _LOOKS = np.linspace(0.0, 150.0, 301)  # km
 
 
 def profile_of_states(rows: Matrix, time: Vector, p: Any) -> TrajectoryProfile:
-    """The way of states (points, states) at times [s] after t = 0."""
+    """The way of states (points, states) at times [s] after t = 0.
+
+    Parameters
+    ----------
+    rows
+        States [SI] in axes that turn with the body, (points, states), position first.
+    time
+        Their times [s], (points,).
+    p
+        Parameters [SI].
+    """
     position = tuple(rows[:, :3].T)
     return TrajectoryProfile.down(
         ellipsoid.altitude(position, p, NUMERIC), np.arctan2(position[1], position[0]),
@@ -39,7 +49,21 @@ def profile_of_states(rows: Matrix, time: Vector, p: Any) -> TrajectoryProfile:
 def rough_air(
     stated: Atmosphere, epoch: datetime, given: Mapping[str, Given], angles: Physics, names: Sequence[str]
 ) -> Air:
-    """Air of a day along the rough flight of a return."""
+    """Air of a day along the rough flight of a return.
+
+    Parameters
+    ----------
+    stated
+        Solar and geomagnetic indices of the day.
+    epoch
+        UTC of t = 0.
+    given
+        Parameters of the return, by name [SI].
+    angles
+        ``angles(p, xp)`` returns the argument of latitude and the longitude of the node at t = 0 [rad].
+    names
+        Phases in order of flight.
+    """
     p = SimpleNamespace(**{name: value.value for name, value in given.items()})
     air = standard()
     for name, value in air.given.items():
@@ -58,12 +82,28 @@ def rough_air(
 
 
 def air_along(stated: Atmosphere, epoch: datetime, way: TrajectoryProfile) -> Air:
-    """Air of a day along a way."""
+    """Air of a day along a way.
+
+    Parameters
+    ----------
+    stated
+        Solar and geomagnetic indices of the day.
+    epoch
+        UTC of t = 0.
+    way
+        Longitude, latitude [rad] and time [s] at each altitude.
+    """
     assert stated.f107 is not None and stated.f107a is not None and stated.ap is not None
     return thermosphere(epoch, way, f107=stated.f107, f107a=stated.f107a, ap=stated.ap)
 
 
 def largest_density_change(before: Air, after: Air) -> float:
-    """The largest change of the density between two airs of tables, as a share of it."""
+    """The largest change of the density between two airs of tables, as a share of it.
+
+    Parameters
+    ----------
+    before, after
+        Air of tables over the same reference altitude.
+    """
     assert before.table is not None and after.table is not None
     return float(np.abs(np.expm1(after.table(_LOOKS) - before.table(_LOOKS))).max())

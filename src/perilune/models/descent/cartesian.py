@@ -73,6 +73,18 @@ def steered_path(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Height, and the margins of elevation and azimuth to their bounds, Peng et al. (24).
 
     Those of the elevation are differences of sines, linear in the direction, which the indirect method can hold.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        Height [m]; margins of the elevation, sines [1]; margins of the azimuth [rad].
     """
     r = xp.sqrt(x.x * x.x + x.y * x.y + x.z * x.z)
     upward = scalar_product((x.x, x.y, x.z), (u.toward_x, u.toward_y, u.toward_z)) / r

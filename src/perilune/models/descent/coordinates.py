@@ -48,27 +48,76 @@ AXIS = (0.0, 0.0, 1.0)  # of the rotation, in the Cartesian frame
 
 
 def descent_thrust(u: Any, p: Any) -> Any:
-    """Thrust [N]: constant, or throttled where `throttle` is a control."""
+    """Thrust [N]: constant, or throttled where `throttle` is a control.
+
+    Parameters
+    ----------
+    u
+        Control of the burn.
+    p
+        Parameters [SI].
+    """
     return p.vehicle_thrust * getattr(u, "throttle", 1.0)
 
 
 def mass_rate(u: Any, p: Any) -> Any:
-    """Rate of the mass [kg/s]."""
+    """Rate of the mass [kg/s].
+
+    Parameters
+    ----------
+    u
+        Control of the burn.
+    p
+        Parameters [SI].
+    """
     return -descent_thrust(u, p) / (p.vehicle_specific_impulse * p.vehicle_standard_gravity)
 
 
 def axes_at_start(p: Any, xp: Any) -> Any:
-    """Return the vertical and the horizontal axes along and across the heading at the start, unit vectors."""
+    """Return the vertical and the horizontal axes along and across the heading at the start, unit vectors.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Any
+        Up, oy and oz, (3,) each, in axes that turn with the body.
+    """
     return heading_axes(p.start_longitude, p.start_latitude, p.start_heading, xp)
 
 
 def target_position(p: Any, xp: Any) -> Any:
-    """Return the position of the site [m]."""
+    """Return the position of the site [m].
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Any
+        In axes that turn with the body, (3,).
+    """
     return combine((p.body_radius + p.site_altitude, local_axes(p.site_longitude, p.site_latitude, xp)[0]))
 
 
 def likely_landing_point(p: Any, xp: Any) -> Any:
-    """Site, or where none is stated a place ahead of the start, as far as full thrust stops the speed over ground."""
+    """Site, or where none is stated a place ahead of the start, as far as full thrust stops the speed over ground.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Any
+        Position [m] in axes that turn with the body, (3,).
+    """
     if hasattr(p, "site_longitude"):
         return target_position(p, xp)
     up, oy, oz = axes_at_start(p, xp)
@@ -79,7 +128,18 @@ def likely_landing_point(p: Any, xp: Any) -> Any:
 
 
 def track_normal(p: Any, xp: Any) -> Any:
-    """Return the unit normal of the great circle from the point under the start to the site."""
+    """Return the unit normal of the great circle from the point under the start to the site.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Any
+        In axes that turn with the body, (3,).
+    """
     normal = cross_product(axes_at_start(p, xp)[0], local_axes(p.site_longitude, p.site_latitude, xp)[0])
     return combine((1 / xp.sqrt(scalar_product(normal, normal)), normal))
 
@@ -88,6 +148,18 @@ def descent_track(above: Any, r: Any, p: Any, xp: Any) -> Sequence[Any]:
     """Arc over the ground along the great circle of the first heading, arc to the left of it, height.
 
     No pole disturbs it. `above` is the unit vector to the vehicle.
+
+    Parameters
+    ----------
+    above, r
+        Unit vector to the vehicle, (3,), and its distance from the centre [m].
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        All three in m.
     """
     up, oy, oz = axes_at_start(p, xp)
     along, across = xp.atan2(scalar_product(above, oy), scalar_product(above, up)), xp.asin(scalar_product(above, oz))
@@ -95,7 +167,22 @@ def descent_track(above: Any, r: Any, p: Any, xp: Any) -> Sequence[Any]:
 
 
 def descent_outputs(position: Any, velocity: Any, direction: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Return all of `OUTPUTS` but the last."""
+    """Return all of `OUTPUTS` but the last.
+
+    Parameters
+    ----------
+    position, velocity
+        From the centre [m], and relative to the body [m/s], in axes that turn with it, (3,) each.
+    direction
+        Unit vector of the thrust in them, (3,).
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        In SI: altitude, longitude, latitude, three speeds, elevation, azimuth.
+    """
     r, longitude, latitude = spherical_coordinates(position, xp)
     up, oy, oz = heading_axes(longitude, latitude, p.start_heading, xp)
     return (
@@ -110,7 +197,22 @@ def descent_outputs(position: Any, velocity: Any, direction: Any, p: Any, xp: An
 
 
 def elevation_and_azimuth(direction: Any, axes: Any, xp: Any) -> tuple[Any, Any]:
-    """Elevation and azimuth, the latter counted from straight retro: it jumps for pro-grade thrust only."""
+    """Elevation and azimuth, the latter counted from straight retro: it jumps for pro-grade thrust only.
+
+    Parameters
+    ----------
+    direction
+        Unit vector of the thrust, (3,).
+    axes
+        Up, oy and oz at the vehicle, (3,) each.
+    xp
+        Maths namespace.
+
+    Returns
+    -------
+    tuple[Any, Any]
+        Both in rad.
+    """
     vertical, forward, sideways = (scalar_product(direction, axis) for axis in axes)
     horizontal = xp.sqrt(forward * forward + sideways * sideways)
     return xp.atan2(vertical, horizontal), xp.atan2(-sideways, -forward) + math.pi

@@ -153,7 +153,20 @@ class Site:
 
 
 def refuse_unplaced(site: Site, advice: str = "state both of them, as `perilune new` writes them") -> None:
-    """Refuse a site without a longitude or a latitude."""
+    """Refuse a site without a longitude or a latitude.
+
+    Parameters
+    ----------
+    site
+        Its longitude and latitude are None where not stated.
+    advice
+        Last words of the message.
+
+    Raises
+    ------
+    PeriluneError
+        If one of them is missing.
+    """
     for name in ("longitude", "latitude"):
         if getattr(site, name) is None:
             raise PeriluneError(
@@ -288,7 +301,15 @@ def _descent_phase(
 
 
 def with_dry_mass(vehicle: Vehicle, dry_mass: float | None) -> Vehicle:
-    """Return the vehicle with a separately stated dry mass, if there is one."""
+    """Return the vehicle with a separately stated dry mass, if there is one.
+
+    Parameters
+    ----------
+    vehicle
+        The vehicle as declared.
+    dry_mass
+        Mass without propellant [kg]; None where not stated.
+    """
     return vehicle if dry_mass is None else replace(vehicle, dry_mass=dry_mass)
 
 

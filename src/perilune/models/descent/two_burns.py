@@ -140,7 +140,15 @@ class CanonicalUnits:
 
     @classmethod
     def of(cls, around: LandingStart, burning: Burning) -> CanonicalUnits:
-        """Return those of a start and of what burns."""
+        """Return those of a start and of what burns.
+
+        Parameters
+        ----------
+        around
+            Radius [m] and gravitational parameter [m^3/s^2] at the start.
+        burning
+            Mass [kg], thrust [N] and exhaust speed [m/s].
+        """
         speed = math.sqrt(around.mu / around.radius)
         states = np.array([around.radius] * 3 + [speed] * 3 + [burning.mass])
         force = burning.force / burning.mass / (around.mu / around.radius**2)
@@ -153,7 +161,24 @@ def length_of(vector: Vector) -> float:
 
 
 def propagate_with_costate(state: Vector, costate: Vector, mu: float, t: float) -> tuple[Vector, Vector]:
-    """Return a state and its costate after a free fall: costates (rate, primer) follow from two neighbouring falls."""
+    """Return a state and its costate after a free fall: costates (rate, primer) follow from two neighbouring falls.
+
+    Parameters
+    ----------
+    state
+        Position, velocity and mass in inertial axes, (7,).
+    costate
+        Costates in that order, (7,).
+    mu
+        Gravitational parameter, in the units of the state.
+    t
+        Duration of the fall, in the units of the state.
+
+    Returns
+    -------
+    tuple[Vector, Vector]
+        State and costate at its end, (7,) each.
+    """
     place, velocity, primer, rate = state[:3], state[3:6], costate[3:6], -costate[:3]
     size = _DIFFERENCE * min(length_of(place) / length_of(primer), length_of(velocity) / length_of(rate))
     ahead, behind = (propagate_kepler(place + s * primer, velocity + s * rate, mu, t) for s in (size, -size))

@@ -88,7 +88,15 @@ class TwoImpulses:
 
 
 def propagate_kepler(position: Vector, velocity: Vector, mu: float, time: float) -> tuple[Vector, Vector]:
-    """Return place and velocity after free fall on an ellipse, by Lagrange's f and g (Battin 1999, section 4.3)."""
+    """Return place and velocity after free fall on an ellipse, by Lagrange's f and g (Battin 1999, section 4.3).
+
+    Parameters
+    ----------
+    position, velocity
+        In inertial axes, (3,) each [m, m/s, or any such units].
+    mu, time
+        Gravitational parameter and duration of the fall, in the same units.
+    """
     r = float(np.linalg.norm(position))
     semi = 1 / (2 / r - float(velocity @ velocity) / mu)
     rate, x = math.sqrt(mu / semi**3), anomaly_after(position, velocity, mu, time)
@@ -100,7 +108,15 @@ def propagate_kepler(position: Vector, velocity: Vector, mu: float, time: float)
 
 
 def anomaly_after(position: Vector, velocity: Vector, mu: float, time: float) -> float:
-    """Return by how much the eccentric anomaly [rad] grows in a free fall of so long, by Kepler's equation."""
+    """Return by how much the eccentric anomaly [rad] grows in a free fall of so long, by Kepler's equation.
+
+    Parameters
+    ----------
+    position, velocity
+        In inertial axes, (3,) each [m, m/s, or any such units].
+    mu, time
+        Gravitational parameter and duration of the fall, in the same units.
+    """
     r = float(np.linalg.norm(position))
     semi = 1 / (2 / r - float(velocity @ velocity) / mu)
     rate, rising, beside = math.sqrt(mu / semi**3), float(position @ velocity) / math.sqrt(mu * semi), 1 - r / semi
@@ -115,7 +131,15 @@ def anomaly_after(position: Vector, velocity: Vector, mu: float, time: float) ->
 
 
 def orbit_shape(position: Vector, velocity: Vector, mu: float) -> tuple[float, float]:
-    """Return half the great axis [m] and the eccentricity of an orbit."""
+    """Return half the great axis [m] and the eccentricity of an orbit.
+
+    Parameters
+    ----------
+    position, velocity
+        In inertial axes [m, m/s], (3,) each.
+    mu
+        Gravitational parameter [m^3/s^2].
+    """
     r, speed = float(np.linalg.norm(position)), float(velocity @ velocity)
     eccentric = ((speed - mu / r) * position - float(position @ velocity) * velocity) / mu
     return 1 / (2 / r - speed / mu), float(np.linalg.norm(eccentric))
@@ -127,7 +151,15 @@ def _lowest_radius(position: Vector, velocity: Vector, mu: float) -> float:
 
 
 def time_to_periapsis(position: Vector, velocity: Vector, mu: float) -> float:
-    """Return the time [s] to the lowest point of an ellipse, less than one turn."""
+    """Return the time [s] to the lowest point of an ellipse, less than one turn.
+
+    Parameters
+    ----------
+    position, velocity
+        In inertial axes [m, m/s], (3,) each.
+    mu
+        Gravitational parameter [m^3/s^2].
+    """
     semi, _ = orbit_shape(position, velocity, mu)
     sine, cosine = float(position @ velocity) / math.sqrt(mu * semi), 1 - float(np.linalg.norm(position)) / semi
     mean = math.atan2(sine, cosine) - sine

@@ -29,14 +29,33 @@ LEAST_LANDED_SHARE = 0.1
 
 
 def perilune_speed(p: Any, xp: Any) -> Any:
-    """Inertial speed at the perilune of the Hohmann transfer, Cho et al. (7). `p` as in `hybrid_landing`."""
+    """Inertial speed at the perilune of the Hohmann transfer, Cho et al. (7). `p` as in `hybrid_landing`.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters as in `hybrid_landing` [SI], and maths namespace.
+
+    Returns
+    -------
+    Any
+        In m/s.
+    """
     r0 = p.body_radius + p.orbit_perilune_altitude
     r_parking = p.body_radius + p.orbit_parking_altitude
     return xp.sqrt(p.body_gravitational_parameter * (2 / r0 - 2 / (r0 + r_parking)))
 
 
 def compare_landing(p: Any, xp: Any, body: Body = MOON) -> tuple[Finding, ...]:
-    """Return every comparison of a landing from perilune, for `Problem.preflight`."""
+    """Return every comparison of a landing from perilune, for `Problem.preflight`.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters as in `hybrid_landing` [SI], and maths namespace.
+    body
+        Body of the landing, whose air the model neglects.
+    """
     return (
         *_compare_altitudes(p),
         *_compare_burns(p, xp),
@@ -205,7 +224,7 @@ def one_burn_velocity_change(p: Any, xp: Any) -> Any:
 
     Parameters
     ----------
-    p, m
+    p, xp
         As in `hybrid_landing`, and the maths namespace.
     """
     speed = xp.fmax(perilune_speed(p, xp) - getattr(p, "retro_delta_v", 0.0), 1.0)
@@ -219,7 +238,7 @@ def two_impulse_velocity_change(p: Any, xp: Any) -> Any:
 
     Parameters
     ----------
-    p, m
+    p, xp
         As in `hybrid_landing`, and the maths namespace.
     """
     mu, ground = p.body_gravitational_parameter, p.body_radius + p.landing_altitude

@@ -30,7 +30,13 @@ SUTTON_GRAVES = 1.7415e-4  # kg^(1/2)/m, air; carbon dioxide has 1.9027e-4
 
 
 def dynamic_pressure(density: Any, velocity: Sequence[Any]) -> Any:
-    """Dynamic pressure [Pa]."""
+    """Dynamic pressure [Pa].
+
+    Parameters
+    ----------
+    density, velocity
+        Of the air [kg/m^3], and relative to it [m/s], (3,).
+    """
     return 0.5 * density * scalar_product(velocity, velocity)
 
 
@@ -41,7 +47,7 @@ def drag_acceleration(density: Any, velocity: Sequence[Any], mass: Any, p: Any, 
     ----------
     density, velocity, mass
         Of the air [kg/m^3]; relative to it [m/s], (3,); of the vehicle [kg].
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     pressure = dynamic_pressure(density, velocity)
@@ -60,7 +66,7 @@ def drag(density: Any, velocity: Sequence[Any], mass: Any, p: Any, xp: Any) -> T
     ----------
     density, velocity, mass
         As of `drag_acceleration`.
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
 
     Returns
@@ -81,7 +87,7 @@ def lift_axes(position: Sequence[Any], velocity: Sequence[Any], xp: Any) -> tupl
     ----------
     position, velocity
         From the centre [m], (3,), and relative to the air [m/s], (3,).
-    m
+    xp
         Maths namespace.
     """
     across = cross_product(velocity, position)
@@ -96,7 +102,7 @@ def aerodynamic_load(density: Any, velocity: Sequence[Any], mass: Any, p: Any, x
     ----------
     density, velocity, mass
         As of `drag_acceleration`.
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     found = drag_acceleration(density, velocity, mass, p, xp)
@@ -112,7 +118,7 @@ def heat_rate(density: Any, velocity: Sequence[Any], p: Any, xp: Any) -> Any:
     ----------
     density, velocity
         Of the air [kg/m^3], and relative to it [m/s], (3,).
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     squared = scalar_product(velocity, velocity)
@@ -128,7 +134,7 @@ def sphere_cone_drag_area(nose_radius: Any, base_radius: Any, half_angle: Any, x
         Radii [m] of the nose, which is 0 for a sharp cone, and of the base, which is at least R_n cos d.
     half_angle
         Half angle of the cone [rad].
-    m
+    xp
         Maths namespace.
     """
     sine, cosine = xp.sin(half_angle), xp.cos(half_angle)

@@ -69,14 +69,30 @@ class Air:
     said: str = ""
 
     def density(self, altitude: Any, p: Any, xp: Any) -> Any:
-        """Density [kg/m^3] at an altitude [m], from the parameters of the problem."""
+        """Density [kg/m^3] at an altitude [m], from the parameters of the problem.
+
+        Parameters
+        ----------
+        altitude
+            Altitude above the body [m].
+        p, xp
+            Parameters [SI] and maths namespace.
+        """
         density, height = (getattr(p, name) for name in self.given)
         share = altitude / height
         return density * xp.exp(-share if self.table is None else xp.table(self.table, share))
 
 
 def exponential(density: float, scale_height: float) -> Air:
-    """Air whose density [kg/m^3] falls by e with each scale height [m]."""
+    """Air whose density [kg/m^3] falls by e with each scale height [m].
+
+    Parameters
+    ----------
+    density
+        Density at altitude 0 [kg/m^3].
+    scale_height
+        Scale height [m].
+    """
     given = _air_parameters("atmosphere_density", density, "atmosphere_scale_height", scale_height)
     return Air(name=f"exponential atmosphere of scale height {scale_height / 1e3:g} km", given=given)
 
@@ -132,13 +148,29 @@ class TrajectoryProfile:
 
     @classmethod
     def over(cls, longitude: float, latitude: float) -> TrajectoryProfile:
-        """Straight above a place [rad], at the epoch."""
+        """Straight above a place [rad], at the epoch.
+
+        Parameters
+        ----------
+        longitude, latitude
+            Of the place [rad].
+        """
         return cls(**{name: np.array([value]) for name, value in zip(
             cls.__annotations__, (0.0, longitude, latitude, 0.0), strict=True)})  # fmt: skip
 
     @classmethod
     def down(cls, altitude: Vector, longitude: Vector, latitude: Vector, time: Vector) -> TrajectoryProfile:
-        """Return the profile of a descending flight, from rows in the order of time."""
+        """Return the profile of a descending flight, from rows in the order of time.
+
+        Parameters
+        ----------
+        altitude
+            Altitudes in order of time [m], (n,).
+        longitude, latitude
+            Of the subpoint [rad], (n,).
+        time
+            After the epoch [s], (n,).
+        """
         lower = np.append(np.inf, np.minimum.accumulate(altitude)[:-1]) > altitude
         longitude = np.unwrap(longitude)
         return cls(**{

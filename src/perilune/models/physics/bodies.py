@@ -106,7 +106,15 @@ class UniformGravity:
 
 
 def with_j2(body: Body, j2: float) -> OblateBody:
-    """The body with its second zonal harmonic."""
+    """The body with its second zonal harmonic.
+
+    Parameters
+    ----------
+    body
+        A sphere.
+    j2
+        Coefficient of the second zonal harmonic, unnormalised [1].
+    """
     return OblateBody(**{f.name: getattr(body, f.name) for f in fields(Body)}, j2=j2)
 
 

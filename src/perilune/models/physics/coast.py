@@ -72,7 +72,20 @@ def with_coast(burn: Phase, path: Physics, kept: Mapping[str, tuple[str, ...]]) 
 
 
 def at_ignition(x: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """The burn begins where the fall ends."""
+    """The burn begins where the fall ends.
+
+    Parameters
+    ----------
+    x
+        State at the end of the fall [SI].
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        State with which the burn begins [SI].
+    """
     return tuple(x)
 
 

@@ -47,7 +47,15 @@ def is_flat(p: Any) -> bool:
 
 
 def gravity_at(r: Any, p: Any) -> Any:
-    """Gravity [m/s^2] of a sphere at a radius, or uniform gravity."""
+    """Gravity [m/s^2] of a sphere at a radius, or uniform gravity.
+
+    Parameters
+    ----------
+    r
+        Distance from the centre [m]; not used over flat ground.
+    p
+        Parameters [SI].
+    """
     return p.body_gravity if is_flat(p) else p.body_gravitational_parameter / (r * r)
 
 
@@ -75,31 +83,75 @@ def exhaust_speed(p: Any) -> Any:
 
 
 def inertial_speed(position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], p: Any, xp: Any) -> Any:
-    """Speed [m/s] in inertial axes, of a position from the centre and a velocity relative to the turning body."""
+    """Speed [m/s] in inertial axes, of a position from the centre and a velocity relative to the turning body.
+
+    Parameters
+    ----------
+    position, velocity
+        In axes that turn with the body [m, m/s], (3,) each.
+    axis
+        Unit vector of the rotation in them, (3,).
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     seen = velocity if is_flat(p) else combine((1, velocity), (p.body_rotation_rate, cross_product(axis, position)))
     return xp.sqrt(scalar_product(seen, seen))
 
 
 def speed_with_fall(speed: Any, r_start: Any, r_site: Any, p: Any, xp: Any) -> Any:
-    """The speed w of the head of this file [m/s], which only thrust changes."""
+    """The speed w of the head of this file [m/s], which only thrust changes.
+
+    Parameters
+    ----------
+    speed
+        Inertial speed V at the start [m/s].
+    r_start, r_site
+        Radii of the start and of the site [m]; altitudes over flat ground.
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     drop = r_start - r_site
     fall = p.body_gravity * drop if is_flat(p) else p.body_gravitational_parameter * (1 / r_site - 1 / r_start)
     return xp.sqrt(speed * speed + 2 * fall)
 
 
 def speed_of_ground(r_site: Any, p: Any, xp: Any) -> Any:
-    """Greatest inertial speed [m/s] of a place at rest on the ground."""
+    """Greatest inertial speed [m/s] of a place at rest on the ground.
+
+    Parameters
+    ----------
+    r_site
+        Radius of the site [m].
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     return 0.0 if is_flat(p) else xp.fabs(p.body_rotation_rate) * r_site
 
 
 def largest_mass_stopped(r_site: Any, p: Any, xp: Any) -> Any:
-    """Largest mass [kg] that can come to rest on the ground from above, anywhere at this radius."""
+    """Largest mass [kg] that can come to rest on the ground from above, anywhere at this radius.
+
+    Parameters
+    ----------
+    r_site
+        Radius of the site [m].
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     lifted = _centrifugal(speed_of_ground(r_site, p, xp), r_site, p)
     return greatest_thrust(p) / xp.fmax(gravity_at(r_site, p) - _pull_of_j2(r_site, p, xp) - lifted, 0.0)
 
 
 def compare_thrust_and_weight(r_site: Any, p: Any) -> Finding:
-    """Compare the thrust at ignition with the weight at the site: whether the vehicle could hover."""
+    """Compare the thrust at ignition with the weight at the site: whether the vehicle could hover.
+
+    Parameters
+    ----------
+    r_site
+        Radius of the site [m].
+    p
+        Parameters [SI].
+    """
     return Finding(
         name="thrust-to-weight ratio at ignition",
         value=greatest_thrust(p) / (p.vehicle_mass * gravity_at(r_site, p)),
@@ -112,7 +164,15 @@ def compare_thrust_and_weight(r_site: Any, p: Any) -> Finding:
 
 
 def compare_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
-    """Compare the dry mass with the largest mass [kg] that the engine can stop; empty where no dry mass is given."""
+    """Compare the dry mass with the largest mass [kg] that the engine can stop; empty where no dry mass is given.
+
+    Parameters
+    ----------
+    held
+        Largest mass that the engine can stop [kg].
+    p
+        Parameters [SI].
+    """
     if not hasattr(p, "vehicle_dry_mass"):
         return ()
     return (
@@ -130,7 +190,13 @@ def compare_dry_mass(held: Any, p: Any) -> tuple[Finding, ...]:
 
 
 def compare_start_height(start: Any, site: Any) -> Finding:
-    """Compare the altitudes [m] of start and site; a millimetre stands for "strictly above"."""
+    """Compare the altitudes [m] of start and site; a millimetre stands for "strictly above".
+
+    Parameters
+    ----------
+    start, site
+        Altitudes above the same zero [m].
+    """
     return Finding(
         name="start above the site",
         value=start - site,
@@ -163,7 +229,17 @@ def compare_neglected_air(body: Body) -> tuple[Finding, ...]:
 
 
 def braking_distance_and_time(speed: Any, p: Any, xp: Any, lever: Any = 1.0) -> tuple[Any, Any]:
-    """Distance [m] and time [s] to stop from `speed` by full thrust in free space, each push times a lever."""
+    """Distance [m] and time [s] to stop from `speed` by full thrust in free space, each push times a lever.
+
+    Parameters
+    ----------
+    speed
+        Speed that is braked [m/s].
+    p, xp
+        Parameters [SI] and maths namespace.
+    lever
+        Factor on the acceleration of the thrust [1].
+    """
     tau = p.vehicle_mass * exhaust_speed(p) / greatest_thrust(p)
     exhaust = lever * exhaust_speed(p)
     time = tau * (1 - xp.exp(-speed / exhaust))
@@ -176,14 +252,28 @@ def longest_burn(p: Any) -> Any:
 
 
 def velocity_change(p: Any, xp: Any) -> Any:
-    """Velocity change [m/s] that all propellant above the dry mass gives, by the rocket equation."""
+    """Velocity change [m/s] that all propellant above the dry mass gives, by the rocket equation.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     return exhaust_speed(p) * xp.log(p.vehicle_mass / p.vehicle_dry_mass)
 
 
 def speed_to_lose(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, xp: Any
 ) -> Any:
-    """Return the least ideal velocity change [m/s] from a start to rest; arguments as `compare_stopping_distance`."""
+    """Return the least ideal velocity change [m/s] from a start to rest; arguments as `compare_stopping_distance`.
+
+    Parameters
+    ----------
+    position, velocity, axis, r_site
+        As in `compare_stopping_distance`.
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     r = xp.sqrt(scalar_product(position, position))
     speed = inertial_speed(position, velocity, axis, p, xp)
     return speed_with_fall(speed, r, r_site, p, xp) - speed_of_ground(r_site, p, xp)
@@ -192,7 +282,17 @@ def speed_to_lose(
 def compare_propellant(
     position: Sequence[Any], velocity: Sequence[Any], axis: Sequence[Any], r_site: Any, p: Any, xp: Any, left: Any = 0.0
 ) -> Finding:
-    """Compare the speed to be removed with what the propellant gives; arguments as `compare_stopping_distance`."""
+    """Compare the speed to be removed with what the propellant gives; arguments as `compare_stopping_distance`.
+
+    Parameters
+    ----------
+    position, velocity, axis, r_site
+        As in `compare_stopping_distance`.
+    p, xp
+        Parameters [SI] and maths namespace.
+    left
+        Speed that may be left on the ground [m/s].
+    """
     return Finding(
         name="speed to be removed",
         value=speed_to_lose(position, velocity, axis, r_site, p, xp) - left,
@@ -250,7 +350,7 @@ def compare_late_ignition(position: Any, velocity: Any, p: Any, xp: Any) -> Find
     ----------
     position, velocity
         Where the flight begins, relative to the body [m, m/s].
-    p, m
+    p, xp
         Parameters of a descent whose throttle has bounds, and the maths namespace.
 
     Returns

@@ -45,7 +45,7 @@ def landing_results(first: Any, last: Any, p: Any, xp: Any) -> Sequence[Any]:
     ----------
     first, last
         States at the begin and the end of the flight [SI].
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     fall = (p.coast_time,) if hasattr(p, "coast_time") else ()

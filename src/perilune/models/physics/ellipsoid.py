@@ -24,7 +24,7 @@ def altitude(position: Sequence[Any], p: Any, xp: Any) -> Any:
     ----------
     position
         From the centre [m], (3,).
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     if not hasattr(p, "body_flattening"):
@@ -40,7 +40,7 @@ def latitude(position: Sequence[Any], p: Any, xp: Any) -> Any:
     ----------
     position
         From the centre [m], (3,).
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     x, y, z = position
@@ -58,7 +58,7 @@ def geocentric(latitude: Any, distance: Any, p: Any, xp: Any) -> Any:
     ----------
     latitude, distance
         Geodetic latitude [rad] and distance from the centre [m].
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     if not hasattr(p, "body_flattening"):
@@ -76,7 +76,7 @@ def geodetic_position(longitude: Any, latitude: Any, height: Any, p: Any, xp: An
     ----------
     longitude, latitude, height
         Longitude and geodetic latitude [rad], and altitude [m].
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
 
     Returns

@@ -44,7 +44,7 @@ def flight_path(position: Sequence[Any], velocity: Sequence[Any], xp: Any) -> Fl
     ----------
     position, velocity
         From the centre [m], (3,), and relative to the turning body [m/s], (3,).
-    m
+    xp
         Maths namespace.
     """
     distance, longitude, latitude = spherical_coordinates(position, xp)
@@ -68,7 +68,7 @@ def to_cartesian(path: FlightPath, xp: Any) -> tuple[Triple, Triple]:
     ----------
     path
         Flight-path coordinates.
-    m
+    xp
         Maths namespace.
     """
     up, _, _ = local_axes(path.longitude, path.latitude, xp)
@@ -77,7 +77,20 @@ def to_cartesian(path: FlightPath, xp: Any) -> tuple[Triple, Triple]:
 
 
 def path_axes(path: FlightPath, xp: Any) -> tuple[Triple, Triple, Triple]:
-    """Unit vectors along the velocity, across it upwards, and level to the left, towards greater psi."""
+    """Unit vectors along the velocity, across it upwards, and level to the left, towards greater psi.
+
+    Parameters
+    ----------
+    path
+        Longitude, latitude, path angle and course [rad] of the vehicle.
+    xp
+        Maths namespace.
+
+    Returns
+    -------
+    tuple[Triple, Triple, Triple]
+        (3,) each, in axes that turn with the body.
+    """
     up, north, east = local_axes(path.longitude, path.latitude, xp)
     sine, cosine = xp.sin(path.angle), xp.cos(path.angle)
     level = combine((xp.cos(path.course), east), (xp.sin(path.course), north))
@@ -92,7 +105,7 @@ def gravity_components(distance: Any, latitude: Any, p: Any, xp: Any) -> tuple[A
     ----------
     distance, latitude
         From the centre [m], and geocentric [rad].
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     strength = p.body_gravitational_parameter / (distance * distance)
@@ -110,7 +123,7 @@ def flight_path_rates(path: FlightPath, pushed: Sequence[Any], p: Any, xp: Any) 
         Flight-path coordinates.
     pushed
         Acceleration without gravity along `path_axes` [m/s^2], (3,).
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
 
     Returns

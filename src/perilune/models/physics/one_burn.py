@@ -29,7 +29,7 @@ def full_burn(speed: Any, sinking: Any, height: Any, p: Any, xp: Any) -> Any:
     ----------
     speed, sinking, height
         Across the radius and downwards [m/s], and above the ground [m].
-    p, m
+    p, xp
         Parameters with a vehicle, and the maths namespace.
     """
     exhaust = exhaust_speed(p)
@@ -51,7 +51,7 @@ def one_burn_wastes(
     ----------
     position, velocity, axis, r_site
         As for `delta_v_bounds.compare_stopping_distance`.
-    p, m
+    p, xp
         Parameters of a descent, and the maths namespace.
     """
     mu, r = p.body_gravitational_parameter, xp.sqrt(scalar_product(position, position))

@@ -20,12 +20,24 @@ Triple = tuple[Any, Any, Any]
 
 
 def scalar_product(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    """Scalar product of two triples."""
+    """Scalar product of two triples.
+
+    Parameters
+    ----------
+    a, b
+        Vectors in the same Cartesian axes, (3,) each.
+    """
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross_product(a: Sequence[Any], b: Sequence[Any]) -> Triple:
-    """Vector product of two triples."""
+    """Vector product of two triples.
+
+    Parameters
+    ----------
+    a, b
+        Vectors in the same right-handed axes, (3,) each.
+    """
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -42,7 +54,7 @@ def potential(position: Sequence[Any], axis: Sequence[Any], p: Any, xp: Any) -> 
     ----------
     position, axis
         From the centre [m], (3,), and the unit vector of the rotation, (3,).
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     r = xp.sqrt(scalar_product(position, position))
@@ -63,7 +75,7 @@ def zonal_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, xp: Any)
     ----------
     position, axis
         From the centre [m], (3,), and the unit vector of the rotation, (3,).
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
 
     Returns
@@ -96,7 +108,7 @@ def free_acceleration(position: Sequence[Any], velocity: Sequence[Any], axis: Se
         From the centre [m], (3,), and relative to the rotating frame [m/s], (3,).
     axis
         Unit vector of the rotation, (3,).
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     omega = p.body_rotation_rate
@@ -116,7 +128,7 @@ def local_axes(longitude: Any, latitude: Any, xp: Any) -> tuple[Triple, Triple, 
     ----------
     longitude, latitude
         Of the place [rad].
-    m
+    xp
         Maths namespace.
     """
     sin_lon, cos_lon, sin_lat, cos_lat = xp.sin(longitude), xp.cos(longitude), xp.sin(latitude), xp.cos(latitude)
@@ -132,7 +144,7 @@ def heading_axes(longitude: Any, latitude: Any, heading: Any, xp: Any) -> tuple[
     ----------
     longitude, latitude, heading
         Of the place [rad], and from north towards east [rad].
-    m
+    xp
         Maths namespace.
     """
     up, north, east = local_axes(longitude, latitude, xp)
@@ -147,7 +159,7 @@ def spherical_coordinates(position: Sequence[Any], xp: Any) -> tuple[Any, Any, A
     ----------
     position
         From the centre [m], (3,).
-    m
+    xp
         Maths namespace.
 
     Returns
@@ -167,7 +179,7 @@ def apparent_gravity(position: Sequence[Any], axis: Sequence[Any], p: Any, xp: A
     ----------
     position, axis
         From the centre [m], (3,), and the unit vector of the rotation, (3,).
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     return free_acceleration(position, (0.0, 0.0, 0.0), axis, p, xp)
@@ -192,7 +204,7 @@ def inertial_triples(
         Triples in the axes of the body: [m], relative to it [m/s], and any third, as an acceleration [m/s^2].
     t
         Time after the begin of the flight [s].
-    p, m
+    p, xp
         Parameters [SI] and maths namespace.
     """
     omega = p.body_rotation_rate

@@ -51,7 +51,15 @@ TIMES = (
 
 
 def with_final_descent(burn: Phase, corridor: Corridor) -> tuple[Phase, Phase]:
-    """The burn to the gate, and the vertical descent, from the burn to rest on the site."""
+    """The burn to the gate, and the vertical descent, from the burn to rest on the site.
+
+    Parameters
+    ----------
+    burn
+        Phase of the burn to rest on the site.
+    corridor
+        Glide slope and tilt, None where not stated.
+    """
     to_gate = replace(
         burn,
         duration=GATE_TIME.name,
@@ -92,12 +100,38 @@ _STATES = ("up", "v_up", "m")
 
 
 def at_gate(x: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """The vertical descent begins where the flight to the gate ends."""
+    """The vertical descent begins where the flight to the gate ends.
+
+    Parameters
+    ----------
+    x
+        State at the gate [SI].
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        State of the vertical descent [SI].
+    """
     return tuple(getattr(x, name) for name in _STATES)
 
 
 def final_ranges(p: Any, typical_time: float) -> dict[str, tuple[float, float, float]]:
-    """Return bounds and orders of magnitude of both times, given that of the whole."""
+    """Return bounds and orders of magnitude of both times, given that of the whole.
+
+    Parameters
+    ----------
+    p
+        Parameters [SI].
+    typical_time
+        Order of magnitude of the duration of the whole flight [s].
+
+    Returns
+    -------
+    dict[str, tuple[float, float, float]]
+        By the name of the duration: least, greatest and typical [s].
+    """
     # Its mean speed is half that of a fall from the gate.
     speed = math.sqrt(0.5 * gravity_at(getattr(p, "body_radius", 0.0), p) * p.final_height)
     down = p.final_height / max(speed, p.final_touchdown_speed)

@@ -41,7 +41,15 @@ POINTING = Variable(name="pointing_margin", description="cosine of the thrust's 
 
 
 def corridor_conditions(corridor: Corridor, *, to_gate: bool = False) -> tuple[Variable, ...]:
-    """Conditions of the path, in the order of `corridor_margins`; `to_gate` where a vertical descent follows."""
+    """Conditions of the path, in the order of `corridor_margins`; `to_gate` where a vertical descent follows.
+
+    Parameters
+    ----------
+    corridor
+        Glide slope and tilt, None where not stated.
+    to_gate
+        Add the height above the gate of a vertical descent.
+    """
     heights = ("height_above_glide_slope",) if corridor.slope is not None else ()
     heights += ("height_above_gate",) if to_gate else ()
     return (
@@ -51,19 +59,53 @@ def corridor_conditions(corridor: Corridor, *, to_gate: bool = False) -> tuple[V
 
 
 def above_slope(x: Any, p: Any, xp: Any) -> Any:
-    """Height [m] above the glide slope."""
+    """Height [m] above the glide slope.
+
+    Parameters
+    ----------
+    x
+        Record with east, north, up from the site [m].
+    p, xp
+        Parameters [SI] and maths namespace.
+    """
     a = p.corridor_pad_radius
     return x.up - xp.tan(p.corridor_slope) * (xp.sqrt(x.east * x.east + x.north * x.north + a * a) - a)
 
 
 def corridor_margins(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Values of `corridor_conditions` where the engine burns."""
+    """Values of `corridor_conditions` where the engine burns.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        Heights [m], and the margin of the pointing limit [1].
+    """
     pointing = (u.toward_up - xp.cos(p.corridor_tilt),) if hasattr(p, "corridor_tilt") else ()
     return *height_margins(x, u, p, xp), *pointing
 
 
 def height_margins(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
-    """Values of `corridor_conditions` that mean something without thrust: the heights."""
+    """Values of `corridor_conditions` that mean something without thrust: the heights.
+
+    Parameters
+    ----------
+    x, u
+        State and control [SI], components by name.
+    p, xp
+        Parameters [SI] and maths namespace.
+
+    Returns
+    -------
+    Sequence[Any]
+        In m.
+    """
     slope = (above_slope(x, p, xp),) if hasattr(p, "corridor_slope") else ()
     gate = (x.up - p.final_height,) if hasattr(p, "final_height") else ()
     return (*slope, *gate) or (x.up,)

@@ -30,7 +30,15 @@ from perilune.problem.presolve import Finding
 
 
 def compare_precision(p: Any, xp: Any, *, body: Body | UniformGravity = MOON) -> tuple[Finding, ...]:
-    """Return every comparison of a precision landing, for `Problem.preflight`."""
+    """Return every comparison of a precision landing, for `Problem.preflight`.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    body
+        Body of the site, whose air the model neglects; flat ground under uniform gravity has none.
+    """
     start = SimpleNamespace(east=p.approach_east, north=p.approach_north, up=p.approach_up)
     velocity = (p.approach_east_speed, p.approach_north_speed, p.approach_up_speed)
     position, axis, r_site = over_ground(start, p, xp)

@@ -89,7 +89,7 @@ class StatedFunction:
         ----------
         arguments
             By role: the values of a record in order, the record p itself, the time t; more may be there.
-        m
+        xp
             Maths namespace.
         """
         given = {role: make(*arguments[role]) if make else arguments[role] for role, make in self.records.items()}
