@@ -39,7 +39,7 @@ ROOMS = (
     "__main__",
 )
 # Rooms that are entered by their face only: what `room/__init__.py` lists, so many names at most.
-FACED, MOST_NAMES = ("kernels", "conditions", "methods", "proof", "rigorous", "shooting"), 15
+FACED, MOST_NAMES = ("kernels", "conditions", "shooting", "direct", "methods", "proof", "rigorous"), 15
 FACE = "__init__"  # of the package: it names what is handed on, lazily
 FILES = sorted(SOURCE.rglob("*.py"))
 MATHEMATICS = ROOMS[: ROOMS.index("models")]

@@ -49,6 +49,55 @@ class ElasticLimit:
     side: str
     bounded: Any
 
+    @property
+    def slack_names(self) -> tuple[str, ...]:
+        """Names of the free parameters by which the limit is relaxed."""
+        if self.kind != "end":
+            return (_SLACK,)
+        return tuple(f"{_SLACK}_{name}_{way}" for name in self.names for way in ("over", "under"))
+
+    def relaxed(self, problem: Problem, at_end: Sequence[str] = ()) -> Problem:
+        """Return the problem with the limit made elastic, that minimises by how much it gives.
+
+        Parameters
+        ----------
+        problem
+            The problem whose limit it is.
+        at_end
+            Names of end conditions that say a condition of the path at the end: they give with it.
+        """
+        size, slacks = problem.size_of(self.bounded), self.slack_names
+        phases, free = tuple(_relaxed_phase(phase, self, at_end) for phase in problem.phases), problem.free
+        bound, unit = getattr(self.bounded, self.side) if self.side else None, self.bounded.unit
+        stated = {} if bound is None or isinstance(bound, str) else {_STATED: Given(value=bound, unit=unit)}
+        if self.kind == "free":
+            none = {self.side: -math.inf if self.side == "lower" else math.inf}
+            free = tuple(replace(f, **none) if f.name in self.names else f for f in free)
+            phases = (*phases[:-1], _with_end(phases[-1], self))
+        new = (Free(name=name, unit=unit, lower=0.0, typical=size) for name in slacks)
+
+        def least(x: Any, p: Any, xp: Any) -> Any:
+            return sum(getattr(p, name) for name in slacks)
+
+        return problem.changed(
+            phases=phases, free=(*free, *new), given={**problem.given, **stated}, objective=least,
+            objective_unit=unit, objective_scale=size, results=None, result_variables=(),
+            maximised="", minimised="", ranges=None, preflight=None, bookkeeping=None, declared=(), form=None,
+        )  # fmt: skip
+
+    def relaxations(self, free: Mapping[str, float]) -> dict[str, float]:
+        """Return by how much each condition of a limit gives [SI], the largest first, from the free parameters.
+
+        Parameters
+        ----------
+        free
+            Free parameters [SI] by name, of a solution of the relaxed problem.
+        """
+        if self.kind != "end":
+            return {self.names[0]: free[_SLACK]}
+        given = {name: free[f"{_SLACK}_{name}_over"] + free[f"{_SLACK}_{name}_under"] for name in self.names}
+        return dict(sorted(given.items(), key=lambda pair: -pair[1]))
+
 
 def elastic_limits(problem: Problem) -> tuple[ElasticLimit, ...]:
     """Return the limits of a problem in the order in which they are worth relaxing; ends come last, unit by unit."""
@@ -81,43 +130,6 @@ def elastic_limits(problem: Problem) -> tuple[ElasticLimit, ...]:
         names = tuple(dict.fromkeys(c.name for c in same))
         found["end", *names] = ElasticLimit(kind="end", names=names, side="", bounded=same[0])
     return tuple(found.values())
-
-
-def slack_names(limit: ElasticLimit) -> tuple[str, ...]:
-    """Return the names of the free parameters by which a limit is relaxed."""
-    if limit.kind != "end":
-        return (_SLACK,)
-    return tuple(f"{_SLACK}_{name}_{way}" for name in limit.names for way in ("over", "under"))
-
-
-def relaxed_problem(problem: Problem, limit: ElasticLimit, at_end: Sequence[str] = ()) -> Problem:
-    """Return the problem with a limit made elastic, that minimises by how much it gives.
-
-    Parameters
-    ----------
-    problem, limit
-        What is relaxed.
-    at_end
-        Names of end conditions that say a condition of the path at the end: they give with it.
-    """
-    size, slacks = problem.size_of(limit.bounded), slack_names(limit)
-    phases, free = tuple(_relaxed_phase(phase, limit, at_end) for phase in problem.phases), problem.free
-    bound = getattr(limit.bounded, limit.side) if limit.side else None
-    stated = {} if bound is None or isinstance(bound, str) else {_STATED: Given(value=bound, unit=limit.bounded.unit)}
-    if limit.kind == "free":
-        none = {limit.side: -math.inf if limit.side == "lower" else math.inf}
-        free = tuple(replace(f, **none) if f.name in limit.names else f for f in free)
-        phases = (*phases[:-1], _with_end(phases[-1], limit))
-    new = (Free(name=name, unit=limit.bounded.unit, lower=0.0, typical=size) for name in slacks)
-
-    def least(x: Any, p: Any, xp: Any) -> Any:
-        return sum(getattr(p, name) for name in slacks)
-
-    return problem.changed(
-        phases=phases, free=(*free, *new), given={**problem.given, **stated}, objective=least,
-        objective_unit=limit.bounded.unit, objective_scale=size, results=None, result_variables=(),
-        maximised="", minimised="", ranges=None, preflight=None, bookkeeping=None, declared=(), form=None,
-    )  # fmt: skip
 
 
 def _relaxed_phase(phase: Phase, limit: ElasticLimit, at_end: Sequence[str]) -> Phase:
@@ -192,19 +204,3 @@ def _bound_as_condition(phase: Phase, limit: ElasticLimit, bounded: Any) -> Phas
     states = tuple(loose if s is bounded else s for s in phase.states)
     last = replace(room, name=f"end_{room.name}", lower=0.0)
     return replace(phase, states=states, end=end, end_conditions=(*phase.end_conditions, last), **kept)
-
-
-def relaxations(limit: ElasticLimit, free: Mapping[str, float]) -> dict[str, float]:
-    """Return by how much each condition of a limit gives [SI], the largest first, from the free parameters.
-
-    Parameters
-    ----------
-    limit
-        The limit that was made elastic.
-    free
-        Free parameters [SI] by name, of a solution of the relaxed problem.
-    """
-    if limit.kind != "end":
-        return {limit.names[0]: free[_SLACK]}
-    given = {name: free[f"{_SLACK}_{name}_over"] + free[f"{_SLACK}_{name}_under"] for name in limit.names}
-    return dict(sorted(given.items(), key=lambda pair: -pair[1]))

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from perilune.core.arrays import Matrix, Vector
 from perilune.direct.collocated_solution import Sampler
-from perilune.direct.first_guess import phase_start
+from perilune.direct.first_guess import first_guesses, phase_start
 from perilune.problem.casadi_trace import free_scales, state_scales
 from perilune.problem.controls import admissible
 from perilune.problem.problem import Problem
@@ -80,3 +80,10 @@ def fitting_segments(guess: Sequence[Sampler]) -> tuple[int, ...]:
 def winds_repeatedly(guess: Sequence[Sampler]) -> bool:
     """Return True if a guess goes through its range more often than there and back."""
     return max(count_swings(guess)) > WINDING
+
+
+def segments_by_simulation(problem: Problem) -> tuple[int, ...]:
+    """Return the segments of each phase that follow a flight under the first guess; none where it cannot be flown."""
+    free, lines, _ = next(first_guesses(problem, None))
+    flown = simulate_guess(problem, free, lines)
+    return () if flown is None else fitting_segments(flown)

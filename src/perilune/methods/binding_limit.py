@@ -20,7 +20,7 @@ from perilune.core.arrays import Vector
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.errors import NotConvergedError, PeriluneError
 from perilune.core.units import format_bound, format_quantity
-from perilune.direct.elastic_constraint import ElasticLimit, elastic_limits, relaxations, relaxed_problem, slack_names
+from perilune.direct import ElasticLimit, elastic_limits
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem.display.quantity_names import limit_name, only_in_path, parameter_key, quantity_name
 from perilune.problem.problem import Problem
@@ -104,9 +104,9 @@ def _relax_each_limit(problem: Problem, nearest: Solution, watch: Watch) -> Iter
         if left <= 0 or (limit.kind == "end" and found):
             return
         said = [f"{name}{AT_END}" for name in limit.names]
-        relaxed = relaxed_problem(problem if limit.kind == "state" else ended, limit, said)
+        relaxed = limit.relaxed(problem if limit.kind == "state" else ended, said)
         size = problem.size_of(limit.bounded)
-        values = {**nearest.free, **dict.fromkeys(slack_names(limit), 0.1 * size)}
+        values = {**nearest.free, **dict.fromkeys(limit.slack_names, 0.1 * size)}
         guess = replace(nearest, problem=relaxed, free=values, multipliers={})
         try:
             flight = Pseudospectral(nodes=5, segments=8, refine=0, iterations=_PATIENT).near(guess, watch)
@@ -189,7 +189,7 @@ def _describe_limit(problem: Problem, one: Relaxed) -> LimitReport:
     """Describe a limit that stands in the way, and what would be enough."""
     limit, unit, p = one.limit, one.limit.bounded.unit, one.flight.parameters
     if limit.kind == "end":
-        given = relaxations(limit, one.flight.free)
+        given = limit.relaxations(one.flight.free)
         name, largest = next(iter(given.items()))
         missed = [
             f"{n.replace('_', ' ')} missed by {format_quantity(v, unit, 3)}"

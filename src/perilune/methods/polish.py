@@ -16,7 +16,7 @@ from functools import partial
 
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.errors import NotConvergedError, PeriluneError
-from perilune.methods.direct.initialization import ROUGHEST
+from perilune.direct import ROUGHEST
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.coarse_direct import switches_often
 from perilune.methods.indirect.continuation.homotopy import SMOOTH

@@ -15,7 +15,6 @@ from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.core.errors import Outcome, PeriluneError
 from perilune.core.maths import NUMERIC
-from perilune.direct.collocation import rule
 from perilune.methods import ControlFitness, Genetic, Hybrid, Pseudospectral
 from perilune.models.physics.rotating_frame import combine, heading_axes, spherical_coordinates
 from perilune.problem.results.solution import Solution
@@ -152,7 +151,7 @@ def convergence_at(points: int, reference: Solution, watch: Watch) -> Convergenc
     solution = method.run(problem_of_the_paper(), watch=watch)
     processor_time = time.process_time() - began
     duration = solution.free["flight_time"]
-    t = 0.5 * (rule("gauss", points).points + 1.0) * duration
+    t = 0.5 * (np.polynomial.legendre.leggauss(points)[0] + 1.0) * duration
     # Beyond its own end the reference has nothing to say; the difference in time is counted apart.
     at = np.minimum(t, reference.trajectories[0].duration)
     state = reference.trajectories[0].state(at)

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from perilune.direct.collocation import rule
 from perilune.io.columns import hamiltonian, required_hamiltonian
 from perilune.problem.results.solution import Solution
 from perilune.report.figures import solution_figures
@@ -187,7 +186,7 @@ def scaled_hamiltonian(solution: Solution, t: Sequence[float] | np.ndarray) -> n
 
 def point_times(solution: Solution) -> np.ndarray:
     """Return the times of the Gauss points [s], only at which the equations hold exactly."""
-    return 0.5 * (rule("gauss", PRINTED_POINTS).points + 1.0) * solution.free["flight_time"]
+    return 0.5 * (np.polynomial.legendre.leggauss(PRINTED_POINTS)[0] + 1.0) * solution.free["flight_time"]
 
 
 def _peng_claims(made: PengReproduction) -> list[list[str]]:

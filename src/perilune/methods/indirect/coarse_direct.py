@@ -12,7 +12,7 @@ import numpy as np
 from perilune.core.arrays import Vector
 from perilune.core.callbacks import Watch, ignore_events, remember_best
 from perilune.core.errors import PeriluneError
-from perilune.methods.direct.initialization import ROUGHEST
+from perilune.direct import ROUGHEST
 from perilune.methods.indirect.settings import SearchSettings
 from perilune.problem.controls import scalars
 from perilune.problem.display.quantity_names import objective_text

@@ -118,13 +118,10 @@ class Smoothing:
         return found
 
     def _rough(self, smooth: Problem) -> Solution | None:
-        from perilune.direct.first_guess import first_guesses
-        from perilune.direct.propagated_guess import fitting_segments, simulate_guess
+        from perilune.direct import segments_by_simulation
         from perilune.methods.direct.pseudospectral import Pseudospectral  # and with it much of SciPy
 
-        free, lines, _ = next(first_guesses(smooth, None))
-        flown = simulate_guess(smooth, free, lines)
-        count = _FEW if flown is None else max(_FEW, *fitting_segments(flown))
+        count = max((_FEW, *segments_by_simulation(smooth)))
         mesh = Pseudospectral(nodes=_NODES, segments=_FINER * count, refine=_REFINE, tolerance=_FOLLOWED)
         try:
             return mesh.run(smooth)

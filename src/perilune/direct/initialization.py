@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from perilune.core.arrays import Vector
 from perilune.direct.collocation import Mesh
-from perilune.methods.direct.transcription import Run
+from perilune.direct.transcription import Run
 from perilune.problem.results.solution import Solution
 
 if TYPE_CHECKING:
