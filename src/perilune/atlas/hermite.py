@@ -78,7 +78,17 @@ def interpolated(terms: NDArray[np.float64], at: Matrix, size: Matrix) -> Matrix
 
 
 def interpolated_at(terms: Matrix, at: Vector, size: Vector) -> Vector:
-    """Interpolate at one point of one box, (k,), from (corners * terms, k)."""
+    """Interpolate at one point of one box, (k,), from (corners * terms, k).
+
+    Parameters
+    ----------
+    terms
+        Terms at the corners of the box, (corners * terms, k).
+    at
+        Place in the box, 0 to 1 along each axis, (d,).
+    size
+        Lengths of the box, (d,).
+    """
     return _products(len(at))(at[None], size[None])[0][0] @ terms
 
 

@@ -227,7 +227,20 @@ def region_of(problem: Problem, axes: Mapping[str, Any], bricks: int | None = No
 
 
 def refuse_untaken(problem: Problem, region: Region) -> None:
-    """Refuse a region with values that the records of a problem refuse."""
+    """Refuse a region with values that the records of a problem refuse.
+
+    Parameters
+    ----------
+    problem
+        Problem that is mapped.
+    region
+        Region whose corners are tried.
+
+    Raises
+    ------
+    PeriluneError
+        If a record refuses the values at a corner.
+    """
     for corner in region.ends:
         problem.with_given(**corner)
 
@@ -237,6 +250,20 @@ def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> Non
 
     An atlas saves formulas and numbers, and models with the values of their records: of a user's function of ranges a
     reader would have the values at one point only.
+
+    Parameters
+    ----------
+    problem
+        Problem that is mapped.
+    kept
+        The same, as it is read from its file.
+    region
+        Region at whose points the ranges are compared.
+
+    Raises
+    ------
+    PeriluneError
+        If a range differs somewhere.
     """
     if problem.ranges is None:
         return
@@ -302,6 +329,13 @@ def _parts_of(low: float, high: float, most: float) -> tuple[float, ...]:
 
 def stated_region(region: Region, edges: Sequence[Mapping[str, Any]]) -> Region:
     """Return a region with the edges that a manifest states for each axis.
+
+    Parameters
+    ----------
+    region
+        Region whose axes keep their names and units.
+    edges
+        For each axis its edges ``at`` [SI], and the number of the ``first`` block.
 
     Raises
     ------

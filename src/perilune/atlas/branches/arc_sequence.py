@@ -53,7 +53,15 @@ class ArcSequence:
         return self.structure.text if self.structure is not None else ""
 
     def restated(self, problem: Problem, varied: Sequence[str]) -> Problem:
-        """Return the problem whose smooth extremals they are, for any varied parameters."""
+        """Return the problem whose smooth extremals they are, for any varied parameters.
+
+        Parameters
+        ----------
+        problem
+            The user's problem, at any values.
+        varied
+            Names of the parameters that vary.
+        """
         return problem if self.structure is None else restate(problem, self.structure, repeated=False, varied=varied)
 
     def touched(self, problem: Problem) -> list[str]:

@@ -185,7 +185,15 @@ class Borders:
         return found
 
     def moves(self, sides: Matrix, values: Matrix) -> NDArray[np.float64] | None:
-        """Return derivatives by the parameters of bounds held at such sides, (lanes, d, k); None if constant."""
+        """Return derivatives by the parameters of bounds held at such sides, (lanes, d, k); None if constant.
+
+        Parameters
+        ----------
+        sides
+            Side of each bound that lanes hold, as `sides` has them, (lanes, k).
+        values
+            Values of the parameters, canonical, (lanes, d).
+        """
         if not self.moving(sides).any():
             return None
         found = np.zeros((len(values), len(self.chart.names), sides.shape[1]))
@@ -278,6 +286,11 @@ class Borders:
         """Return True for lanes that are answers but for a negative arc duration, judged by values only.
 
         Arguments as of `margins`; NaN in `at` is ignored.
+
+        Parameters
+        ----------
+        y, at, limits
+            As of `margins`; NaN in `at` is ignored.
         """
         if not self.of_arcs:
             return np.zeros(len(y), dtype=bool)
@@ -338,7 +351,20 @@ class Borders:
         return out
 
     def margins_of(self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals) -> Vector:
-        """Return the `margins` of extremals, or of points that need not be extremals."""
+        """Return the `margins` of extremals, or of points that need not be extremals.
+
+        Parameters
+        ----------
+        sheets, which
+            All branches, and the number of each lane's, (lanes,).
+        found
+            Points with the residuals and derivatives of the extremals of the chart.
+
+        Returns
+        -------
+        Vector
+            Canonical, (lanes,).
+        """
         at, rises = self.chart.shooting.held_values(found.roots)
         return self.margins(sheets, which, found.roots.y, at, rises, found.roots.choice, self.at(found.values))
 

@@ -43,7 +43,15 @@ class BoundStatus(NamedTuple):
 
     @staticmethod
     def symbols(count: int, touched: int) -> BoundStatus:
-        """Return symbols for `count` values that can be held, and `touched` contact points."""
+        """Return symbols for `count` values that can be held, and `touched` contact points.
+
+        Parameters
+        ----------
+        count
+            Number of free parameters and ranges.
+        touched
+            Number of contact points.
+        """
         names = BoundStatus._fields
         return BoundStatus(*(ca.SX.sym(name, touched if name == "touched" else count) for name in names))
 

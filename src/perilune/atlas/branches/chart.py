@@ -277,6 +277,13 @@ class Chart:
         """Return y and J with derivatives for interpolation, (lanes, 2^d, n + 1); see `perilune.atlas.hermite`.
 
         `holds` returns what is held at values of the parameters close to each lane.
+
+        Parameters
+        ----------
+        found
+            Extremals whose mixed derivatives are differences of slopes near them.
+        holds
+            Returns the parameters held in addition at values of the parameters, canonical, (lanes 2^(d-1), d).
         """
         lanes, d = found.values.shape
         n = found.y.shape[1]

@@ -85,7 +85,22 @@ class StraightContinuation:
             self._put(lanes, places[lanes], found)
 
     def go(self, lanes: Lanes, targets: Matrix, shortest: float = _SHORTEST) -> Vector:
-        """Lead some lanes to other places, (lanes, d + k), in steps of at least `shortest`; return their shares."""
+        """Lead some lanes to other places, (lanes, d + k), in steps of at least `shortest`; return their shares.
+
+        Parameters
+        ----------
+        lanes
+            Numbers of the lanes, (lanes,).
+        targets
+            Places to reach, canonical: values of the parameters, then of the held ones.
+        shortest
+            Least step, as a share of the way.
+
+        Returns
+        -------
+        Vector
+            Share of the way that each lane went, (lanes,); 1 where it arrived.
+        """
         starts = self._places[lanes]
         way, share, stride = targets - starts, np.zeros(len(lanes)), np.where(self.good[lanes], 1.0, 0.0)
         for _ in range(_ROUNDS):
@@ -115,7 +130,22 @@ class StraightContinuation:
     def follow(
         self, targets: Matrix, steps: int, shortest: float
     ) -> tuple[NDArray[np.float64], Matrix, NDArray[np.float64]]:
-        """Lead all lanes to other places; return `y`, `cost` and `rises` at all steps, NaN once a lane is lost."""
+        """Lead all lanes to other places; return `y`, `cost` and `rises` at all steps, NaN once a lane is lost.
+
+        Parameters
+        ----------
+        targets
+            Places to reach, canonical, (lanes, d + k).
+        steps
+            Number of equal parts of the way, at whose ends values are returned.
+        shortest
+            Least step, as a share of a part.
+
+        Returns
+        -------
+        tuple[NDArray[np.float64], Matrix, NDArray[np.float64]]
+            Unknowns (lanes, steps + 1, n), J (lanes, steps + 1), and dJ by what is held (lanes, steps + 1, k).
+        """
         places, lanes = line_places(self._places, targets, steps), np.nonzero(self.good)[0]
         seen = [np.full((len(rows), steps + 1, *rows.shape[1:]), np.nan) for rows in (self.y, self.cost, self.rises)]
         for number in range(steps + 1):
@@ -219,7 +249,15 @@ def follow_sheets(
 
 
 def line_places(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]:
-    """Return places on straight lines, (lanes, steps + 1, k)."""
+    """Return places on straight lines, (lanes, steps + 1, k).
+
+    Parameters
+    ----------
+    starts, ends
+        Ends of the lines, (lanes, k).
+    steps
+        Number of equal parts.
+    """
     share = np.linspace(0.0, 1.0, steps + 1)[None, :, None]
     return starts[:, None] + share * (ends - starts)[:, None]
 
@@ -227,13 +265,29 @@ def line_places(starts: Matrix, ends: Matrix, steps: int) -> NDArray[np.float64]
 def walks_from_one_extremal(
     start: Vector, y: Vector, targets: Matrix
 ) -> tuple[NDArray[np.int64], Matrix, Matrix, Matrix]:
-    """Return `which`, `starts`, `y` and `targets` of `follow_sheets` from one extremal of one branch."""
+    """Return `which`, `starts`, `y` and `targets` of `follow_sheets` from one extremal of one branch.
+
+    Parameters
+    ----------
+    start, y
+        Values of the parameters, (d,), and unknowns, (n,), canonical.
+    targets
+        Values of the parameters to reach, canonical, (targets, d).
+    """
     count = len(targets)
     return np.zeros(count, dtype=np.int64), np.tile(start, (count, 1)), np.tile(y, (count, 1)), targets
 
 
 def corners_reached(places: NDArray[np.int64], y: Matrix) -> Corners:
-    """Return the unknowns of a branch at the corners that it reaches."""
+    """Return the unknowns of a branch at the corners that it reaches.
+
+    Parameters
+    ----------
+    places
+        Numbers of the corners, (corners, d).
+    y
+        Unknowns there, canonical, (corners, n); NaN where the branch does not reach.
+    """
     return {tuple(corner): row for corner, row in zip(places.tolist(), y, strict=True) if np.isfinite(row[0])}
 
 
@@ -244,6 +298,20 @@ def continue_between_corners(
 
     It continues only from corners at which it can be an answer: beyond its border it may turn back, and come to the
     same place with other extremals.
+
+    Parameters
+    ----------
+    chart, borders, sheet
+        The branch, with its chart and bounds.
+    places, values
+        Numbers of all corners, and their values [SI], (corners, d) each.
+    known
+        Unknowns at the corners with which to begin.
+
+    Returns
+    -------
+    Corners
+        Unknowns at all corners that the branch reaches, the known ones included.
     """
     reached, canonical = dict(known), values / chart.scale
     numbers = {tuple(corner): i for i, corner in enumerate(places.tolist())}

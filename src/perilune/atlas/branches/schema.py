@@ -25,7 +25,13 @@ COMPARISONS = "comparisons"  # key of what physics says of a problem of the user
 
 
 def node_type(d: int, n: int) -> np.dtype[Any]:
-    """Return the columns of a shard of nodes, for d axes and n unknowns."""
+    """Return the columns of a shard of nodes, for d axes and n unknowns.
+
+    Parameters
+    ----------
+    d, n
+        Numbers of axes and of unknowns.
+    """
     return np.dtype(
         [
             ("sheet", "<i4"), ("branch", "<i4"), ("place", "<i4", (d,)), ("values", "<f8", (d,)),
@@ -49,6 +55,11 @@ def seed_type(d: int, n: int) -> np.dtype[Any]:
     """Return the columns of a shard of the survey: unknowns of a sheet at corners of blocks.
 
     A sheet that reaches no corner has them at the `place`, in lattice steps, of the block with this low corner.
+
+    Parameters
+    ----------
+    d, n
+        Numbers of axes and of unknowns.
     """
     return np.dtype([("sheet", "<i4"), ("corner", "<i4", (d,)), ("place", "<i4", (d,)), ("y", "<f8", (n,))])
 
@@ -59,7 +70,15 @@ def brick_name(key: tuple[int, ...]) -> str:
 
 
 def header_problem(header: Mapping[str, Any], problem_from_scenario: Callable[[str], Problem]) -> Problem:
-    """Build the problem of a header, with the comparisons of the one that was mapped."""
+    """Build the problem of a header, with the comparisons of the one that was mapped.
+
+    Parameters
+    ----------
+    header
+        Content of the header file.
+    problem_from_scenario
+        Makes the problem of a scenario's text.
+    """
     problem = read_problem(header, problem_from_scenario)
     if COMPARISONS not in header:
         return problem
@@ -72,30 +91,87 @@ def header_axes(region: Region) -> dict[str, Any]:
 
 
 def header_region(problem: Problem, header: Mapping[str, Any]) -> Region:
-    """Return the region that a header states."""
+    """Return the region that a header states.
+
+    Parameters
+    ----------
+    problem
+        Problem of the header, which has the axes as parameters.
+    header
+        Content of the header file.
+
+    Raises
+    ------
+    PeriluneError
+        If the axes are not those of a region.
+    """
     with damage_text(HEADER):
         return region_of(problem, {axis["name"]: (axis["low"], axis["high"]) for axis in header["axes"]})
 
 
 def survey_region(region: Region, survey: Mapping[str, Any]) -> Region:
-    """Return the region of a survey: that of the header, unless it states its own edges."""
+    """Return the region of a survey: that of the header, unless it states its own edges.
+
+    Parameters
+    ----------
+    region
+        Region of the header.
+    survey
+        Line of the survey.
+
+    Raises
+    ------
+    PeriluneError
+        If the stated edges are not valid ones.
+    """
     with damage_text(MANIFEST):
         return stated_region(region, survey["edges"]) if "edges" in survey else region
 
 
 def widths_of(chart: Mapping[str, Any], region: Region) -> Vector:
-    """Return the lengths of the ranges [SI] that set a chart's canonical units; a region that grows keeps them."""
+    """Return the lengths of the ranges [SI] that set a chart's canonical units; a region that grows keeps them.
+
+    Parameters
+    ----------
+    chart
+        Entry of the chart in the line of the survey.
+    region
+        Region of the survey.
+
+    Returns
+    -------
+    Vector
+        Lengths, (d,).
+    """
     return np.array(chart.get("widths", region.high - region.low), dtype=float)
 
 
 def places_of(region: Region, chart: Mapping[str, Any]) -> list[tuple[int, ...]]:
-    """Return the numbers of the blocks that a chart may have."""
+    """Return the numbers of the blocks that a chart may have.
+
+    Parameters
+    ----------
+    region
+        Region of the survey.
+    chart
+        Entry of the chart in the line of the survey.
+    """
     without = {tuple(place) for place in chart.get("without", ())}
     return [brick for brick in region.bricks if brick not in without]
 
 
 def seeded_places(region: Region, chart: Mapping[str, Any], seeds: NDArray[Any]) -> set[tuple[int, ...]]:
-    """Return the blocks of a chart in which, or at whose corners, its survey has a sheet, by its shard."""
+    """Return the blocks of a chart in which, or at whose corners, its survey has a sheet, by its shard.
+
+    Parameters
+    ----------
+    region
+        Region of the survey.
+    chart
+        Entry of the chart in the line of the survey.
+    seeds
+        Shard of the survey's extremals in the chart, with the columns of `seed_type`.
+    """
     within = seeds["place"].any(axis=1)
     beside = (seeds["corner"][~within][:, None] - binary_digits(len(region.axes))[None]).reshape(-1, len(region.axes))
     there = set(map(tuple, np.vstack([beside, seeds["corner"][within]]).tolist()))

@@ -138,25 +138,58 @@ def assured_share(proved: int, drawn: int) -> float:
 
 
 def proved_text(proved: int, drawn: int) -> str:
-    """Describe the result of a draw, with the share of all answers that it assures."""
+    """Describe the result of a draw, with the share of all answers that it assures.
+
+    Parameters
+    ----------
+    proved, drawn
+        Numbers of answers drawn at random: those proved, and all.
+    """
     share = assured_share(proved, drawn)
     said = f": at least {100 * share:.1f} % of all, at 99 % confidence" if share else ""
     return f"{proved} of {drawn} answers drawn at random proved to level {LEVEL}{said}"
 
 
 def refused_text(refused: int, drawn: int) -> list[str]:
-    """Describe the number of drawn places that a query refuses; an empty list for none."""
+    """Describe the number of drawn places that a query refuses; an empty list for none.
+
+    Parameters
+    ----------
+    refused, drawn
+        Numbers of places drawn without and with an answer.
+    """
     told = f"of {drawn + refused} places that were drawn, a query refuses {refused}; nothing is claimed about these"
     return [told] if refused else []
 
 
 def unproved_samples_text(atlas: Atlas, one: Certificate) -> str:
-    """Describe an answer that is not proved: its point, level and failed checks."""
+    """Describe an answer that is not proved: its point, level and failed checks.
+
+    Parameters
+    ----------
+    atlas
+        Atlas of the answer.
+    one
+        Its certificate.
+    """
     return f"at {atlas.region.format_point(one.values)}: level {one.level}, not {', '.join(one.failed[:3])}"
 
 
 def numbers_of_thin_nodes(nodes: NDArray[Any], sheets: Iterable[Sheet]) -> NDArray[np.int64]:
-    """Return the numbers of nodes with a thin margin, the thinnest first."""
+    """Return the numbers of nodes with a thin margin, the thinnest first.
+
+    Parameters
+    ----------
+    nodes
+        Shard of the nodes of a block, with the columns of `node_type`.
+    sheets
+        Branches of its chart.
+
+    Returns
+    -------
+    NDArray[np.int64]
+        Numbers of rows, (thin,).
+    """
     found = np.nonzero(are_possible_answers(nodes, sheets) & (nodes["margin"] < _THIN))[0]
     return found[np.argsort(nodes["margin"][found], kind="stable")]
 
@@ -165,6 +198,17 @@ def drawn_at_random(atlas: Atlas, count: int, rng: np.random.Generator, refused:
     """Yield answers at nodes drawn at random, no place twice, each with its values of the axes.
 
     Drawn places without an answer are added to `refused`.
+
+    Parameters
+    ----------
+    atlas
+        Atlas with all its blocks.
+    count
+        Number of answers.
+    rng
+        Source of the draw.
+    refused
+        Filled with drawn places [SI], each with the reason of the query.
     """
     keys = sorted(atlas.said)
     ends = np.cumsum([atlas.said[key]["nodes"]["rows"] for key in keys])
@@ -182,7 +226,17 @@ def drawn_at_random(atlas: Atlas, count: int, rng: np.random.Generator, refused:
 
 
 def drawn_thin(atlas: Atlas, count: int, rng: np.random.Generator) -> Iterator[Drawn]:
-    """Yield answers at nodes with a thin margin, no place twice; in each block the thinnest first."""
+    """Yield answers at nodes with a thin margin, no place twice; in each block the thinnest first.
+
+    Parameters
+    ----------
+    atlas
+        Atlas with all its blocks.
+    count
+        Number of answers.
+    rng
+        Source of the order of the blocks.
+    """
     keys, seen = [key for key in sorted(atlas.said) if atlas.said[key].get("thin", 0)], set[tuple[float, ...]]()
     refused = Refused()
     for at in rng.permutation(len(keys)).tolist():
@@ -212,7 +266,22 @@ def _answer_at_new_place(
 def certify_solutions(
     solutions: Iterator[Drawn], executor: Submits | None, watch: Watch = ignore_events
 ) -> tuple[Certificate, ...]:
-    """Prove solutions, here or elsewhere."""
+    """Prove solutions, here or elsewhere.
+
+    Parameters
+    ----------
+    solutions
+        Values of the axes [SI], and the answer there.
+    executor
+        Where proofs are computed; None for this process.
+    watch
+        Receives a line after each proof.
+
+    Returns
+    -------
+    tuple[Certificate, ...]
+        Sorted by the values of the axes.
+    """
     calls: Iterator[tuple[tuple[float, ...], Call]] = ((at, (_prove_sampled, solution)) for at, solution in solutions)
     found = list[Certificate]()
     for at, proof in report_lost_worker(
@@ -238,6 +307,19 @@ def draw_sample(
     """Draw and prove the missing part of the sample of a complete atlas, and add it to the manifest.
 
     Waits for another builder that is drawing, which may want fewer, or die.
+
+    Parameters
+    ----------
+    kept
+        Store of a complete atlas.
+    count
+        Number of answers that the sample is to have in all; None for one in a hundred nodes, at most ten.
+    executor
+        Where proofs are computed; None for this process.
+    watch
+        Receives lines of text.
+    problem_from_scenario
+        Makes the problem of a scenario's text; None for the models of the catalogue.
     """
     if count == 0:
         return
@@ -324,7 +406,22 @@ def covered_share(atlas: AtlasReader, points: int = LOOKED_AT) -> RegionCoverage
 
 
 def refuse_nowhere(kept: AtlasStore, survey: Mapping[str, Any], axes: int) -> None:
-    """Refuse a complete atlas without an answering cell, which would refuse every query."""
+    """Refuse a complete atlas without an answering cell, which would refuse every query.
+
+    Parameters
+    ----------
+    kept
+        Store of a complete atlas.
+    survey
+        Line of its survey.
+    axes
+        Number of axes.
+
+    Raises
+    ------
+    NotConvergedError
+        If no cell of a minimum answers.
+    """
     lines, nodes, poor = kept.latest(survey, axes).values(), 0, 0
     for line in lines:
         try:

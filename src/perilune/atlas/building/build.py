@@ -132,7 +132,23 @@ def complete_atlas(
     executor: Submits | None,
     say: Watch,
 ) -> None:
-    """Compute the missing blocks of a survey, and then those into which a branch continues from others."""
+    """Compute the missing blocks of a survey, and then those into which a branch continues from others.
+
+    Parameters
+    ----------
+    kept
+        Store to which blocks are added.
+    problem, region
+        Problem that is mapped, and the region of its survey.
+    survey
+        Line of the survey.
+    tolerance
+        Relative error of the unknowns to which one step of Newton's method leads.
+    executor
+        Where blocks are computed; None for this process.
+    say
+        Receives lines of text.
+    """
     with damage_text(MANIFEST):
         tasks = dict(first_tasks(kept, problem, region, survey, tolerance))
     for number in range(_ROUNDS):

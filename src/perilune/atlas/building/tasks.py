@@ -73,7 +73,20 @@ class Task:
 
 
 def compute_brick(task: Task, watch: Watch = ignore_events) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Compute the nodes and cells of a block, as their shards have them."""
+    """Compute the nodes and cells of a block, as their shards have them.
+
+    Parameters
+    ----------
+    task
+        Block, its chart, and extremals to begin with.
+    watch
+        Receives lines of text.
+
+    Returns
+    -------
+    tuple[NDArray[Any], NDArray[Any]]
+        Rows with the columns of `node_type` and of `cell_type`.
+    """
     chart, borders, reflights = _tools(task.problem, task.names, tuple(task.widths.tolist()), task.course, task.times)
     low, high = task.low / chart.scale, task.high / chart.scale
     before = (
@@ -108,7 +121,17 @@ def _cut_from_shards(nodes: NDArray[Any], cells: NDArray[Any], sheets: int) -> C
 
 
 def compile_for_bricks(problem: Problem, names: tuple[str, ...], widths: Vector) -> None:
-    """Derive and compile the functions that most blocks need, in advance."""
+    """Derive and compile the functions that most blocks need, in advance.
+
+    Parameters
+    ----------
+    problem
+        Problem that is mapped.
+    names
+        Parameters that vary.
+    widths
+        Length of the range of each [SI], (d,).
+    """
     Chart(problem, names, widths)
 
 
@@ -123,7 +146,19 @@ def _tools(
 def first_tasks(
     kept: AtlasStore, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float
 ) -> Iterator[tuple[Key, Task]]:
-    """Yield every block in which a sheet is known, by chart and numbers."""
+    """Yield every block in which a sheet is known, by chart and numbers.
+
+    Parameters
+    ----------
+    kept
+        Store with the shards of the survey.
+    problem, region
+        Problem that is mapped, and the region of its survey.
+    survey
+        Line of the survey.
+    tolerance
+        Relative error of the unknowns to which one step of Newton's method leads.
+    """
     d = len(region.axes)
     for number, chart in enumerate(survey["charts"]):
         known = kept.shard(chart["seeds"], seed_type(d, chart["unknowns"]))
@@ -144,7 +179,21 @@ def first_tasks(
 def tasks_going_on(
     kept: AtlasStore, problem: Problem, region: Region, survey: Mapping[str, Any], tolerance: float, rounds: int
 ) -> Iterator[tuple[Key, Task]]:
-    """Yield every block into which sheets continue from its neighbours, as these were after so many rounds."""
+    """Yield every block into which sheets continue from its neighbours, as these were after so many rounds.
+
+    Parameters
+    ----------
+    kept
+        Store with the shards of the blocks.
+    problem, region
+        Problem that is mapped, and the region of its survey.
+    survey
+        Line of the survey.
+    tolerance
+        Relative error of the unknowns to which one step of Newton's method leads.
+    rounds
+        Number of the last round whose blocks count.
+    """
     d, charts = len(region.axes), survey["charts"]
     lines = kept.latest(survey, d, rounds)
 

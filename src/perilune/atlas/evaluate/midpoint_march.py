@@ -49,7 +49,7 @@ class MarchedMargins(NamedTuple):
         Change of H along a phase.
     cost
         J.
-    pays
+    least_multiplier
         The least multiplier of boundary arcs, which is below zero where J falls if the flight leaves one.
     residual
         The largest violation of a condition at the ends.
@@ -70,7 +70,15 @@ class MarchedMargins(NamedTuple):
 
 
 def start_function(conditions: Conditions, k: int) -> ca.Function:
-    """Build the function (y, numbers, end state of the phase before) -> marched state, all of z, and duration."""
+    """Build the function (y, numbers, end state of the phase before) -> marched state, all of z, and duration.
+
+    Parameters
+    ----------
+    conditions
+        Optimality conditions of the chart.
+    k
+        Number of the phase.
+    """
     y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
     extremal = conditions.phases[k]
     before = _march_symbols(conditions, k - 1) if k else ca.SX(0, 1)
@@ -98,6 +106,13 @@ def end_function(conditions: Conditions, rides: ChartBoundaryArcs) -> ca.Functio
     """Build the function (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
 
     Choice and results are those of `perilune.atlas.evaluate.reintegrate`.
+
+    Parameters
+    ----------
+    conditions
+        Optimality conditions of the chart.
+    rides
+        Boundary arcs of its extremals.
     """
     y, p = ca.SX.sym("y", len(conditions.unknowns)), ca.SX.sym("p", conditions.residual.size1_in(2))
     free = conditions.free_at.stop - conditions.free_at.start
@@ -146,7 +161,15 @@ def end_function(conditions: Conditions, rides: ChartBoundaryArcs) -> ca.Functio
 
 
 def step_along(rides: ChartBoundaryArcs, k: int, mode: int) -> ca.Function:
-    """Build one step: (z and margins so far, numbers, free parameters, length) -> the same behind it."""
+    """Build one step: (z and margins so far, numbers, free parameters, length) -> the same behind it.
+
+    Parameters
+    ----------
+    rides
+        Boundary arcs of the chart's extremals.
+    k, mode
+        Numbers of the phase, and of its mode between two switches.
+    """
     extremal = rides.conditions.phases[k]
     size = 2 * extremal.half
     numbers = ca.SX.sym("numbers", extremal.modes[mode].size1_in(1))
@@ -169,7 +192,15 @@ def step_along(rides: ChartBoundaryArcs, k: int, mode: int) -> ca.Function:
 
 
 def step_settling(rides: ChartBoundaryArcs, k: int, mode: int) -> ca.Function:
-    """Build one step of a phase that settles, with (x, Phi) in place of z, and no control."""
+    """Build one step of a phase that settles, with (x, Phi) in place of z, and no control.
+
+    Parameters
+    ----------
+    rides
+        Boundary arcs of the chart's extremals.
+    k, mode
+        Numbers of the phase, and of its mode between two switches.
+    """
     extremal = rides.conditions.phases[k]
     made = settling_equations(extremal)
     flown, known = made.equations.modes[mode], made.equations.numbers.tolist()
@@ -189,6 +220,15 @@ def extrapolated_step(rate: Any, z: ca.SX, h: ca.SX) -> ca.SX:
     """Return a step of order 8: midpoint rules of 2, 4, 6 and 8 parts, extrapolated in the square of their length.
 
     Extrapolated are increments of z, which are small: so a step rounds z once, and not some ten times.
+
+    Parameters
+    ----------
+    rate
+        ``rate(z)`` returns dz/dt, canonical.
+    z
+        State and costate, canonical.
+    h
+        Length of the step, canonical.
     """
     first, table = rate(z), list[ca.SX]()
     for j, count in enumerate(_SUBSTEPS):
@@ -310,7 +350,19 @@ def _sampled_directions(components: int) -> tuple[tuple[float, ...], ...]:
 def kelley_terms(
     stated: Problem, phase: Phase, extremal: PhaseExtremal, mode: int, z: ca.SX, numbers: ca.SX, free: ca.SX
 ) -> list[ca.SX]:
-    """Return -B of each singular control of a phase, over 1 + |B|; below zero for a maximum."""
+    """Return -B of each singular control of a phase, over 1 + |B|; below zero for a maximum.
+
+    Parameters
+    ----------
+    stated, phase
+        Problem of the chart, as it is traced, and its phase.
+    extremal, mode
+        Canonical equations of the phase, and the number of its mode between two switches.
+    z
+        State and costate, canonical.
+    numbers, free
+        Numbers of the canonical equations, and free parameters, canonical.
+    """
     known, n, found = trace_parameters(stated), extremal.state_count, list[ca.SX]()
     symbol, u, s = ca.SX.sym("z", z.numel()), ca.SX.sym("u", len(phase.control_names)), ca.SX.sym("s")
     x, lam = symbol[:n], symbol[extremal.half : extremal.half + n]

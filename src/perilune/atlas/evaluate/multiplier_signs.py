@@ -138,7 +138,15 @@ class ChartBoundaryArcs:
     # -- along an arc -------------------------------------------------------------------------------------------------
 
     def arc_multipliers(self, part: int, mode: int, z: ca.SX, numbers: ca.SX) -> list[ca.SX]:
-        """Return the multiplier mu of the condition of each boundary arc, over 1 + |eta|."""
+        """Return the multiplier mu of the condition of each boundary arc, over 1 + |eta|.
+
+        Parameters
+        ----------
+        part, mode
+            Numbers of the phase, and of its mode between two switches.
+        z, numbers
+            State and costate, and numbers of the canonical equations, canonical.
+        """
         extremal, found = self.conditions.phases[part], list[ca.SX]()
         for ride in self.boundary_arcs[part]:
             rates = self._eta(extremal, ride, mode, z, numbers)
@@ -146,7 +154,15 @@ class ChartBoundaryArcs:
         return found
 
     def multipliers(self, part: int, mode: int, z: ca.SX, numbers: ca.SX) -> ca.SX:
-        """Return eta of all conditions that a phase holds; zero for those that the user states as held."""
+        """Return eta of all conditions that a phase holds; zero for those that the user states as held.
+
+        Parameters
+        ----------
+        part, mode
+            Numbers of the phase, and of its mode between two switches.
+        z, numbers
+            State and costate, and numbers of the canonical equations, canonical.
+        """
         extremal, rows = self.conditions.phases[part], [ride.row for ride in self.boundary_arcs[part]]
         found = ca.SX.zeros(len(self.stated.phases[part].held_conditions), 1)
         if rows:
@@ -174,6 +190,11 @@ class ChartBoundaryArcs:
         """Return terms that are not negative if S is not, just before and behind a boundary arc or contact point.
 
         There S is as its first derivative with a control in it, of order q, times (t - t0)^q. Arguments as of `jumps`.
+
+        Parameters
+        ----------
+        y, begins, ends, p
+            As of `jumps`.
         """
         found = list[ca.SX]()
         for joint in (j for j in range(1, len(self._arcs)) if j not in self._begins):

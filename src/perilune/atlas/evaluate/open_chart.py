@@ -140,7 +140,17 @@ class OpenChart:
         )])  # fmt: skip
 
     def solution(self, problem: Problem, roots: Sequence[ExtremalRoot], statistics: Statistics) -> Solution:
-        """Return extremals of the chart as a solution of the user's problem at their values."""
+        """Return extremals of the chart as a solution of the user's problem at their values.
+
+        Parameters
+        ----------
+        problem
+            The user's problem at the values of the extremals.
+        roots
+            Extremals of the chart.
+        statistics
+            Record of how they were found.
+        """
         chart, structure = self.chart, self.chart.course.structure
         if structure is None:
             return compose_solution(Indirect.name, problem, chart.own, roots, statistics)

@@ -55,7 +55,7 @@ class Polished:
         What they hold, as of `Chart.choice`.
     course
         Course of Newton's method: columns `_LENGTH` and so on.
-    told
+    verdicts
         Verdicts: columns `_ANSWERS` and so on.
     passed
         1 for bounds that they lie beyond.
@@ -63,7 +63,7 @@ class Polished:
         dJ/dp of the axes, canonical, as the independent re-integration has them.
     reached
         True if Newton's method converged to an extremal of the branch.
-    flown
+    reintegrated
         Their independent re-integrations.
     """
 
@@ -88,7 +88,15 @@ class Polished:
         return np.nonzero(stopped | self.reached & missed)[0]
 
     def put(self, lanes: NDArray[np.int64], by: Polished) -> None:
-        """Replace some lanes by others, which begin where they stopped."""
+        """Replace some lanes by others, which begin where they stopped.
+
+        Parameters
+        ----------
+        lanes
+            Numbers of the lanes that are replaced, (lanes,).
+        by
+            Their extremals, polished further, in that order.
+        """
         by.course[:, _STEPS] += self.course[lanes, _STEPS]
         for name in ("y", "choice", "course", "verdicts", "passed", "slopes", "reached"):
             getattr(self, name)[lanes] = getattr(by, name)

@@ -107,7 +107,15 @@ class ReintegratedExtremals:
         return ReintegratedExtremals(residuals=residuals, shown=shown, rates=rates, ranges=ranges, arcs=self.arcs)
 
     def replace(self, lanes: NDArray[np.int64], by: ReintegratedExtremals) -> None:
-        """Replace some flights by others of the same arcs."""
+        """Replace some flights by others of the same arcs.
+
+        Parameters
+        ----------
+        lanes
+            Numbers of the lanes that are replaced, (lanes,).
+        by
+            Their re-integrations, in that order.
+        """
         for own, other in zip(self.rows, by.rows, strict=True):
             own[lanes] = other
 
@@ -164,7 +172,13 @@ class ChartReintegration:
         return self._propagate(y, p, choice, self.times)
 
     def finer(self, y: Matrix, p: Matrix, choice: Matrix) -> ReintegratedExtremals:
-        """Integrate again, and by finer steps where violations are as small as coarse steps may cause."""
+        """Integrate again, and by finer steps where violations are as small as coarse steps may cause.
+
+        Parameters
+        ----------
+        y, p, choice
+            As of a call.
+        """
         found = self._propagate(y, p, choice, self.times)
         if (poor := np.nonzero(found.margins.nearly)[0]).size:
             numbers = p if len(p) == 1 else p[poor]
@@ -229,7 +243,18 @@ class ChartReintegration:
         return compile_map(end_function(self.conditions, self._boundary_arcs))
 
     def march(self, k: int, mode: int) -> Map:
-        """Compile `STEPS` steps of a phase in a mode."""
+        """Compile `STEPS` steps of a phase in a mode.
+
+        Parameters
+        ----------
+        k, mode
+            Numbers of the phase, and of its mode between two switches.
+
+        Returns
+        -------
+        Map
+            Map (z and margins so far, numbers, free parameters, length of a step) -> the same behind the steps.
+        """
         if (k, mode) not in self._marches:
             step = step_settling if self.conditions.phases[k].settles else step_along
             self._marches[k, mode] = compile_map(step(self._boundary_arcs, k, mode), times=STEPS)
@@ -238,7 +263,25 @@ class ChartReintegration:
     def over_switches(
         self, k: int, state: Matrix, z: Matrix, duration: Vector, p: Matrix, free: Matrix, times: int
     ) -> list[Arcs]:
-        """March a phase that may switch, in place; return lanes with their sequences of modes."""
+        """March a phase that may switch, in place; return lanes with their sequences of modes.
+
+        Parameters
+        ----------
+        k
+            Number of the phase.
+        state
+            z and margins at its start, which become those at its end, (lanes, s).
+        z
+            State and costate at its start, canonical, (lanes, 2 n).
+        duration
+            Its duration, canonical, (lanes,).
+        p
+            Numbers of the canonical equations, (lanes, np) or (1, np).
+        free
+            Free parameters, canonical, (lanes, k).
+        times
+            Times `STEPS` that a piece between switches has.
+        """
         arcs, last = list[Arcs](), state.shape[1] - len(NOTHING_SEEN)
         for lanes, pieces in self._sequences(k, z, duration, p):
             numbers, chosen, here = p if len(p) == 1 else p[lanes], free[lanes], state[lanes]

@@ -90,13 +90,39 @@ class Lattice:
         return [branch for branch, sheet in enumerate(self.sheets) if sheet.alike(mine)]
 
     def had(self, cells: Cells, some: Sequence[Extremal]) -> NDArray[np.bool_]:
-        """Return a mask of the extremals that branches have, as nodes or in their cells."""
+        """Return a mask of the extremals that branches have, as nodes or in their cells.
+
+        Parameters
+        ----------
+        cells
+            All cells of the branches.
+        some
+            Extremals: sheet, place in lattice steps, and unknowns of each.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (extremals,).
+        """
         return found_in_branches(cells, self.nodes, self.step, self.keys, self.alike, some)
 
     # -- cells ----------------------------------------------------------------------------------------------------
 
     def halves(self, cells: Cells, axis: Whole) -> Cells:
-        """Return both halves of cells, one after the other."""
+        """Return both halves of cells, one after the other.
+
+        Parameters
+        ----------
+        cells
+            Cells of the block.
+        axis
+            Axis along which each is cut, (cells,).
+
+        Returns
+        -------
+        Cells
+            2 cells in place of each, with the nodes at their corners.
+        """
         count = np.arange(len(cells))
         size, far = cells.size.copy(), cells.low.copy()
         size[count, axis] //= 2
@@ -119,6 +145,15 @@ class Lattice:
         """Solve missing corners of cells from the corners of the cells that they halve, or their own.
 
         `near` are nodes of each cell to begin with in place of corners.
+
+        Parameters
+        ----------
+        cells
+            Cells whose corners may be missing.
+        wholes
+            Cells of which they are the halves, in order; None to begin at their own corners.
+        near
+            Nodes of each cell to begin with in place of corners.
         """
         lacking = cells.corners < 0
         if wholes is None and near is None:  # where there is no corner at all the sheet comes in from nodes around
@@ -250,7 +285,20 @@ class Lattice:
         )
 
     def corners(self, branch: Whole, low: Whole, size: Whole) -> Whole:
-        """Return the nodes at the corners of cells, -1 for missing ones."""
+        """Return the nodes at the corners of cells, -1 for missing ones.
+
+        Parameters
+        ----------
+        branch
+            Branch of each cell, (cells,).
+        low, size
+            Low corner and lengths in lattice steps, (cells, d).
+
+        Returns
+        -------
+        Whole
+            (cells, 2^d).
+        """
         return self.nodes.numbers(
             self.keys(branch[:, None], low[:, None] + binary_digits(self.d)[None] * size[:, None])
         )
@@ -260,7 +308,15 @@ class Lattice:
         return self.origin + places * self.step
 
     def keys(self, branch: Whole, places: Whole) -> Whole:
-        """Return the keys of nodes, given their branches and places."""
+        """Return the keys of nodes, given their branches and places.
+
+        Parameters
+        ----------
+        branch
+            Branch of each node, (...).
+        places
+            Places in lattice steps, (..., d).
+        """
         return (branch << _BITS * self.d) + (places << _BITS * np.arange(self.d)).sum(axis=-1)
 
 
@@ -325,7 +381,20 @@ def _interpolated_and_solved(lattice: Lattice, cells: Cells, share: Matrix) -> t
 
 
 def path_amid(lattice: Lattice, cells: Cells) -> Vector:
-    """Return the least path condition of what cells give at their middle, after a step of Newton's method."""
+    """Return the least path condition of what cells give at their middle, after a step of Newton's method.
+
+    Parameters
+    ----------
+    lattice
+        Nodes of the block.
+    cells
+        Cells with all their corners.
+
+    Returns
+    -------
+    Vector
+        Canonical, (cells,); below zero where a condition is violated.
+    """
     if not len(cells):
         return np.empty(0)
     chart = lattice.chart

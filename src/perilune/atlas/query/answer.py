@@ -61,7 +61,17 @@ class Mapped(Solution):
 
     @classmethod
     def deferred(cls, objective: float, query: Query, make: Callable[[], Solution]) -> Mapped:
-        """Return a solution of which only J and `query` exist before it is accessed, which in a sweep it seldom is."""
+        """Return a solution of which only J and `query` exist before it is accessed, which in a sweep it seldom is.
+
+        Parameters
+        ----------
+        objective
+            J [SI].
+        query
+            Record of the reading.
+        make
+            Returns the whole solution on first access.
+        """
         found = object.__new__(cls)
         found.__dict__.update(objective=objective, query=query, _make=make)
         return found

@@ -26,7 +26,20 @@ _TOGETHER = 4096  # points, so that what lies at the corners of their cells fits
 
 
 def answer_points(atlas: AtlasReader, points: Matrix) -> Answers:
-    """Return the answers of an atlas at points [SI], (points, d)."""
+    """Return the answers of an atlas at points [SI], (points, d).
+
+    Parameters
+    ----------
+    atlas
+        Atlas that is read.
+    points
+        Values of the axes, (points, d).
+
+    Raises
+    ------
+    PeriluneError
+        If these are not numbers in rows of d.
+    """
     points, d = np.asarray(require_numbers(points, "points of an atlas")), len(atlas.region.axes)
     if points.ndim != 2 or points.shape[1] != d:
         raise PeriluneError(

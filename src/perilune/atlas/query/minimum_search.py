@@ -40,12 +40,28 @@ class KnownExtremals:
 
     @classmethod
     def none(cls, charted: Sequence[OpenChart], count: int) -> KnownExtremals:
-        """Return lanes without extremals."""
+        """Return lanes without extremals.
+
+        Parameters
+        ----------
+        charted
+            Charts of the atlas.
+        count
+            Number of lanes.
+        """
         y = [np.full((count, one.unknowns), np.nan) for one in charted]
         return cls(np.full(count, -1), y, np.full(count, np.nan), np.full(count, -1))
 
     def put(self, lanes: Lanes, others: KnownExtremals, its: Lanes) -> None:
-        """Take over some lanes of others."""
+        """Take over some lanes of others.
+
+        Parameters
+        ----------
+        lanes
+            Numbers of the lanes that are replaced, (k,).
+        others, its
+            Extremals that replace them, and the lanes of these, (k,).
+        """
         for name in ("chart", "cost", "sheet"):
             getattr(self, name)[lanes] = getattr(others, name)[its]
         for own, other in zip(self.y, others.y, strict=True):

@@ -68,11 +68,27 @@ class LoadedBrick:
         return tuple(np.array(rows) for rows in (self.axis, self.child, self.split, self.status))  # pyright: ignore
 
     def leaves(self, root: int, places: Matrix) -> Whole:
-        """Return the cells of a branch, whose first cell is `root`, in which places lie, (points,)."""
+        """Return the cells of a branch, whose first cell is `root`, in which places lie, (points,).
+
+        Parameters
+        ----------
+        root
+            Number of the first cell of the branch.
+        places
+            Places in lattice steps, (points, d).
+        """
         return leaves(*self.arrays[:3], root, places)
 
     def leaf(self, root: int, place: Sequence[float]) -> int:
-        """Return the cell of a branch, whose first cell is `root`, in which a place lies."""
+        """Return the cell of a branch, whose first cell is `root`, in which a place lies.
+
+        Parameters
+        ----------
+        root
+            Number of the first cell of the branch.
+        place
+            Place in lattice steps, (d,).
+        """
         cell, axis, child, split = root, self.axis, self.child, self.split
         while child[cell] >= 0:
             cell = child[cell] + (place[axis[cell]] >= split[cell])
@@ -90,6 +106,18 @@ class LoadedBrick:
         """Return the least J that corners of cells predict at places; without any, those of the smallest cell around.
 
         A sheet without a corner of a cell may still pass through it, and must not be missed.
+
+        Parameters
+        ----------
+        numbers
+            Cell of each lane, (lanes,).
+        places
+            Places in lattice steps, (lanes, d).
+
+        Returns
+        -------
+        Vector
+            Canonical, (lanes,).
         """
         corners = self.cells["corners"][numbers]
         while (bare := np.nonzero((numbers >= 0) & (corners < 0).all(axis=1))[0]).size:
@@ -272,6 +300,13 @@ class AtlasReader:
     @check_call
     def brick(self, number: int, brick: tuple[int, ...]) -> LoadedBrick | None:
         """Return a block of a chart; None if it is missing or damaged.
+
+        Parameters
+        ----------
+        number
+            Number of the chart.
+        brick
+            Numbers of the block along the axes, (d,).
 
         Raises
         ------

@@ -170,7 +170,15 @@ class Nodes:
         return found
 
     def rows(self, name: str, numbers: Whole) -> NDArray[Any]:
-        """Return a column of nodes."""
+        """Return a column of nodes.
+
+        Parameters
+        ----------
+        name
+            Name of the column.
+        numbers
+            Numbers of the nodes, of any shape.
+        """
         return self._rows[name][numbers]
 
     def extrapolate(self, numbers: Whole, places: Whole, step: Vector) -> tuple[Matrix, Vector]:
@@ -214,11 +222,29 @@ class Nodes:
         return guess, spread
 
     def nearest(self, some: Whole, place: Whole) -> int:
-        """Return the number of the node, of some, that is nearest to a place."""
+        """Return the number of the node, of some, that is nearest to a place.
+
+        Parameters
+        ----------
+        some
+            Numbers of the nodes, (k,).
+        place
+            Place in lattice steps, (d,).
+        """
         return int(some[np.abs(self.rows("place", some) - place).sum(axis=1).argmin()])
 
     def nearest_continuable(self, branch: int, places: Whole, reach: int) -> Whole:
-        """Return the node nearest to each place, (lanes,), from which a branch can go on; -1 with none within reach."""
+        """Return the node nearest to each place, (lanes,), from which a branch can go on; -1 with none within reach.
+
+        Parameters
+        ----------
+        branch
+            Number of the branch.
+        places
+            Places in lattice steps, (lanes, d).
+        reach
+            Greatest distance along any axis [lattice steps].
+        """
         goes_on = (self._rows["branch"][: self.count] == branch) & (self._rows["margin"][: self.count] >= 0)
         goes_on[self.run_into] = False
         numbers = np.nonzero(goes_on)[0]
@@ -235,6 +261,15 @@ class Nodes:
         """Return the nodes of a branch, from number `first` on, in a box or on its border from which it goes on.
 
         Beyond the border of its sheet it may turn back, and does not go on.
+
+        Parameters
+        ----------
+        branch
+            Number of the branch.
+        low, high
+            Corners of the box in lattice steps, (d,).
+        first
+            Number of the first node that counts.
         """
         here = slice(first, self.count)
         place = self._rows["place"][here]
@@ -260,13 +295,31 @@ def clearly_below(rows: Matrix, slack: float) -> NDArray[np.bool_]:
 
 
 def halved_at(low: Whole, axis: Whole, child: Whole) -> Whole:
-    """Return the places at which cells are split, in lattice steps along their axis; arbitrary for uncut cells."""
+    """Return the places at which cells are split, in lattice steps along their axis; arbitrary for uncut cells.
+
+    Parameters
+    ----------
+    low
+        Low corners in lattice steps, (cells, d).
+    axis, child
+        Axis along which each cell was cut, and the first of its children; -1 for uncut cells, (cells,).
+    """
     second = np.where(child >= 0, child + 1, 0)
     return np.take_along_axis(low[second], np.maximum(axis, 0)[:, None], axis=1)[:, 0]
 
 
 def leaves(axis: Whole, child: Whole, split: Whole, root: int, places: Matrix) -> Whole:
-    """Return the leaf cells below one in which places lie, (points,)."""
+    """Return the leaf cells below one in which places lie, (points,).
+
+    Parameters
+    ----------
+    axis, child, split
+        Of each cell: axis along which it was cut, first child, place of the cut in lattice steps, (cells,).
+    root
+        Number of the cell at which the search begins.
+    places
+        Places in lattice steps, (points, d).
+    """
     cell = np.full(len(places), root)
     while (going := np.nonzero(child[cell] >= 0)[0]).size:
         here = cell[going]
@@ -297,5 +350,13 @@ def concatenate_cells(waves: Sequence[Cells]) -> Cells:
 
 
 def select_cells(cells: Cells, which: NDArray[np.bool_] | NDArray[np.intp]) -> Cells:
-    """Return some of the cells."""
+    """Return some of the cells.
+
+    Parameters
+    ----------
+    cells
+        Cells of a block.
+    which
+        Mask of the cells, (cells,), or their numbers.
+    """
     return Cells(**{f.name: getattr(cells, f.name)[which] for f in fields(Cells)})

@@ -19,7 +19,15 @@ def digest_of(said: Any) -> str:
 
 
 def end_line(survey: Mapping[str, Any], bricks: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the line by which a builder states that these are all blocks, so that a lost line shows."""
+    """Return the line by which a builder states that these are all blocks, so that a lost line shows.
+
+    Parameters
+    ----------
+    survey
+        Line of the survey.
+    bricks
+        Lines of all its blocks.
+    """
     return {"kind": "end", "survey": survey["digest"], "bricks": len({line["name"] for line in bricks})}
 
 

@@ -11,12 +11,28 @@ from perilune.core.errors import PeriluneError
 def unusable_atlas_error(
     place: Path, got: str, expected: str, advice: str = "choose another directory"
 ) -> PeriluneError:
-    """Return the error of a directory that cannot serve as this atlas."""
+    """Return the error of a directory that cannot serve as this atlas.
+
+    Parameters
+    ----------
+    place
+        Directory of the atlas.
+    got, expected, advice
+        Parts of the message.
+    """
     return PeriluneError(f"this atlas cannot be used: {place}", got=got, expected=expected, advice=advice)
 
 
 def unwritable_atlas_error(name: str, error: OSError) -> PeriluneError:
-    """Return the error of a file that cannot be written."""
+    """Return the error of a file that cannot be written.
+
+    Parameters
+    ----------
+    name
+        Name of the file.
+    error
+        Error of the operating system.
+    """
     helps = (
         "check its permissions" if isinstance(error, PermissionError) or error.errno == errno.EROFS else "free space"
     )
@@ -28,7 +44,15 @@ def unwritable_atlas_error(name: str, error: OSError) -> PeriluneError:
 
 
 def unreadable_file_error(name: str, error: OSError) -> PeriluneError:
-    """Return the error of a file that cannot be read."""
+    """Return the error of a file that cannot be read.
+
+    Parameters
+    ----------
+    name
+        Name of the file.
+    error
+        Error of the operating system.
+    """
     return PeriluneError(
         f"a file of the atlas cannot be read: {name}", got=str(error.strerror), expected="a file that you may read",
         advice="check its permissions",
@@ -36,7 +60,15 @@ def unreadable_file_error(name: str, error: OSError) -> PeriluneError:
 
 
 def damaged_shard_error(name: str, got: str) -> PeriluneError:
-    """Return the error of a shard that differs from what was written."""
+    """Return the error of a shard that differs from what was written.
+
+    Parameters
+    ----------
+    name
+        Name of the file.
+    got
+        Description of what was read.
+    """
     again = "the rest still serves; remove its line from manifest.jsonl; perilune atlas extend DIR builds it again"
     if name.startswith("survey-"):  # without its line it is unknown where branches are
         again = "remove its line from manifest.jsonl, and run the command that built it again: atlas build ... --resume"

@@ -109,7 +109,20 @@ def refuse_no_survey(line: Mapping[str, Any]) -> None:
 
 
 def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
-    """Raise ValueError for an invalid line of a block, of an atlas of d axes and so many charts."""
+    """Raise ValueError for an invalid line of a block, of an atlas of d axes and so many charts.
+
+    Parameters
+    ----------
+    line
+        Line of the manifest.
+    d, charts
+        Numbers of axes and of charts.
+
+    Raises
+    ------
+    ValueError
+        If an entry is missing or has another type or range.
+    """
     place: Any = line.get("brick")
     _refuse_unless(
         _is_list_of(place, int) and len(place) == d and all(map(_is_exact_integer, place)), "numbers of a brick"
@@ -127,7 +140,20 @@ def refuse_no_brick(line: Mapping[str, Any], d: int, charts: int) -> None:
 
 
 def refuse_no_sample(line: Mapping[str, Any], d: int) -> None:
-    """Raise ValueError for an invalid line of proofs, of an atlas of d axes."""
+    """Raise ValueError for an invalid line of proofs, of an atlas of d axes.
+
+    Parameters
+    ----------
+    line
+        Line of the manifest.
+    d
+        Number of axes.
+
+    Raises
+    ------
+    ValueError
+        If an entry is missing or has another type or range.
+    """
     _refuse_unless(_is_exact_integer(line.get("asked")) and line["asked"] >= 0, "how many proofs")
     _refuse_unless(
         _is_exact_integer(line.get("refused", 0)) and line.get("refused", 0) >= 0, "how many places are refused"

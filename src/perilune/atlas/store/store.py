@@ -210,7 +210,15 @@ class AtlasStore:
         return found
 
     def bricks(self, survey: Mapping[str, Any], d: int) -> list[dict[str, Any]]:
-        """Return the lines of the blocks of a survey of d axes, and of those that it extends; errors of `survey`."""
+        """Return the lines of the blocks of a survey of d axes, and of those that it extends; errors of `survey`.
+
+        Parameters
+        ----------
+        survey
+            Line of the survey.
+        d
+            Number of axes.
+        """
         mine, charts = {survey["digest"], *survey.get("before", [])}, len(survey["charts"])
         found = [line for line in self.lines() if line.get("kind") == "brick" and line.get("survey") in mine]
         with damage_text(MANIFEST):
@@ -221,7 +229,17 @@ class AtlasStore:
     def latest(
         self, survey: Mapping[str, Any], d: int, rounds: float = math.inf
     ) -> dict[tuple[int, ...], dict[str, Any]]:
-        """Return the last line of each block by chart and numbers, of so many rounds; otherwise as `bricks`."""
+        """Return the last line of each block by chart and numbers, of so many rounds; otherwise as `bricks`.
+
+        Parameters
+        ----------
+        survey
+            Line of the survey.
+        d
+            Number of axes.
+        rounds
+            Number of the last round whose lines count.
+        """
         lines = (line for line in self.bricks(survey, d) if line.get("round", 0) <= rounds)
         return {(line["chart"], *line["brick"]): line for line in lines}
 
@@ -238,7 +256,17 @@ class AtlasStore:
         return end_line(survey, self.bricks(survey, d)) in self.lines()
 
     def samples(self, digest: Any, nodes: int, d: int) -> list[dict[str, Any]]:
-        """Return the lines of samples of a survey of d axes with so many nodes; errors of `survey`."""
+        """Return the lines of samples of a survey of d axes with so many nodes; errors of `survey`.
+
+        Parameters
+        ----------
+        digest
+            Digest of the survey.
+        nodes
+            Number of nodes of the atlas when the sample was drawn.
+        d
+            Number of axes.
+        """
         found = [line for line in self.lines() if line.get("kind") == "sample"]
         with damage_text(MANIFEST):
             for line in found:
@@ -295,7 +323,20 @@ class AtlasStore:
             return False
 
     def put(self, name: str, array: NDArray[Any]) -> dict[str, Any]:
-        """Write a shard; return its entry in the manifest."""
+        """Write a shard; return its entry in the manifest.
+
+        Parameters
+        ----------
+        name
+            Name of the file.
+        array
+            Structured array, (rows,).
+
+        Raises
+        ------
+        PeriluneError
+            If it cannot be written.
+        """
         content = io.BytesIO()
         np.save(content, array, allow_pickle=False)
         data = content.getvalue()
@@ -304,6 +345,15 @@ class AtlasStore:
 
     def shard(self, said: Mapping[str, Any], dtype: np.dtype[Any], *, check: bool = True) -> NDArray[Any]:
         """Return a shard as an array that reads the file on access.
+
+        Parameters
+        ----------
+        said
+            Entry in the manifest: file, rows, bytes, sha256.
+        dtype
+            Columns that it must have.
+        check
+            Compare the content with its checksum.
 
         Raises
         ------

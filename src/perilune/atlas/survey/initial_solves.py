@@ -154,7 +154,15 @@ _MOST = 256  # points
 
 
 def scanned_names(problem: Problem, region: Region) -> list[str]:
-    """Return free parameters and durations between bounds, without axes, along which J may have several minima."""
+    """Return free parameters and durations between bounds, without axes, along which J may have several minima.
+
+    Parameters
+    ----------
+    problem
+        Problem that is mapped.
+    region
+        Region whose axes are left out.
+    """
     return [f.name for f in problem.free if math.isfinite(f.upper - f.lower) and f.name not in region.names]
 
 
@@ -201,6 +209,17 @@ class Scan:
         """Follow the arcs of an answer where no flight is known; return True if more flights were found.
 
         `place` is that of an answer solved within a `gap`, where earlier extremals lead nowhere else.
+
+        Parameters
+        ----------
+        values
+            Values of the axes [SI], (d,).
+        course
+            Arcs of the answer.
+        extremals
+            Extremals of the answer, of which the first that the chart can hold is followed.
+        place
+            Numbers of parameter, point and step of the gap; None for an answer solved without one.
         """
         chart = Chart(self._problem, self._region.names, self._widths, course)
         first = next((e for e in extremals if len(e.unknowns or ()) == len(chart.own.unknowns)), None)

@@ -57,6 +57,17 @@ class HeldFamilies:
 
         Extremals `within` all bounds, which gain by leaving none, are flown only if their unknowns do not give them: a
         range with a multiplier is at its bound.
+
+        Parameters
+        ----------
+        points
+            Values of the axes [SI], (lanes, d).
+        y
+            Unknowns, canonical, (lanes, n).
+        bounds
+            Lower and upper bounds of the held parameters, canonical.
+        within
+            Mask of the lanes whose extremals lie within all bounds, (lanes,).
         """
         values, free = points / self._chart.scale, self._chart.shooting.plan.free
         whole, conditions = self._chart.whole(values, y), self._chart.conditions
@@ -77,7 +88,15 @@ class HeldFamilies:
         return self._chart.shooting.held_values(found.roots)[0][:, self._at]
 
     def held_there(self, points: Matrix, y: Matrix) -> Matrix:
-        """Return the unknowns of extremals with their own parameters held, (lanes, n)."""
+        """Return the unknowns of extremals with their own parameters held, (lanes, n).
+
+        Parameters
+        ----------
+        points
+            Values of the axes [SI], (lanes, d).
+        y
+            Unknowns, canonical, (lanes, n).
+        """
         values = points / self._chart.scale
         places = np.hstack([values, self._at_extremals(values, y)])
         return self._chart.solve(values, y, self._held(np.arange(len(y)), places)).y
@@ -197,6 +216,17 @@ def minima_around(
 
     The extremals, at `values` with unknowns `y`, are continued there with these parameters held, so that none of them
     need be a minimum there.
+
+    Parameters
+    ----------
+    chart, borders
+        Chart of the families, and the bounds of its parameters.
+    names
+        Free parameters that are held; what the chart does not have is left out.
+    points
+        Values of the axes to reach, canonical, (lanes, d).
+    values, y
+        Values of the axes, (lanes, d), and unknowns, (lanes, n), of the extremals, canonical.
     """
     at = [borders.names.index(name) for name in names if name in borders.names]
     held = chart.shooting.plan.held

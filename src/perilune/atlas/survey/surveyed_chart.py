@@ -58,7 +58,17 @@ class InteriorSeed:
 
 
 def with_minimum_found(known: SurveyedChart, number: int, sheet: Sheet) -> SurveyedChart:
-    """Return the chart with one of its branches marked as a minimum, if that was not known."""
+    """Return the chart with one of its branches marked as a minimum, if that was not known.
+
+    Parameters
+    ----------
+    known
+        Chart with its branches.
+    number
+        Number of the branch.
+    sheet
+        The same branch as found later, with the kind of its extremals.
+    """
     if known.sheets[number].minimum or not sheet.minimum or sheet.nature is Nature.UNPROVED:
         return known
     sheets = list(known.sheets)
@@ -71,6 +81,15 @@ def merge_surveyed_chart(known: SurveyedChart, sheet: Sheet, y: Matrix) -> Surve
 
     With one extremal in common it is a known branch. If it differs from that elsewhere, as around a cusp, the others
     are kept as those of another branch.
+
+    Parameters
+    ----------
+    known
+        Chart with its branches.
+    sheet
+        Branch that is added.
+    y
+        Its unknowns, canonical, (corners, n); NaN where it does not reach.
     """
     for number, (other, there) in enumerate(zip(known.sheets, known.y, strict=True)):
         if other.alike(sheet):
@@ -84,7 +103,15 @@ def merge_surveyed_chart(known: SurveyedChart, sheet: Sheet, y: Matrix) -> Surve
 
 
 def with_expected_branches(known: SurveyedChart, corners: Matrix) -> SurveyedChart:
-    """Add the branches that would continue known ones across bounds; blocks find if there are any."""
+    """Add the branches that would continue known ones across bounds; blocks find if there are any.
+
+    Parameters
+    ----------
+    known
+        Chart with its branches.
+    corners
+        Values of the axes at all corners of blocks, canonical, (corners, d).
+    """
     sheets, small = list(known.sheets), {one.sheet: (one.values, one.y) for one in known.small}
     for number, (sheet, y) in enumerate(zip(known.sheets, known.y, strict=True)):
         first = int(np.isfinite(y[:, 0]).argmax())
@@ -104,7 +131,20 @@ def chart_entry(found: SurveyedChart) -> dict[str, Any]:
 
 
 def seed_rows(places: NDArray[np.int64], found: SurveyedChart) -> NDArray[Any]:
-    """Return the shard of branches at corners of blocks, and of branches that reach none."""
+    """Return the shard of branches at corners of blocks, and of branches that reach none.
+
+    Parameters
+    ----------
+    places
+        Numbers of all corners of blocks, (corners, d).
+    found
+        Chart with its branches.
+
+    Returns
+    -------
+    NDArray[Any]
+        Rows with the columns of `seed_type`.
+    """
     sheet, corner = np.nonzero(np.isfinite(found.y[:, :, 0]))
     rows = np.zeros(len(sheet) + len(found.small), dtype=seed_type(places.shape[1], found.y.shape[2]))
     first = rows[: len(sheet)]
