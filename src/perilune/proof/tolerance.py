@@ -20,6 +20,13 @@ def raise_limit(check: Check, tolerance: Tolerance) -> Check:
     """The check with the limit that is stated for its quantity, where that is larger than its own.
 
     A limit of 0 counts what may not be there at all, one below 0 asks for a sign: neither is a size.
+
+    Parameters
+    ----------
+    check
+        A check, with its own limit.
+    tolerance
+        Stated tolerances by the names of quantities, in the units of the checks.
     """
     name = {1: quantity_in(check.unit), 2: "optimality" if check.unit == "1" else ""}.get(check.level, "")
     stated = tolerance.stated.get(name)
@@ -29,7 +36,15 @@ def raise_limit(check: Check, tolerance: Tolerance) -> Check:
 
 
 def check_tolerance_sense(tolerance: Tolerance, solution: Solution) -> Iterator[Check]:
-    """Yield for each quantity that the flight changes a check that its tolerance leaves something to prove."""
+    """Yield for each quantity that the flight changes a check that its tolerance leaves something to prove.
+
+    Parameters
+    ----------
+    tolerance
+        Stated tolerances by the names of quantities, in the units of the checks.
+    solution
+        The flight, from whose states the changes of the quantities are taken.
+    """
     changed = _change_of_quantities(solution)
     for name, stated in tolerance.stated.items():
         if name in SIZED and name not in changed:

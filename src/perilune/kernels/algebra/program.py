@@ -262,6 +262,13 @@ def _drop_unused(program: Program) -> Program:
 def hoist(program: Program, argument: int) -> tuple[Program, Program]:
     """Split off what depends on only one argument.
 
+    Parameters
+    ----------
+    program
+        Straight-line program of a traced function.
+    argument
+        Index of the argument (of the traced function) whose dependents are computed once, the parameters p as a rule.
+
     Returns
     -------
     before, during

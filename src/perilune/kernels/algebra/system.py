@@ -256,7 +256,20 @@ class ArcSystem:
         return [(event, before) for event, before, _ in self.transitions if not self.events[event].steady]
 
     def transition(self, event: int, before: int) -> Any:
-        """Return (Y, p) -> Y after an event in a mode, one of those `carried`."""
+        """Return (Y, p) -> Y after an event in a mode, one of those `carried`.
+
+        Parameters
+        ----------
+        event
+            Index of the event in `events`.
+        before
+            Mode of the dynamics in which the arc meets the event.
+
+        Returns
+        -------
+        casadi.Function
+            Of Y = (z, kept entries of S) and p: z is mapped by the jump, S by the saltation matrix.
+        """
         import casadi as ca
 
         z, p, (slope, change, gradient), after = self._saltation(event, before)

@@ -74,7 +74,15 @@ class _ChoiceChains:
 def with_tables(
     program: tuple[Instruction, ...], outputs: tuple[int, ...]
 ) -> tuple[tuple[Instruction, ...], tuple[int, ...]]:
-    """Return instructions and outputs of a program with long chains read off tables, and without their parts."""
+    """Return instructions and outputs of a program with long chains read off tables, and without their parts.
+
+    Parameters
+    ----------
+    program
+        Instructions in the order of their computation; an operand is the index of an earlier instruction.
+    outputs
+        Indices of the instructions that the program returns.
+    """
     chains = {n: c for n, c in _ChoiceChains(program).found.items() if len(c.knots) >= _LEAST}
     if not chains:
         return program, outputs

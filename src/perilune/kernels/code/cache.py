@@ -105,7 +105,15 @@ def is_cached(name: str) -> bool:
 
 
 def store_object(name: str, body: bytes) -> bool:
-    """Keep an object; returns False where there is no directory that can be written, which is no error."""
+    """Keep an object; returns False where there is no directory that can be written, which is no error.
+
+    Parameters
+    ----------
+    name
+        Digest of all that the code depends on (hexadecimal); the name of the file without its suffix.
+    body
+        Object file of the compiler.
+    """
     folder = directory()
     if folder is None:
         return False

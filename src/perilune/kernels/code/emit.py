@@ -115,13 +115,31 @@ def _inputs(w: Writer, instructions: Sequence[Instruction]) -> Callable[[int, in
 
 
 def library(programs: list[Program], width: int) -> str:
-    """Return the IR of the transcendental functions that these programs call."""
+    """Return the IR of the transcendental functions that these programs call.
+
+    Parameters
+    ----------
+    programs
+        Programs of one module.
+    width
+        Number of lanes, one for each trajectory.
+    """
     used = {op for program in programs for op in program.operations if op in vecmath.NAMES}
     return vecmath.definitions(width, used)
 
 
 def operation(w: Writer, op: str, *operands: Vec) -> Vec:
-    """Append one operation; every name of `program.OPERATIONS` that survives tracing is known."""
+    """Append one operation; every name of `program.OPERATIONS` that survives tracing is known.
+
+    Parameters
+    ----------
+    w
+        Writer of the function that the operation is appended to.
+    op
+        Name of the operation, as in `program.OPERATIONS`.
+    *operands
+        One or two values of each lane.
+    """
     if op in _ARITHMETIC:
         return w.arith(_ARITHMETIC[op], *operands)
     if op in _INTRINSICS:

@@ -99,7 +99,15 @@ class Writer:
         return f"{stem}{self._count}"
 
     def let(self, kind: ValueKind[T], text: str) -> T:
-        """Append an instruction whose result is of a kind; returns its name."""
+        """Append an instruction whose result is of a kind; returns its name.
+
+        Parameters
+        ----------
+        kind
+            Type of the result.
+        text
+            Instruction in LLVM IR, without the name of its result.
+        """
         name = f"%{self.fresh('v')}"
         self.lines.append(f"  {name} = {text}")
         return kind.named(name)
@@ -127,27 +135,65 @@ class Writer:
         return Bits("<" + ", ".join([f"i64 {value}"] * self.width) + ">")
 
     def arith(self, op: str, a: Vec, b: Vec) -> Vec:
-        """Append fadd, fsub, fmul or fdiv."""
+        """Append fadd, fsub, fmul or fdiv.
+
+        Parameters
+        ----------
+        op
+            "fadd", "fsub", "fmul" or "fdiv".
+        a, b
+            A double in each lane.
+        """
         return self.let(self.vector, f"{op} contract {self.vector} {a}, {b}")
 
     def add(self, a: Vec, b: Vec) -> Vec:
-        """Return a + b."""
+        """Return a + b.
+
+        Parameters
+        ----------
+        a, b
+            A double in each lane.
+        """
         return self.arith("fadd", a, b)
 
     def sub(self, a: Vec, b: Vec) -> Vec:
-        """Return a - b."""
+        """Return a - b.
+
+        Parameters
+        ----------
+        a, b
+            A double in each lane.
+        """
         return self.arith("fsub", a, b)
 
     def mul(self, a: Vec, b: Vec) -> Vec:
-        """Return a b."""
+        """Return a b.
+
+        Parameters
+        ----------
+        a, b
+            A double in each lane.
+        """
         return self.arith("fmul", a, b)
 
     def div(self, a: Vec, b: Vec) -> Vec:
-        """Return a / b."""
+        """Return a / b.
+
+        Parameters
+        ----------
+        a, b
+            A double in each lane.
+        """
         return self.arith("fdiv", a, b)
 
     def fma(self, a: Vec, b: Vec, c: Vec) -> Vec:
-        """Return a b + c, fused where the processor can."""
+        """Return a b + c, fused where the processor can.
+
+        Parameters
+        ----------
+        a, b, c
+            A double in each lane.
+        """
         return self.intrinsic("fmuladd", a, b, c)
 
     def neg(self, a: Vec) -> Vec:
@@ -160,24 +206,52 @@ class Writer:
         return self.let(self.vector, f"call contract {self.vector} @llvm.{name}.v{self.width}f64({arguments})")
 
     def horner(self, x: Vec, coefficients: tuple[float, ...]) -> Vec:
-        """Append a polynomial, highest power first."""
+        """Append a polynomial, highest power first.
+
+        Parameters
+        ----------
+        x
+            Argument of the polynomial, a double in each lane.
+        coefficients
+            Coefficients from the highest power down to the constant, the same in all lanes.
+        """
         value = self.const(coefficients[0])
         for c in coefficients[1:]:
             value = self.fma(value, x, self.const(c))
         return value
 
     def smaller(self, a: Vec, b: Vec) -> Vec:
-        """Return the smaller; b where either is NaN."""
+        """Return the smaller; b where either is NaN.
+
+        Parameters
+        ----------
+        a, b
+            A double in each lane.
+        """
         return self.select(self.compare("olt", a, b), a, b)
 
     def larger(self, a: Vec, b: Vec) -> Vec:
-        """Return the larger; b where either is NaN."""
+        """Return the larger; b where either is NaN.
+
+        Parameters
+        ----------
+        a, b
+            A double in each lane.
+        """
         return self.select(self.compare("ogt", a, b), a, b)
 
     # -- lanes of vectors
     # -----------------------------------------------------------------------------------------------
     def lane(self, vector: Vec, number: int) -> Num:
-        """Return one lane."""
+        """Return one lane.
+
+        Parameters
+        ----------
+        vector
+            A double in each lane.
+        number
+            Index of the lane, 0 to `width` - 1.
+        """
         return self.let(NUM, f"extractelement {self.vector} {vector}, i32 {number}")
 
     def gathered(self, value: Callable[[int], Num]) -> Vec:
@@ -196,12 +270,28 @@ class Writer:
     # -- tables
     # -----------------------------------------------------------------------------------------------
     def constant(self, name: Ptr[Num], values: Iterable[float]) -> str:
-        """Return the text of an array of doubles next to the functions."""
+        """Return the text of an array of doubles next to the functions.
+
+        Parameters
+        ----------
+        name
+            Global name of the array, with its "@".
+        values
+            Entries of the array.
+        """
         numbers = [f"double {literal(value)}" for value in values]
         return f"{name} = internal constant [{len(numbers)} x double] [{', '.join(numbers)}]\n"
 
     def place(self, x: Vec, knots: Iterable[float]) -> Bits:
-        """Return how many of the knots do not lie above x, none where that is NaN."""
+        """Return how many of the knots do not lie above x, none where that is NaN.
+
+        Parameters
+        ----------
+        x
+            A double in each lane.
+        knots
+            Knots in ascending order, the same in all lanes.
+        """
         count = self.bits(0)
         for knot in knots:
             beyond = self.let(
@@ -211,7 +301,15 @@ class Writer:
         return count
 
     def read(self, table: Ptr[Num], place: Bits) -> Vec:
-        """Return the entry of an array at a place of each lane."""
+        """Return the entry of an array at a place of each lane.
+
+        Parameters
+        ----------
+        table
+            Address of the first entry of an array of doubles.
+        place
+            Index of the entry, an integer in each lane.
+        """
         return self.gathered(
             lambda lane: self.load(table, self.let(INT, f"extractelement {self.integers} {place}, i32 {lane}"))
         )
@@ -219,7 +317,15 @@ class Writer:
     # -- masks and bits
     # -----------------------------------------------------------------------------------------------
     def compare(self, predicate: str, a: Vec, b: Vec) -> Mask:
-        """Append a comparison to a mask: oeq, olt, ole, ogt, oge (false on NaN), uno (either is NaN), ..."""
+        """Append a comparison to a mask: oeq, olt, ole, ogt, oge (false on NaN), uno (either is NaN), ...
+
+        Parameters
+        ----------
+        predicate
+            Condition of LLVM's ``fcmp``.
+        a, b
+            A double in each lane.
+        """
         return self.let(self.mask, f"fcmp {predicate} {self.vector} {a}, {b}")
 
     def const_mask(self, value: bool) -> Mask:
@@ -227,11 +333,23 @@ class Writer:
         return Mask("splat (i1 true)" if value else "splat (i1 false)")
 
     def both(self, a: Mask, b: Mask) -> Mask:
-        """Return mask and mask."""
+        """Return mask and mask.
+
+        Parameters
+        ----------
+        a, b
+            A bit in each lane.
+        """
         return self.let(self.mask, f"and {self.mask} {a}, {b}")
 
     def either(self, a: Mask, b: Mask) -> Mask:
-        """Return mask or mask."""
+        """Return mask or mask.
+
+        Parameters
+        ----------
+        a, b
+            A bit in each lane.
+        """
         return self.let(self.mask, f"or {self.mask} {a}, {b}")
 
     def opposite(self, mask: Mask) -> Mask:
@@ -239,15 +357,39 @@ class Writer:
         return self.let(self.mask, f"xor {self.mask} {mask}, splat (i1 true)")
 
     def but_not(self, a: Mask, b: Mask) -> Mask:
-        """Return mask and not mask."""
+        """Return mask and not mask.
+
+        Parameters
+        ----------
+        a, b
+            A bit in each lane; b is negated.
+        """
         return self.both(a, self.opposite(b))
 
     def select(self, mask: Mask, yes: Vec, no: Vec) -> Vec:
-        """Select lane by lane, one or the other."""
+        """Select lane by lane, one or the other.
+
+        Parameters
+        ----------
+        mask
+            A bit in each lane.
+        yes, no
+            Values where the bit is 1 and where it is 0.
+        """
         return self.let(self.vector, f"select {self.mask} {mask}, {self.vector} {yes}, {self.vector} {no}")
 
     def choose(self, bit: Bit, kind: ValueKind[T], yes: T, no: T) -> T:
-        """Return one or the other, in all lanes."""
+        """Return one or the other, in all lanes.
+
+        Parameters
+        ----------
+        bit
+            Condition, one for all lanes.
+        kind
+            Type of both values.
+        yes, no
+            Values where the bit is 1 and where it is 0.
+        """
         return self.let(kind, f"select i1 {bit}, {kind} {yes}, {kind} {no}")
 
     def any(self, mask: Mask) -> Bit:
@@ -255,7 +397,13 @@ class Writer:
         return self.let(BIT, f"call i1 @llvm.vector.reduce.or.v{self.width}i1({self.mask} {mask})")
 
     def and_bit(self, a: Bit, b: Bit) -> Bit:
-        """Return bit and bit."""
+        """Return bit and bit.
+
+        Parameters
+        ----------
+        a, b
+            One bit each.
+        """
         return self.let(BIT, f"and i1 {a}, {b}")
 
     def not_bit(self, a: Bit) -> Bit:
@@ -269,21 +417,51 @@ class Writer:
     # -- whole numbers
     # -----------------------------------------------------------------------------------------------
     def integer(self, op: str, a: Index, b: Index) -> Int:
-        """Append add, sub, mul or shl."""
+        """Append add, sub, mul or shl.
+
+        Parameters
+        ----------
+        op
+            "add", "sub", "mul" or "shl".
+        a, b
+            64-bit integers, names of values or literal numbers.
+        """
         return self.let(INT, f"{op} i64 {a}, {b}")
 
     def entry(self, row: Index, length: int, column: Index) -> Int:
-        """Return where an entry of a matrix lies, row by row."""
+        """Return where an entry of a matrix lies, row by row.
+
+        Parameters
+        ----------
+        row, column
+            Indices of the entry, from 0.
+        length
+            Number of columns of the matrix.
+        """
         return self.integer("add", self.integer("mul", row, length), column)
 
     def below(self, a: Index, b: Index) -> Bit:
-        """Return a < b."""
+        """Return a < b.
+
+        Parameters
+        ----------
+        a, b
+            64-bit signed integers.
+        """
         return self.let(BIT, f"icmp slt i64 {a}, {b}")
 
     # -- memory
     # ------------------------------------------------------------------------------------------------
     def allocate(self, kind: ValueKind[T], count: int) -> Ptr[T]:
-        """Allocate values for the duration of the function."""
+        """Allocate values for the duration of the function.
+
+        Parameters
+        ----------
+        kind
+            Type of each value.
+        count
+            Number of values; for 0 there is room for one.
+        """
         name = f"%{self.fresh('b')}"
         self.head.append(f"  {name} = alloca [{max(count, 1)} x {kind}], align 64")
         return Ptr(name, kind)
@@ -293,22 +471,58 @@ class Writer:
         return self.allocate(self.vector, count)
 
     def several(self, kind: ValueKind[T], count: Int) -> Ptr[T]:
-        """Allocate values whose number only the function knows, outside of its loops."""
+        """Allocate values whose number only the function knows, outside of its loops.
+
+        Parameters
+        ----------
+        kind
+            Type of each value.
+        count
+            Number of values, known when the function runs.
+        """
         return Ptr(self.let(ValueKind("ptr", str, 8), f"alloca {kind}, i64 {count}, align 64"), kind)
 
     def at(self, pointer: Ptr[T], index: Index) -> Ptr[T]:
-        """Return the address of an element."""
+        """Return the address of an element.
+
+        Parameters
+        ----------
+        pointer
+            Address of the first element.
+        index
+            Index of the element, in elements and not in bytes.
+        """
         name = f"%{self.fresh('v')}"
         self.lines.append(f"  {name} = getelementptr inbounds {pointer.kind}, ptr {pointer}, i64 {index}")
         return Ptr(name, pointer.kind)
 
     def load(self, pointer: Ptr[T], index: Index = 0, *, volatile: bool = False) -> T:
-        """Read an element."""
+        """Read an element.
+
+        Parameters
+        ----------
+        pointer
+            Address of the first element.
+        index
+            Index of the element.
+        volatile
+            True for a read that the compiler has to leave where it is.
+        """
         kind, how = pointer.kind, "load volatile" if volatile else "load"
         return self.let(kind, f"{how} {kind}, ptr {self.at(pointer, index)}, align {kind.align}")
 
     def store(self, value: T, pointer: Ptr[T], index: Index = 0) -> None:
-        """Write an element."""
+        """Write an element.
+
+        Parameters
+        ----------
+        value
+            The value to write.
+        pointer
+            Address of the first element.
+        index
+            Index of the element.
+        """
         kind = pointer.kind
         self.run(f"store {kind} {value}, ptr {self.at(pointer, index)}, align {kind.align}")
 
@@ -317,14 +531,35 @@ class Writer:
         return Ptr(pointer, NUM)
 
     def address(self, table: Ptr[Int], index: Index, kind: ValueKind[T]) -> Ptr[T]:
-        """Read the address of values of a kind from a table."""
+        """Read the address of values of a kind from a table.
+
+        Parameters
+        ----------
+        table
+            Address of a table of addresses, 8 bytes each.
+        index
+            Index in the table.
+        kind
+            Type of the values at the address read.
+        """
         return Ptr(self.load(Ptr(table, ValueKind("ptr", str, 8)), index), kind)
 
     # -- control
     # -----------------------------------------------------------------------------------------------
     @contextmanager
     def loop(self, start: Index, stop: Index) -> Iterator[Int]:
-        """Count an i64 from start to stop - 1."""
+        """Count an i64 from start to stop - 1.
+
+        Parameters
+        ----------
+        start, stop
+            First value of the counter, and the one before which it ends.
+
+        Yields
+        ------
+        Int
+            The counter; what is appended before it is asked for again is the body.
+        """
         head, body, done = self.fresh("head"), self.fresh("body"), self.fresh("done")
         counter = self.allocate(INT, 1)
         self.store(Int(start), counter)

@@ -46,13 +46,31 @@ _TANH_Q = (1.0, 1.12811678491632931402e2, 2.23548839060100448583e3, 4.8440630532
 
 
 def call(w: Writer, name: str, *operands: Vec) -> Vec:
-    """Append a call of a transcendental function; its definition comes from `definitions`."""
+    """Append a call of a transcendental function; its definition comes from `definitions`.
+
+    Parameters
+    ----------
+    w
+        Writer of the function that the call is appended to.
+    name
+        Name of the function, one of `NAMES`.
+    *operands
+        One or two arguments, a double in each lane.
+    """
     arguments = ", ".join(f"{w.vector} {x}" for x in operands)
     return w.let(w.vector, f"call {w.vector} @perilune.{name}({arguments})")
 
 
 def definitions(width: int, names: set[str]) -> str:
-    """Return the IR of the functions named and of those that they use."""
+    """Return the IR of the functions named and of those that they use.
+
+    Parameters
+    ----------
+    width
+        Number of lanes of a vector.
+    names
+        Names of functions, of `NAMES`.
+    """
     vector, texts, done = width > 1, [], set()
     pending = sorted(names)
     while pending:

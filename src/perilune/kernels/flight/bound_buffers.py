@@ -118,11 +118,37 @@ class Engine(Protocol):
         columns: ArrayLike | None = None,
         **settings: Any,
     ) -> Arcs:
-        """Fly a batch of arcs; see `perilune.kernels.flight.engine.NativeEngine.propagate`."""
+        """Fly a batch of arcs; see `perilune.kernels.flight.engine.NativeEngine.propagate`.
+
+        Parameters
+        ----------
+        z0
+            States at the start, shape (lanes, nz) or (nz,).
+        p
+            Parameters, shape (lanes, np), or (np,) for all.
+        duration
+            Durations, shape (lanes,) or one for all, in the unit of time of the system; negative backward in time.
+        columns
+            Derivatives of z0 by nc numbers, shape (lanes, nz, nc) or (nz, nc); None for the states only.
+        **settings
+            Tolerances, limits of steps and the mode at the start, as for `perilune.kernels.flight.records.request`.
+        """
         ...
 
     def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> DenseArc:
-        """Fly one arc and return it as a function of time; see `perilune.kernels.flight.dense.DenseArc`."""
+        """Fly one arc and return it as a function of time; see `perilune.kernels.flight.dense.DenseArc`.
+
+        Parameters
+        ----------
+        z0
+            State at the start, shape (nz,).
+        p
+            Parameters, shape (np,).
+        duration
+            Duration of the arc, in the unit of time of the system.
+        **settings
+            As for `propagate`.
+        """
         ...
 
     def bind(self, asked: Request) -> BoundArcs:

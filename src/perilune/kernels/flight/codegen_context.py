@@ -101,24 +101,70 @@ class Frame:
         self._call(EQUATIONS.index("fill"), self.parameters, self.constants)
 
     def field(self, state: Ptr[Vec], result: Ptr[Vec]) -> None:
-        """Evaluate Y' of each lane in its mode."""
+        """Evaluate Y' of each lane in its mode.
+
+        Parameters
+        ----------
+        state
+            Y = (z, kept entries of S), a vector of lanes for each number.
+        result
+            Buffer for Y', as long as Y.
+        """
         self._call(EQUATIONS.index("field"), self.constants, self.mode, state, self.spare, result)
 
     def crossings(self, state: Ptr[Vec], rates: Ptr[Vec], result: Ptr[Vec]) -> None:
-        """Evaluate (g, g') of all events."""
+        """Evaluate (g, g') of all events.
+
+        Parameters
+        ----------
+        state, rates
+            z and z', a vector of lanes for each of the nz components.
+        result
+            Buffer for g of all events and then g', 2 vectors for each event.
+        """
         self._call(EQUATIONS.index("crossings"), self.constants, state, rates, self.mode, result)
 
     def carry(self, event: int, before: int, state: Ptr[Vec], result: Ptr[Vec]) -> None:
-        """Evaluate Y after an event, one of those that change it."""
+        """Evaluate Y after an event, one of those that change it.
+
+        Parameters
+        ----------
+        event
+            Index of the event in the system.
+        before
+            Mode of the dynamics before the event.
+        state
+            Y at the event, a vector of lanes for each number.
+        result
+            Buffer for Y after it, as long as Y.
+        """
         place = len(EQUATIONS) + self.system.carried.index((event, before))
         self._call(place, self.constants, state, result)
 
     def blend(self, mask: Mask, source: Ptr[Vec], target: Ptr[Vec], count: Index) -> None:
-        """Copy vectors in the lanes of a mask."""
+        """Copy vectors in the lanes of a mask.
+
+        Parameters
+        ----------
+        mask
+            Lanes that are copied; the others of the target stay.
+        source, target
+            Buffers of vectors.
+        count
+            Number of vectors to copy.
+        """
         blend(self.w, mask, source, target, count)
 
     def mark(self, mask: Mask, status: ArcStatus) -> None:
-        """Note how the lanes of a mask end."""
+        """Note how the lanes of a mask end.
+
+        Parameters
+        ----------
+        mask
+            Lanes that end.
+        status
+            The way in which they end.
+        """
         w = self.w
         w.store(w.select(mask, w.const(float(status)), w.load(self.status)), self.status)
 

@@ -34,6 +34,13 @@ def stepping_module(system: ArcSystem, width: int) -> str:
     """Return the IR of ``void arcs(i64 first group, i64 last group, ptr table)`` and, for one lane, of ``rates``.
 
     It is the same for all systems of one `course`.
+
+    Parameters
+    ----------
+    system
+        Equations and events of the arcs.
+    width
+        Number of lanes that step together.
     """
     parts = [crossing_searches(width)] if system.events else []
     return "\n".join([*parts, _Stepping(system, width).arcs(), *([_write_rates(system)] if width == 1 else [])])

@@ -159,7 +159,19 @@ class NativeEngine:
         return flight.ends()
 
     def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> DenseArc:
-        """Fly one arc and return it as a function of time; settings as for `propagate`."""
+        """Fly one arc and return it as a function of time; settings as for `propagate`.
+
+        Parameters
+        ----------
+        z0
+            State at the start, shape (nz,).
+        p
+            Parameters, shape (np,).
+        duration
+            Duration of the arc, in the unit of time of the system.
+        **settings
+            As for `propagate`, but for columns and threads.
+        """
         asked = request((self.system.nz, self.system.np, 0), len(self.system.modes), z0, p, duration, None, **settings)
         nodes = np.empty((asked.max_steps + 1, 3 + self.system.nz))
         flight = self.bind(asked, nodes)

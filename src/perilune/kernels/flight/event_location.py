@@ -57,7 +57,15 @@ class EventCrossings:
         return w.select(w.compare("oeq", g, w.const(0.0)), sign, g)
 
     def locate(self, h: Vec, held: Ptr[Mask]) -> None:
-        """Look for crossings in an accepted step; where there are, refuse it or let the event fire at its end."""
+        """Look for crossings in an accepted step; where there are, refuse it or let the event fire at its end.
+
+        Parameters
+        ----------
+        h
+            Length of the step in each lane, with its sign, in the unit of time of the system.
+        held
+            Buffer of one mask: lanes whose step is accepted; those that an event refuses are taken out.
+        """
         f, w, count = self.f, self.w, self.count
         f.crossings(f.new, f.slopes[-1], self.new)
         accepted = w.load(held)

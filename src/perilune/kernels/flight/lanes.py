@@ -8,7 +8,17 @@ from perilune.kernels.flight.records import INFO
 
 
 def gather(f: Frame, t: CallTable, group: Int) -> None:
-    """Fetch the lanes of a group; places beyond the batch repeat its last lane and are not active."""
+    """Fetch the lanes of a group; places beyond the batch repeat its last lane and are not active.
+
+    Parameters
+    ----------
+    f
+        Buffers of the function in the writing, which are filled.
+    t
+        Arrays of the call, which are read.
+    group
+        Index of the group; its lanes are `f.width` consecutive places in the order of flight.
+    """
     w = f.w
     first = w.integer("mul", group, f.width)
     with w.loop(0, f.width) as k:
@@ -44,7 +54,17 @@ def _copy_in(f: Frame, source: Ptr[Num], base: Int, target: Ptr[Vec], count: Ind
 
 
 def write_out(f: Frame, t: CallTable, ended: Mask) -> None:
-    """Write state, rates, columns and report of the lanes that have ended: the first slopes are those of the state."""
+    """Write state, rates, columns and report of the lanes that have ended: the first slopes are those of the state.
+
+    Parameters
+    ----------
+    f
+        Buffers of the function in the writing, which are read.
+    t
+        Arrays of the call, which are written.
+    ended
+        Lanes whose arcs have ended.
+    """
     w = f.w
     report = {"time": f.time, "status": f.status, "steps": f.steps, "mode": f.mode, "events": f.events}
     for number, name in enumerate(INFO):

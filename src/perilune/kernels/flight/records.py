@@ -130,6 +130,29 @@ def request(
 ) -> Request:
     """Check a call of `propagate` and bring it to one form.
 
+    Parameters
+    ----------
+    sizes
+        (nz, np, nc): numbers of states, parameters and columns of the system.
+    modes
+        Number of modes of the dynamics.
+    z0
+        States at the start, shape (lanes, nz) or (nz,).
+    p
+        Parameters, shape (lanes, np), or (np,) for all.
+    duration
+        Durations, shape (lanes,) or one for all, in the unit of time of the system; negative backward in time.
+    columns
+        Derivatives S(0) of z0 by nc numbers, shape (lanes, nz, nc) or (nz, nc); None for the states only.
+    rtol, atol
+        Relative and absolute tolerance of the error of a step in z, shape (lanes,) or one for all.
+    fixed_steps
+        Number of equal steps instead of steps by error; None for control by error.
+    max_steps
+        Attempted steps after which an arc ends with `ArcStatus.STEP_LIMIT`.
+    mode
+        Mode of the dynamics at the start, shape (lanes,) or one for all.
+
     Raises
     ------
     PeriluneError

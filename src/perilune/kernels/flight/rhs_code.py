@@ -21,6 +21,13 @@ def equations_module(system: ArcSystem, width: int) -> str:
 
     ``fill(p, constants)`` evaluates what depends on the parameters only; ``field(constants, mode, Y, spare, Y')``,
     ``crossings(constants, z, z', mode, (g, g'))`` and the transitions ``(constants, Y, Y after)`` take those constants.
+
+    Parameters
+    ----------
+    system
+        Equations and events of the arcs.
+    width
+        Number of lanes that step together.
     """
     return _EquationsWriter(system, width).text()
 

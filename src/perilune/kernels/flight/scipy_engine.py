@@ -47,14 +47,36 @@ class ScipyEngine:
         threads: int | None = None,
         **settings: Any,
     ) -> Arcs:
-        """Fly a batch of arcs; see `NativeEngine.propagate`. `threads` has no effect."""
+        """Fly a batch of arcs; see `NativeEngine.propagate`. `threads` has no effect.
+
+        Parameters
+        ----------
+        z0, p, duration, columns
+            States at the start, parameters, durations and derivatives of z0, shaped as for `NativeEngine.propagate`.
+        threads
+            Number of threads, taken so that both engines are called alike.
+        **settings
+            As for `perilune.kernels.flight.records.request`.
+        """
         sizes = (self.system.nz, self.system.np, self.system.nc)
         flight = self.bind(request(sizes, len(self.system.modes), z0, p, duration, columns, **settings))
         flight()
         return flight.ends()
 
     def dense(self, z0: ArrayLike, p: ArrayLike, duration: float, **settings: Any) -> DenseArc:
-        """Fly one arc and return it as a function of time; see `NativeEngine.dense`."""
+        """Fly one arc and return it as a function of time; see `NativeEngine.dense`.
+
+        Parameters
+        ----------
+        z0
+            State at the start, shape (nz,).
+        p
+            Parameters, shape (np,).
+        duration
+            Duration of the arc, in the unit of time of the system.
+        **settings
+            As for `propagate`, but for columns and threads.
+        """
         sizes = (self.system.nz, self.system.np, 0)
         asked = request(sizes, len(self.system.modes), z0, p, duration, None, **settings)
         nodes: list[Vector] = []
@@ -68,7 +90,15 @@ class ScipyEngine:
         return dense_arc(flight.ends(), np.array(nodes).reshape(-1, 3 + self.system.nz), rates)
 
     def bind(self, asked: Request, nodes: list[Vector] | None = None) -> BoundArcs:
-        """Return what flies a request as often as is wanted; see `NativeEngine.bind`."""
+        """Return what flies a request as often as is wanted; see `NativeEngine.bind`.
+
+        Parameters
+        ----------
+        asked
+            The request, whose arrays are read at each flight.
+        nodes
+            List that receives the start of each step of the one arc, (3 + nz) numbers each; None for none.
+        """
         functions, lanes = self._functions[asked.seeds is not None], len(asked.z0)
         system = functions.system
 

@@ -75,13 +75,44 @@ class Pseudospectral(Transcription):
         return finest
 
     def meshes(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Iterator[Solution]:
-        """Yield the answers of `run` on one mesh after the other, each finer than the last."""
+        """Yield the answers of `run` on one mesh after the other, each finer than the last.
+
+        Parameters
+        ----------
+        problem
+            The problem to transcribe.
+        guess
+            Trajectory to start from, of this problem or of one with the same phases; None to start without one.
+        watch
+            Called with each iteration and with lines of text; None for silence.
+
+        Raises
+        ------
+        InfeasibleError
+            If two conditions contradict each other.
+        NotConvergedError
+            If the NLP of a mesh is not solved.
+        """
         yield from MeshRefinement(settings=self, problem=problem, watch=watch or ignore_events).answers(guess)
 
     def near(self, guess: Solution, watch: Watch | None = None, *, close: bool = False) -> Solution:
         """Solve near a guess for its problem, as `run`; no other start and no search for the least miss.
 
         With `close` the search does not leave where the guess lies next to bounds, as one does from anywhere.
+
+        Parameters
+        ----------
+        guess
+            Trajectory to start from; its problem is the one solved.
+        watch
+            Called with each iteration and with lines of text; None for silence.
+        close
+            True if the guess lies close to the answer.
+
+        Raises
+        ------
+        NotConvergedError
+            If the NLP is not solved from the guess.
         """
         *_, finest = MeshRefinement(settings=self, problem=guess.problem, watch=watch or ignore_events).answers(
             guess, near=True, close=close

@@ -161,7 +161,15 @@ class Coarse:
         return None if known is None else replace(known, problem=self.problem)
 
     def without_bounds(self, name: str, guess: Solution) -> Solution | None:
-        """Return its answer on a finer mesh, from a flight, where nothing bounds one state; None where it has none."""
+        """Return its answer on a finer mesh, from a flight, where nothing bounds one state; None where it has none.
+
+        Parameters
+        ----------
+        name
+            Name of the state whose bounds are lifted, in every phase that has it.
+        guess
+            Trajectory to start from.
+        """
         free = {"lower": -np.inf, "upper": np.inf}
         phases = tuple(
             replace(phase, states=tuple(replace(s, **free) if s.name == name else s for s in phase.states))

@@ -40,7 +40,15 @@ NOT_ISOLATED = (
 
 
 def explain_refusal(coarse: Coarse, breaches: list[ConstraintViolation]) -> PeriluneError | None:
-    """Return why no extremal that was found is an answer; None where none was found, and nothing else says why."""
+    """Return why no extremal that was found is an answer; None where none was found, and nothing else says why.
+
+    Parameters
+    ----------
+    coarse
+        The direct method's attempts at the same problem.
+    breaches
+        Violated conditions, one for each extremal that was found and breaks any.
+    """
     direct, bounds = coarse.refusal, [breach for breach in breaches if not breach.path]
     known = getattr(direct, "partial", {})
     if isinstance(direct, InfeasibleError) or (direct is not None and "least_miss" in known and not breaches):
@@ -68,6 +76,13 @@ def bound_unreachable_objective(problem: Problem, breach: ConstraintViolation) -
 
     So it is where J is the end of only one state, as the mass that is landed: an optimum that misses the bound says
     that nothing keeps it.
+
+    Parameters
+    ----------
+    problem
+        The problem, whose objective is minimised.
+    breach
+        Violated bound of a state at the end of the last phase.
     """
     expression, last = problem.form.expressions["objective"], problem.phases[-1]
     if {op[:2] for op in expression.tape.instructions if op[0] in ("x", "p")} != {("x", breach.name)}:
@@ -221,7 +236,20 @@ def _stating_keys_of_violation(problem: Problem, breach: ConstraintViolation) ->
 
 
 def active_path_condition(problem: Problem, flight: Solution) -> str | None:
-    """Return the path condition along which a flight runs, away from its ends."""
+    """Return the path condition along which a flight runs, away from its ends.
+
+    Parameters
+    ----------
+    problem
+        The problem with the path conditions.
+    flight
+        Trajectory of it; 5 % of each phase at its start and at its end are left out.
+
+    Returns
+    -------
+    str or None
+        The condition as messages name it; None if none is within 1e-4 of its canonical unit.
+    """
     for condition, values in path_condition_values(problem, flight, ends=0.05):
         if np.min(values) <= 1e-4 * problem.scales.of(condition.unit):
             return quantity_name(condition)

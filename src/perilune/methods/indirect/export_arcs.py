@@ -88,7 +88,15 @@ class PropagatedPhase:
         return values
 
     def states(self, t: Vector, count: int) -> Matrix:
-        """Return the first entries of z at times, (n, count), of a phase that is flown in one piece."""
+        """Return the first entries of z at times, (n, count), of a phase that is flown in one piece.
+
+        Parameters
+        ----------
+        t
+            Times from the start of the phase, shape (n,), canonical.
+        count
+            Number of leading entries of z = (states, costates).
+        """
         (arc,) = self.arcs
         return arc(t, count)
 
@@ -148,7 +156,15 @@ class PropagatedStates:
         return self._starts[k]
 
     def at(self, k: int, shares: Vector) -> Matrix:
-        """Return the states of phase k (n, times) at shares of its length, SI; its start takes no integration."""
+        """Return the states of phase k (n, times) at shares of its length, SI; its start takes no integration.
+
+        Parameters
+        ----------
+        k
+            Index of the phase.
+        shares
+            Times as fractions of the duration of the phase, 0 to 1, shape (times,).
+        """
         scales = state_scales(self.problem, self.problem.phases[k])
         if not shares.any():
             return np.repeat((self.start(k)[0][: len(scales)] * scales)[:, None], len(shares), axis=1)
@@ -238,7 +254,15 @@ def _refuse_stuck(problem: Problem, flown: Sequence[PropagatedPhase]) -> None:
 
 
 def can_use_multiple_shooting(conditions: Conditions, segments: int = _SEGMENTS) -> bool:
-    """Return True if multiple shooting with so many segments for each phase is worth its unknowns."""
+    """Return True if multiple shooting with so many segments for each phase is worth its unknowns.
+
+    Parameters
+    ----------
+    conditions
+        Boundary conditions of the shooting problem, with the numbers of states of each phase.
+    segments
+        Number of segments of each phase.
+    """
     return (segments - 1) * sum((2 - e.settles) * e.half for e in conditions.phases) <= _JOINED
 
 

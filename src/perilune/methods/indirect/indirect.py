@@ -165,7 +165,22 @@ class Indirect(SearchSettings):
         return solution if found is None else replace(found, extremals=(*found.extremals, *solution.extremals[1:]))
 
     def beyond(self, problem: Problem, solution: Solution, watch: Watch | None = None) -> Solution | None:
-        """Return the extremal found from an unguided direct solution, if better than this one, which is no minimum."""
+        """Return the extremal found from an unguided direct solution, if better than this one, which is no minimum.
+
+        Parameters
+        ----------
+        problem
+            The problem solved.
+        solution
+            An extremal of it that the proof has shown to be no minimum.
+        watch
+            Called with each iteration and with lines of text; None for silence.
+
+        Returns
+        -------
+        Solution or None
+            None if the direct method, or the extremal found from it, is not better.
+        """
         search = Search(self, problem, watch or ignore_events)
         rough = search.state.coarse.solve()
         if rough is None or not rough.objective < solution.objective:

@@ -133,7 +133,15 @@ class Nearby:
         return problem if self.arcs is None else renumber_restated(self.problem, problem, self.arcs.structure)
 
     def at(self, root: Root, values: Mapping[str, float]) -> Solution:
-        """Return an extremal that was found as a solution of the problem with these values, unverified."""
+        """Return an extremal that was found as a solution of the problem with these values, unverified.
+
+        Parameters
+        ----------
+        root
+            Root of the shooting function of this solution at the values given.
+        values
+            Values of given parameters by name [SI].
+        """
         problem = self.solution.problem.with_given(**values)
         own = self._own(problem)
         statistics = Statistics(rung="guess", iterations=len(root.history))

@@ -65,7 +65,23 @@ class Trials:
         shooting: Shooting | None = None,
         **settings: float,
     ) -> Roots:
-        """Return roots within their limits; count flights, keep the nearest failure at the problem's own numbers."""
+        """Return roots within their limits; count flights, keep the nearest failure at the problem's own numbers.
+
+        Parameters
+        ----------
+        Y
+            Initial unknowns, shape (lanes, unknowns), canonical.
+        choice
+            Initial active set (`Shooting.holding`) of k free parameters and ranges, shape (lanes, 2 k) or (2 k,).
+        p
+            Given parameters, shape (np,) or (lanes, np), canonical; None for those of the problem.
+        limits
+            Bounds of free parameters and ranges that the active set is found for.
+        shooting
+            Shooting function to solve; None for that of this problem in one piece.
+        **settings
+            As for `Shooting.solve`: accuracy of the integration, tolerance of the residual.
+        """
         function = shooting or self.shooting
         numbers = self.p if p is None else p
         roots = complete_open_roots(
@@ -83,12 +99,38 @@ class Trials:
         return roots
 
     def by_pieces(self, rough: Solution, y: Vector, choice: Vector, segments: int, limits: ActiveSetBounds) -> Root:
-        """Solve from a rough solution with so many segments for each phase, then in one piece."""
+        """Solve from a rough solution with so many segments for each phase, then in one piece.
+
+        Parameters
+        ----------
+        rough
+            Trajectory with costates, from which the states and costates at the joints are read.
+        y
+            Initial unknowns of single shooting, shape (unknowns,), canonical.
+        choice
+            Initial active set (`Shooting.holding`) of k free parameters and ranges, shape (2 k,).
+        segments
+            Segments of each phase in multiple shooting.
+        limits
+            Bounds of free parameters and ranges that the active set is found for.
+        """
         Y = np.concatenate([y, joints_from_solution(self.problem, self.conditions, rough, segments)])
         return self.from_pieces(Y, choice, segments, limits)
 
     def from_pieces(self, Y: Vector, choice: Vector, segments: int, limits: ActiveSetBounds) -> Root:
-        """Solve from unknowns and states at the joints of so many segments for each phase, then in one piece."""
+        """Solve from unknowns and states at the joints of so many segments for each phase, then in one piece.
+
+        Parameters
+        ----------
+        Y
+            Initial unknowns of multiple shooting, shape (unknowns and joints,), canonical.
+        choice
+            Initial active set (`Shooting.holding`) of k free parameters and ranges, shape (2 k,).
+        segments
+            Segments of each phase in multiple shooting.
+        limits
+            Bounds of free parameters and ranges that the active set is found for.
+        """
         shooting = Shooting(self.conditions, segments=segments)
         root = self.settled(Y[None], choice, limits=limits, shooting=shooting)[0]
         if segments > 1 and (root.converged or shooting.rounding(root)):  # one piece again, for what follows
@@ -99,7 +141,17 @@ class Trials:
         return root
 
     def correct(self, y: Vector, like: Root, p: Vector) -> Root:
-        """Solve at other given parameters p, with what is held as in `like` to begin with."""
+        """Solve at other given parameters p, with what is held as in `like` to begin with.
+
+        Parameters
+        ----------
+        y
+            Initial unknowns, shape (unknowns,), canonical.
+        like
+            A root near by, from whose active set Newton's method begins.
+        p
+            Given parameters, canonical, as `Shooting.solve` takes them.
+        """
         return self.settled(y[None], like.choice, p, limits=self.others)[0]
 
     def bounds(self, index: int) -> tuple[float, float]:

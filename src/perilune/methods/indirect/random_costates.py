@@ -82,7 +82,15 @@ def leave_out_vanishing(trials: Trials, Y: Matrix, choices: Matrix) -> None:
 
 
 def hold_ranges(trials: Trials, choices: Matrix) -> None:
-    """Hold in one start none of the ranges, in the next the first at a bound, and so on."""
+    """Hold in one start none of the ranges, in the next the first at a bound, and so on.
+
+    Parameters
+    ----------
+    trials
+        Newton's method on the problem, with the bounds of its ranges.
+    choices
+        Active set (`Shooting.holding`) of each start, shape (starts, 2 k); changed in place.
+    """
     first, held = trials.shooting.plan.free, trials.shooting.plan.held
     bounds = [
         (i, side[i])

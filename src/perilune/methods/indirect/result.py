@@ -85,6 +85,13 @@ def drop_mirror_images(conditions: Conditions, ranked: Iterable[ExtremalRoot]) -
     """Return the extremals whose J or free parameters differ.
 
     Mirror images, or a coast flown before the burn or behind it, are one extremal to a reader of the list.
+
+    Parameters
+    ----------
+    conditions
+        Boundary conditions of the shooting problem, which say where the free parameters are among the unknowns.
+    ranked
+        Extremals, best first; the first of each kind is kept.
     """
     kept: list[ExtremalRoot] = []
     for found in ranked:

@@ -69,7 +69,22 @@ class Search:
         self.flown: float = math.inf
 
     def solve(self, guess: Solution | None = None, base: Member | None = None) -> Solution:
-        """Solve from a guess; or from all starts, after the family through `base` (of another run) if any."""
+        """Solve from a guess; or from all starts, after the family through `base` (of another run) if any.
+
+        Parameters
+        ----------
+        guess
+            Trajectory to start Newton's method from, the only start if it is given.
+        base
+            Member of a family of extremals (canonical) that another run found.
+
+        Raises
+        ------
+        InfeasibleError
+            If a bound that holds for every flight shows that none exists.
+        NotConvergedError
+            If no admissible extremal was found.
+        """
         if guess is not None:
             return self.near(guess)[0]  # whether it keeps the rest of the path is for the proof to say
         state, found = extremals_without_guess(self.state, base, answered=self.answered)
@@ -85,6 +100,18 @@ class Search:
         """Return what Newton's method reaches from a guess, and a callable for the first condition that it breaks.
 
         With `family` the best of all extremals on the family through it, along a free parameter between bounds.
+
+        Parameters
+        ----------
+        guess
+            Trajectory to start Newton's method from.
+        family
+            True to follow the family of extremals through the one found.
+
+        Raises
+        ------
+        NotConvergedError
+            If Newton's method does not converge from the guess.
         """
         state, found = self._from_guess(guess)
         if not family or state.trials.scanned is None:

@@ -91,7 +91,15 @@ class SearchState:
         return any(same_vector(y, member.root.y, 1e-5) for y in self.walked.get(member.value, []))
 
     def compose(self, found: Sequence[ExtremalRoot], rung: str) -> Solution:
-        """Make a solution of extremals, which says by which rung they were found."""
+        """Make a solution of extremals, which says by which rung they were found.
+
+        Parameters
+        ----------
+        found
+            Extremals in any order; the best becomes the answer.
+        rung
+            Name of the way of starting, in `Statistics.rung`.
+        """
         statistics = Statistics(
             rung=rung,
             tried=tuple(self.tried),

@@ -136,6 +136,18 @@ def unreachable_by_shooting(rough: Solution, conditions: Conditions) -> tuple[st
     A throttle that stays well between its bounds on a tenth of a phase is no polynomial's overshoot at a switch but a
     singular arc. A state at its bound has a multiplier that Pontryagin's conditions without bounds do not know. A phase
     of no length has no arc.
+
+    Parameters
+    ----------
+    rough
+        Trajectory of the direct method.
+    conditions
+        Boundary conditions of shooting, with the regimes that its control law has in each phase.
+
+    Returns
+    -------
+    tuple or None
+        Two sentences for a message: the reason, and the advice.
     """
     typical = {f.name: f.typical for f in rough.problem.free}
     for phase, flown, extremal in zip(rough.problem.phases, rough.trajectories, conditions.phases, strict=True):

@@ -60,6 +60,13 @@ def violation_by_control(structure: Structure, whole: Solution) -> ConstraintVio
     """Return what the control of an extremal of arcs breaks that its law does not keep to, or None.
 
     Such are conditions of the path that the law cannot hold, and the bounds of a scalar that keeps a boundary arc.
+
+    Parameters
+    ----------
+    structure
+        Arcs of each phase.
+    whole
+        Extremal found with them, in the user's phases.
     """
     problem = whole.problem
     for k, (phase, arcs) in enumerate(zip(problem.phases, structure.phases, strict=True)):

@@ -29,7 +29,15 @@ class ComparisonWatch:
         self.held, self.differences, self.answers = held, [], []
 
     def decide(self, difference: Any, truth: Any) -> Any:
-        """The answer to the next comparison."""
+        """The answer to the next comparison.
+
+        Parameters
+        ----------
+        difference
+            Left side of the comparison minus its right side, a number or an array, possibly complex.
+        truth
+            Result of the comparison, with the same shape; it is returned unless answers are given.
+        """
         truth = truth if self.held is None else np.broadcast_to(self.held[len(self.answers)], np.shape(truth))
         self.differences.append(difference)
         self.answers.append(truth)

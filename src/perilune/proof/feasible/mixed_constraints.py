@@ -87,7 +87,19 @@ class MixedConstraints:
     def along(
         cls, phase: Phase, p: Any, scales: tuple[Vector, Vector], x: Matrix, u: Matrix
     ) -> MixedConstraints | None:
-        """Return the constraints of a phase; None if none depends on the control at the points x (n, N), u (k, N)."""
+        """Return the constraints of a phase; None if none depends on the control at the points x (n, N), u (k, N).
+
+        Parameters
+        ----------
+        phase
+            Phase with path conditions and held conditions.
+        p
+            Record of all parameters [SI].
+        scales
+            Sizes of the states, shape (n,), and of the controls, shape (k,) [SI].
+        x, u
+            States, shape (n, N), and controls, shape (k, N), at N points of the phase [SI].
+        """
         count = len(phase.path_conditions) + len(phase.held_conditions)
         every = cls(
             phase=phase, p=p, state_scale=scales[0], control_scale=scales[1], places=tuple(range(count)),
@@ -116,14 +128,34 @@ class MixedConstraints:
         return sizes[: len(self.phase.path_conditions)]
 
     def values(self, x: Any, u: Any, p: Any = None, xp: Any = COMPLEX, dtype: Any = complex) -> Any:
-        """The conditions, complex-safe, (r, ...), for x (n, ...) and u (k, ...)."""
+        """The conditions, complex-safe, (r, ...), for x (n, ...) and u (k, ...).
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, ...), and controls, shape (k, ...) [SI].
+        p
+            Record of all parameters [SI]; None for those of the phase.
+        xp
+            Namespace of mathematical functions.
+        dtype
+            Type of the entries: complex for derivatives by complex steps, float for `NUMERIC`.
+        """
         p = self.p if p is None else p
         values = [v for which in ("path", "held") for v in self.phase.evaluate(which, list(x), list(u), p, xp)]
         shape = np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:])
         return stack_broadcast([values[place] for place in self.places], shape, dtype)
 
     def slopes(self, x: Matrix, u: Matrix, moves: Any = None) -> Any:
-        """Derivatives (r, k, N) as the control moves along `moves` (components, k, N), by default its tangents."""
+        """Derivatives (r, k, N) as the control moves along `moves` (components, k, N), by default its tangents.
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, N), and controls, shape (k, N) [SI].
+        moves
+            Directions in the space of the controls, shape (components, k, N); None for the tangents.
+        """
         return self._moved(lambda x, u: self.values(x, u), x, u, moves)
 
     def _moved(self, function: Any, x: Matrix, u: Matrix, moves: Any = None) -> Any:
@@ -132,18 +164,38 @@ class MixedConstraints:
         return function(np.broadcast_to(x[:, None], (len(x), *moved.shape[1:])), moved).imag / STEP
 
     def by_state(self, x: Matrix, u: Matrix) -> Any:
-        """Derivatives (r, n, N) in the states, each over its size."""
+        """Derivatives (r, n, N) in the states, each over its size.
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, N), and controls, shape (k, N) [SI].
+        """
         return complex_step_jacobian(
             lambda z: self.values(z, u.reshape(len(u), *(1,) * (z.ndim - 2), -1)), x, self.state_scale
         )
 
     def active(self, x: Matrix, u: Matrix) -> Any:
-        """Return True where each condition is active, (r, N)."""
+        """Return True where each condition is active, (r, N).
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, N), and controls, shape (k, N) [SI].
+        """
         rows = self.values(x, u, xp=NUMERIC, dtype=float)
         return (np.abs(rows) <= ON_BOUND * self.sizes[:, None]) | self.equal[:, None]
 
     def multipliers(self, x: Matrix, u: Matrix, lam: Matrix) -> Multipliers:
-        """Multipliers at points x, lam (n, N) and u (components, N), directions normalised."""
+        """Multipliers at points x, lam (n, N) and u (components, N), directions normalised.
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, N), and controls, shape (components, N) [SI].
+        lam
+            Costates, shape (n, N) [J per SI unit of the state].
+        """
         active = self.active(x, u)
         freedom = sum(control.freedom for control in self.phase.controls)
         mu, slopes = np.zeros(active.shape), np.zeros((len(active), freedom, active.shape[1]))
@@ -174,6 +226,22 @@ class MixedConstraints:
         """Controls `tried` (components, S, N) moved to where conditions are 0, and where they get there.
 
         By Newton's method, each of its steps the shortest `along` some tangents (k,): 1 or 0; x is (n, N).
+
+        Parameters
+        ----------
+        rows
+            Indices of the conditions that are made 0, among those of this record.
+        x
+            States, shape (n, N) [SI].
+        tried
+            Controls to move, shape (components, S, N) [SI].
+        along
+            1 for each tangent that may be used and 0 for the others, shape (k,).
+
+        Returns
+        -------
+        controls, reached
+            Controls, shape (components, S, N) [SI], and True where all conditions are 0, shape (S, N).
         """
         controls, sizes, shape = self.phase.controls, self.sizes[rows, None], tried.shape
         u = np.array(tried).reshape(len(tried), -1)
@@ -195,7 +263,15 @@ class MixedConstraints:
         return u.reshape(shape), there.reshape(shape[1:])
 
     def push(self, x: Matrix, u: Matrix, lam: Matrix) -> Matrix:
-        """Return sum of mu dc/dx that lam' adds to -dH/dx: J per second and canonical unit of each state, (n, N)."""
+        """Return sum of mu dc/dx that lam' adds to -dH/dx: J per second and canonical unit of each state, (n, N).
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, N), and controls, shape (components, N) [SI].
+        lam
+            Costates, shape (n, N) [J per SI unit of the state].
+        """
         mu = self.multipliers(x, u, lam).mu
         out, at = np.zeros(x.shape), np.nonzero(mu.any(axis=0))[0]
         if len(at):

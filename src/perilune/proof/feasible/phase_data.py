@@ -246,20 +246,48 @@ class PhaseData:
         return np.full((len(self.phase.states), len(t)), np.nan) if curve is None else curve.extended(t).T
 
     def rates(self, x: Any, u: Any, p: Any = None) -> Any:
-        """Dynamics, complex-safe, (n, ...) for x (n, ...) and u (k, ...)."""
+        """Dynamics, complex-safe, (n, ...) for x (n, ...) and u (k, ...).
+
+        Parameters
+        ----------
+        x, u
+            States and controls [SI], complex where derivatives are taken by complex steps.
+        p
+            Record of all parameters [SI]; None for those of the solution.
+        """
         values = self.phase.rates(x, u, self.p if p is None else p, COMPLEX)
         return stack_broadcast(values, np.broadcast_shapes(np.shape(x)[1:], np.shape(u)[1:]))
 
     def hamiltonian(self, x: Any, u: Any, lam: Any) -> Any:
-        """lam.f of real values, (...), for x and lam (n, ...) and u (k, ...)."""
+        """lam.f of real values, (...), for x and lam (n, ...) and u (k, ...).
+
+        Parameters
+        ----------
+        x, u
+            States and controls [SI].
+        lam
+            Costates [J per SI unit of the state].
+        """
         return sum(a * b for a, b in zip(lam, self.phase.rates(x, u, self.p), strict=True))
 
     def path(self, x: Any, u: Any) -> Matrix:
-        """Path conditions, (conditions, ...), for x (n, ...) and u (k, ...)."""
+        """Path conditions, (conditions, ...), for x (n, ...) and u (k, ...).
+
+        Parameters
+        ----------
+        x, u
+            States and controls [SI].
+        """
         return self._along("path", x, u)
 
     def held(self, x: Any, u: Any) -> Matrix:
-        """Held conditions, (conditions, ...), for x (n, ...) and u (k, ...)."""
+        """Held conditions, (conditions, ...), for x (n, ...) and u (k, ...).
+
+        Parameters
+        ----------
+        x, u
+            States and controls [SI].
+        """
         return self._along("held", x, u)
 
     def _along(self, function: str, x: Any, u: Any) -> Matrix:
@@ -277,7 +305,15 @@ class PhaseData:
         )
 
     def read(self, pieces: Pieces, shares: Vector = POINTS) -> tuple[Matrix, Matrix, Matrix]:
-        """State, control (directions normalised) and costate on pieces, (components, N, shares)."""
+        """State, control (directions normalised) and costate on pieces, (components, N, shares).
+
+        Parameters
+        ----------
+        pieces
+            N intervals between neighbouring nodes.
+        shares
+            Fractions of each interval, 0 to 1, shape (count,), or (N, count) where they differ.
+        """
         x, u, *lam = (pieces.read(curve, shares) for curve in self.curves)
         return x, normalised(self.phase.controls, u), lam[0] if lam else np.full(x.shape, np.nan)
 
@@ -336,7 +372,15 @@ def objective_size(solution: Solution) -> float:
 
 
 def free_size(solution: Solution, free: Free) -> float:
-    """Size of a free parameter [SI]: its canonical unit, as far as its value and bounds bear it out."""
+    """Size of a free parameter [SI]: its canonical unit, as far as its value and bounds bear it out.
+
+    Parameters
+    ----------
+    solution
+        Solution with the value of the parameter and the canonical units of its problem.
+    free
+        The free parameter, with its bounds [SI].
+    """
     told = [abs(v) for v in (solution.free[free.name], free.lower, free.upper) if np.isfinite(v)]
     return supported_unit(solution.problem.scales.of(free.unit), max(told))
 
@@ -359,12 +403,30 @@ def _flight_change_of_objective(solution: Solution) -> float:
 
 
 def slopes_at_end(arc: PhaseData, function: Callable[[Any], Any]) -> Matrix:
-    """Derivatives (values, n) of a function of the states at the end of the phase, a change by their sizes."""
+    """Derivatives (values, n) of a function of the states at the end of the phase, a change by their sizes.
+
+    Parameters
+    ----------
+    arc
+        Phase with n states.
+    function
+        Complex-safe function of the states, n values of any shape, that returns a sequence of values [SI].
+    """
     return slopes_at(arc, np.array([arc.duration]), function)
 
 
 def slopes_at(arc: PhaseData, t: Vector, function: Callable[[Any], Any]) -> Matrix:
-    """Derivatives (values, n) of a function of the states at one time [s], (1,), a change by their sizes."""
+    """Derivatives (values, n) of a function of the states at one time [s], (1,), a change by their sizes.
+
+    Parameters
+    ----------
+    arc
+        Phase with n states.
+    t
+        Time from the start of the phase [s], shape (1,).
+    function
+        Complex-safe function of the states, n values of any shape, that returns a sequence of values [SI].
+    """
     x = arc.state(t)
     return complex_step_jacobian(lambda z: stack_broadcast(function(z), z.shape[1:]), x, arc.state_scale)[:, :, 0]
 

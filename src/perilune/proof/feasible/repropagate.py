@@ -113,7 +113,17 @@ def reintegrate(solution: Solution) -> list[tuple[PhaseData, Reintegration]]:
 
 
 def error_growth_at_end(arc: PhaseData, flight: Reintegration, after: PhaseData) -> Vector:
-    """Return the errors of the phases so far as the next one begins, at least 1, scaled by its sizes."""
+    """Return the errors of the phases so far as the next one begins, at least 1, scaled by its sizes.
+
+    Parameters
+    ----------
+    arc
+        Phase that ends at a link.
+    flight
+        Its re-integration, with the growth of errors over it.
+    after
+        The next phase, whose start the link gives.
+    """
     link, record = arc.problem.links[arc.index], arc.phase.state_record
     slopes = slopes_at_end(arc, lambda z: link(record(*z), arc.p, COMPLEX)) / after.state_scale[:, None]
     return np.clip(np.abs(slopes) @ flight.grown, 1.0, MOST_GROWTH)
@@ -202,6 +212,18 @@ def exported_control(phase: Phase, curve: Curve) -> Callable[[float], list[float
     """The control as a piece of its file describes it: cubic Hermite, then a direction normalised.
 
     Plain floats, as the flight calls it a thousand times for one value each.
+
+    Parameters
+    ----------
+    phase
+        Phase with the controls.
+    curve
+        Table of the control [SI] over the time from the start of the phase [s].
+
+    Returns
+    -------
+    callable
+        ``control_at(t)``, with t in seconds, returns the components of the control [SI].
     """
     pieces = cubics(curve, np.arange(len(curve.time) - 1)).swapaxes(0, 1).tolist()
     nodes, widths = curve.time.tolist(), np.diff(curve.time).tolist()

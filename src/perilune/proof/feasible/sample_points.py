@@ -45,7 +45,15 @@ class Pieces:
 
     @classmethod
     def between(cls, times: Iterable[Vector], duration: float) -> Pieces:
-        """Return the pieces from 0 to the duration, cut at all of the times inside."""
+        """Return the pieces from 0 to the duration, cut at all of the times inside.
+
+        Parameters
+        ----------
+        times
+            Times at which to cut [s], arrays of any length; those outside the interval are ignored.
+        duration
+            End of the interval [s].
+        """
         inside = np.concatenate([np.asarray(t) for t in times])
         edges = np.unique(np.append(inside[(inside > 0) & (inside < duration)], [0.0, duration]))
         return cls(edges[:-1], np.diff(edges))
@@ -75,6 +83,13 @@ class Pieces:
         """Values (components, N, shares) of a table, at the ends of a piece its own sides of a break.
 
         `shares` has the shape (count,), or (N, count) where they differ.
+
+        Parameters
+        ----------
+        curve
+            Table of values over time [s].
+        shares
+            Fractions of each piece, 0 to 1.
         """
         i = np.minimum(np.maximum(curve.time.searchsorted(self.left, side="right") - 1, 0), len(curve.time) - 2)
         # The last cubic goes on where a table ends too early; that it does is another check's.
@@ -128,12 +143,28 @@ def slopes_joined(parts: Sequence[Slopes]) -> Slopes:
 
 
 def polynomial(c: Matrix, s: Matrix) -> Matrix:
-    """c0 + c1 s + c2 s^2 + c3 s^3 for coefficients (..., 4)."""
+    """c0 + c1 s + c2 s^2 + c3 s^3 for coefficients (..., 4).
+
+    Parameters
+    ----------
+    c
+        Coefficients from the constant up, shape (..., 4).
+    s
+        Arguments, of a shape that broadcasts with (...).
+    """
     return c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3]))
 
 
 def cubics(curve: Curve, i: Vector) -> Matrix:
-    """Coefficients (components, len(i), 4) of the pieces of a table after its nodes i, over shares of each."""
+    """Coefficients (components, len(i), 4) of the pieces of a table after its nodes i, over shares of each.
+
+    Parameters
+    ----------
+    curve
+        Table of values and rates over time [s].
+    i
+        Indices of the nodes at which the pieces begin, integers, shape (pieces,).
+    """
     h = (curve.time[i + 1] - curve.time[i])[:, None]
     left, slope, slope_right = curve.values[i], curve.rates[i] * h, curve.rates[i + 1] * h
     jump = curve.values[i + 1] - left

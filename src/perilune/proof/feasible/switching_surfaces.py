@@ -120,7 +120,18 @@ class Guarded:
         return normalised(self.phase.controls, self.trajectory.control.extended(t).T)
 
     def guards(self, x: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
-        """Values and answers of all guards, (guards, ...)."""
+        """Values and answers of all guards, (guards, ...).
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, ...), and controls, shape (components, ...) [SI].
+
+        Returns
+        -------
+        values, answers
+            Differences that are compared [SI], and the results of the comparisons.
+        """
         _, differences, answers = watched_rates(self.phase, x, u, self.p)
         return differences.real, answers
 
@@ -132,7 +143,15 @@ class Guarded:
         return self.guards(self.state(at), self.control(at))[1][:, 0]
 
     def along(self, t: Vector, guard: int) -> Vector:
-        """Return the values of one guard at times."""
+        """Return the values of one guard at times.
+
+        Parameters
+        ----------
+        t
+            Times from the start of the phase [s], shape (N,).
+        guard
+            Index of the guard, in the order of the comparisons.
+        """
         return self.guards(self.state(t), self.control(t))[0][guard]
 
     @cached_property

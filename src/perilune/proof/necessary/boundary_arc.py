@@ -133,7 +133,15 @@ class BoundaryArc:
         return bool(len(inner)) and bool(inner.min() > max(_POSITIVE * inner.max(), self.noise, ALONG))
 
     def slope(self, i: int, x: Matrix) -> Matrix:
-        """d(S^(i))/dx, i < q, at states x (n, N): (n, N), scaled by the states."""
+        """d(S^(i))/dx, i < q, at states x (n, N): (n, N), scaled by the states.
+
+        Parameters
+        ----------
+        i
+            Order of the time derivative of the condition, 0 to q - 1.
+        x
+            States, shape (n, N) [SI].
+        """
         part, value, names = self.part, self.condition.values[i], self.part.phase.control_names
 
         def values(z: Any) -> Any:

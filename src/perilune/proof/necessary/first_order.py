@@ -322,7 +322,15 @@ def _guard_multipliers(arc: PhaseData, p: Any) -> Iterator[tuple[float, Any]]:
 
 
 def is_at_bounds(solution: Solution, free: Free) -> tuple[bool, bool]:
-    """Return True for the lower and for the upper bound of a free parameter if its value lies on it."""
+    """Return True for the lower and for the upper bound of a free parameter if its value lies on it.
+
+    Parameters
+    ----------
+    solution
+        Solution with the value of the parameter.
+    free
+        The free parameter, with its bounds [SI].
+    """
     value, near = solution.free[free.name], ACTIVE * free_size(solution, free)
     return abs(value - free.lower) <= near, abs(value - free.upper) <= near
 

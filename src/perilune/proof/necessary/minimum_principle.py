@@ -153,7 +153,20 @@ def hamiltonian_chords(
 
 
 def row_of(arc: PhaseData, control: Bounded) -> int:
-    """Place of a scalar in `tangents`."""
+    """Place of a scalar in `tangents`.
+
+    Parameters
+    ----------
+    arc
+        Phase with the controls.
+    control
+        Scalar control of the phase.
+
+    Returns
+    -------
+    int
+        Index of its tangent among those of all controls; a direction of d components has d - 1.
+    """
     before = arc.phase.controls[: arc.phase.controls.index(control)]
     return sum(c.freedom for c in before)
 

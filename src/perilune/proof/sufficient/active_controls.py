@@ -59,15 +59,39 @@ class ActiveConditions:
     back: Any
 
     def values(self, x: Any, u: Any, p: Any) -> Any:
-        """Return by how much the conditions are left, (r, ..., N)."""
+        """Return by how much the conditions are left, (r, ..., N).
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, ..., N), and controls, shape (components, ..., N) [SI].
+        p
+            Record of all parameters [SI].
+        """
         return self.allowed.values(x, u, p)[self.rows] - _insert_axes(self.at, x)
 
     def kept(self, x: Any, u: Any, p: Any) -> Any:
-        """A control (components, ..., N) on which they hold to first order."""
+        """A control (components, ..., N) on which they hold to first order.
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, ..., N), and controls to correct, shape (components, ..., N) [SI].
+        p
+            Record of all parameters [SI].
+        """
         return u - (_insert_axes(self.back, x) * self.values(x, u, p)[self.keeps]).sum(axis=1)
 
     def work(self, x: Any, u: Any, p: Any) -> Any:
-        """mu.c, J per second, (..., N)."""
+        """mu.c, J per second, (..., N).
+
+        Parameters
+        ----------
+        x, u
+            States, shape (n, ..., N), and controls, shape (components, ..., N) [SI].
+        p
+            Record of all parameters [SI].
+        """
         return (_insert_axes(self.mu, x) * self.values(x, u, p)).sum(axis=0)
 
 
@@ -131,7 +155,15 @@ def _split_moves(
 def check_strict_conditions(
     arc: PhaseData, spans: Sequence[tuple[float, float, ActiveConditions | None]]
 ) -> Iterator[Check]:
-    """Checks of level 3 of the conditions that hold on pieces from one time to another: with strict multipliers."""
+    """Checks of level 3 of the conditions that hold on pieces from one time to another: with strict multipliers.
+
+    Parameters
+    ----------
+    arc
+        Phase whose path conditions are checked.
+    spans
+        Begin and end of each piece [s], and the conditions that are active along it, if any.
+    """
     if arc.allowed is None:
         return
     rows = sorted({row for _, _, held in spans if held for row in held.rows if not arc.allowed.equal[row]})

@@ -86,7 +86,17 @@ class BoundaryArcs:
 
     @classmethod
     def of(cls, solution: Solution, parts: Solution, structure: Structure) -> BoundaryArcs:
-        """Build from the results of `restate_with_contacts`."""
+        """Build from the results of `restate_with_contacts`.
+
+        Parameters
+        ----------
+        solution
+            The flight in the user's phases.
+        parts
+            The same flight, with a phase for each arc.
+        structure
+            Arcs of each of the user's phases.
+        """
         sums = sums_of(solution.problem, structure)
         along, touches, begins = list[tuple[BoundaryArc, ...]](), list[tuple[Condition, ...]](), set[int]()
         for k, arcs in enumerate(structure.phases):
@@ -124,7 +134,15 @@ class BoundaryArcs:
         return {i: float(nu[rows.index(name)]) for i, name in enumerate(names) if name in rows}
 
     def scale(self, ridden: BoundaryArc, i: int) -> float:
-        """Size of S^(i) where an arc begins [SI]."""
+        """Size of S^(i) where an arc begins [SI].
+
+        Parameters
+        ----------
+        ridden
+            Boundary arc of a condition S of order q.
+        i
+            Order of the time derivative of S, 0 to q - 1.
+        """
         if i in self.entered(ridden):
             before = self.arcs[ridden.part.index - 1]
             names = [c.name for c in before.phase.end_conditions]
@@ -132,7 +150,15 @@ class BoundaryArcs:
         return float(np.abs(ridden.slope(i, ridden.edge(0.0))).max())
 
     def other(self, ridden: BoundaryArc, step: int) -> BoundaryArc | None:
-        """Return the same condition along the part before (-1) or after (1), inside one of the user's phases."""
+        """Return the same condition along the part before (-1) or after (1), inside one of the user's phases.
+
+        Parameters
+        ----------
+        ridden
+            Boundary arc along one part of the flight.
+        step
+            -1 for the part before, 1 for the part after.
+        """
         k = ridden.part.index + step
         if not self.inner(max(k, ridden.part.index)):
             return None
@@ -206,7 +232,15 @@ class BoundaryArcs:
                 )  # fmt: skip
 
     def strictly(self, ridden: BoundaryArc, s: float) -> bool:
-        """Return True if the costates of S jump by a strictly negative nu where an arc begins (0) or ends (1)."""
+        """Return True if the costates of S jump by a strictly negative nu where an arc begins (0) or ends (1).
+
+        Parameters
+        ----------
+        ridden
+            Boundary arc of a condition S.
+        s
+            0.0 for the begin of the arc, 1.0 for its end.
+        """
         joint = ridden.part.index + round(s)
         if not self.inner(joint) or self.other(ridden, 1 if s else -1) is not None:
             return False

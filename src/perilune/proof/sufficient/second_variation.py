@@ -68,6 +68,17 @@ def variation_pieces(
 
     And of singular arcs what is left of their impulses, behind `names`. `finer` times as many steps as are usual, and
     its square where nothing is steered; where nothing of the control can vary these are of the fourth order.
+
+    Parameters
+    ----------
+    arcs
+        All phases of the flight, in order.
+    names
+        Names of the parameters that vary.
+    kept
+        Constraints on variations from boundary arcs and contact points, by the index of the phase.
+    finer
+        Factor on the usual number of steps.
     """
     switches = {
         (arc.index, float(time)): float(slope)
@@ -213,7 +224,15 @@ class VariationPiece:
         return x, *_free_moves(self.arc, x, self.u)
 
     def transform(self, at: int | None, impulse: str | None) -> None:
-        """Put the integral of the singular scalar, a component of the control, in its place."""
+        """Put the integral of the singular scalar, a component of the control, in its place.
+
+        Parameters
+        ----------
+        at
+            Index of the singular scalar among the components of the control; None leaves the piece as it is.
+        impulse
+            Name of the parameter for its impulse at the end of the singular arc; None if the arc does not end here.
+        """
         if at is None:
             return
         n, m, _ = self.sizes

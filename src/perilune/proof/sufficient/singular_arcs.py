@@ -41,7 +41,20 @@ STRETCH = 1e-3  # of a phase: nearer to a singular arc its slope, which leaves z
 
 
 def singular_between(arc: PhaseData, left: float, right: float) -> int | None:
-    """Place of the one scalar that is singular all along a stretch: strictly between bounds, H linear in it."""
+    """Place of the one scalar that is singular all along a stretch: strictly between bounds, H linear in it.
+
+    Parameters
+    ----------
+    arc
+        Phase with costates.
+    left, right
+        Begin and end of the stretch, from the start of the phase [s].
+
+    Returns
+    -------
+    int or None
+        Index among the components of the control; None if there is no such scalar or more than one.
+    """
     t = np.linspace(left, right, _LOOKS + 2)[1:-1]
     x, u, lam = arc.state(t), arc.control(t), arc.costate(t)
     found = []

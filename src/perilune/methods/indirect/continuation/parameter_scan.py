@@ -56,13 +56,31 @@ class HeldFamily:
     watch: Watch = ignore_events
 
     def held(self, Y: Matrix, values: Vector, like: Root) -> Roots:
-        """Solve in lanes with q held at `values`; the initial active set is otherwise that of `like`."""
+        """Solve in lanes with q held at `values`; the initial active set is otherwise that of `like`.
+
+        Parameters
+        ----------
+        Y
+            Initial unknowns, shape (lanes, unknowns), canonical.
+        values
+            Values of q, shape (lanes,), canonical.
+        like
+            A root near by, from whose active set each lane begins.
+        """
         choices = np.tile(like.choice, (len(values), 1))
         self.shooting.plan.hold(choices, self.index, values)
         return self.limits.solve(self.shooting, Y, self.p, choices, self.watch)
 
     def released(self, Y: Matrix, like: Root) -> Roots:
-        """Solve in lanes with q free: the transversality condition (19) in place of the held value."""
+        """Solve in lanes with q free: the transversality condition (19) in place of the held value.
+
+        Parameters
+        ----------
+        Y
+            Initial unknowns, shape (lanes, unknowns), canonical.
+        like
+            A root near by, from whose active set each lane begins, but for q.
+        """
         choice = like.choice.copy()
         choice[[self.index, self.shooting.plan.held + self.index]] = 0.0
         return self.limits.solve(self.shooting, Y, self.p, np.tile(choice, (len(Y), 1)), self.watch)
@@ -76,7 +94,20 @@ class HeldFamily:
         return float(root.slopes[self.index])
 
     def reach(self, here: Member, target: float) -> Member | None:
-        """Follow the family to the member at another value, step by step."""
+        """Follow the family to the member at another value, step by step.
+
+        Parameters
+        ----------
+        here
+            Member to start from.
+        target
+            Value of q to reach, canonical.
+
+        Returns
+        -------
+        Member or None
+            None if Newton's method fails on the way, with steps halved `_HALVINGS` times.
+        """
 
         def correct(y: Vector, value: float) -> Root:
             return self.held(y[None], np.array([value]), here.root)[0]
@@ -238,7 +269,13 @@ def distinct_roots(roots: Iterable[Root]) -> list[Root]:
 
 
 def same_extremal(one: Root, other: Root) -> bool:
-    """Return True if two roots are one extremal: the same, or members of one continuum with the same J."""
+    """Return True if two roots are one extremal: the same, or members of one continuum with the same J.
+
+    Parameters
+    ----------
+    one, other
+        Roots of the same shooting function.
+    """
     if same_vector(one.y, other.y, 1e-6):
         return True
     alike = abs(one.cost - other.cost) <= 1e-8 * (1.0 + abs(other.cost))
@@ -246,7 +283,15 @@ def same_extremal(one: Root, other: Root) -> bool:
 
 
 def unknown_extremals(found: list[ExtremalRoot], known: list[ExtremalRoot]) -> list[ExtremalRoot]:
-    """Return those of the extremals found that are not known yet."""
+    """Return those of the extremals found that are not known yet.
+
+    Parameters
+    ----------
+    found
+        Extremals to filter; they are compared by the unknowns of their roots, canonical.
+    known
+        Extremals that are not to be returned again.
+    """
     return [f for f in found if not any(same_vector(f.root.y, other.root.y, 1e-6) for other in known)]
 
 

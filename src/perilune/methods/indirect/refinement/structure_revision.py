@@ -136,6 +136,17 @@ def keep_paying_parts(
     An arc to the end of the phase that gains by leaving for a time g before, returns there: with mu linear in time
     the hop begins q/(q + 1) g before mu changes sign (for x^(q) = u). Where that is before the arc a contact point is
     left.
+
+    Parameters
+    ----------
+    contact
+        Boundary arc with its times of begin and end [s of the phase].
+    condition
+        Active condition of order q.
+    last
+        Time at which the phase ends [s].
+    worth
+        Begin and end of each part whose multiplier has the right sign [s from the begin of the arc]; None if unknown.
     """
     length, order = contact.end - contact.begin, condition.order
     parts = [(0.0, length)] if worth is None else list(worth)
@@ -154,7 +165,15 @@ def keep_paying_parts(
 
 
 def structure_contacts(structure: Structure, k: int) -> Iterator[Contact]:
-    """Yield boundary arcs and contact points of a structure with times in phase k."""
+    """Yield boundary arcs and contact points of a structure with times in phase k.
+
+    Parameters
+    ----------
+    structure
+        Arcs of each phase, each with the time at which it ends [s].
+    k
+        Index of the phase.
+    """
     begin = 0.0
     for arc in structure.phases[k]:
         for name in arc.along:
@@ -182,7 +201,15 @@ class ConstraintMargins:
     whole: Solution
 
     def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
-        """Return the times of phase k [s] and how far a condition is from its limit there [SI]."""
+        """Return the times of phase k [s] and how far a condition is from its limit there [SI].
+
+        Parameters
+        ----------
+        k
+            Index of the user's phase.
+        name
+            Name of a condition of its path.
+        """
         if is_constant_condition(self.problem, k, name):
             return (t := np.zeros(1)), self._room(k, name, t, self._aloft.at(self._first(k), t))
         parts = [self._closely(k, name, *part) for part in self._phases(k)]

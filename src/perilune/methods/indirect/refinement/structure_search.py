@@ -186,7 +186,22 @@ class StructureRefinement:
         )
 
     def followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
-        """Follow the structures from the first that an answer has to the one that its extremal keeps to."""
+        """Follow the structures from the first that an answer has to the one that its extremal keeps to.
+
+        Parameters
+        ----------
+        rough
+            Trajectory to start Newton's method from on the first structure.
+        structure
+            First structure; None for none to follow.
+        seen
+            Texts of the structures tried already, which are not tried again; those tried here are added.
+
+        Returns
+        -------
+        Solution or None
+            The extremal in the user's phases; None if a structure fails, returns, or has more than `MOST_ARCS` arcs.
+        """
         while structure is not None and structure.text not in seen and len(seen) < ATTEMPTS:
             if structure.count > MOST_ARCS:
                 self._say(f"structure of more than {MOST_ARCS} arcs: not tried")
