@@ -18,6 +18,13 @@ _FINER = re.compile(r"[.,]\d{6}\d*[1-9]")  # than a microsecond, which a datetim
 def instant(stated: str | datetime, name: str = "the epoch") -> datetime:
     """Return a time in UTC, the zone of a time that states none.
 
+    Parameters
+    ----------
+    stated
+        ISO 8601 text or datetime.
+    name
+        Description of the value in messages.
+
     Raises
     ------
     PeriluneError

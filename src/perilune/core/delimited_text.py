@@ -91,6 +91,13 @@ class DelimitedTable:
     def number(self, row: CellRow, column: int) -> float:
         """Return the number in a cell.
 
+        Parameters
+        ----------
+        row
+            Row of the table.
+        column
+            Number of the column, from 0.
+
         Raises
         ------
         PeriluneError

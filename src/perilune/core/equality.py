@@ -11,7 +11,13 @@ import numpy as np
 
 
 def equal_values(one: Any, other: Any) -> bool:
-    """Return True if two values are equal, where NaN equals NaN, and containers and arrays compare by their entries."""
+    """Return True if two values are equal, where NaN equals NaN, and containers and arrays compare by their entries.
+
+    Parameters
+    ----------
+    one, other
+        Numbers, texts, arrays, containers or records.
+    """
     if one is other:
         return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
@@ -28,7 +34,13 @@ def equal_values(one: Any, other: Any) -> bool:
 
 
 def equal_fields(one: Any, other: Any) -> bool:
-    """Return True if two records of one class have equal fields."""
+    """Return True if two records of one class have equal fields.
+
+    Parameters
+    ----------
+    one, other
+        Dataclass records of one class.
+    """
     return all(equal_values(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
 
 

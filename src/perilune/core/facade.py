@@ -45,7 +45,13 @@ def deferred(package: str, home: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 def moved_module(old: str, new: str) -> ModuleType:
-    """Import a module from its new place and warn that the old one goes with the next minor version."""
+    """Import a module from its new place and warn that the old one goes with the next minor version.
+
+    Parameters
+    ----------
+    old, new
+        Full names of the module before and now.
+    """
     warnings.warn(
         f"{old} is {new} now; the old name goes with the next minor version", DeprecationWarning, stacklevel=3
     )

@@ -79,7 +79,20 @@ class Quantity:
         return StatedNumber(number, value.strip())
 
     def check(self, value: float, got: str = "") -> None:
-        """Raise PeriluneError, without the key, for a value in SI that is no number, not finite or out of range."""
+        """Raise PeriluneError, without the key, for a value in SI that is no number, not finite or out of range.
+
+        Parameters
+        ----------
+        value
+            Value in SI.
+        got
+            Text as the user wrote it, for the message; "" for the value itself.
+
+        Raises
+        ------
+        PeriluneError
+            If it cannot be the value.
+        """
         try:
             if isinstance(value, bool):
                 raise TypeError
@@ -252,6 +265,21 @@ def text_field(
     """Declare a field of a record that is a text, one of the choices if there are any, or the path of a `file`.
 
     `called` is its key if that is a reserved word of Python.
+
+    Parameters
+    ----------
+    example
+        Text for templates.
+    *choices
+        Texts that are allowed; any, if there are none.
+    default
+        Value where the key is left out; required without one.
+    called
+        Key in a scenario, where the name of the field cannot be it.
+    about
+        Meaning, for the reference page.
+    file
+        Let it be the path of a file, relative to the scenario.
     """
     declared = TextField(example=example, choices=choices, about=about, file=file)
     return field(default=default, metadata={"keys": {"": declared}, "called": called})
@@ -333,7 +361,20 @@ def record_values(made: Any) -> dict[str, Any]:
 
 
 def record_of_values(kind: type[T], values: Mapping[str, Any]) -> T:
-    """Build a record with these values of its keys, checked; other keys have their defaults."""
+    """Build a record with these values of its keys, checked; other keys have their defaults.
+
+    Parameters
+    ----------
+    kind
+        Class of the record.
+    values
+        Values by key, in SI.
+
+    Raises
+    ------
+    PeriluneError
+        If a value is outside what is declared of its key.
+    """
     arguments: dict[str, Any] = {}
     for name, key in record_keys(kind).items():
         value = values.get(name, key.default)
@@ -346,7 +387,20 @@ def record_of_values(kind: type[T], values: Mapping[str, Any]) -> T:
 
 
 def check_values(made: Any, parameters: Mapping[str, float]) -> None:
-    """Raise PeriluneError if parameters that a record declares could not be its values; others are ignored."""
+    """Raise PeriluneError if parameters that a record declares could not be its values; others are ignored.
+
+    Parameters
+    ----------
+    made
+        Record whose class declares the parameters.
+    parameters
+        Values by the names of parameters [SI].
+
+    Raises
+    ------
+    PeriluneError
+        If a value is outside what is declared of its key.
+    """
     section, keys, own = section_of(type(made)), record_keys(type(made)), record_values(made)
     values = {n: parameters[f"{section}_{n}"] for n in keys if f"{section}_{n}" in parameters}
     texts = {n: own[n] for n, key in keys.items() if isinstance(key.declared, TextField)}
@@ -379,7 +433,15 @@ def _check_fields(made: Any) -> None:
 
 
 def with_key_named(key: str, error: PeriluneError) -> PeriluneError:
-    """Return the same error with the key in front."""
+    """Return the same error with the key in front.
+
+    Parameters
+    ----------
+    key
+        Key of the scenario, as ``vehicle.mass``.
+    error
+        Error of a check that does not know the key.
+    """
     what = f"- {error.what}" if error.what.startswith(("this ", "the ")) else error.what
     return PeriluneError(f"{key} {what}", got=error.got, expected=error.expected, advice=error.advice)
 

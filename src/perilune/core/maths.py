@@ -144,7 +144,15 @@ class Table:
         return self.piece(np.searchsorted(self.x, np.real(value), side="right"), value)
 
     def piece(self, i: Any, value: Any) -> Any:
-        """Return values of its pieces i, wherever the numbers lie; piece 0 lies before the first knot."""
+        """Return values of its pieces i, wherever the numbers lie; piece 0 lies before the first knot.
+
+        Parameters
+        ----------
+        i
+            Number of the piece for each value, from 0 before the first knot, (...).
+        value
+            Places, (...).
+        """
         return _horner_sum(self.pieces[:, i], value - self.knots[i])
 
     @property
@@ -158,7 +166,17 @@ class Table:
         return self.kind in _SPLINES
 
     def chosen(self, value: Any, choose: Choose, side: int | None = None) -> Any:
-        """Return values by choices between pieces, for symbols; the `side` between two `kinks` goes on beyond them."""
+        """Return values by choices between pieces, for symbols; the `side` between two `kinks` goes on beyond them.
+
+        Parameters
+        ----------
+        value
+            Place, a symbol.
+        choose
+            ``choose(condition, yes, no)`` of the symbols.
+        side
+            Number of the interval between `kinks`, 0 before the first; None for all pieces.
+        """
         first, last = 0, len(self.x)
         if side is not None:
             inner = self.is_spline
@@ -166,7 +184,15 @@ class Table:
         return self._chosen(self.pieces, value, choose, first, last)
 
     def slope(self, value: Any, choose: Choose) -> Any:
-        """Return the derivative by choices between pieces; at a knot where it jumps, that of the piece above."""
+        """Return the derivative by choices between pieces; at a knot where it jumps, that of the piece above.
+
+        Parameters
+        ----------
+        value
+            Place, a symbol.
+        choose
+            ``choose(condition, yes, no)`` of the symbols.
+        """
         powers = np.arange(len(self.pieces))[::-1, None]
         return self._chosen((powers * self.pieces)[:-1], value, choose, 0, len(self.x))
 

@@ -133,6 +133,13 @@ def _nearest_unit_advice(name: str) -> str:
 def require_si_unit(text: Any, what: str) -> None:
     """Refuse a unit that is not SI: inside, a unit that scales numbers invites mistakes.
 
+    Parameters
+    ----------
+    text
+        Unit as the user wrote it.
+    what
+        Quantity of the unit.
+
     Raises
     ------
     PeriluneError
@@ -207,7 +214,13 @@ def format_value_range(values: Iterable[float], unit_text: str) -> str:
 
 
 def quotient_unit(numerator: str, denominator: str) -> str:
-    """Return the SI unit of a quotient of two units, as of a costate."""
+    """Return the SI unit of a quotient of two units, as of a costate.
+
+    Parameters
+    ----------
+    numerator, denominator
+        Units, as ``kg`` and ``m/s``.
+    """
     above, below = parse_unit(numerator)[1], parse_unit(denominator)[1]
     a, b, c, d = (x - y for x, y in zip(above, below, strict=True))
     return dimension_text((a, b, c, d))

@@ -59,6 +59,16 @@ def bounded_text(path: Path, what: str, largest: int, *, expected: str, advice: 
     """Read a file as text in UTF-8, or in UTF-16 with its mark, as PowerShell and spreadsheets write it.
 
     Arguments as of `bounded_bytes`.
+
+    Parameters
+    ----------
+    path, what, largest, expected, advice
+        As in `bounded_bytes`.
+
+    Raises
+    ------
+    PeriluneError
+        If it cannot be read, is too large, or is no text of these encodings.
     """
     raw = bounded_bytes(path, what, largest, expected=expected, advice=advice)
     try:
@@ -73,7 +83,15 @@ def bounded_text(path: Path, what: str, largest: int, *, expected: str, advice: 
 
 
 def one_line(text: str, most: int = 120) -> str:
-    """Return a text that is safe to print: one line of at most `most` characters, none of which moves a cursor."""
+    """Return a text that is safe to print: one line of at most `most` characters, none of which moves a cursor.
+
+    Parameters
+    ----------
+    text
+        Text of a stranger.
+    most
+        Greatest number of characters.
+    """
     line = "".join(c if c.isprintable() else "?" for c in " ".join(text[: 10 * most].split()))
     return line if len(line) <= most else f"{line[: most - 1]}…"
 

@@ -216,6 +216,13 @@ def wrong_type_error(value: Any, expected: str, what: str, advice: str = "") -> 
 def require_level(level: Any, known: Sequence[int]) -> None:
     """Refuse an unknown verification level.
 
+    Parameters
+    ----------
+    level
+        Level as the user gave it.
+    known
+        Levels that there are.
+
     Raises
     ------
     PeriluneError

@@ -31,7 +31,15 @@ class Continuation:
         self.limits: ActiveSetBounds | None = None
 
     def solve(self, problem: Problem, watch: Watch) -> Solution:
-        """Solve a member by continuation from the base extremal, or by the whole ladder without one; unverified."""
+        """Solve a member by continuation from the base extremal, or by the whole ladder without one; unverified.
+
+        Parameters
+        ----------
+        problem
+            Problem of the member.
+        watch
+            Receives each iteration.
+        """
         search = Search(self.settings, problem, watch)
         base = None if self.base is None else self._continued(problem, self.base, search)
         solution = self.settings.answer(search, base=base)

@@ -80,7 +80,15 @@ def run_serially(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any
 
 
 def begin_processes(executor: Submits | None, call: Call) -> None:
-    """Start the processes of a pool ahead of the work, each with a call that prepares it."""
+    """Start the processes of a pool ahead of the work, each with a call that prepares it.
+
+    Parameters
+    ----------
+    executor
+        Pool whose processes are started; nothing is done for any other.
+    call
+        Function and its arguments.
+    """
     if isinstance(executor, ProcessPoolExecutor):  # threads are there, and a cluster's workers as well
         with suppress(BrokenExecutor):  # who wants an answer is told
             for _ in range(os.cpu_count() or 1):

@@ -67,7 +67,15 @@ class FamilyPoint:
 
 
 def failed_point(values: tuple[float, ...], error: PeriluneError) -> FamilyPoint:
-    """Return the member for an error: it is infeasible, its search failed, or its values are refused."""
+    """Return the member for an error: it is infeasible, its search failed, or its values are refused.
+
+    Parameters
+    ----------
+    values
+        Values of the parameters [SI].
+    error
+        Refusal, proof of infeasibility, or failure of the search.
+    """
     return FamilyPoint(values=values, solution=None, message=str(error), failure=_FAILURES[error.exit_code])
 
 
@@ -153,6 +161,13 @@ class Family:
 
 def member_values(problem: Problem, over: Over) -> tuple[tuple[str, ...], list[tuple[float, ...]]]:
     """Return the names of the parameters and the values of every member; in a grid the last one changes fastest.
+
+    Parameters
+    ----------
+    problem
+        Base problem of the family.
+    over
+        Values of each parameter, of which the grid is made, or values of all of them point by point [SI].
 
     Raises
     ------

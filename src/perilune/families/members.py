@@ -56,7 +56,15 @@ class Members:
     time_limit: float
 
     def solved(self, todo: Sequence[int], executor: Submits | None) -> Found:
-        """Yield each of the members `todo` with its number, as soon as it is solved."""
+        """Yield each of the members `todo` with its number, as soon as it is solved.
+
+        Parameters
+        ----------
+        todo
+            Numbers of the members.
+        executor
+            Where they are computed; None for this process.
+        """
         if executor is None and len(self.names) == 1 and isinstance(self.method, Indirect):
             return self._continued(todo, self.method)
         return self._one_by_one(todo) if executor is None else report_lost_worker(self._elsewhere(todo, executor))
@@ -203,7 +211,15 @@ def solved_member(
 
 
 def proof_of_member(solution: Solution, level: int) -> Verification | None:
-    """Prove a stored member; None if its content cannot be computed with."""
+    """Prove a stored member; None if its content cannot be computed with.
+
+    Parameters
+    ----------
+    solution
+        Stored solution of the member.
+    level
+        Level up to which it is proved.
+    """
     try:
         return verify(solution, level=level)
     except PeriluneError:

@@ -94,7 +94,20 @@ class FamilyStore:
             ) from error
 
     def write(self, i: int, point: FamilyPoint) -> None:
-        """Store one member."""
+        """Store one member.
+
+        Parameters
+        ----------
+        i
+            Number of the member.
+        point
+            Member with its values, and its solution or failure.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
         solution = point.solution
         if solution is not None:
             self._put(f"{i:06d}.npz", _curves_archive(solution))

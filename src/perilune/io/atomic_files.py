@@ -120,7 +120,22 @@ def refuse_name_of_file(target: Path) -> None:
 
 
 def new_file(file: str | Path, what: str, force: bool = False) -> Path:
-    """Return the path of a file to write, behind links; refuse one that is no file, or exists unless forced."""
+    """Return the path of a file to write, behind links; refuse one that is no file, or exists unless forced.
+
+    Parameters
+    ----------
+    file
+        Path as the user gave it.
+    what
+        Description of the content in messages.
+    force
+        Let an existing file be replaced.
+
+    Raises
+    ------
+    PeriluneError
+        If it is "-", a directory, a device or a pipe, or exists.
+    """
     path = require_path(file, f"the file of {what}")
     if str(path) == "-":
         raise PeriluneError(
@@ -143,6 +158,13 @@ def new_file(file: str | Path, what: str, force: bool = False) -> Path:
 @contextmanager
 def fresh_file(target: Path, what: str) -> Iterator[Path]:
     """Enter a temporary file next to a target; it becomes the target when the block ends without an error.
+
+    Parameters
+    ----------
+    target
+        File to write.
+    what
+        Description of the content in messages.
 
     Raises
     ------
@@ -199,7 +221,15 @@ def refuse_unwritten(failed: Sequence[PeriluneError]) -> None:
 
 
 def unwritten(what: str, error: Exception) -> PeriluneError:
-    """Return the error for something that was not written, with the writer's error as its cause."""
+    """Return the error for something that was not written, with the writer's error as its cause.
+
+    Parameters
+    ----------
+    what
+        First words of the message: what was not written.
+    error
+        Error of the writer.
+    """
     if isinstance(error, PeriluneError):
         got, advice = "; ".join(text for text in (error.what, error.got) if text), error.advice
     elif isinstance(error, OSError):

@@ -77,6 +77,13 @@ def required_hamiltonian(solution: Solution, k: int) -> float:
     """Return the value that H of phase k must have, in units of J per second: minus dJ/dT, as its duration T is free.
 
     It is 0 if J depends on the end state only, -1 if J is the flight time.
+
+    Parameters
+    ----------
+    solution
+        Solution of any method.
+    k
+        Number of the phase.
     """
     p, name, step = solution.parameters, solution.problem.phases[k].duration, 1e-20
     end = solution.problem.phases[-1].state_record(*solution.trajectories[-1].state.values[-1])
@@ -232,5 +239,13 @@ def display_unit(unit: str) -> tuple[float, str]:
 
 
 def round_degrees(value: float, unit: str) -> float:
-    """Return a value in its display unit without the rounding of pi: 30 degrees, not 29.999999999999996."""
+    """Return a value in its display unit without the rounding of pi: 30 degrees, not 29.999999999999996.
+
+    Parameters
+    ----------
+    value
+        Value in its display unit.
+    unit
+        Display unit, of which "deg" is rounded to 15 digits.
+    """
     return float(f"{value:.15g}") if unit == "deg" else float(value)

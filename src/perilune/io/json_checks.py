@@ -51,6 +51,13 @@ def tree(content: str, what: str, advice: str = _AGAIN) -> Any:
 
     Texts may have no control characters but ends of lines, so that none moves the cursor when printed.
 
+    Parameters
+    ----------
+    content
+        Text of the document.
+    what, advice
+        Name of the document, and what to do, in messages.
+
     Raises
     ------
     PeriluneError
@@ -110,7 +117,18 @@ def part(entry: Mapping[str, Any], name: str, kind: type) -> Any:
 
 
 def short_text(entry: Mapping[str, Any], name: str) -> str:
-    """Return the text of a name, checked not to be longer than a sentence may be."""
+    """Return the text of a name, checked not to be longer than a sentence may be.
+
+    Parameters
+    ----------
+    entry, name
+        Record of the tree, and the name of its entry.
+
+    Raises
+    ------
+    PeriluneError
+        If it is no text, or longer than `LONGEST_TEXT`.
+    """
     found = part(entry, name, str)
     if len(found) > LONGEST_TEXT:
         refuse_entry(name, f"{len(found)} characters", f"a text of at most {LONGEST_TEXT}")
@@ -118,7 +136,20 @@ def short_text(entry: Mapping[str, Any], name: str) -> str:
 
 
 def finite_number(entry: Mapping[str, Any], name: str, where: str) -> float:
-    """Return the finite number of a name; texts and booleans are refused."""
+    """Return the finite number of a name; texts and booleans are refused.
+
+    Parameters
+    ----------
+    entry, name
+        Record of the tree, and the name of its entry.
+    where
+        Path of the record in messages.
+
+    Raises
+    ------
+    PeriluneError
+        If it is not a finite number.
+    """
     return _checked_number(entry.get(name), f"{where}.{name}")
 
 
@@ -135,7 +166,18 @@ def _checked_number(value: Any, where: str) -> float:
 
 
 def valued_numbers(document: Mapping[str, Any], name: str) -> dict[str, float]:
-    """Return the values of ``{key: {"value": number}}``."""
+    """Return the values of ``{key: {"value": number}}``.
+
+    Parameters
+    ----------
+    document, name
+        Tree, and the name of the record of numbers.
+
+    Raises
+    ------
+    PeriluneError
+        If an entry is not a record with a finite number.
+    """
     entries = part(document, name, dict)
     return {key: finite_number(part(entries, key, dict), "value", f"{name}.{key}") for key in entries}
 
@@ -168,7 +210,22 @@ def array(value: Any, where: str, shape: tuple[int | None, ...]) -> Any:
 
 
 def enumeration_member(kind: type, found: Any, where: str) -> Any:
-    """Return the member of an enumeration; refuse None."""
+    """Return the member of an enumeration; refuse None.
+
+    Parameters
+    ----------
+    kind
+        Enumeration, whose names are listed in the message.
+    found
+        Member, or None for an unknown word.
+    where
+        Path of the entry in messages.
+
+    Raises
+    ------
+    PeriluneError
+        If it is None.
+    """
     if found is None:
         refuse_entry(where, "an unknown word", "one of " + ", ".join(str(m.name) for m in kind))  # type: ignore[attr-defined]
     return found

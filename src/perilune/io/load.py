@@ -87,7 +87,25 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
 def load_with_tree(
     directory: str | Path, problem_from_scenario: Callable[[str], Problem] | None = None
 ) -> tuple[Solution, Mapping[str, Any]]:
-    """Load a solution as `load` does, with the tree that the file holds."""
+    """Load a solution as `load` does, with the tree that the file holds.
+
+    Parameters
+    ----------
+    directory
+        Directory of a saved solution.
+    problem_from_scenario
+        Makes the problem of a scenario's text; None for `perilune.scenario.load_text`.
+
+    Returns
+    -------
+    tuple[Solution, Mapping[str, Any]]
+        The solution, not proved, and the checked tree of its file.
+
+    Raises
+    ------
+    PeriluneError
+        If the file is missing, damaged, or states two different problems.
+    """
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
     path = require_path(directory, "the directory of a saved solution")
@@ -193,6 +211,18 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
     """Build the problem by its scenario or its model, if any, which must agree with the expressions.
 
     The problem is built from the expressions only if the package that brings its kind is not installed.
+
+    Parameters
+    ----------
+    document
+        Tree of a saved solution, or of anything with the entries of `perilune.io.save.stated_problem_document`.
+    problem_from_scenario
+        Makes the problem of a scenario's text.
+
+    Raises
+    ------
+    PeriluneError
+        If an entry is not valid, or scenario or model and the expressions differ.
     """
     alone = document["format"]["version"] == WITH_SCENARIO_ONLY and document["format"]["name"] == FORMAT_NAME
     stated = None
@@ -273,7 +303,25 @@ def _check_saved_given(document: Mapping[str, Any], problem: Problem) -> None:
 
 
 def read_trajectories(document: Mapping[str, Any], problem: Problem) -> tuple[Trajectory, ...]:
-    """Read the curves of a document."""
+    """Read the curves of a document.
+
+    Parameters
+    ----------
+    document
+        Tree of a saved solution.
+    problem
+        Problem that it solves.
+
+    Returns
+    -------
+    tuple[Trajectory, ...]
+        One trajectory for each phase, in SI.
+
+    Raises
+    ------
+    PeriluneError
+        If phases, shapes or durations are not those of the problem.
+    """
     free = valued_numbers(document, "free")
     entries = part(document, "phases", list)
     if len(entries) != len(problem.phases):

@@ -39,6 +39,13 @@ def model_document(problem: Problem) -> dict[str, Any] | None:
 def read_model(document: Mapping[str, Any], given: Mapping[str, Given]) -> Problem:
     """Make the problem by its model, with the given values of the solution.
 
+    Parameters
+    ----------
+    document
+        Tree with the kind of the model and the values of its sections.
+    given
+        Given parameters of the solution, by name [SI].
+
     Raises
     ------
     PeriluneError

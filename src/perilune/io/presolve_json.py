@@ -42,7 +42,15 @@ Places = Sequence[Mapping[str, float]]  # values [SI] of given parameters
 
 
 def same_comparisons(problem: Problem, other: Problem, places: Places) -> bool:
-    """Return True if the comparisons of two problems of one form agree at all of some places."""
+    """Return True if the comparisons of two problems of one form agree at all of some places.
+
+    Parameters
+    ----------
+    problem, other
+        Problems of one form.
+    places
+        Values of given parameters [SI], by name.
+    """
     if problem.preflight is None or other.preflight is None:
         return problem.preflight is other.preflight
     return all(
@@ -87,6 +95,13 @@ def comparisons_document(problem: Problem, places: Places) -> dict[str, Any]:
 
 def read_comparisons(document: Any, problem: Problem) -> Comparisons:
     """Read and check the comparisons of a file.
+
+    Parameters
+    ----------
+    document
+        Tree that `comparisons_document` wrote.
+    problem
+        Problem whose given parameters the formulas read.
 
     Raises
     ------

@@ -77,6 +77,13 @@ def _phase_physics_document(phase: Phase) -> dict[str, Any]:
 def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Problem:
     """Build the problem of a document, with expressions for its functions.
 
+    Parameters
+    ----------
+    document
+        Tree that `physics_document` wrote.
+    given
+        Given parameters, by name [SI].
+
     Raises
     ------
     PeriluneError

@@ -214,13 +214,29 @@ def solution_files(solution: Solution) -> list[str]:
 
 
 def trajectory_name(solution: Solution, k: int) -> str:
-    """Return the file name of the table of phase k."""
+    """Return the file name of the table of phase k.
+
+    Parameters
+    ----------
+    solution
+        Solution to save.
+    k
+        Number of the phase, from 0.
+    """
     names = solution.problem.phases
     return "trajectory.csv" if len(names) == 1 else f"trajectory_{k + 1}_{names[k].name}.csv"
 
 
 def whole_document(solution: Solution, scenario_text: str | None = None) -> dict[str, Any]:
-    """Return the whole solution as the tree that ``solution.json`` holds."""
+    """Return the whole solution as the tree that ``solution.json`` holds.
+
+    Parameters
+    ----------
+    solution
+        Solution to save.
+    scenario_text
+        Text of the scenario that states its problem; None without one.
+    """
     return {
         "format": {"name": FORMAT_NAME, "version": FORMAT_VERSION, "units": "SI, radians", "fields": _FIELDS},
         "versions": program_versions(),
@@ -231,7 +247,15 @@ def whole_document(solution: Solution, scenario_text: str | None = None) -> dict
 
 
 def stated_problem_document(problem: Problem, scenario_text: str | None = None) -> dict[str, Any]:
-    """Return a problem as a tree from which `perilune.io.load.read_problem` makes it again, however it was stated."""
+    """Return a problem as a tree from which `perilune.io.load.read_problem` makes it again, however it was stated.
+
+    Parameters
+    ----------
+    problem
+        Problem to save.
+    scenario_text
+        Text of the scenario that states it; None without one.
+    """
     scenario = None if scenario_text is None else {"sha256": hash_of(scenario_text), "text": scenario_text}
     return {
         "scenario": scenario,
@@ -285,7 +309,15 @@ def phases_document(solution: Solution) -> list[dict[str, Any]]:
 
 
 def trajectory_csv(solution: Solution, k: int = 0) -> str:
-    """Return phase k as comma-separated values at the state's nodes; units in the header, angles in degrees."""
+    """Return phase k as comma-separated values at the state's nodes; units in the header, angles in degrees.
+
+    Parameters
+    ----------
+    solution
+        Solution to save.
+    k
+        Number of the phase, from 0.
+    """
     table = phase_columns(solution, k)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

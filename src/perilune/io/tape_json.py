@@ -15,6 +15,15 @@ MOST_INSTRUCTIONS, MOST_TABLES = 50_000, 100  # of one function in a file; the l
 def tape_of(document: Any, names: Mapping[str, Sequence[str]], what: str) -> Tape:
     """Read and check a tape: known operations, operands before their use, names of the given records.
 
+    Parameters
+    ----------
+    document
+        Tree with instructions, outputs and tables.
+    names
+        Names of the components of each record that the tape may read.
+    what
+        Name of the function in messages.
+
     Raises
     ------
     PeriluneError

@@ -291,10 +291,36 @@ def canonical_free(problem: Problem, free: Mapping[str, float]) -> Vector:
 
 
 def free_scales(parameters: tuple[Free, ...], problem: Problem) -> Vector:
-    """Return the SI size of the canonical unit of each free parameter."""
+    """Return the SI size of the canonical unit of each free parameter.
+
+    Parameters
+    ----------
+    parameters
+        Free parameters of the problem.
+    problem
+        Problem whose `scales` are used.
+
+    Returns
+    -------
+    Vector
+        (parameters,).
+    """
     return np.array([problem.scales.of(f.unit) for f in parameters])
 
 
 def state_scales(problem: Problem, phase: Phase) -> Vector:
-    """Return the SI size of the canonical unit of each state."""
+    """Return the SI size of the canonical unit of each state.
+
+    Parameters
+    ----------
+    problem
+        Problem whose `scales` are used.
+    phase
+        One of its phases.
+
+    Returns
+    -------
+    Vector
+        (states,).
+    """
     return np.array([problem.size_of(s) for s in phase.states])

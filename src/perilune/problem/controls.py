@@ -37,7 +37,13 @@ _CLOSE = (-1e-1, -1e-2, -1e-3, -1e-4, 1e-4, 1e-3, 1e-2, 1e-1)
 
 
 def limit_value(limit: Limit, p: Any) -> Any:
-    """Return the value of a limit: the number itself, or the parameter of that name in the record p."""
+    """Return the value of a limit: the number itself, or the parameter of that name in the record p.
+
+    Parameters
+    ----------
+    limit, p
+        Number [SI] or name of a parameter, and the parameters [SI].
+    """
     return getattr(p, limit) if isinstance(limit, str) else limit
 
 
@@ -98,19 +104,43 @@ class Direction:
             return u / np.sqrt((u * u).sum(axis=0))
 
     def admissible(self, u: Any, p: Any) -> Any:
-        """Return the nearest admissible value."""
+        """Return the nearest admissible value.
+
+        Parameters
+        ----------
+        u, p
+            Value, (components, ...), and parameters [SI], which are not needed.
+        """
         return self.normalised(u)
 
     def admissible_rates(self, u: Any, good: Any, rates: Any) -> Any:
-        """Return the rates of `admissible(u)`, which is `good`, from those of u."""
+        """Return the rates of `admissible(u)`, which is `good`, from those of u.
+
+        Parameters
+        ----------
+        u, good, rates
+            Value, admissible value and rates of u [1/s], (components, ...) each.
+        """
         return (rates - good * (good * rates).sum(axis=0)) / np.sqrt((u * u).sum(axis=0))
 
     def broken(self, u: Any, p: Any) -> Vector:
-        """Return by how much a value leaves the set [1], (...)."""
+        """Return by how much a value leaves the set [1], (...).
+
+        Parameters
+        ----------
+        u, p
+            Value, (components, ...), and parameters [SI], which are not needed.
+        """
         return np.abs(np.sqrt((u * u).sum(axis=0)) - 1)
 
     def tangents(self, u: Any, scale: float) -> list[Any]:
-        """Return vectors (components, N) along which the value can move: a basis of the sphere's tangents."""
+        """Return vectors (components, N) along which the value can move: a basis of the sphere's tangents.
+
+        Parameters
+        ----------
+        u, scale
+            Admissible value, (components, N), and its canonical unit, which is not needed.
+        """
         if len(u) == 2:
             return [np.array([-u[1], u[0]])]
         axis = np.eye(3)[:, np.argmin(np.abs(u), axis=0)]
@@ -119,7 +149,13 @@ class Direction:
         return [first, np.cross(u, first, axis=0)]
 
     def samples(self, u: Matrix, scale: float, p: Any) -> list[Matrix]:
-        """Return admissible values all over the set and close to u (components, N), which is the first."""
+        """Return admissible values all over the set and close to u (components, N), which is the first.
+
+        Parameters
+        ----------
+        u, scale, p
+            Admissible value, (components, N); canonical unit and parameters are not needed.
+        """
         if len(u) == 2:
             turns = [*_CLOSE, *(2 * np.pi * (k + 0.5) / 90 for k in range(90))]
             turned = [(np.cos(a), np.sin(a)) for a in turns]
@@ -131,12 +167,24 @@ class Direction:
         return [u, *near, *(v[:, None] * np.ones((1, u.shape[1])) for v in lattice.T)]
 
     def example(self, fractions: Iterator[float], p: Any, scale: float) -> list[float]:
-        """Return some admissible value in SI, from numbers between 0 and 1."""
+        """Return some admissible value in SI, from numbers between 0 and 1.
+
+        Parameters
+        ----------
+        fractions, p, scale
+            Numbers between 0 and 1, one a component; parameters and canonical unit are not needed.
+        """
         raw = [0.3 + next(fractions) for _ in self.names]
         return [r / math.hypot(*raw) for r in raw]
 
     def rough(self, u: Matrix, p: Any) -> Matrix:
-        """Return an admissible value near u (components, N), as a first guess; the first axis where u says nothing."""
+        """Return an admissible value near u (components, N), as a first guess; the first axis where u says nothing.
+
+        Parameters
+        ----------
+        u, p
+            Any value, (components, N), and parameters [SI], which are not needed.
+        """
         u = np.array(u)
         u[0, np.linalg.norm(u, axis=0) < 1e-9] = 1.0
         return self.normalised(u)
@@ -212,37 +260,79 @@ class Bounded:
         return u
 
     def admissible(self, u: Any, p: Any) -> Any:
-        """Return the nearest value within the bounds."""
+        """Return the nearest value within the bounds.
+
+        Parameters
+        ----------
+        u, p
+            Value [SI], (...), and parameters [SI] with the bounds that are named.
+        """
         return np.clip(u, *self.limits(p))
 
     def admissible_rates(self, u: Any, good: Any, rates: Any) -> Any:
-        """Return the rates of `admissible(u)`, which is `good`, from those of u."""
+        """Return the rates of `admissible(u)`, which is `good`, from those of u.
+
+        Parameters
+        ----------
+        u, good, rates
+            Value and admissible value [SI], and rates of u [SI/s], (...) each.
+        """
         return np.where(good == u, rates, 0.0)
 
     def broken(self, u: Any, p: Any) -> Vector:
-        """Return by how much a value leaves its bounds [SI], negative inside; NaN where the value is."""
+        """Return by how much a value leaves its bounds [SI], negative inside; NaN where the value is.
+
+        Parameters
+        ----------
+        u, p
+            Value [SI], (1, ...), and parameters [SI] with the bounds that are named.
+        """
         lower, upper = self.limits(p)
         return np.maximum(lower - u[0], u[0] - upper) + 0.0 * u[0]
 
     def tangents(self, u: Any, scale: float) -> list[Any]:
-        """Return the axis along which the value can move, (1, N), one canonical unit long."""
+        """Return the axis along which the value can move, (1, N), one canonical unit long.
+
+        Parameters
+        ----------
+        u, scale
+            Value [SI], (1, N), and SI size of the canonical unit.
+        """
         return [np.full((1, u.shape[1]), scale)]
 
     def samples(self, u: Matrix, scale: float, p: Any) -> list[Matrix]:
-        """Return admissible values all over the range and close to u (1, N), which is the first."""
+        """Return admissible values all over the range and close to u (1, N), which is the first.
+
+        Parameters
+        ----------
+        u, scale, p
+            Value [SI], (1, N), SI size of the canonical unit, and parameters with the bounds that are named.
+        """
         lower, upper = self.limits(p)
         near = [np.clip(u + scale * c, lower, upper) for c in _CLOSE]
         wide = np.linspace(max(lower, -10 * scale), min(upper, 10 * scale), 21)
         return [u, *near, *(v * np.ones((1, u.shape[1])) for v in wide)]
 
     def example(self, fractions: Iterator[float], p: Any, scale: float) -> list[float]:
-        """Return some value within the bounds, in SI; bounds beyond one canonical unit `scale` do not count."""
+        """Return some value within the bounds, in SI; bounds beyond one canonical unit `scale` do not count.
+
+        Parameters
+        ----------
+        fractions, p, scale
+            Numbers, which are not needed; parameters with the bounds; SI size of the canonical unit.
+        """
         limits = self.limits(p)
         lower, upper = max(limits[0], -scale), min(limits[1], scale)
         return [lower + 0.4 * (upper - lower)]
 
     def rough(self, u: Matrix, p: Any) -> Matrix:
-        """Return an admissible value near u, for a first guess."""
+        """Return an admissible value near u, for a first guess.
+
+        Parameters
+        ----------
+        u, p
+            Any value [SI], (1, N), and parameters [SI] with the bounds that are named.
+        """
         return self.admissible(u, p)
 
     def middle(self, p: Any) -> tuple[float, float]:
@@ -253,12 +343,24 @@ class Bounded:
         return float(np.clip(0.0, lower, upper)), math.inf
 
     def share(self, u: Any, p: Any) -> Any:
-        """Return the place within finite bounds, from 0 at the lower to 1 at the upper."""
+        """Return the place within finite bounds, from 0 at the lower to 1 at the upper.
+
+        Parameters
+        ----------
+        u, p
+            Value [SI], (...), and parameters [SI] with the bounds that are named.
+        """
         lower, upper = self.limits(p)
         return (u - lower) / (upper - lower)
 
     def on_bounds(self, u: Any, near: float, p: Any) -> tuple[Any, Any]:
-        """Return whether a value lies on its lower, and on its upper bound, within `near` [SI]."""
+        """Return whether a value lies on its lower, and on its upper bound, within `near` [SI].
+
+        Parameters
+        ----------
+        u, near, p
+            Value [SI], (...), distance that counts as none [SI], and parameters with the bounds that are named.
+        """
         lower, upper = self.limits(p)
         return u <= lower + near, u >= upper - near
 

@@ -129,6 +129,13 @@ def _curve(t: Vector, values: Matrix) -> Curve:
 def fitting_guess(problem: Problem, guess: object) -> Solution:
     """Return the guess, where it is a solution with as many phases as the problem.
 
+    Parameters
+    ----------
+    problem
+        Problem to solve.
+    guess
+        What the user gave.
+
     Raises
     ------
     PeriluneError

@@ -94,7 +94,15 @@ def _with_fixed_free(problem: Problem, values: Mapping[str, float], kind: type[F
 
 
 def release_free_parameters(problem: Problem, names: Collection[str]) -> Problem:
-    """Return the problem without the bounds of these free parameters."""
+    """Return the problem without the bounds of these free parameters.
+
+    Parameters
+    ----------
+    problem
+        Problem with bounded free parameters.
+    names
+        Free parameters whose bounds go.
+    """
     free = tuple(replace(f, lower=-math.inf, upper=math.inf) if f.name in names else f for f in problem.free)
     return _with_free(problem, free)
 
@@ -109,6 +117,13 @@ def with_given_unchecked(problem: Problem, values: Mapping[str, float]) -> Probl
     """Return the problem at other values [SI] of given parameters without checks: those of a table were made.
 
     One that is free here is fixed, as by `Problem.with_given`.
+
+    Parameters
+    ----------
+    problem
+        Problem at any values.
+    values
+        New values by the names of parameters [SI].
     """
     if any(name in problem.free_names for name in values):
         return problem.with_given(**values)

@@ -118,13 +118,30 @@ class Phase(ShownPhase):
         return {f.name: getattr(self, f.name) for f in fields(self)}  # record types are created again on arrival
 
     def rates(self, x: Any, u: Any, p: Any, xp: Any = NUMERIC) -> Sequence[Any]:
-        """Return the rates of the states for plain sequences x and u (each component may itself be an array)."""
+        """Return the rates of the states for plain sequences x and u (each component may itself be an array).
+
+        Parameters
+        ----------
+        x, u
+            State, (states, ...), and control, (components, ...), SI or canonical.
+        p, xp
+            Parameters in the same units, and maths namespace.
+        """
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, xp)
 
     def evaluate(self, function: str, x: Any, u: Any, p: Any, xp: Any = NUMERIC) -> Sequence[Any]:
         """Evaluate ``path``, ``held``, ``outputs``, ``integrals``; without control ``end``, ``marks``, ``track``.
 
         Empty where the phase has none.
+
+        Parameters
+        ----------
+        function
+            Name of the field.
+        x, u
+            State, (states, ...), and control, (components, ...), SI or canonical.
+        p, xp
+            Parameters in the same units, and maths namespace.
         """
         physics = getattr(self, function)
         if physics is None:
@@ -133,13 +150,31 @@ class Phase(ShownPhase):
         return physics(self.state_record(*x), *control, p, xp)
 
     def path_along(self, x: Any, u: Any, p: Any) -> Iterator[tuple[Variable, Vector]]:
-        """Yield each condition of the path with its values [SI] along x, (states, n), and u, (components, n)."""
+        """Yield each condition of the path with its values [SI] along x, (states, n), and u, (components, n).
+
+        Parameters
+        ----------
+        x, u
+            State and control [SI].
+        p
+            Parameters [SI].
+        """
         values = self.evaluate("path", list(x), list(u), p)
         for condition, along in zip(self.path_conditions, values, strict=True):
             yield condition, np.broadcast_to(np.asarray(along, dtype=float), np.shape(x)[1:])
 
     def seen_inertially(self, x: Any, u: Any, t: Any, p: Any, xp: Any = NUMERIC) -> Sequence[Any]:
-        """Return the values of ``inertial``; empty where the phase has none."""
+        """Return the values of ``inertial``; empty where the phase has none.
+
+        Parameters
+        ----------
+        x, u
+            State, (states, ...), and control, (components, ...), SI or canonical.
+        t
+            Time from the begin of the flight, in the same units.
+        p, xp
+            Parameters in the same units, and maths namespace.
+        """
         if self.inertial is None:
             return ()
         return self.inertial(self.state_record(*x), self.control_record(*u), t, p, xp)

@@ -118,6 +118,13 @@ def between_bounds(problem: Problem, p: Any) -> tuple[Finding, ...]:
     """Compare the two bounds of each control, state and end: no lower one lies above its upper one.
 
     Only bounds are compared whose parameters p has.
+
+    Parameters
+    ----------
+    problem
+        Problem with its controls, states and ends.
+    p
+        Parameters [SI], numbers or arrays of one shape.
     """
     bounded = [
         one
@@ -141,6 +148,13 @@ def at_start(problem: Problem, p: Any) -> tuple[Finding, ...]:
     """Compare what is known of the start with the bounds of the states, and with the conditions of the first path.
 
     Known is what depends on given parameters alone: a flight begins with it, whatever follows.
+
+    Parameters
+    ----------
+    problem
+        Problem with its start and its first phase.
+    p
+        Given parameters [SI], numbers or arrays of one shape.
     """
     phase, free = problem.phases[0], {name: math.nan for name in problem.free_names if not hasattr(p, name)}
     record, unknown = SimpleNamespace(**free, **vars(p)), {("p", name) for name in free}

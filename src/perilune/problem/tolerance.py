@@ -64,7 +64,15 @@ def unit_of(name: str) -> str:
 
 
 def format_tolerance(name: str, value: float) -> str:
-    """Format a value in the unit in which it is best read, the same however it was stated."""
+    """Format a value in the unit in which it is best read, the same however it was stated.
+
+    Parameters
+    ----------
+    name
+        Field of `Tolerance`.
+    value
+        Value [SI].
+    """
     choices = _SPOKEN.get(unit_of(name), ("1",))
     best = next((text for text in choices if value >= parse_unit(text)[0]), choices[-1])
     return f"{value / parse_unit(best)[0]:.6g} {best}".removesuffix(" 1")

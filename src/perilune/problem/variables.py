@@ -17,6 +17,13 @@ from perilune.problem.controls import Limit, demand_limits, limit_value
 def positive_scale(name: str, scale: Any) -> float | None:
     """Return the size of a canonical unit, where one is stated.
 
+    Parameters
+    ----------
+    name
+        Name of the variable in messages.
+    scale
+        Size [SI], None where not stated.
+
     Raises
     ------
     PeriluneError
@@ -79,7 +86,15 @@ class Variable:
         return limit_value(self.lower, p), limit_value(self.upper, p)
 
     def missed(self, value: Any, p: Any) -> Any:
-        """Return by how much an end condition of this value is missed, 0 where it is met; a number or an array."""
+        """Return by how much an end condition of this value is missed, 0 where it is met; a number or an array.
+
+        Parameters
+        ----------
+        value
+            Value of the condition [SI].
+        p
+            Parameters [SI], with the bounds that are named.
+        """
         lower, upper = self.limits(p)
         return value - NUMERIC.fmin(NUMERIC.fmax(value, lower), upper) if self.ranged else value
 

@@ -55,7 +55,24 @@ def write_all(
 def add_report(
     solution: Solution, directory: Path, *, scenario_text: str | None, ordinary: Solution | None = None
 ) -> None:
-    """Add figures and report to the files that `perilune.save` wrote, which stay if this fails."""
+    """Add figures and report to the files that `perilune.save` wrote, which stay if this fails.
+
+    Parameters
+    ----------
+    solution
+        Solution that was saved.
+    directory
+        Directory of its files.
+    scenario_text
+        Text of the scenario that states its problem; None without one.
+    ordinary
+        Solution for comparison in figures and report; None without one.
+
+    Raises
+    ------
+    NotWrittenError
+        If a figure or the report cannot be written.
+    """
     from perilune.io.atomic_files import fresh_directory, refuse_unwritten
     from perilune.io.save import solution_files
 

@@ -40,7 +40,15 @@ _WIDTH = 4.4  # inches: one column, and the bar of colours
 
 
 def map_names(problem: Problem, parameters: tuple[str, ...]) -> list[str]:
-    """Return the names of the quantities that a map of the problem's families can show, without results of views."""
+    """Return the names of the quantities that a map of the problem's families can show, without results of views.
+
+    Parameters
+    ----------
+    problem
+        Base problem of the family.
+    parameters
+        Parameters that vary in it.
+    """
     variables = [*problem.result_variables]
     for phase in problem.phases:
         variables += [*phase.mark_variables, *phase.integral_variables]
@@ -231,13 +239,27 @@ def _contours(axes: Any, mesh: Triangulation, height: Vector, levels: Vector) ->
 
 
 def label_lines(axes: Any, lines: Any) -> None:
-    """Label lines of equal value, legibly on any colour."""
+    """Label lines of equal value, legibly on any colour.
+
+    Parameters
+    ----------
+    axes
+        Axes of matplotlib.
+    lines
+        Contour set in them.
+    """
     for text in axes.clabel(lines, fmt="%g", fontsize=6, inline=True, inline_spacing=2):
         text.set_path_effects([withStroke(linewidth=1.0, foreground="#00000080")])
 
 
 def move_labels_inside(figure: Figure, axes: Any) -> None:
-    """Move what is written at lines into the axes, as laid out, where their edge would cut it."""
+    """Move what is written at lines into the axes, as laid out, where their edge would cut it.
+
+    Parameters
+    ----------
+    figure, axes
+        Figure of matplotlib, and its axes with the labels.
+    """
     figure.draw_without_rendering()
     room = axes.get_window_extent()
     for text in axes.texts:

@@ -26,7 +26,15 @@ _LINES = 5  # of each quantity
 
 @styled
 def corridor_figure(solution: Solution, shown: Corridor) -> Figure:
-    """Draw the path of each phase that has the quantities, and lines of round values of `shown.equal`."""
+    """Draw the path of each phase that has the quantities, and lines of round values of `shown.equal`.
+
+    Parameters
+    ----------
+    solution
+        Solution with these outputs in some phase.
+    shown
+        Names of height and speed, and of quantities with lines of equal value.
+    """
     figure, ax = new_figure(height=3.0)
     for k, trajectory in enumerate(solution.trajectories):
         names = [v.name for v in solution.problem.phases[k].output_variables]

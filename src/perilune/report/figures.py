@@ -40,7 +40,15 @@ def solution_figures(solution: Solution, beside: Solution | None = None) -> dict
 
 
 def solution_drawings(solution: Solution, beside: Solution | None = None) -> dict[str, Callable[[], Figure]]:
-    """Return the function that draws each of `solution_figures`, by name."""
+    """Return the function that draws each of `solution_figures`, by name.
+
+    Parameters
+    ----------
+    solution
+        Solution to draw.
+    beside
+        Solution for comparison; None without one.
+    """
     flights = {label(solution): solution}
     if beside is not None:  # of one label, as at values of which it says nothing, both are drawn
         called = label(beside)
@@ -74,7 +82,15 @@ def _with_doubts(draw: Callable[[], Figure], flights: Mapping[str, Solution]) ->
 
 
 def write_doubts(figure: Figure, flights: Mapping[str, Solution]) -> None:
-    """Write the failed proof of each unproved flight below a figure, which may be seen without other files."""
+    """Write the failed proof of each unproved flight below a figure, which may be seen without other files.
+
+    Parameters
+    ----------
+    figure
+        Figure of matplotlib.
+    flights
+        Solutions that it shows, by label.
+    """
     doubts = {
         called: flight.verification.told for called, flight in flights.items() if flight.outcome != Outcome.PROVED
     }

@@ -24,7 +24,15 @@ _COLOURS = (BLUE, VERMILION, GREEN, PURPLE)
 
 @styled
 def ground_track(solution: Solution, shown: Ground) -> Figure:
-    """Draw the track of each phase over the whole map; a circle at its begin, a triangle at its end."""
+    """Draw the track of each phase over the whole map; a circle at its begin, a triangle at its end.
+
+    Parameters
+    ----------
+    solution
+        Solution with these outputs in some phase.
+    shown
+        Names of longitude and latitude, and whether to draw the coastlines.
+    """
     figure, ax = new_figure(height=3.9, width=WIDTH)
     for line in coastline() if shown.coasts else ():
         ax.plot(*line.T, color=GREY, linewidth=0.5, label="_")
@@ -54,7 +62,18 @@ def wrap_longitude(longitude: Vector) -> Vector:
 
 
 def track_on_map(longitude: Vector, latitude: Vector) -> tuple[Vector, Vector]:
-    """Split a track [deg] at the edges of the map: it leaves at one side and continues at the other after a NaN."""
+    """Split a track [deg] at the edges of the map: it leaves at one side and continues at the other after a NaN.
+
+    Parameters
+    ----------
+    longitude, latitude
+        Points of the track, (n,).
+
+    Returns
+    -------
+    tuple[Vector, Vector]
+        Longitude from -180 to 180 deg, and latitude [deg], (n + 3 k,) with k crossings.
+    """
     east = np.unwrap(longitude, period=360.0)
     turns = np.floor((east + 180.0) / 360.0)
     x, y = [], []

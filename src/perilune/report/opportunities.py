@@ -23,7 +23,15 @@ def opportunities_document(found: Sequence[Opportunity]) -> dict[str, Any]:
 
 
 def opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
-    """Return a table of the passes that can be made, or of all, and the command that solves the first."""
+    """Return a table of the passes that can be made, or of all, and the command that solves the first.
+
+    Parameters
+    ----------
+    found
+        Passes in order of time.
+    every
+        List those out of reach as well.
+    """
     shown = [one for one in found if every or one.verdict != OUT_OF_REACH]
     if not shown:
         return f"none of {len(found)} passes can be flown"

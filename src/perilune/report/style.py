@@ -62,6 +62,13 @@ def save_figure(figure: Figure, directory: Path, name: str) -> None:
     """Write ``name.png`` and ``name.svg``; equal figures give equal files.
 
     Both share the layout of the first, which takes two thirds of the time of drawing.
+
+    Parameters
+    ----------
+    figure
+        Figure of matplotlib.
+    directory, name
+        Where to write, and the name without its ending.
     """
     with matplotlib.rc_context(STYLE):
         FigureCanvasAgg(figure).print_figure(directory / f"{name}.png", metadata={"Software": None})
@@ -99,7 +106,15 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
 
 def widen_vertical_range(axes: Any, least: float) -> None:
-    """Widen the vertical range of axes about its middle to a least span, so that small changes look flat."""
+    """Widen the vertical range of axes about its middle to a least span, so that small changes look flat.
+
+    Parameters
+    ----------
+    axes
+        Axes of matplotlib.
+    least
+        Least span, in the unit of the axis.
+    """
     low, high = axes.get_ylim()
     if high - low < least:
         middle = 0.5 * (low + high)
@@ -107,7 +122,15 @@ def widen_vertical_range(axes: Any, least: float) -> None:
 
 
 def legend_above(figure: Figure, axes: Any, columns: int = 2) -> None:
-    """Put the legend above the axes, where it hides no line, in rows no wider than the figure."""
+    """Put the legend above the axes, where it hides no line, in rows no wider than the figure.
+
+    Parameters
+    ----------
+    figure, axes
+        Figure of matplotlib, and its axes with the labelled lines.
+    columns
+        Number of entries in a row.
+    """
     handles, labels = axes.get_legend_handles_labels()
     labels = [fill(label, WIDEST) for label in labels]
     figure.legend(handles, labels, loc="outside upper center", ncols=columns, handlelength=2.2)

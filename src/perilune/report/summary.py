@@ -29,6 +29,13 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
     """Return plain text for a terminal, 80 columns: results, extremals, proof, method.
 
     Without `every_check` checks are counted, level by level, and only failed ones are shown.
+
+    Parameters
+    ----------
+    solution
+        Solution, proved or not.
+    every_check
+        List all checks.
     """
     lines = [
         f"{solution.problem.heading}: {_outcome(solution)}",
@@ -116,7 +123,15 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a Markdown table; a bar inside a cell is escaped."""
+    """Return a Markdown table; a bar inside a cell is escaped.
+
+    Parameters
+    ----------
+    head
+        Headings of the columns.
+    rows
+        Cells of each row.
+    """
 
     def row(cells: Sequence[Any]) -> str:
         return "| " + " | ".join(str(c).replace("|", "\\|").replace("\n", " ") for c in cells) + " |"
@@ -125,7 +140,18 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def readable_result(name: str, result: Result) -> tuple[str, str, str]:
-    """Return name, value and unit of a result for people."""
+    """Return name, value and unit of a result for people.
+
+    Parameters
+    ----------
+    name, result
+        Result of a solution by its name.
+
+    Returns
+    -------
+    tuple[str, str, str]
+        Angles in deg, all else in SI.
+    """
     return (result.label or name.replace("_", " "), *readable_quantity(result.value, result.unit))
 
 

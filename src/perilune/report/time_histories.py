@@ -37,7 +37,15 @@ GREEK = ("alpha", "beta", "gamma", "phi", "psi", "theta")
 
 @styled
 def history_figure(flights: Mapping[str, Solution], shown: History) -> Figure:
-    """Draw each quantity of a `History` in its panel against time, several flights in each."""
+    """Draw each quantity of a `History` in its panel against time, several flights in each.
+
+    Parameters
+    ----------
+    flights
+        Solutions of one problem, by label.
+    shown
+        Names of the quantities.
+    """
     problem = next(iter(flights.values())).problem
     sampled = {
         name: {who: flight_columns(solution, name) for who, solution in flights.items()} for name in shown.quantities
@@ -110,7 +118,15 @@ def mark_phases(axes: Any, solution: Solution, begin: float, last: float) -> Non
 
 
 def axis_text(problem: Problem, shown: list[Column]) -> tuple[str, float]:
-    """Return the text of an axis for columns of one name, and the factor from their unit to that of the text."""
+    """Return the text of an axis for columns of one name, and the factor from their unit to that of the text.
+
+    Parameters
+    ----------
+    problem
+        Problem whose variables may have labels.
+    shown
+        Columns of one name and unit, of which the largest value chooses the unit.
+    """
     name, unit, factor = shown[0].name, shown[0].unit, 1.0
     least, longer = LONG.get(unit, (math.inf, unit))
     if max(float(np.abs(column.values).max()) for column in shown) >= least:

@@ -87,6 +87,15 @@ def _listed_values(key: str, text: str, known: Mapping[str, Quantity]) -> list[f
 def bounds_of(key: str, text: str, known: Mapping[str, Quantity]) -> tuple[float, float]:
     """Return the ends in SI of ``"LOW:HIGH"`` for a key; the unit may stand in each part or in the last only.
 
+    Parameters
+    ----------
+    key
+        Key of a scenario, as ``vehicle.thrust``.
+    text
+        Range as the user wrote it.
+    known
+        Quantities that may vary, by key.
+
     Raises
     ------
     PeriluneError

@@ -78,7 +78,15 @@ def names_files(document: Mapping[str, Any]) -> bool:
 
 
 def names_of(section_name: str, section: Section) -> dict[str, Key]:
-    """Return the keys that a section may have, in order."""
+    """Return the keys that a section may have, in order.
+
+    Parameters
+    ----------
+    section_name
+        Name of the section.
+    section
+        Records that declare its keys.
+    """
     kind = {"kind": Key(field="kind", declared=KIND, default=HYBRID.name)} if section_name == "problem" else {}
     return {**kind, **section.keys}
 

@@ -65,7 +65,20 @@ def _parse_error(text: str, message: str) -> str:
 
 
 def apply_change(document: dict[str, Any], change: str) -> None:
-    """Put ``section.key=value`` into the tree."""
+    """Put ``section.key=value`` into the tree.
+
+    Parameters
+    ----------
+    document
+        Tree of sections, which is changed.
+    change
+        Text of the command line.
+
+    Raises
+    ------
+    PeriluneError
+        If it is not of this form.
+    """
     key, equals, value = change.partition("=")
     section, dot, name = key.strip().partition(".")
     if not equals or not dot or not name:
@@ -81,7 +94,15 @@ def apply_change(document: dict[str, Any], change: str) -> None:
 
 
 def scenario_toml(document: Mapping[str, Any], changes: Sequence[str]) -> str:
-    """Return TOML of a tree of sections, with the changes in a comment."""
+    """Return TOML of a tree of sections, with the changes in a comment.
+
+    Parameters
+    ----------
+    document
+        Tree of sections.
+    changes
+        Texts of the command line that were applied to it.
+    """
     lines = [f"# changed with --set {json.dumps(change, ensure_ascii=False)}" for change in changes]
     for section, table in document.items():
         lines += ["", f"[{section}]"]

@@ -15,6 +15,13 @@ TICK = 1e-6  # s
 def flight_epoch(solution: Solution, stated: str | datetime | None) -> datetime | None:
     """Return UTC at the begin of the flight: the stated epoch, else the problem's, else None.
 
+    Parameters
+    ----------
+    solution
+        Solution, whose problem may state an epoch.
+    stated
+        UTC as the user states it; None for the problem's own.
+
     Raises
     ------
     PeriluneError
@@ -41,6 +48,13 @@ def flight_epoch(solution: Solution, stated: str | datetime | None) -> datetime 
 def needed_epoch(solution: Solution, stated: str | datetime | None, form: str) -> datetime:
     """Return the epoch as `flight_epoch` does, for a format that needs one.
 
+    Parameters
+    ----------
+    solution, stated
+        As in `flight_epoch`.
+    form
+        Name of the format in messages.
+
     Raises
     ------
     PeriluneError
@@ -57,17 +71,41 @@ def needed_epoch(solution: Solution, stated: str | datetime | None, form: str) -
 
 
 def stamp(epoch: datetime, seconds: float) -> str:
-    """Return UTC after the epoch in ISO 8601 without a letter, to a nanosecond; in a leap second it is 23:59:60."""
+    """Return UTC after the epoch in ISO 8601 without a letter, to a nanosecond; in a leap second it is 23:59:60.
+
+    Parameters
+    ----------
+    epoch
+        UTC at the begin of the flight.
+    seconds
+        Time after it [s].
+    """
     return utc_after(epoch, round(seconds * 1e9))
 
 
 def stamp_of_tick(epoch: datetime, seconds: float) -> str:
-    """Return UTC as `stamp` does, to a microsecond, as finely as most readers resolve time."""
+    """Return UTC as `stamp` does, to a microsecond, as finely as most readers resolve time.
+
+    Parameters
+    ----------
+    epoch
+        UTC at the begin of the flight.
+    seconds
+        Time after it [s].
+    """
     return utc_after(epoch, 1000 * round(seconds / TICK))[:-3]
 
 
 def leap_seconds_sentence(epoch: datetime, seconds: float) -> str:
-    """Return a sentence on the known leap seconds within so many seconds after the epoch."""
+    """Return a sentence on the known leap seconds within so many seconds after the epoch.
+
+    Parameters
+    ----------
+    epoch
+        UTC at the begin of the flight.
+    seconds
+        Duration of the flight [s].
+    """
     days = leap_seconds_within(epoch, seconds)
     if not days:
         return "No known leap second lies within the flight."

@@ -68,6 +68,13 @@ def write_oem(
 def require_object_name(text: str, keyword: str) -> None:
     """Refuse a text that cannot be the OBJECT_NAME or OBJECT_ID of a message.
 
+    Parameters
+    ----------
+    text
+        Name or designator as the user gave it.
+    keyword
+        "OBJECT_NAME" or "OBJECT_ID".
+
     Raises
     ------
     PeriluneError

@@ -90,6 +90,13 @@ def separate_jumps(time: Vector) -> tuple[Vector, np.ndarray]:
 def space_of(solution: Solution, form: str) -> Space:
     """Return the body and axes in space of a flight, for a format that has no other places.
 
+    Parameters
+    ----------
+    solution
+        Solution, whose problem may state a body and axes.
+    form
+        Name of the format in messages.
+
     Raises
     ------
     PeriluneError

@@ -76,7 +76,24 @@ def write_csv(table: FlightTable, about: Mapping[str, str], epoch: datetime | No
 
 
 def write_parquet(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
-    """Write Parquet: columns with unit and description; the provenance as JSON under the key ``perilune``."""
+    """Write Parquet: columns with unit and description; the provenance as JSON under the key ``perilune``.
+
+    Parameters
+    ----------
+    table
+        Columns of all phases over time.
+    about
+        Provenance: texts by name.
+    epoch
+        UTC at the begin of the flight; None where not known.
+    path
+        File to write.
+
+    Raises
+    ------
+    PeriluneError
+        If pyarrow is not installed.
+    """
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -95,7 +112,24 @@ def write_parquet(table: FlightTable, about: Mapping[str, str], epoch: datetime 
 
 
 def write_netcdf(table: FlightTable, about: Mapping[str, str], epoch: datetime | None, path: Path) -> None:
-    """Write NetCDF by SciPy, following the CF conventions."""
+    """Write NetCDF by SciPy, following the CF conventions.
+
+    Parameters
+    ----------
+    table
+        Columns of all phases over time.
+    about
+        Provenance: texts by name.
+    epoch
+        UTC at the begin of the flight; None where not known.
+    path
+        File to write.
+
+    Raises
+    ------
+    PeriluneError
+        If the name of a column has other than ASCII letters.
+    """
     from scipy.io import netcdf_file
 
     for name in (f.name for f in table.fields):
@@ -120,7 +154,22 @@ def write_netcdf(table: FlightTable, about: Mapping[str, str], epoch: datetime |
 
 
 def dataset_of(table: FlightTable, about: Mapping[str, str], epoch: datetime | None) -> xarray.Dataset:
-    """Return the table as a data set of xarray, with longitude, latitude, height, time and phase as coordinates."""
+    """Return the table as a data set of xarray, with longitude, latitude, height, time and phase as coordinates.
+
+    Parameters
+    ----------
+    table
+        Columns of all phases over time.
+    about
+        Provenance: texts by name.
+    epoch
+        UTC at the begin of the flight; None where not known.
+
+    Raises
+    ------
+    PeriluneError
+        If xarray is not installed.
+    """
     try:
         import xarray
     except ImportError:
@@ -134,7 +183,20 @@ def dataset_of(table: FlightTable, about: Mapping[str, str], epoch: datetime | N
 
 
 def frame_of(table: FlightTable, about: Mapping[str, str]) -> pandas.DataFrame:
-    """Return the table as a frame of pandas, its index the time [s]; units and provenance in `attrs`."""
+    """Return the table as a frame of pandas, its index the time [s]; units and provenance in `attrs`.
+
+    Parameters
+    ----------
+    table
+        Columns of all phases over time.
+    about
+        Provenance: texts by name.
+
+    Raises
+    ------
+    PeriluneError
+        If pandas is not installed.
+    """
     try:
         import pandas
     except ImportError:
@@ -209,7 +271,15 @@ def cf_unit(unit: str) -> str:
 
 
 def missing_package(what: str, package: str) -> PeriluneError:
-    """Return the error for a missing package of the extra `export`."""
+    """Return the error for a missing package of the extra `export`.
+
+    Parameters
+    ----------
+    what
+        Format or object that needs the package.
+    package
+        Name of the package.
+    """
     return PeriluneError(f"{what} needs {package}, which is not installed", advice="pip install 'perilune[export]'")
 
 

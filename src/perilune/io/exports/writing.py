@@ -90,7 +90,25 @@ def write_export(
     object_id: str | None = None,
     force: bool = False,
 ) -> Path:
-    """Write a solution as `export` does, with given texts on its origin (`perilune.io.exports.provenance`)."""
+    """Write a solution as `export` does, with given texts on its origin (`perilune.io.exports.provenance`).
+
+    Parameters
+    ----------
+    solution, file, format, epoch, object_name, object_id, force
+        As in `export`.
+    about
+        Provenance: texts by name.
+
+    Returns
+    -------
+    Path
+        File that was written.
+
+    Raises
+    ------
+    PeriluneError
+        If the format has no place for what is given, or needs an epoch; or the file cannot be written.
+    """
     path, format = export_target(file, format, force)
     named = require_object(format, object_name, object_id)
     found = needed_epoch(solution, epoch, _TIMED[format]) if format in _TIMED else None
@@ -114,7 +132,20 @@ def export_target(file: str | Path, format: str | None, force: bool) -> tuple[Pa
 
 
 def require_object(format: str, object_name: str | None, object_id: str | None) -> dict[str, str | None]:
-    """Return the names of the object by their keywords; refuse a format without them, and names it does not allow."""
+    """Return the names of the object by their keywords; refuse a format without them, and names it does not allow.
+
+    Parameters
+    ----------
+    format
+        Name of the format.
+    object_name, object_id
+        As the user gave them; None where not.
+
+    Raises
+    ------
+    PeriluneError
+        If one is given and the format has no place for it, or it is not a valid name.
+    """
     named = {"object_name": object_name, "object_id": object_id}
     asked = {name: text for name, text in named.items() if text is not None}
     if asked and format != "oem":

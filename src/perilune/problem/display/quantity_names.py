@@ -24,7 +24,15 @@ def quantity_name(named: Any) -> str:
 
 
 def parameter_key(problem: Problem, name: str) -> str:
-    """Return the key that states a parameter, as ``vehicle.dry_mass``; its name where no record of the problem does."""
+    """Return the key that states a parameter, as ``vehicle.dry_mass``; its name where no record of the problem does.
+
+    Parameters
+    ----------
+    problem
+        Problem with the records that declare its parameters.
+    name
+        Name of a parameter, as ``vehicle_dry_mass``.
+    """
     for record in problem.declared:
         section = section_of(type(record))
         key = name.removeprefix(f"{section}_")
@@ -66,13 +74,29 @@ def stating_keys(problem: Problem, k: int, kind: str, row: int) -> list[str]:
 
 
 def free_name(problem: Problem, name: str) -> str:
-    """Return the name of a free parameter in a sentence: the key that states it, or its name in words."""
+    """Return the name of a free parameter in a sentence: the key that states it, or its name in words.
+
+    Parameters
+    ----------
+    problem
+        Problem with the records that declare its parameters.
+    name
+        Name of a free parameter.
+    """
     key = parameter_key(problem, name)
     return key if key != name else name.replace("_", " ")
 
 
 def kept_text(problem: Problem, names: Sequence[str]) -> str:
-    """Return what conditions of the path are called: the keys that state them, or their names in words."""
+    """Return what conditions of the path are called: the keys that state them, or their names in words.
+
+    Parameters
+    ----------
+    problem
+        Problem with the records that declare its parameters.
+    names
+        Names of conditions of the path.
+    """
     keys, rest = list[str](), list[str]()
     for k, phase in enumerate(problem.phases):
         for row, condition in enumerate(phase.path_conditions):
@@ -84,7 +108,15 @@ def kept_text(problem: Problem, names: Sequence[str]) -> str:
 
 
 def end_text(problem: Problem, name: str) -> str:
-    """Return what is stated of the end of a phase, each key with its value: ``interface.angle -8 deg``."""
+    """Return what is stated of the end of a phase, each key with its value: ``interface.angle -8 deg``.
+
+    Parameters
+    ----------
+    problem
+        Problem with the records that declare its parameters.
+    name
+        Name of the phase.
+    """
     phase = next(phase for phase in problem.phases if phase.name == name)
     ends = phase.end_conditions
     limits = [limit for one in ends for limit in (one.name, one.lower, one.upper) if isinstance(limit, str)]
@@ -113,7 +145,15 @@ def limit_name(problem: Problem, bounded: Any, side: str) -> str:
 
 
 def objective_text(solution: Any, digits: int = 6) -> str:
-    """Return the objective of a flight in the words of its problem: ``landed mass 1201.5 kg``, or J with its unit."""
+    """Return the objective of a flight in the words of its problem: ``landed mass 1201.5 kg``, or J with its unit.
+
+    Parameters
+    ----------
+    solution
+        Solution with its results.
+    digits
+        Number of significant digits.
+    """
     problem = solution.problem
     name = problem.maximised or problem.minimised
     result = solution.results.get(name) if name else None

@@ -38,6 +38,13 @@ def supported_unit(unit: float, reached: float) -> float:
     """Return a canonical unit [SI] within a factor of what a flight reaches in it: `Scales` loosen no limit at will.
 
     What is rounding relative to any unit that may be stated counts as nothing reached.
+
+    Parameters
+    ----------
+    unit
+        Canonical unit as stated [SI].
+    reached
+        Greatest absolute value on the flight [SI].
     """
     return min(max(unit, reached / BEYOND), BEYOND * reached) if reached > _NOTHING * unit else unit
 

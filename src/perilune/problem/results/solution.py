@@ -183,6 +183,13 @@ class Solution(ShownSolution):
         """Return the state (states, n) and control (components, n) at times t [s], as the physics receives them.
 
         Cubic Hermite between nodes, then each `Direction` normalised.
+
+        Parameters
+        ----------
+        phase
+            Number of the phase.
+        t
+            Times from the begin of the phase, (n,).
         """
         require_index(phase, len(self.trajectories), f"a phase of {self.problem.name}")
         trajectory = self.trajectories[phase]
@@ -191,7 +198,15 @@ class Solution(ShownSolution):
 
     @check_call
     def outputs(self, phase: int, t: Vector) -> dict[str, Vector]:
-        """Return the phase's named outputs at times t, in SI."""
+        """Return the phase's named outputs at times t, in SI.
+
+        Parameters
+        ----------
+        phase
+            Number of the phase.
+        t
+            Times from the begin of the phase [s], (n,).
+        """
         flown = self.flown(phase, t)
         definition = self.problem.phases[phase]
         values = definition.evaluate("outputs", *flown, self.parameters)

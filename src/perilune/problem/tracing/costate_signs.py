@@ -80,7 +80,15 @@ def cost_states(problem: Problem) -> tuple[frozenset[str], ...]:
 
 
 def priced_rates(problem: Problem, k: int) -> Expression:
-    """Return the rates of the states of phase k whose costates do not vanish identically."""
+    """Return the rates of the states of phase k whose costates do not vanish identically.
+
+    Parameters
+    ----------
+    problem
+        Traced problem.
+    k
+        Number of the phase.
+    """
     dynamics, idle = problem.form.expressions[k, "dynamics"], unpriced_states(problem)[k]
     return (
         dynamics if not idle else _rates_without(dynamics, tuple(s not in idle for s in problem.phases[k].state_names))

@@ -55,7 +55,20 @@ def clash(expression: Expression, output: int, unit_of: Callable[[str, str], str
 
 
 def mixed_comparison(expression: Expression, unit_of: Callable[[str, str], str]) -> Clash | None:
-    """Find the first comparison of two units. Other operations may mix them: ``xp.fmax(distance, 1e-300)`` is fine."""
+    """Find the first comparison of two units. Other operations may mix them: ``xp.fmax(distance, 1e-300)`` is fine.
+
+    Parameters
+    ----------
+    expression
+        Traced function.
+    unit_of
+        Returns the unit of an input by its role and name.
+
+    Returns
+    -------
+    Clash | None
+        Units that were found, and what would be right; None where all comparisons agree.
+    """
     instructions = expression.tape.instructions
     if not any(op[0] in _COMPARISONS for op in instructions):
         return None

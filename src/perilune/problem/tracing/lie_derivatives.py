@@ -126,14 +126,30 @@ def run_expression(expression: Expression, recorder: Recorder, inputs: Inputs | 
 
 
 def gather_expressions(parts: Sequence[Expression], roles: tuple[str, ...]) -> Expression:
-    """Return all values of several expressions as those of one, which takes the records `roles`."""
+    """Return all values of several expressions as those of one, which takes the records `roles`.
+
+    Parameters
+    ----------
+    parts
+        Expressions, whose values follow each other in the result.
+    roles
+        Records that the result takes, in order: "x", "u", "p", "t".
+    """
     recorder = Recorder()
     values = [value for part in parts for value in run_expression(part, recorder)]
     return Expression(recorder.tape(values), roles, origin=parts[0].origin if parts else "")
 
 
 def component(expression: Expression, k: int) -> Expression:
-    """Return one value of an expression."""
+    """Return one value of an expression.
+
+    Parameters
+    ----------
+    expression
+        Expression of several values.
+    k
+        Number of the value.
+    """
     recorder = Recorder()
     tape = recorder.tape([run_expression(expression, recorder)[k]])
     return Expression(tape, expression.roles, origin=expression.origin)
@@ -148,6 +164,13 @@ def depends_linearly_on_control(expression: Expression, control: str) -> bool:
     """Return True if a control is in each value of an expression, with a slope that does not depend on it.
 
     Judged by the operations, so that a slope which only cancels does not count as linear.
+
+    Parameters
+    ----------
+    expression
+        Traced function of states, controls and parameters.
+    control
+        Name of the component of the control.
     """
     degree: list[int] = []
     for operation in expression.tape.instructions:

@@ -135,7 +135,22 @@ class Recorder:
         )
 
     def by_another(self, called: str, ours: str, *operands: Any) -> Symbol:
-        """Apply our operation in place of a function of Python or NumPy; refuse where that loses a derivative."""
+        """Apply our operation in place of a function of Python or NumPy; refuse where that loses a derivative.
+
+        Parameters
+        ----------
+        called
+            Function as the user called it, such as "np.fabs".
+        ours
+            Name in the maths namespace of the operation that does the same.
+        *operands
+            Symbols and numbers.
+
+        Raises
+        ------
+        NotAFormula
+            If the function has no derivative, and one is needed.
+        """
         if self.differentiated and ours in _REAL_ELSEWHERE:
             raise NotAFormula(f"it calls {called}, which has no derivative for the proof", f"xp.{ours}, which has one")
         return self.namespace.__dict__[ours](*operands)
@@ -163,7 +178,15 @@ class Recorder:
         return Symbol(self, self._append(("table", self.index_of(value), table.digest)))
 
     def input(self, role: str, name: str) -> Symbol:
-        """Return the symbol of a component of a record, or of the time itself."""
+        """Return the symbol of a component of a record, or of the time itself.
+
+        Parameters
+        ----------
+        role
+            "x", "u" or "p", a record; "t", the time.
+        name
+            Name of the component.
+        """
         return Symbol(self, self._append((role, name)))
 
     def index_of(self, value: Any) -> int:
