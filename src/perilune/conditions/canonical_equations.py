@@ -115,7 +115,15 @@ def _plain_limits(problem: Problem) -> list[tuple[int, Bounded, str]]:
 
 
 def limit_symbols(problem: Problem, p: Parameters) -> tuple[ca.SX, list[dict[str, tuple[ca.SX, ca.SX]]]]:
-    """Return symbols of the plain limits, and for each phase (lower, upper) of each scalar by name."""
+    """Return symbols of the plain limits, and for each phase (lower, upper) of each scalar by name.
+
+    Parameters
+    ----------
+    problem
+        The problem; its limits that are numbers become symbols, canonical.
+    p
+        Symbols of the parameters, canonical, for limits that are names of parameters.
+    """
     place = {(k, control.name, side): i for i, (k, control, side) in enumerate(_plain_limits(problem))}
     symbols = ca.SX.sym("limit", len(place))
 

@@ -95,6 +95,13 @@ class ControlLaw:
         It is the one in which H is least. Where that is rounding, as where a flight begins with a switch, a mode is
         left that should be left already: what leads out of it has passed its zero, is not reached again, and what H
         chose would stay.
+
+        Parameters
+        ----------
+        z
+            States and costates, symbols of shape (nz, 1), canonical.
+        rates
+            z' in each mode, expressions of shape (nz, 1), canonical.
         """
         number = self.mode
         for way in self.transitions:

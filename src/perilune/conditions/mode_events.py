@@ -22,6 +22,17 @@ def number_of_mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX],
     """Return the number of the mode at a point: the side of each choice, and there the regimes in which H is least.
 
     Exactly on a knot it is the side to which the flight moves.
+
+    Parameters
+    ----------
+    dynamics
+        Dynamics on each side of their kinks.
+    laws
+        Control law on each side, in the order of `dynamics.sides`.
+    flows
+        z' in each mode, expressions of shape (nz, 1): the modes of one law after the other.
+    z
+        States and costates, symbols of shape (nz, 1), canonical.
     """
     number, first = ca.SX(0.0), 0
     for sides, law in zip(dynamics.sides, laws, strict=True):
@@ -45,7 +56,15 @@ def number_of_mode(dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX],
 
 
 def select_by_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
-    """Return the value that belongs to the number of a mode."""
+    """Return the value that belongs to the number of a mode.
+
+    Parameters
+    ----------
+    values
+        Expressions of one shape, in the order of the modes.
+    mode
+        Number of the mode, an expression; values[0] stands for any number that is none.
+    """
     chosen = values[0]
     for k, value in enumerate(values[1:], 1):
         chosen = ca.if_else(mode == k, value, chosen)
@@ -55,7 +74,15 @@ def select_by_mode(values: list[ca.SX], mode: ca.SX) -> ca.SX:
 def events_between_modes(
     dynamics: Kinked, laws: list[ControlLaw], flows: list[ca.SX], z: ca.SX, function: Callable[..., ca.Function]
 ) -> Iterator[Event]:
-    """Yield the events that lead from mode to mode: the control's transitions, kinks, and jumps of the rates."""
+    """Yield the events that lead from mode to mode: the control's transitions, kinks, and jumps of the rates.
+
+    Parameters
+    ----------
+    dynamics, laws, flows, z
+        As for `number_of_mode`.
+    function
+        ``function(name, expression)`` makes a function of z and p of an expression.
+    """
     firsts = list(accumulate((len(law.control) for law in laws), initial=0))
     grouped: dict[tuple[str, int, bool], Event] = {}
 

@@ -123,14 +123,32 @@ class Scalar:
 
 
 def is_periodic(control: Bounded, u: ca.SX, expressions: ca.SX) -> bool:
-    """Return True if no expression of a scalar u distinguishes values a whole turn apart."""
+    """Return True if no expression of a scalar u distinguishes values a whole turn apart.
+
+    Parameters
+    ----------
+    control
+        Scalar control; only one with the unit rad or 1 can be an angle.
+    u
+        Symbol of the scalar [rad].
+    expressions
+        Expressions in which it may stand, a column.
+    """
     if isinstance(control, Settled) or control.unit not in ("1", "rad") or not ca.depends_on(expressions, u):
         return False
     return _is_zero(ca.substitute(expressions, u, u + 2 * np.pi) - expressions, ca.fabs(expressions))
 
 
 def is_factor(factor: ca.SX, expression: ca.SX) -> bool:
-    """Return True if an expression is proportional to a symbol, as the pull of an angle is to the thrust it points."""
+    """Return True if an expression is proportional to a symbol, as the pull of an angle is to the thrust it points.
+
+    Parameters
+    ----------
+    factor
+        Symbol that may be a factor.
+    expression
+        Expression of it and of other symbols.
+    """
     if not ca.depends_on(expression, factor) or ca.depends_on(ca.gradient(expression, factor), factor):
         return False
     left = ca.substitute(expression, factor, 0.0)
@@ -206,7 +224,13 @@ class Bend:
             self.hollow = ca.logic_or(self.hollow, ca.logic_and(self.there[regime], self.values[regime] < least))
 
     def drop(self, one: Regime, other: Regime) -> tuple[ca.SX, ca.SX]:
-        """Return whether a jump from one minimum of H or bound to another is one, and by how much H is less there."""
+        """Return whether a jump from one minimum of H or bound to another is one, and by how much H is less there.
+
+        Parameters
+        ----------
+        one, other
+            Regimes: the jump goes from the minimum of H in `one` to that in `other`.
+        """
         both = ca.logic_and(ca.fabs(self.points[one] - self.points[other]) > _APART * self.span, self.apart)
         for regime in (one, other):
             both = ca.logic_and(both, self.there.get(regime, ca.SX(1.0)))
@@ -214,7 +238,15 @@ class Bend:
 
 
 def combinations(kinds: Sequence[Scalar], held: Sequence[ca.SX]) -> Iterator[tuple[Regime, ...]]:
-    """Yield regimes of all scalars that may go together: each condition that is held has a scalar to hold it."""
+    """Yield regimes of all scalars that may go together: each condition that is held has a scalar to hold it.
+
+    Parameters
+    ----------
+    kinds
+        All scalars of the phase, with the regimes that each may have.
+    held
+        Active conditions, expressions of the scalars.
+    """
     for regimes in product(*(kind.regimes for kind in kinds)):
         symbols = [kind.symbol for kind, regime in zip(kinds, regimes, strict=True) if regime == "held"]
         if pivots(symbols, held) is not None:
@@ -284,7 +316,17 @@ def satisfies_conditions(told: ca.SX, held: ca.SX, u: ca.SX, control: ca.SX) -> 
 
 
 def no_control_law_error(phase: Phase, names: tuple[str, ...], got: str) -> PeriluneError:
-    """Return the error that says why a control's minimum of H is not known."""
+    """Return the error that says why a control's minimum of H is not known.
+
+    Parameters
+    ----------
+    phase
+        Phase of the controls.
+    names
+        Names of the controls.
+    got
+        The reason, for the message.
+    """
     return PeriluneError(
         f"the indirect method has no control law for {', '.join(names)} of {phase.name}",
         got=got,

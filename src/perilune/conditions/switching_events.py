@@ -81,7 +81,15 @@ class Mode:
         return kind.slope - sum(pull, ca.SX(0.0))
 
     def turned(self, i: int, regime: Regime) -> tuple[Regime, ...]:
-        """Return the regimes with another one for the i-th scalar."""
+        """Return the regimes with another one for the i-th scalar.
+
+        Parameters
+        ----------
+        i
+            Index of the scalar, in the order of `kinds`.
+        regime
+            Its new regime.
+        """
         return *self.regimes[:i], regime, *self.regimes[i + 1 :]
 
 

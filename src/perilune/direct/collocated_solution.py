@@ -67,7 +67,15 @@ def _costate(r: Rule, rows: dict[str, Vector], states: int, segment: int, node: 
 
 
 def flown_segments(program: TranscribedProgram, answer: ProgramSolution) -> list[list[Segment]]:
-    """Return segments of every phase in SI, with costates in J per unit."""
+    """Return segments of every phase in SI, with costates in J per unit.
+
+    Parameters
+    ----------
+    program
+        The transcribed problem.
+    answer
+        Its solution with multipliers, canonical.
+    """
     problem, found = program.problem, []
     p = problem.parameters(answer.free_si(problem))
     objective_scale = problem.objective_size

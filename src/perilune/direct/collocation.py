@@ -73,6 +73,13 @@ class Rule:
 def rule(scheme: Scheme, degree: int) -> Rule:
     """Return the rule with `degree` collocation points.
 
+    Parameters
+    ----------
+    scheme
+        "gauss" (Legendre-Gauss) or "radau" (Legendre-Gauss-Radau).
+    degree
+        Number of collocation points of a segment.
+
     Raises
     ------
     PeriluneError
@@ -213,7 +220,15 @@ class Mesh:
 
     @staticmethod
     def uniform(segments: int, degree: int) -> Mesh:
-        """Return a mesh of equal segments of equal degree."""
+        """Return a mesh of equal segments of equal degree.
+
+        Parameters
+        ----------
+        segments
+            Number of segments of the phase.
+        degree
+            Number of collocation points of each segment.
+        """
         return Mesh(
             degrees=(degree,) * segments,
             joints=tuple(float(s) for s in np.linspace(0.0, 1.0, segments + 1)),

@@ -41,7 +41,15 @@ FITTED = 21
 
 
 def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Vector, list[Sampler], str]]:
-    """Yield free parameters (canonical), one sampler [SI] for each phase, and what the start is called."""
+    """Yield free parameters (canonical), one sampler [SI] for each phase, and what the start is called.
+
+    Parameters
+    ----------
+    problem
+        The problem to transcribe.
+    guess
+        Trajectory to start from, the only start if it is given; None for straight lines.
+    """
     if guess is not None:
         yield _from_solution(problem, fitting_guess(problem, guess))
         return

@@ -87,7 +87,20 @@ class FirstMesh:
     def any_answer(
         self, starts: list[Start], first: tuple[TranscribedProgram, ProgramSolution]
     ) -> tuple[TranscribedProgram, ProgramSolution]:
-        """Return the answer from one of the starts, of which the first attempt has failed."""
+        """Return the answer from one of the starts, of which the first attempt has failed.
+
+        Parameters
+        ----------
+        starts
+            Starts not tried yet, in the order in which they are tried.
+        first
+            Program and result of the failed first attempt.
+
+        Raises
+        ------
+        NotConvergedError
+            If no start leads to an answer, with the conditions that the best trajectory misses.
+        """
         tries = [first]
         misses: list[tuple[TranscribedProgram, ProgramSolution]] = []
         vanished: list[tuple[TranscribedProgram, ProgramSolution]] = []
@@ -115,7 +128,17 @@ class FirstMesh:
         self.fail(*min(misses or vanished or tries, key=_violation))
 
     def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> ProgramSolution:
-        """Solve a program from its start."""
+        """Solve a program from its start.
+
+        Parameters
+        ----------
+        start
+            Program and initial values of its unknowns, canonical.
+        most
+            Most iterations of the NLP, up to those of the settings; None for these.
+        close
+            True if the start lies close to the answer: the search then does not leave bounds that it lies next to.
+        """
         return self.run.attempt(start.program, start.free, start.values, start.name, most=most, close=close)
 
     def from_least_miss(self, start: Start) -> tuple[ProgramSolution, ProgramSolution | None]:
@@ -167,7 +190,15 @@ class FirstMesh:
         )
 
     def rough(self, program: TranscribedProgram, answer: ProgramSolution) -> bool:
-        """Return True if the flight between the nodes is another one."""
+        """Return True if the flight between the nodes is another one.
+
+        Parameters
+        ----------
+        program
+            The transcribed problem.
+        answer
+            Its solution, whose nodes are compared with a simulation under the same control.
+        """
         return self.run.looked_at(program, answer).worst > ROUGHEST
 
     def vanished(self, answer: ProgramSolution) -> bool:
@@ -180,6 +211,20 @@ class FirstMesh:
         """Raise not converged with what the best of so many misses, if that is more than the error of the mesh.
 
         Each is the least only of its surroundings, so no number of them shows that nothing flies.
+
+        Parameters
+        ----------
+        program
+            The transcribed problem.
+        best
+            The least violation found near any start, canonical.
+        count
+            Number of starts whose least violation is not zero, for the message.
+
+        Raises
+        ------
+        NotConvergedError
+            If the violation is larger than the error of the mesh.
         """
         from perilune.core.errors import NotConvergedError
         from perilune.direct.inconsistent_conditions import missed_conditions
@@ -204,6 +249,13 @@ class FirstMesh:
 
         `least_miss` is its size in canonical units, where it is more than the error of the mesh; `settled` whether any
         start led to one that is a flight.
+
+        Parameters
+        ----------
+        answer
+            The best trajectory, canonical; its free parameters are returned in SI.
+        missed
+            A sentence for each condition that it misses.
         """
         told = {
             "missed": missed,
@@ -214,7 +266,20 @@ class FirstMesh:
         return told | {"free": answer.free_si(self.problem)}
 
     def fail(self, program: TranscribedProgram, answer: ProgramSolution) -> NoReturn:
-        """Raise not converged with the conditions that the best trajectory misses."""
+        """Raise not converged with the conditions that the best trajectory misses.
+
+        Parameters
+        ----------
+        program
+            The transcribed problem.
+        answer
+            The best trajectory that was found for it, canonical.
+
+        Raises
+        ------
+        NotConvergedError
+            Always.
+        """
         from perilune.core.errors import NotConvergedError
         from perilune.direct.inconsistent_conditions import missed_conditions
 

@@ -197,7 +197,15 @@ def relative_errors(problem: Problem, segments: Sequence[Sequence[Segment]], err
 
 
 def error_text(problem: Problem, errors: Sequence[Matrix]) -> str:
-    """Format the largest error of each state and condition on the way of each phase, in SI, as one line."""
+    """Format the largest error of each state and condition on the way of each phase, in SI, as one line.
+
+    Parameters
+    ----------
+    problem
+        The problem, with the names and units of its states and conditions.
+    errors
+        For each phase the errors of its segments [SI], shape (segments, states and conditions).
+    """
     return "; ".join(
         f"{phase.name}: " + ", ".join(
             f"{named.name} {value:.1e} {named.unit}".removesuffix(" 1")

@@ -23,7 +23,22 @@ class MeshRefinement(Run):
     """A run with all its meshes."""
 
     def answers(self, guess: Solution | None, *, near: bool = False, close: bool = False) -> Iterator[Solution]:
-        """Yield the first mesh, then refinement until the mesh is accurate enough or no longer gains."""
+        """Yield the first mesh, then refinement until the mesh is accurate enough or no longer gains.
+
+        Parameters
+        ----------
+        guess
+            Trajectory to start from; None to start without one.
+        near
+            True for no other start than the guess, and no search for the least violation.
+        close
+            True if the guess lies close to the answer: the search then does not leave bounds that it lies next to.
+
+        Raises
+        ------
+        NotConvergedError
+            If no first mesh is solved, or the last mesh allowed is not accurate enough.
+        """
         s, problem = self.settings, self.problem
         if not near:
             from perilune.direct.inconsistent_conditions import check_consistent
@@ -54,7 +69,19 @@ class MeshRefinement(Run):
     def finer(
         self, program: TranscribedProgram, answer: ProgramSolution, look: Look, name: str
     ) -> tuple[TranscribedProgram, ProgramSolution]:
-        """Return the same on a mesh that is better where this one is not good enough."""
+        """Return the same on a mesh that is better where this one is not good enough.
+
+        Parameters
+        ----------
+        program
+            The problem transcribed on the mesh so far.
+        answer
+            Its solution, canonical.
+        look
+            The same as segments with their mesh errors.
+        name
+            Name of the new mesh, in the lines that are reported.
+        """
         from perilune.direct.collocated_solution import sample_guess, sampler
         from perilune.direct.mesh import refine_mesh
 
@@ -70,7 +97,22 @@ class MeshRefinement(Run):
         return program, self.attempt(program, answer.free, first, name)
 
     def fail_mesh(self, best: Solution, look: Look, after: str) -> NoReturn:
-        """Refuse an answer whose mesh is not as accurate as asked for; the best is kept."""
+        """Refuse an answer whose mesh is not as accurate as asked for; the best is kept.
+
+        Parameters
+        ----------
+        best
+            Solution on the most accurate mesh.
+        look
+            Its segments with their mesh errors.
+        after
+            What was tried, for the message.
+
+        Raises
+        ------
+        NotConvergedError
+            Always.
+        """
         from perilune.direct.mesh_error import error_text
 
         jumps = [phase.name for k, phase in enumerate(self.problem.phases) if self.problem.form.chooses(k)]

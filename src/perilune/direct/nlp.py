@@ -130,6 +130,21 @@ class TranscribedProgram:
         With `nearest` the end and path conditions are not held; what they miss by is minimised instead of J: the sum
         of the squares at the ends, and of the mean square along each path.
 
+        Parameters
+        ----------
+        free
+            Initial values of the free parameters, canonical, in the order of the problem.
+        guesses
+            Initial states and controls at the nodes, canonical, phase by phase.
+        iterations
+            Most iterations.
+        tolerance
+            Tolerance of the optimality conditions, canonical.
+        nearest
+            True to minimise the violation of path and end conditions in place of J.
+        close
+            True if the initial values lie close to the answer: bounds that they lie next to are not left.
+
         Raises
         ------
         KeyboardInterrupt

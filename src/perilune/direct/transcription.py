@@ -108,7 +108,25 @@ class Run:
         most: int | None = None,
         close: bool = False,
     ) -> ProgramSolution:
-        """Solve one NLP, from `close` by or anywhere; with `nearest`, path and ends are missed by the least."""
+        """Solve one NLP, from `close` by or anywhere; with `nearest`, path and ends are missed by the least.
+
+        Parameters
+        ----------
+        program
+            The transcribed problem.
+        free
+            Initial values of the free parameters, canonical, in the order of the problem.
+        values
+            Initial states and controls at the nodes, canonical, phase by phase.
+        name
+            Name of the start, in the lines that are reported.
+        nearest
+            True to minimise the violation of path and end conditions in place of J.
+        most
+            Most iterations, up to those of the settings; None for these.
+        close
+            True if the initial values lie close to the answer.
+        """
         s = self.settings
         self.watch(f"direct method: {name}")
         iterations = s.iterations if most is None else min(most, s.iterations)
@@ -121,7 +139,15 @@ class Run:
         return answer
 
     def looked_at(self, program: TranscribedProgram, answer: ProgramSolution) -> Look:
-        """Return an answer as a flight; it is simulated once."""
+        """Return an answer as a flight; it is simulated once.
+
+        Parameters
+        ----------
+        program
+            The transcribed problem.
+        answer
+            Its solution, canonical.
+        """
         if self._look is None or self._look[0] is not answer:
             self._look = answer, self._looked_at(program, answer)
         return self._look[1]
@@ -135,7 +161,17 @@ class Run:
         return Look(segments, errors, relative_errors(self.problem, segments, errors))
 
     def solution(self, program: TranscribedProgram, answer: ProgramSolution, look: Look) -> Solution:
-        """Return the answer in SI."""
+        """Return the answer in SI.
+
+        Parameters
+        ----------
+        program
+            The transcribed problem.
+        answer
+            Its solution, canonical.
+        look
+            The same as segments with their mesh errors, of `looked_at`.
+        """
         from perilune.direct.collocated_solution import interpolate_segments
 
         problem, worst = self.problem, look.worst
@@ -169,7 +205,15 @@ class Run:
         )
 
     def missing(self, program: TranscribedProgram, answer: ProgramSolution) -> Solution:
-        """Return a trajectory that misses conditions, whose multipliers are costates of nothing."""
+        """Return a trajectory that misses conditions, whose multipliers are costates of nothing.
+
+        Parameters
+        ----------
+        program
+            The transcribed problem.
+        answer
+            The trajectory, canonical, as far as its NLP came.
+        """
         with np.errstate(all="ignore"):  # it may lead where the physics is not defined
             found = self.solution(program, answer, self.looked_at(program, answer))
             return replace(found, trajectories=tuple(replace(flown, costate=None) for flown in found.trajectories))

@@ -15,6 +15,15 @@ from perilune.rigorous.graph import GraphExpression
 def boundary_problem(problem: Problem, pieces: Sequence[ArcPiece], sides: Sides | None = None) -> BoundaryProblem:
     """The equations of an extremal that is made of these arcs, and on these bounds.
 
+    Parameters
+    ----------
+    problem
+        The problem whose extremals are the roots.
+    pieces
+        Arcs in order of flight, each with its phase and the regimes of its scalar controls.
+    sides
+        Bounds on which the extremal lies; None for none.
+
     Raises
     ------
     Unsupported
@@ -224,7 +233,19 @@ class _EquationBuilder:
 def arc_duration(
     pieces: Sequence[ArcPiece], i: int, lengths: Mapping[int, GraphExpression], duration: GraphExpression
 ) -> GraphExpression:
-    """Return the duration of an arc: a length of its own, or what others leave of its phase's duration."""
+    """Return the duration of an arc: a length of its own, or what others leave of its phase's duration.
+
+    Parameters
+    ----------
+    pieces
+        All arcs in order of flight.
+    i
+        Index of the arc.
+    lengths
+        Durations of the arcs that have an unknown of their own, by the index of the arc [s].
+    duration
+        Duration of the phase [s].
+    """
     if i in lengths:
         return lengths[i]
     for j in lengths:

@@ -185,7 +185,15 @@ class BoundaryProblem:
 
 
 def matrix_columns(columns: Sequence[int], of: Any) -> Any:
-    """Return a matrix made of some columns of another."""
+    """Return a matrix made of some columns of another.
+
+    Parameters
+    ----------
+    columns
+        Indices of the columns, in the order wanted; with none the result has no column.
+    of
+        ``arb_mat`` to take them from.
+    """
     return arb_mat([[of[i, j] for j in columns] for i in range(of.nrows())]) if columns else arb_mat(of.nrows(), 0)
 
 

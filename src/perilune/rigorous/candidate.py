@@ -97,6 +97,15 @@ def _regime(control: Bounded, u: np.ndarray, solution: Solution) -> str:
 def unknowns_of(solution: Solution, boundary: BoundaryProblem, lengths: Sequence[float]) -> list[Ball]:
     """About where the root is, in the order of `boundary.names`.
 
+    Parameters
+    ----------
+    solution
+        Approximate extremal [SI].
+    boundary
+        The boundary value problem of its arcs.
+    lengths
+        Approximate duration of each arc, in the order of `boundary.pieces` [s].
+
     Raises
     ------
     Unsupported

@@ -293,7 +293,15 @@ def _slopes_at_arc_end(boundary: BoundaryProblem, i: int, V: Any, z: Sequence[Ba
 
 
 def arc_rates(arc: CanonicalArc, z: Sequence[Ball]) -> Any:
-    """z', as a column."""
+    """z', as a column.
+
+    Parameters
+    ----------
+    arc
+        Canonical equations of the arc.
+    z
+        States, constant states and costates, balls [SI].
+    """
     return ball_column(arc.plain.values(z))
 
 
@@ -308,7 +316,17 @@ def ball_identity(size: int) -> Any:
 
 
 def residual(boundary: BoundaryProblem, y: Sequence[Ball], flown: EnclosedFlight) -> list[Ball]:
-    """F of the centre of a box that was flown."""
+    """F of the centre of a box that was flown.
+
+    Parameters
+    ----------
+    boundary
+        The boundary value problem.
+    y
+        Box of the unknowns, balls [SI]; only its centre counts.
+    flown
+        Its flight, with the ends of the arcs from the centre.
+    """
     return boundary.residual.values(ball_centres(y), *flown.centre)
 
 

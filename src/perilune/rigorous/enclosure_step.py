@@ -63,13 +63,42 @@ class EnclosedStep:
 
 
 def taylor_orders(arc: CanonicalArc, z: Sequence[Ball], V: Any, orders: int) -> tuple[list[Coefficients], list[Any]]:
-    """Taylor coefficients of orders 0 to `orders` of state and costate; of tangents, where there are any, fewer."""
+    """Taylor coefficients of orders 0 to `orders` of state and costate; of tangents, where there are any, fewer.
+
+    Parameters
+    ----------
+    arc
+        Canonical equations of the arc.
+    z
+        State and costate where the series begin, balls.
+    V
+        Tangents there, ``arb_mat`` with a row for each component of z; None for none.
+    orders
+        Order of the last coefficient.
+
+    Returns
+    -------
+    coefficients, tangents
+        For each component of z its coefficients; for each order a matrix, up to `_OF_TANGENTS`.
+    """
     inputs, m = arc.plain.flow(z, orders)[0], min(orders, _OF_TANGENTS)
     return inputs, [] if V is None else tangents_along(arc, arc.slopes.along(inputs, m), V, m)
 
 
 def tangents_along(arc: CanonicalArc, slopes: Sequence[Coefficients], V: Any, orders: int) -> list[Any]:
-    """Taylor coefficients of tangents, orders 0 to `orders`, from those of the derivatives of the rates."""
+    """Taylor coefficients of tangents, orders 0 to `orders`, from those of the derivatives of the rates.
+
+    Parameters
+    ----------
+    arc
+        Canonical equations of the arc.
+    slopes
+        Taylor coefficients of the nonzero entries of F'(z), in the order of `arc.pattern`.
+    V
+        Tangents at the start, ``arb_mat`` with a row for each component of z.
+    orders
+        Order of the last coefficient.
+    """
     size, matrices = len(arc.rates), []
     for k in range(orders):
         A = arb_mat(size, size)
@@ -159,7 +188,15 @@ def enclose_step(
 
 
 def horner_value(c: Sequence[Any], t: Ball) -> Any:
-    """A polynomial with numbers or matrices for coefficients, lowest order first."""
+    """A polynomial with numbers or matrices for coefficients, lowest order first.
+
+    Parameters
+    ----------
+    c
+        Coefficients, at least one.
+    t
+        Argument, a ball.
+    """
     total = c[-1]
     for k in range(len(c) - 2, -1, -1):
         total = total * t + c[k]

@@ -146,7 +146,19 @@ class ProblemReader:
 
     def function(self, key: Any, x: Sequence[Any] = (), u: Sequence[Any] = (), free: Mapping[str, Any] | None = None,
                  phase: Phase | None = None) -> list[GraphExpression]:  # fmt: skip
-        """Values of a function of the problem by its key in `perilune.problem.tracing.traced_problem`."""
+        """Values of a function of the problem by its key in `perilune.problem.tracing.traced_problem`.
+
+        Parameters
+        ----------
+        key
+            ``(phase index, name)``, ``("links", index)``, "start" or "objective".
+        x, u
+            Expressions of the states and of the controls, in the order of the phase [SI].
+        free
+            Expressions of the free parameters by name [SI].
+        phase
+            Phase that the names of x and u are taken from; None for a function of parameters only.
+        """
         values: dict[tuple[str, str], Any] = {("p", name): value for name, value in self.given.items()}
         values |= {("p", name): value for name, value in (free or {}).items()}
         if phase is not None:

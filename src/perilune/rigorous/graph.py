@@ -127,7 +127,15 @@ class Graph:
         return self._node((name, a.index, *(o.index for o in others)))
 
     def power(self, a: GraphExpression, exponent: Any) -> GraphExpression:
-        """``a`` to a rational power; whole ones are products, and ``a`` has to be positive for others."""
+        """``a`` to a rational power; whole ones are products, and ``a`` has to be positive for others.
+
+        Parameters
+        ----------
+        a
+            Expression of the base.
+        exponent
+            Rational number, or a double, which is taken as the rational that it is.
+        """
         r = exact_rational(exponent)
         if r.q == 1 and abs(int(r.p)) <= _MOST_FACTORS:
             count, product, square = abs(int(r.p)), self.constant(1), a
@@ -152,7 +160,15 @@ class Graph:
     def substitute(
         self, outputs: Sequence[GraphExpression], known: Mapping[Any, GraphExpression]
     ) -> list[GraphExpression]:
-        """Return expressions with inputs replaced by others."""
+        """Return expressions with inputs replaced by others.
+
+        Parameters
+        ----------
+        outputs
+            Expressions to rewrite.
+        known
+            Expressions by the key of the input that they replace; other inputs stay.
+        """
         new: dict[int, GraphExpression] = {}
         for index in self.needed(outputs):
             node = self.nodes[index]
@@ -167,7 +183,15 @@ class Graph:
         return [new[e.index] for e in outputs]
 
     def gradient(self, of: GraphExpression, keys: Sequence[Hashable]) -> list[GraphExpression]:
-        """Derivatives of an expression by inputs."""
+        """Derivatives of an expression by inputs.
+
+        Parameters
+        ----------
+        of
+            Expression to differentiate.
+        keys
+            Keys of the inputs; the derivatives are returned in this order.
+        """
         slopes: dict[int, GraphExpression] = {of.index: self.constant(1)}
         found: dict[Hashable, GraphExpression] = {}
         for index in reversed(self.needed([of])):
@@ -182,7 +206,15 @@ class Graph:
         return [found.get(key, zero) for key in keys]
 
     def jacobian(self, outputs: Sequence[GraphExpression], keys: Sequence[Hashable]) -> list[list[GraphExpression]]:
-        """The gradient of each output."""
+        """The gradient of each output.
+
+        Parameters
+        ----------
+        outputs
+            Expressions to differentiate, one for each row.
+        keys
+            Keys of the inputs, one for each column.
+        """
         return [self.gradient(output, keys) for output in outputs]
 
 

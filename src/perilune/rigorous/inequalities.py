@@ -222,7 +222,15 @@ class SignedQuantity:
         return self._derivatives[order]
 
     def value(self, z: Sequence[Ball], order: int = 0) -> Ball:
-        """Itself, or a derivative, at some z."""
+        """Itself, or a derivative, at some z.
+
+        Parameters
+        ----------
+        z
+            States, constant states and costates, balls [SI].
+        order
+            Order of the time derivative along the flow, 0 for the quantity itself [SI, per s^order].
+        """
         if order not in self._programs:
             self._programs[order] = TaylorProgram(self.arc.graph, self._keys, [self.derivative(order)])
         return self._programs[order].values([*z, *self.unknowns])[0]
@@ -318,7 +326,20 @@ def vanishing_order(
 
 
 def affine_form(graph: Graph, of: GraphExpression) -> Affine | None:
-    """An expression as exact rational factors of its inputs; None where it is not affine."""
+    """An expression as exact rational factors of its inputs; None where it is not affine.
+
+    Parameters
+    ----------
+    graph
+        Graph of the expression.
+    of
+        The expression.
+
+    Returns
+    -------
+    dict or None
+        Factor of each input by its key, and the constant term by None; zeros may be left out.
+    """
     found: dict[int, Affine | None] = {}
     for index in graph.needed([of]):
         name, *at = graph.nodes[index]

@@ -62,7 +62,17 @@ class Junction:
         return self._follows.values(values)
 
     def form(self, values: Sequence[Ball], W: Any, weights: Sequence[float]) -> tuple[Any, Any]:
-        """G and C, where W comes from before; None at the start. Weights are those of v."""
+        """G and C, where W comes from before; None at the start. Weights are those of v.
+
+        Parameters
+        ----------
+        values
+            Values of `inputs`, balls [SI].
+        W
+            Matrix of the phase before, ``arb_mat`` of the size of v; None at the start.
+        weights
+            Positive weights of the components of v.
+        """
         found, matrices = self._slopes.values(values), []
         for rows, columns in self._shapes:
             matrices.append(arb_mat(rows, columns, found[: rows * columns]))
@@ -73,7 +83,15 @@ class Junction:
 
 
 def pass_junction(G: Any, C: Any, weights: Sequence[float]) -> Any:
-    """An exact W behind a junction; None where the weights do not outweigh what is negative."""
+    """An exact W behind a junction; None where the weights do not outweigh what is negative.
+
+    Parameters
+    ----------
+    G, C
+        Matrices of the junction, ``arb_mat``, as `Junction.form` returns them.
+    weights
+        Positive weights M of the states behind the junction, its diagonal.
+    """
     size = len(weights)
     M = arb_mat([[arb(w) if i == j else arb(0) for j in range(size)] for i, w in enumerate(weights)])
     core = G.transpose() * M * G + C
@@ -85,7 +103,15 @@ def pass_junction(G: Any, C: Any, weights: Sequence[float]) -> Any:
 
 
 def upper_bound_matrix(W: Any, weights: Sequence[float]) -> Any:
-    """An exact symmetric matrix, hardly larger than W in balls: what lies before stays no less than -dx' W dx."""
+    """An exact symmetric matrix, hardly larger than W in balls: what lies before stays no less than -dx' W dx.
+
+    Parameters
+    ----------
+    W
+        Symmetric ``arb_mat``, balls.
+    weights
+        Positive weights of the components, by which they are scaled.
+    """
     size, middle = W.nrows(), W.mid()
     found = arb_mat(size, size)
     for i in range(size):
@@ -100,7 +126,15 @@ def upper_bound_matrix(W: Any, weights: Sequence[float]) -> Any:
 
 
 def exact_kernel(normals: Any, weights: Sequence[float]) -> Any:
-    """A basis of the kernel of a matrix, as columns."""
+    """A basis of the kernel of a matrix, as columns.
+
+    Parameters
+    ----------
+    normals
+        ``arb_mat`` whose rows span what the kernel is normal to; independent rows.
+    weights
+        Positive weights of the columns, by which pivots are compared.
+    """
     half = len(weights)
     if not normals.nrows():
         return ball_identity(half)
@@ -127,7 +161,15 @@ _DEEPEST = 16  # halvings of a step
 
 
 def first_irregular_time(proved: EnclosedStep, half: int) -> Ball | None:
-    """A time at which X is not seen to be regular; None where it is all along the step."""
+    """A time at which X is not seen to be regular; None where it is all along the step.
+
+    Parameters
+    ----------
+    proved
+        Step of an arc with its tangents.
+    half
+        Number of rows of X, the upper half of the tangents: states and constant states.
+    """
     order, waiting = len(proved.tangents) - 1, [(0.0, 1.0, 0)]
     *polynomial, last = (arb_mat(own.tolist()[:half]) for own in proved.tangents)
     while waiting:

@@ -114,6 +114,13 @@ def certificate_document(proved: ProvedExtremal, text: str) -> dict[str, Any]:
     """Return everything on which the proof rests and that it claims, for JSON; balls and exact numbers as texts.
 
     Its theorem is what the checker sees again, in its words; what the prover says beyond it stands apart.
+
+    Parameters
+    ----------
+    proved
+        Extremal with all that was proved of it.
+    text
+        The theorem in the words of the prover.
     """
     boundary, root = proved.boundary, proved.root
     told = {

@@ -107,6 +107,13 @@ class TaylorProgram:
     def along(self, inputs: Sequence[Coefficients], orders: int) -> list[Coefficients]:
         """Coefficients of the outputs, orders 0 to `orders` - 1, along known coefficients of the inputs.
 
+        Parameters
+        ----------
+        inputs
+            Coefficients of each input, from order 0 up, at least `orders` of each.
+        orders
+            Number of coefficients to compute.
+
         Raises
         ------
         CutOff

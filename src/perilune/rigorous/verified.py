@@ -29,7 +29,15 @@ def add_theorem_checks(verification: Verification, solution: Solution, watch: Wa
 
 
 def add_attempt(verification: Verification, found: Attempt) -> Verification:
-    """Return the verification with the result of an attempt."""
+    """Return the verification with the result of an attempt.
+
+    Parameters
+    ----------
+    verification
+        Checks of the levels below.
+    found
+        What an attempt at a theorem proved, or why it proved nothing.
+    """
     if found.proved is None:
         return _note_no_theorem(verification, found.unsaid)
     if not found.proved.distance <= _FAR:

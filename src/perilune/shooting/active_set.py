@@ -35,7 +35,15 @@ class ActiveSetBounds:
 
     @classmethod
     def of(cls, problem: Problem, conditions: Conditions) -> ActiveSetBounds:
-        """Return the bounds of the free parameters and of the ranges of a problem."""
+        """Return the bounds of the free parameters and of the ranges of a problem.
+
+        Parameters
+        ----------
+        problem
+            The problem, with bounds in SI.
+        conditions
+            Its boundary value problem, which says which end conditions are ranges.
+        """
         free = problem.free
         ends = [c for phase in problem.phases for c in phase.end_conditions]
         ranges = [ends[row] for row, _ in conditions.ranges]
@@ -63,7 +71,15 @@ class ActiveSetBounds:
         return ActiveSetBounds(lower=lower, upper=upper)
 
     def taken_over(self, choice: Vector, before: ActiveSetBounds) -> Vector:
-        """Return the choice of another problem with the values that it holds at its limits moved to the limits here."""
+        """Return the choice of another problem with the values that it holds at its limits moved to the limits here.
+
+        Parameters
+        ----------
+        choice
+            Active set (`Shooting.holding`) of the other problem, shape (2 k,), canonical.
+        before
+            Limits of the other problem, in the same order.
+        """
         count = len(self.lower)
         masks, held = choice[:count], choice[count:]
         at_lower, at_upper = held == before.lower, held == before.upper
@@ -71,7 +87,15 @@ class ActiveSetBounds:
         return np.concatenate([masks, held])
 
     def revised(self, shooting: Shooting, roots: Roots) -> Matrix:
-        """Return what to hold at each root instead, (lanes, choice); their own choice where all may stay."""
+        """Return what to hold at each root instead, (lanes, choice); their own choice where all may stay.
+
+        Parameters
+        ----------
+        shooting
+            The shooting function that the roots belong to.
+        roots
+            Roots in lanes, each with its active set.
+        """
         values, rises = shooting.held_values(roots)
         count = self.lower.shape[-1]
         within = (values >= self.lower) & (values <= self.upper)

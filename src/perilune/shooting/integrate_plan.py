@@ -183,11 +183,36 @@ class Fleet:
         return Code(self.plan)
 
     def bind(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> PlanIntegrator:
-        """Bind a flight to arrays that live as long."""
+        """Bind a flight to arrays that live as long.
+
+        Parameters
+        ----------
+        Y
+            Unknowns that Newton moves, shape (lanes, n), canonical.
+        choice
+            Active set (`Shooting.holding`), shape (lanes, 2 k) or (1, 2 k).
+        p
+            Parameters of the canonical equations, shape (lanes, np) or (1, np), canonical.
+        accuracy
+            Relative and absolute tolerance of the integration, shape (lanes,).
+        inverse
+            Inverse Jacobian of the iterate before, row by row, shape (lanes, n^2).
+        """
         return PlanIntegrator(self.code, Y, choice, p, accuracy, inverse)
 
     def fly(self, Y: Matrix, choice: Matrix, p: Matrix, accuracy: Vector, inverse: Matrix) -> Matrix:
-        """Return the rows of an evaluation; arguments as for `PlanIntegrator`."""
+        """Return the rows of an evaluation; arguments as for `PlanIntegrator`.
+
+        Parameters
+        ----------
+        Y, choice, p, accuracy, inverse
+            As for `bind`.
+
+        Returns
+        -------
+        Matrix
+            One row a lane, laid out as `Plan.columns` says; NaN where an arc was lost.
+        """
         arguments, lanes = (Y, choice, p, accuracy, inverse), len(Y)
         if not 0 < lanes <= self._few:
             return self.bind(*arguments)()
@@ -202,7 +227,15 @@ class Fleet:
 
 @lru_cache(maxsize=64)
 def fleet(conditions: Conditions, segments: int) -> Fleet:
-    """Return the fleet of a boundary value problem, which is made once."""
+    """Return the fleet of a boundary value problem, which is made once.
+
+    Parameters
+    ----------
+    conditions
+        The boundary value problem.
+    segments
+        Arcs of each phase; 1 is single shooting.
+    """
     return Fleet(plan(conditions, segments))
 
 

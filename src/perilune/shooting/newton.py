@@ -152,7 +152,19 @@ class Ends:
     def keep(
         self, lanes: Lanes, y: Matrix, rows: Matrix, root: NDArray[np.bool_], which: NDArray[np.bool_], number: int
     ) -> None:
-        """Note the ends of the lanes at work that end at evaluation `number`."""
+        """Note the ends of the lanes at work that end at evaluation `number`.
+
+        Parameters
+        ----------
+        lanes
+            Indices of the lanes at work, shape (m,).
+        y, rows
+            Their iterates and evaluations, shape (m, n) and (m, width).
+        root, which
+            True for the lanes that are roots, and for those that end now, shape (m,).
+        number
+            Evaluations made so far in each of them.
+        """
         if len(lanes) == len(self.y) and which.all():
             self.y, self.rows, self.converged = y, rows, root
             self.evaluations[:] = number

@@ -121,7 +121,17 @@ class Plan:
         return any(phase.settles for phase in self.conditions.phases)
 
     def hold(self, choice: Vector | Matrix, index: int, value: float | Vector) -> None:
-        """Add a held value to a choice, or to each of many: its mask, and the value after all masks."""
+        """Add a held value to a choice, or to each of many: its mask, and the value after all masks.
+
+        Parameters
+        ----------
+        choice
+            Active set, shape (2 k,), or (lanes, 2 k) for many; changed in place.
+        index
+            Index of the free parameter, or `free` plus the index of the range.
+        value
+            Value to hold, canonical, one or shape (lanes,).
+        """
         choice[..., index], choice[..., self.held + index] = 1.0, value
 
 

@@ -96,7 +96,15 @@ Pattern = tuple[tuple[bool, ...], ...]  # which entries of the columns S(0) may 
 
 @lru_cache(maxsize=256)
 def arc_engine(flown: Equations, seeds: Pattern = ()) -> Engine:
-    """Return the engine with the variational columns that such seeds need, which is made once."""
+    """Return the engine with the variational columns that such seeds need, which is made once.
+
+    Parameters
+    ----------
+    flown
+        Canonical equations with their modes and switches.
+    seeds
+        Which entries of dz(0)/dw may be nonzero, rows of bool, shape (nz, nc); none for no variational columns.
+    """
     return compile_arcs(
         flown.modes, solved=flown.solved, columns=np.array(seeds) if seeds else 0, events=flown.switches
     )

@@ -104,7 +104,15 @@ class Roots:
         return self.rows[:, self.plan.columns.extras.stop - 1]
 
     def replaced(self, lanes: NDArray[np.int64], by: Roots) -> Roots:
-        """Return the same with other ends of some lanes."""
+        """Return the same with other ends of some lanes.
+
+        Parameters
+        ----------
+        lanes
+            Indices of the lanes, shape (m,).
+        by
+            Their other ends, m lanes of the same plan.
+        """
         fields = {name: getattr(self, name).copy() for name in _BY_LANE}
         for name, array in fields.items():
             array[lanes] = getattr(by, name)
@@ -171,7 +179,20 @@ class Shooting:
         self.plan: Plan = self._fleet.plan
 
     def holding(self, parameters: Mapping[int, float], ranges: Mapping[int, float] | None = None) -> Vector:
-        """Return a choice: masks of which free parameters and ranges (by index) are held, then their values."""
+        """Return a choice: masks of which free parameters and ranges (by index) are held, then their values.
+
+        Parameters
+        ----------
+        parameters
+            Values of the free parameters held, canonical, by their index.
+        ranges
+            Values of the ranges held, canonical, by their index.
+
+        Returns
+        -------
+        Vector
+            Shape (2 k,), k the number of free parameters and ranges.
+        """
         choice = np.zeros(2 * self.plan.held)
         for index, value in (*parameters.items(), *((self.plan.free + i, v) for i, v in (ranges or {}).items())):
             self.plan.hold(choice, index, value)
@@ -218,11 +239,27 @@ class Shooting:
         return self._roots(ends, choice)
 
     def root(self, Y: Vector, p: Vector, choice: Vector, watch: Watch | None = None, **settings: Any) -> Root:
-        """Solve by Newton's method from one Y: a batch of one."""
+        """Solve by Newton's method from one Y: a batch of one.
+
+        Parameters
+        ----------
+        Y
+            Initial unknowns, shape (unknowns,), canonical.
+        p, choice, watch, **settings
+            As for `solve`, of one lane.
+        """
         return self.solve(Y[None], p, choice, watch, **settings)[0]
 
     def at(self, Y: Matrix, p: Matrix, choice: Matrix) -> Roots:
-        """Evaluate the shooting function at full accuracy; NaN where an arc could not be flown."""
+        """Evaluate the shooting function at full accuracy; NaN where an arc could not be flown.
+
+        Parameters
+        ----------
+        Y
+            Unknowns, shape (lanes, unknowns), canonical.
+        p, choice
+            As for `solve`.
+        """
         p, choice, count = _as_rows(p), _as_rows(choice), len(Y)
         y = self._exactly(Y.take(self.plan.active, axis=1), choice)
         rows = self._fleet.fly(y, choice, p, np.full(count, FINEST), np.zeros((count, self.plan.columns.n**2)))
@@ -243,12 +280,33 @@ class Shooting:
         return self._fleet.bind(y, choice, p, np.full(len(y), FINEST), np.zeros((len(y), self.plan.columns.n**2)))
 
     def jacobians(self, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
-        """Return the Jacobians by the unknowns that are not silent, (lanes, n, n); NaN where an arc was lost."""
+        """Return the Jacobians by the unknowns that are not silent, (lanes, n, n); NaN where an arc was lost.
+
+        Parameters
+        ----------
+        Y
+            Unknowns, shape (lanes, unknowns), canonical.
+        p, choice
+            As for `solve`.
+        """
         p, choice = _as_rows(p), _as_rows(choice)
         return jacobians(self.conditions, self.segments, Y.take(self.plan.active, axis=1), p, choice)
 
     def joints(self, y: Vector, p: Vector) -> Vector | None:
-        """Return Y for this number of segments from y: the states at the joints are those of a flight in one piece."""
+        """Return Y for this number of segments from y: the states at the joints are those of a flight in one piece.
+
+        Parameters
+        ----------
+        y
+            Unknowns of single shooting, shape (unknowns,), canonical.
+        p
+            Parameters of the canonical equations, shape (np,), canonical.
+
+        Returns
+        -------
+        Vector or None
+            None where the flight has values that are not finite.
+        """
         before, nodes = np.zeros(0), [y]
         for extremal, start in zip(self.conditions.phases, self.conditions.starts, strict=True):
             z0, duration = (np.array(out).ravel() for out in start(y, before, p))
@@ -261,7 +319,15 @@ class Shooting:
         return np.concatenate(nodes)
 
     def tangent(self, root: Root, index: int) -> Vector:
-        """Return dY/dvalue at a root in which free parameter `index` is held."""
+        """Return dY/dvalue at a root in which free parameter `index` is held.
+
+        Parameters
+        ----------
+        root
+            Root in whose active set the parameter is.
+        index
+            Index of the free parameter.
+        """
         tangent = np.zeros(self.plan.size)
         tangent[self.plan.active] = root.inverse[:, self.plan.held_rows[index]]
         return tangent
@@ -270,6 +336,15 @@ class Shooting:
         """Return the first-order change of Y at a root when the parameters p change from `behind` to `ahead`.
 
         With `choices` what is held changes as well: the choice there, and behind, (2, k).
+
+        Parameters
+        ----------
+        root
+            Root at the parameters `behind`.
+        ahead, behind
+            Parameters of the canonical equations, shape (np,), canonical.
+        choices
+            Active sets at `ahead` and at `behind`; None for that of the root.
         """
         held = root.choice if choices is None else choices
         rows = self.at(np.tile(root.y, (2, 1)), np.stack([ahead, behind]), held).rows
@@ -283,6 +358,13 @@ class Shooting:
 
         With J' the Jacobian in which q is held, e its row and g the row of dJ/dq, the tangent is t = J'^-1 e and the
         curvature g.t; J t = (g.t) e, so that the entry of J^-1 in q's column and row is 1/(g.t).
+
+        Parameters
+        ----------
+        root
+            Root in which the parameter is free.
+        index
+            Index of the free parameter q.
         """
         at = int(self.plan.active.searchsorted(self.conditions.free_at.start + index))
         return 1.0 / float(root.inverse[at, self.plan.held_rows[index]])
@@ -291,6 +373,13 @@ class Shooting:
         """Return True if J is least over several free parameters, except those that a root holds.
 
         As for one of them, the block of J^-1 in their columns and rows is the inverse of the second derivatives of J.
+
+        Parameters
+        ----------
+        root
+            Root with its inverse Jacobian.
+        indices
+            Indices of the free parameters.
         """
         free = np.array([i for i in indices if root.choice[i] == 0.0], dtype=np.int64)
         at = self.plan.active.searchsorted(self.conditions.free_at.start + free)
@@ -303,6 +392,13 @@ class Shooting:
         With the value v of one held, dJ/dv = -nu, and dnu/dv is an entry of the inverse Jacobian. Where nothing that
         the unknowns may do moves v by more than errors of a flight, as the speed of a fall through thick air, its sign
         is chance and there is nothing to go along.
+
+        Parameters
+        ----------
+        root
+            Root with its active set.
+        p
+            Parameters of the canonical equations, shape (np,), canonical.
         """
         found, first = list[int](), self.plan.free
         for k, (_, nu) in enumerate(self.conditions.ranges):
@@ -337,6 +433,13 @@ class Shooting:
 
         Where errors grow so much that its one flight misses only by rounding, it is a root as its pieces are, and has
         their residual and J.
+
+        Parameters
+        ----------
+        root
+            What single shooting reached from the unknowns of `pieces`.
+        pieces
+            Root of multiple shooting.
         """
         if root.converged or not self.rounding(root):
             return root

@@ -134,7 +134,15 @@ class _Guess:
 
 
 def detect_own_structures(solution: Solution, least: float) -> list[Structure]:
-    """Return `detect_structures` of a solution for its own problem; the last few are kept for its neighbours."""
+    """Return `detect_structures` of a solution for its own problem; the last few are kept for its neighbours.
+
+    Parameters
+    ----------
+    solution
+        Solution whose states are searched for active conditions.
+    least
+        Least level below which a condition S >= 0 counts as near 0, as a share of what S goes through.
+    """
     return list(_remembered_structures(_Guess(solution), least))
 
 

@@ -54,6 +54,18 @@ def linear_scalars(problem: Problem, k: int) -> list[tuple[int, Bounded]]:
     """Return scalars of phase k with two bounds that enter the dynamics linearly and no condition of the path.
 
     In rates of states whose costates vanish identically they may stand in any way.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    k
+        Index of the phase.
+
+    Returns
+    -------
+    list
+        Index among the components of the control, and the scalar, of each.
     """
     phase = problem.phases[k]
     functions = [problem.form.expressions.get((k, name)) for name in ("path", "held")]
@@ -79,7 +91,15 @@ def stays_between_bounds(solution: Solution) -> bool:
 
 
 def leaves_bounds(solution: Solution, k: int) -> bool:
-    """Return whether a scalar of phase k that enters linearly is anywhere between its bounds, by exact tables."""
+    """Return whether a scalar of phase k that enters linearly is anywhere between its bounds, by exact tables.
+
+    Parameters
+    ----------
+    solution
+        Solution with exact tables of the control.
+    k
+        Index of the phase.
+    """
     t, known = np.linspace(0.0, solution.trajectories[k].duration, POINTS), linear_scalars(solution.problem, k)
     shares = [control.share(solution.flown(k, t)[1][at], solution.parameters) for at, control in known]
     return any(bool((np.minimum(np.abs(share), np.abs(share - 1.0)) > WRONG).any()) for share in shares)
@@ -121,6 +141,18 @@ def brief_stays(solution: Solution, k: int) -> list[Stay]:
 
     Exact tables break at each switch. A control law that looks for its switches within a flight that is a hundred
     times as long leaps over such an arc or loses it; where it begins and ends are unknowns of its own then.
+
+    Parameters
+    ----------
+    solution
+        Solution with exact tables and costates.
+    k
+        Index of the phase.
+
+    Returns
+    -------
+    list
+        Regimes with begin and end [s of the phase]; empty if no arc is that short or the phase has another control.
     """
     flown, known = solution.trajectories[k], linear_scalars(solution.problem, k)
     if len(known) != 1 or flown.costate is None:
@@ -143,7 +175,20 @@ def brief_stays(solution: Solution, k: int) -> list[Stay]:
 
 
 def seen_stays(solution: Solution, k: int) -> list[Stay]:
-    """Return the bounds that the one scalar of phase k is on, as the places in its range show them, however rough."""
+    """Return the bounds that the one scalar of phase k is on, as the places in its range show them, however rough.
+
+    Parameters
+    ----------
+    solution
+        Solution of any accuracy.
+    k
+        Index of the phase.
+
+    Returns
+    -------
+    list
+        Regimes with begin and end [s of the phase]; empty unless the phase has exactly one such scalar.
+    """
     known = linear_scalars(solution.problem, k)
     if len(known) != 1:
         return []
@@ -285,7 +330,15 @@ def runs_by_kind(true: Vector, kind: Vector | None = None) -> list[tuple[int, in
 
 
 def stays_of(structure: Structure, k: int) -> list[Stay]:
-    """Return the regimes of phase k in a structure with times; neighbours of one regime are one."""
+    """Return the regimes of phase k in a structure with times; neighbours of one regime are one.
+
+    Parameters
+    ----------
+    structure
+        Arcs of each phase, with the times at which they end [s of the phase].
+    k
+        Index of the phase.
+    """
     found, begin = list[Stay](), 0.0
     for arc in structure.phases[k]:
         for name, regime in arc.regimes:
@@ -316,6 +369,14 @@ def regimes_at(stays: Sequence[Stay], t: float, held: Collection[str] = ()) -> R
 
 
 def settle_scalar(control: Bounded, regime: str) -> Settled:
-    """Return a scalar that stays in a regime."""
+    """Return a scalar that stays in a regime.
+
+    Parameters
+    ----------
+    control
+        Scalar control with bounds.
+    regime
+        "lower", "upper" or "singular".
+    """
     own = {name: getattr(control, name) for name in ("name", "unit", "lower", "upper")}
     return Settled(**own, regime=regime)  # pyright: ignore[reportArgumentType]

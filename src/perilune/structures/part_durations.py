@@ -52,7 +52,15 @@ def part_durations(problem: Problem, structure: Structure, k: int) -> tuple[str,
 
 
 def summed_durations(problem: Problem, structure: Structure) -> dict[str, int]:
-    """Return free durations that are sums of new ones, each with the number of the phase whose parts it sums."""
+    """Return free durations that are sums of new ones, each with the number of the phase whose parts it sums.
+
+    Parameters
+    ----------
+    problem
+        The user's problem.
+    structure
+        Arcs of each of its phases; a phase with several becomes as many parts.
+    """
     found: dict[str, int] = {}
     for k, phase in enumerate(problem.phases):
         if phase.duration in problem.free_names and len(structure.phases[k]) > 1:
@@ -62,12 +70,33 @@ def summed_durations(problem: Problem, structure: Structure) -> dict[str, int]:
 
 
 def sums_of(problem: Problem, structure: Structure) -> dict[str, tuple[str, ...]]:
-    """Return free durations that are sums, with the names of the new ones that they sum."""
+    """Return free durations that are sums, with the names of the new ones that they sum.
+
+    Parameters
+    ----------
+    problem
+        The user's problem.
+    structure
+        Arcs of each of its phases; a phase with several becomes as many parts.
+    """
     return {name: part_durations(problem, structure, k) for name, k in summed_durations(problem, structure).items()}
 
 
 def sum_of_parameters(recorder: Recorder, names: Sequence[str]) -> Any:
-    """Record the sum of some parameters."""
+    """Record the sum of some parameters.
+
+    Parameters
+    ----------
+    recorder
+        Tape that the additions are recorded on.
+    names
+        Names of the parameters, at least one.
+
+    Returns
+    -------
+    Any
+        The recorder's number of the sum.
+    """
     total, *others = [recorder.input("p", name) for name in names]
     for other in others:
         total = recorder.do("add", total, other)
@@ -75,7 +104,15 @@ def sum_of_parameters(recorder: Recorder, names: Sequence[str]) -> Any:
 
 
 def with_sums(expression: Expression, sums: Mapping[str, Sequence[str]]) -> Expression:
-    """Return an expression with sums of new durations in place of the user's."""
+    """Return an expression with sums of new durations in place of the user's.
+
+    Parameters
+    ----------
+    expression
+        Traced function of the user's problem.
+    sums
+        Names of the new durations by the name of the duration that they sum up to (`sums_of`).
+    """
     inside = [name for name in sums if ("p", name) in expression.tape.instructions]
     if not inside:
         return expression

@@ -155,7 +155,15 @@ def join_solution(problem: Problem, restated: Solution, structure: Structure, *,
 
 
 def structure_with_times(structure: Structure, restated: Solution) -> Structure:
-    """Return the structure with the times of a solution of its restated problem, whose curves need not be made."""
+    """Return the structure with the times of a solution of its restated problem, whose curves need not be made.
+
+    Parameters
+    ----------
+    structure
+        Arcs of each of the user's phases.
+    restated
+        Solution with a phase for each arc, in the same order.
+    """
     p = restated.parameters
     lengths = iter([float(getattr(p, phase.duration)) for phase in restated.problem.phases])
     return structure.timed([list(islice(lengths, len(arcs))) for arcs in structure.phases])

@@ -27,7 +27,15 @@ EXACTLY = 1e-9  # of the size of S, to which an answer is judged
 
 
 def state_conditions(problem: Problem, k: int) -> list[str]:
-    """Return the names of the conditions of phase k on states only."""
+    """Return the names of the conditions of phase k on states only.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    k
+        Index of the phase.
+    """
     return [name for name, (_, value, _) in margins(problem, k).items() if not depends_on_control(value)]
 
 

@@ -106,7 +106,15 @@ class Structure:
         return tuple(dict.fromkeys(name for arc in self.phases[k] for name in (*arc.along, *arc.touches)))
 
     def ends(self, k: int, duration: float) -> list[float]:
-        """Return the end of each arc of phase k [s] in a flight of that duration; in equal parts where not known."""
+        """Return the end of each arc of phase k [s] in a flight of that duration; in equal parts where not known.
+
+        Parameters
+        ----------
+        k
+            Index of the phase.
+        duration
+            Duration of the phase [s], to which known ends are stretched.
+        """
         count, known = len(self.phases[k]), [arc.until for arc in self.phases[k]]
         if not all(math.isfinite(t) for t in known) or not known[-1] > 0:
             known = [float(i + 1) for i in range(count)]
@@ -154,7 +162,17 @@ class Condition:
         return depends_on_control(self.values[-1])
 
     def rated(self, i: int, prefix: str, time: float) -> Variable:
-        """Return the i-th derivative as a variable: name, unit and scale; `time` is the size of a second."""
+        """Return the i-th derivative as a variable: name, unit and scale; `time` is the size of a second.
+
+        Parameters
+        ----------
+        i
+            Order of the time derivative, 0 for the condition itself.
+        prefix
+            Beginning of the name of the variable.
+        time
+            Canonical unit of time [s].
+        """
         own, unit = self.variable, self.variable.unit
         for _ in range(i):
             unit = quotient_unit(unit, "s")
@@ -166,7 +184,15 @@ Margins = Mapping[str, tuple[Variable, Expression, tuple[int, str] | None]]
 
 
 def margins(problem: Problem, k: int) -> Margins:
-    """Return every S >= 0 of phase k by its name: path conditions, then finite bounds of states."""
+    """Return every S >= 0 of phase k by its name: path conditions, then finite bounds of states.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    k
+        Index of the phase.
+    """
     phase = problem.phases[k]
     path = problem.form.expressions.get((k, "path"))
     return _margins(path, phase.name, tuple(phase.path_conditions), tuple(phase.states))
@@ -274,6 +300,13 @@ def without_bounds(phase: Phase, bounds: Sequence[tuple[int, str]]) -> tuple[Var
 
 def check_arc_structure(problem: Problem, structure: Structure) -> None:
     """Refuse a structure that is none of the problem's.
+
+    Parameters
+    ----------
+    problem
+        The user's problem.
+    structure
+        Arcs of each phase.
 
     Raises
     ------
