@@ -41,7 +41,7 @@ class ProvedExtremal:
     ----------
     boundary, refined, settings
         The equations, and how their root was found.
-    root, alone
+    root, unique
         The root in a small box, whose flight encloses it; and in a large one, in which there is no other.
     objective
         J.

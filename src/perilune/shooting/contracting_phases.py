@@ -36,7 +36,7 @@ class SettlingPhase:
 
     Attributes
     ----------
-    flown
+    equations
         Its equations; `kept` are the states.
     rows
         Which rows of Phi move: of a state without a rate it stays that of the unit matrix.
@@ -111,8 +111,14 @@ def propagate_settling_phase(
 
     Parameters
     ----------
+    extremal
+        Canonical equations of the phase.
     x
         States at the start, with the constant ones.
+    p
+        Numbers of the canonical equations.
+    duration
+        Duration of the phase, canonical.
     end
         x(T) -> lambda(T).
     """

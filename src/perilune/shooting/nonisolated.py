@@ -42,6 +42,8 @@ def complete_open_roots(shooting: Shooting, roots: Roots, p: Matrix) -> Roots:
     ----------
     shooting, p
         Whose roots, and the given parameters, (np,) or (lanes, np).
+    roots
+        Results of Newton's method, converged or not.
     """
     residuals = np.where(roots.converged | ~np.isfinite(roots.rows).all(axis=1), np.inf, roots.residuals)
     near = np.argsort(residuals)[:_MOST]

@@ -46,7 +46,7 @@ class PlanLeg:
 
     Parameters
     ----------
-    flown, arcs
+    equations, arcs
         The equations, and the engine that integrates them with their columns.
     opening
         (Y, p) or (Y, p, end of the leg before) -> z0, duration, mode, slopes of z0, and the numbers among p that the

@@ -60,7 +60,7 @@ class ColdStarts:
         Receives what was tried in vain.
     agreed
         Whether most random costates led to one and the same extremal, once they were flown.
-    met
+    found_any
         Whether random costates led to any extremal, within the bounds or not.
     """
 

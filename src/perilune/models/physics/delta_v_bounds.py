@@ -319,6 +319,8 @@ def compare_stopping_distance(
         Unit vector of the rotation in them.
     r_site
         Radius of the site [m].
+    p, xp
+        Parameters [SI] and maths namespace.
     left
         Speed [m/s] straight down that may be left on the ground.
     """

@@ -66,6 +66,8 @@ def velocity_loss_rates(
         Acceleration by thrust [m/s^2], and its unit vector.
     pull
         Gravity and centrifugal acceleration [m/s^2].
+    xp
+        Maths namespace.
     """
     speed = xp.fmax(xp.sqrt(scalar_product(velocity, velocity)), _REST)
     return push, scalar_product(pull, velocity) / speed, push * (1 + scalar_product(direction, velocity) / speed)

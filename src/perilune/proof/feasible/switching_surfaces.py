@@ -99,7 +99,7 @@ class Guarded:
 
     Attributes
     ----------
-    phase, p, flown, duration
+    phase, p, trajectory, duration
         The phase, its parameters, tables and length [s].
     scale
         Canonical units of the states [SI], (n,).

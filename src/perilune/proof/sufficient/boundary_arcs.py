@@ -70,7 +70,7 @@ class BoundaryArcs:
     ----------
     whole, parts
         The flight, and the same restated.
-    along
+    boundary_arcs
         Boundary arcs along each of its parts.
     touches
         Conditions with a contact point at the end of each.

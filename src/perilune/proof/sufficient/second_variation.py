@@ -35,19 +35,19 @@ class KeptConditions:
 
     Attributes
     ----------
-    rides, released
+    boundary_rates, released
         Names of the conditions S^(q) = 0 along it, and of those that variations need not keep.
     holds
         Values that vanish to first order all along it, and so have to where it begins.
     end
         Values that have to vanish where it ends, in addition to the end conditions.
-    left
+    dropped_ends
         Names of the end conditions that need not be kept.
     tied
         True if its duration stays in proportion to that of the phase before.
     steady
         True if no control jumps where a boundary arc begins or ends at its ends.
-    pays
+    least_multiplier
         Least multiplier of a boundary arc over its largest, where that decides: H is linear in the control.
     """
 

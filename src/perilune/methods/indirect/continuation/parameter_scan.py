@@ -125,8 +125,12 @@ def scan_family(
 
     Parameters
     ----------
+    family
+        Extremals with one free parameter held.
     first
         A member anywhere within the bounds.
+    bounds
+        Least and greatest value of the parameter, canonical.
     points
         How many values between the bounds are visited; extremals closer together than two of them may be missed
         unless dJ/dq dips towards zero between them, which is looked at more closely.
