@@ -301,7 +301,7 @@ def main() -> None:
     asked = parser.parse_args()
     problem = load_file(ORDINARY).problem
     equations = Equations(problem, ("phi",), ("m",))
-    solution = solve(problem, level=0)
+    solution = solve(problem, verify=0)
     known = solution.trajectories[0]
     assert known.costate is not None
     latest = float(known.duration) + _LATER

@@ -70,15 +70,18 @@ def inside(runs: int) -> None:
     """Solves inside this process, everything loaded and compiled."""
     from perilune import Pseudospectral
     from perilune.scenario import load_file
-    from perilune.solve import solve, verify
+    from perilune.solve import solve
+    from perilune.verify import verify
 
     problem = load_file(Path(SCENARIO)).problem
-    solution = solve(problem, level=0)
+    solution = solve(problem, verify=0)
     near = problem.with_given(vehicle_mass=301.0)
-    solve(near, guess=solution, level=0)
+    solve(near, guess=solution, verify=0)
     verify(solution)
-    show("solve without a guess, every extremal", timed(lambda: solve(problem, level=0), 3 * runs), 1e3, "ms")
-    show("solve from a neighbour's solution", timed(lambda: solve(near, guess=solution, level=0), 30 * runs), 1e3, "ms")
+    show("solve without a guess, every extremal", timed(lambda: solve(problem, verify=0), 3 * runs), 1e3, "ms")
+    show(
+        "solve from a neighbour's solution", timed(lambda: solve(near, guess=solution, verify=0), 30 * runs), 1e3, "ms"
+    )
     show("verification to level 3", timed(lambda: verify(solution), runs), 1e3, "ms")
     direct = Pseudospectral(nodes=20, refine=0)
     direct.run(problem)

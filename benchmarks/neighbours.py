@@ -44,7 +44,7 @@ def measure(path: Path, lanes: int) -> None:
         neighbour = timed("with_given", lambda thrust=thrust: problem.with_given(**{PARAMETER: thrust}))
         timed("preflight", lambda neighbour=neighbour: preflight(neighbour))
         timed("solve, preflight apart", lambda neighbour=neighbour: Indirect().run(neighbour, solution))
-        timed("solve", lambda neighbour=neighbour: pl.solve(neighbour, guess=solution, level=0))
+        timed("solve", lambda neighbour=neighbour: pl.solve(neighbour, guess=solution, verify=0))
     nearby = Nearby(solution)
     values = {PARAMETER: value * (1 + 1e-4 * np.linspace(1.0, 5.0, lanes))}
     for _ in range(5):

@@ -173,7 +173,7 @@ def judge(kind: str, seed: int, number: int, doubt: bool) -> dict[str, Any]:
     began = time.process_time()
     try:
         problem = draw(kind, seed, number)
-        solution = solve(problem, level=0)
+        solution = solve(problem, verify=0)
         row |= {"outcome": "answered", "why": f"{solution.objective:.9g} by {solution.statistics.rung}"}
     except InfeasibleError as error:
         row |= {"outcome": error.reason, "why": f"{error.what}: {error.got}"}
@@ -199,7 +199,7 @@ def at_the_edge(kind: str, seed: int, number: int) -> list[str]:
     loose = loose.with_given(vehicle_dry_mass=0.3 * loose.given["vehicle_dry_mass"].value)
     said = []
     try:
-        landed = -solve(loose, level=0).objective
+        landed = -solve(loose, verify=0).objective
     except NotConvergedError as error:
         if error.flight is None:
             return []
@@ -208,7 +208,7 @@ def at_the_edge(kind: str, seed: int, number: int) -> list[str]:
         return []
     for share in EDGES:
         try:
-            solve(loose.with_given(vehicle_dry_mass=share * landed), level=0)
+            solve(loose.with_given(vehicle_dry_mass=share * landed), verify=0)
             said.append("answered")
         except InfeasibleError:
             said.append("refused")

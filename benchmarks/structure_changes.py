@@ -114,7 +114,7 @@ def near(problem: Problem, known: Solution | None) -> Solution | None:
     level = 1 if any(phase.path_conditions for phase in problem.phases) else 0  # whether it keeps those it is to say
     for guess in (known, None) if known is not None else (None,):
         try:
-            found = solve(problem, guess=guess, level=level)
+            found = solve(problem, guess=guess, verify=level)
         except PeriluneError:
             continue
         if level == 0 or found.verification.level == level:

@@ -117,7 +117,7 @@ def solved(answered: Answered, method: Method) -> dict[str, str]:
 
     began = time.process_time()
     try:
-        found = solve(answered.make(), method, level=3)
+        found = solve(answered.make(), method, verify=3)
         off, proof = found.objective - answered.objective, found.verification
         bold = "**" if abs(off) > answered.error_allowed(method) else ""
         row = {"ours": f"{found.objective:.12g}", "error": f"{bold}{off:+.1e}{bold}", "level": "3"}

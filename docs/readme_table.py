@@ -78,6 +78,6 @@ if __name__ == "__main__":
     from perilune_papers.cho2015.case import CONSTANTS, cho_landing
 
     whole = cho_landing(Retro(specific_impulse=CONSTANTS.specific_impulse))
-    best, plain = solve(whole, level=0), solve(cho_landing(), level=0)
-    low_isp, high_isp = (solve(whole.with_given(retro_specific_impulse=s), level=0) for s in BRACKET)
+    best, plain = solve(whole, verify=0), solve(cho_landing(), verify=0)
+    low_isp, high_isp = (solve(whole.with_given(retro_specific_impulse=s), verify=0) for s in BRACKET)
     print("\n".join([*against_the_paper(best, plain, (low_isp, high_isp)), "", *not_printed(best, plain)]))

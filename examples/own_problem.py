@@ -37,7 +37,7 @@ problem = pl.Problem(
 )
 
 exact = pl.solve(problem)
-direct = pl.solve(problem, pl.Pseudospectral(polish=False), level=0)
+direct = pl.solve(problem, pl.Pseudospectral(polish=False), verify=0)
 for solution in (exact, direct):
     print(f"{solution.method:14} {1000 + solution.objective:.6f} kg in {solution.free['flight_time']:.4f} s")
 print(exact.outcome.name, exact.verification.level)

@@ -86,21 +86,21 @@ class Carried:
 
     def solved(self) -> pl.Solution:
         """Solved from nothing, without a proof."""
-        found = pl.solve(self.problem, level=0)
+        found = pl.solve(self.problem, verify=0)
         assert found.outcome is pl.Outcome.SOLVED
         self.step("solve")
         return found
 
     def proved(self, back: pl.Solution) -> None:
         """What was loaded is proved to level 1, its files compared with it."""
-        verification = pl.verify(back, level=1)
+        verification = pl.verify(back, level=1).verification
         assert verification.passed and verification.level == 1, verification.failed
         self.step("verify")
 
     def swept(self, solution: pl.Solution) -> None:
         """Two members along a mass, in words and as a table."""
         mass = solution.problem.given["vehicle_mass"].value
-        self.listed(pl.sweep(solution.problem, {"vehicle_mass": [mass, 1.001 * mass]}, level=0))
+        self.listed(pl.sweep(solution.problem, {"vehicle_mass": [mass, 1.001 * mass]}, verify=0))
         self.step("sweep")
 
     def listed(self, family: Family) -> None:

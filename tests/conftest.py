@@ -32,10 +32,10 @@ def landing() -> Problem:
 @pytest.fixture(scope="session")
 def hybrid(landing: Problem) -> Solution:
     """Its optimum, unverified."""
-    return solve(landing, level=0)
+    return solve(landing, verify=0)
 
 
 @pytest.fixture(scope="session")
 def ordinary(landing: Problem) -> Solution:
     """The landing without a retro burn, unverified."""
-    return solve(landing.with_given(retro_delta_v=0.0), level=0)
+    return solve(landing.with_given(retro_delta_v=0.0), verify=0)

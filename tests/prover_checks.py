@@ -38,7 +38,7 @@ def room(name: str) -> Any:
 
 @cache
 def solved(make: Callable[..., pl.Problem], *options: Any) -> pl.Solution:
-    return pl.solve(make(*options), METHODS.get(make), level=0)
+    return pl.solve(make(*options), METHODS.get(make), verify=0)
 
 
 def settings(order: int = 30, tolerance: float = 1e-44) -> Any:

@@ -25,7 +25,8 @@ from cho import cho_landing
 from perilune.cli import run_command_line
 from perilune.core.errors import Outcome
 from perilune.problem.results.solution import Solution
-from perilune.solve import prove, solve
+from perilune.solve import solve
+from perilune.verify import verify
 from test_layers import ROOMS
 
 ROOT = Path(__file__).parent.parent
@@ -227,7 +228,7 @@ def test_checks(hybrid: Solution, ordinary: Solution) -> None:
     ]
     met = set()
     for solution in (hybrid, ordinary):
-        for check in prove(solution, 3).verification.checks:
+        for check in verify(solution, 3).verification.checks:
             found = [row for row in shown if fnmatch.fnmatch(check.name, row[0]) and row[1] == check.level]
             assert found, f"{check.name} of level {check.level} is not on the page"
             pattern, _, limit, grows = found[0]
@@ -260,7 +261,7 @@ def test_readme_tables(hybrid: Solution, ordinary: Solution) -> None:
     """What the README says is verified is what is computed."""
     script = documentation_script("readme_table")
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    low, high = (solve(cho_landing(isp), level=0) for isp in script.BRACKET)
+    low, high = (solve(cho_landing(isp), verify=0) for isp in script.BRACKET)
     assert between(text, "against the paper") == script.against_the_paper(hybrid, ordinary, (low, high))
     assert between(text, "not printed") == script.not_printed(hybrid, ordinary)
 

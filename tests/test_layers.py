@@ -26,6 +26,7 @@ ROOMS = (
     "methods",
     "proof",
     "rigorous",
+    "verify",
     "solve",
     "models",
     "scenario",

@@ -175,7 +175,7 @@ def test_the_page_on_own_problems_shows_the_example() -> None:
 
 def test_entries_and_the_ascent_are_those_of_the_books() -> None:
     """To every digit that is printed, and locally optimal."""
-    entry = pl.prove(solved(next(a for a in LIBRARY if a.make is apollo), Indirect()))
+    entry = pl.verify(solved(next(a for a in LIBRARY if a.make is apollo), Indirect()))
     assert entry.verification.level == 3
     assert entry.free["time"] == pytest.approx(224.900756, abs=5e-7)
     (flown,) = entry.trajectories
@@ -183,9 +183,9 @@ def test_entries_and_the_ascent_are_those_of_the_books() -> None:
     assert flown.costate(0.0)[:3] == pytest.approx(PRINTED_COSTATE, abs=5e-9)
     cosine, sine = flown.control(np.array([0.0, flown.duration])).T
     assert np.degrees(np.arctan2(sine, cosine)) == pytest.approx(PRINTED_CONTROL, abs=5e-5)
-    ascent = pl.prove(solved(next(a for a in LIBRARY if a.make is delta), Indirect()))
+    ascent = pl.verify(solved(next(a for a in LIBRARY if a.make is delta), Indirect()))
     assert ascent.verification.level == 3
-    glide = pl.prove(solved(next(a for a in LIBRARY if a.make is shuttle), Indirect()))
+    glide = pl.verify(solved(next(a for a in LIBRARY if a.make is shuttle), Indirect()))
     assert glide.verification.level == 3
     assert glide.free["time"] == pytest.approx(2008.59, abs=5e-3)
 

@@ -78,7 +78,7 @@ def made(directory: Path) -> Material:
     points = np.random.default_rng(1).uniform(low, high, (20, 2))
     atlas = pl.atlas.open(directory / "atlas")
     try:
-        certificate = json.dumps(pl.verify(own, level=5).certificate)
+        certificate = json.dumps(pl.verify(own, level=5).verification.certificate)
     except pl.PeriluneError:
         certificate = ""
     return Material(directory / "own", directory / "modelled", directory / "atlas", points,

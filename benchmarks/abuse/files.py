@@ -47,7 +47,7 @@ def saved(rng: np.random.Generator, material: Material, at: Path) -> str:
     code, said = _told("verify", str(directory))
     with _words():
         found = pl.load(directory)
-        if pl.verify(found).level < 3:
+        if pl.verify(found).verification.level < 3:
             demand(code in (2, 5), f"proved by the command line alone: {code}, {said}")
             return "not proved"
         demand(code in (0, 2), f"proved by the library alone: {code}, {said}")

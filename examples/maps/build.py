@@ -54,7 +54,9 @@ def main() -> None:
         sys.exit(f"usage: python examples/maps/build.py {'|'.join(MAPS)} DIR")
     scenario, axes = MAPS[sys.argv[1]]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        pl.atlas.build(load_file(scenario).problem, axes, sys.argv[2], pool, watch=lambda line: print(line, end="\n"))
+        pl.atlas.build(
+            load_file(scenario).problem, axes, sys.argv[2], pool, callback=lambda line: print(line, end="\n")
+        )
 
 
 if __name__ == "__main__":

@@ -52,13 +52,15 @@ _EXPORTS = {
     "preflight": "perilune.problem.presolve",
     "solve": "perilune.solve",
     "sweep": "perilune.families.sweep",
-    "prove": "perilune.solve",
-    "verify": "perilune.solve",
+    "verify": "perilune.verify",
     "atlas": "perilune.atlas",
     "models": "perilune.models",
     "scenario": "perilune.scenario",
     "views": "perilune.problem.display.views",
 }
+
+# old name: new name. For one minor version, with a warning.
+_RENAMED = {"prove": "verify"}
 
 __all__ = [
     "MOON",
@@ -101,7 +103,6 @@ __all__ = [
     "models",
     "opposite",
     "preflight",
-    "prove",
     "save",
     "scenario",
     "solve",
@@ -153,7 +154,8 @@ if TYPE_CHECKING:
     from perilune.problem.tolerance import Tolerance
     from perilune.problem.variables import Free, Given, Variable
     from perilune.problem.verification import Check, Verification
-    from perilune.solve import prove, solve, verify
+    from perilune.solve import solve
+    from perilune.verify import verify
 
 
 class _Package(ModuleType):
@@ -168,6 +170,11 @@ sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:
+    if name in _RENAMED:
+        from perilune.core.deprecation import warn_renamed
+
+        warn_renamed(f"perilune.{name}", f"perilune.{_RENAMED[name]}")
+        name = _RENAMED[name]
     if name not in _EXPORTS:
         raise AttributeError(f"module 'perilune' has no attribute {name!r}", name=name, obj=sys.modules[__name__])
     module = importlib.import_module(_EXPORTS[name])

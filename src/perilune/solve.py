@@ -5,55 +5,40 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
-from perilune.core.callbacks import (
-    Iteration,
-    Progress,
-    TimeLimitReached,
-    Watch,
-    enter_computation,
-    remember_best,
-    sign_of_life,
-)
-from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
+from perilune.core.callbacks import Progress, TimeLimitReached, Watch, enter_computation, remember_best
+from perilune.core.deprecation import renamed_keywords, renamed_names
+from perilune.core.errors import NotConvergedError, PeriluneError
 from perilune.core.units import format_quantity
-from perilune.core.validation import (
-    check_call,
-    require_callable,
-    require_level,
-    require_si_number,
-    require_type,
-    wrong_type_error,
-)
-from perilune.methods import Indirect, Method
+from perilune.core.validation import check_call, require_callable, require_level, require_si_number, require_type
+from perilune.methods import Indirect, Method, method_or_default
 from perilune.problem.display.quantity_names import objective_text
 from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import Tolerance
-from perilune.problem.verification import LEVELS, THEOREM, Verification
+from perilune.problem.verification import LEVELS, THEOREM
 from perilune.structures.monotone_limits import with_budgets
+from perilune.verify import require_tolerance, theorem_prover, verify
 
 TIME_LIMIT = 600.0  # s, where none is stated: the hardest answers take a minute or two
 SECOND_VARIATION = ("conjugate_point", "second_variation", "nothing_gained")  # checks of level 3
 
 if TYPE_CHECKING:
     from perilune.methods import Pseudospectral
-    from perilune.proof import Resolve
 
 
+@renamed_keywords(level="verify", watch="callback")
 @check_call
 def solve(
     problem: Problem,
     method: Method | None = None,
     *,
     guess: Solution | None = None,
-    level: int = 3,
+    verify: int = 3,
     tolerance: Tolerance | None = None,
-    watch: Watch | None = None,
+    callback: Watch | None = None,
     time_limit: float | None = None,
 ) -> Solution:
     """Solve a problem and prove the answer.
@@ -67,11 +52,11 @@ def solve(
         (`perilune.methods.polish`); ``Pseudospectral(polish=False)`` leaves it as its mesh has it.
     guess
         A solution of any method for this or a similar problem. None is needed.
-    level
+    verify
         Verification level to prove, 0 for none; 4 solves the problem by another method too, 5 proves a theorem.
     tolerance
         Differences that do not matter to the proof, which then says so; by default only rounding does not.
-    watch
+    callback
         Receives each iteration, and lines of text; nothing takes much longer than a second without one.
     time_limit
         Time [s] after which the search, or the proof, ends with `NotConvergedError` and the best flight so far; by
@@ -92,15 +77,15 @@ def solve(
     require_type(
         problem, Problem, "a problem to solve", "a scenario file is read by perilune.scenario.load_file(FILE).problem"
     )
-    require_level(level, (0, *LEVELS))
-    if level == THEOREM:
-        _theorem()  # what is not installed is said before the work
-    require_callable(watch, "a watch")
+    require_level(verify, (0, *LEVELS))
+    if verify == THEOREM:
+        theorem_prover()  # what is not installed is said before the work
+    require_callable(callback, "a callback")
     require_tolerance(tolerance)
-    with ended_in_time(problem, watch, require_time_limit(time_limit, level)) as work:
+    with ended_in_time(problem, callback, require_time_limit(time_limit, verify)) as work:
         refuse_impossible(preflight(problem))
         try:
-            return _solved_and_proved(method_or_default(method), problem, guess, level, tolerance, work)
+            return _solved_and_proved(method_or_default(method), problem, guess, verify, tolerance, work)
         except NotConvergedError as error:
             from perilune.methods import with_binding_limit
 
@@ -129,10 +114,10 @@ def _solved_and_proved(
         return f"{objective_text(solution, 9)}, which is not proved yet"
 
     remember_best(problem, solution.objective, told_of, lambda: solution, extremal=True)
-    solution = prove(solution, level, tolerance, work)
+    solution = verify(solution, level, tolerance, work)
     if guess is None and isinstance(method, Indirect) and _no_minimum(solution):
         further = method.beyond(problem, solution, work)
-        if further is not None and (better := prove(further, level, tolerance, work)).verification.level >= 3:
+        if further is not None and (better := verify(further, level, tolerance, work)).verification.level >= 3:
             return better
     return solution
 
@@ -184,172 +169,4 @@ def _run_method(method: Method, problem: Problem, guess: Solution | None, watch:
         raise
 
 
-def method_or_default(method: Method | None) -> Method:
-    """Return the method that was asked for, ``Indirect()`` for none.
-
-    Raises
-    ------
-    PeriluneError
-        If it is not a method, such as a name or a class.
-    """
-    if method is None:
-        return Indirect()
-    if isinstance(method, type) or not callable(getattr(method, "run", None)):
-        raise wrong_type_error(method, "Indirect(), Pseudospectral(), Hybrid(...) or None", "a method")
-    return method
-
-
-def require_tolerance(tolerance: Tolerance | None) -> None:
-    """Refuse anything but a `Tolerance`."""
-    if tolerance is not None:
-        require_type(tolerance, Tolerance, "a tolerance of the proof", "Tolerance(position=0.001), numbers in SI")
-
-
-@check_call
-def prove(
-    solution: Solution, level: int = 3, tolerance: Tolerance | None = None, watch: Watch | None = None
-) -> Solution:
-    """Prove a solution, wherever it comes from.
-
-    Parameters
-    ----------
-    solution
-        As a method or `perilune.load` gives it.
-    level
-        Verification level; 0 proves nothing.
-    tolerance
-        As for `solve`; by default that with which the solution was solved, if any: ``Tolerance()`` is none.
-    watch
-        Is told of what takes long.
-
-    Returns
-    -------
-    Solution
-        The same with its verification, and the outcome that follows. Of a solution that was loaded, the extremals that
-        its file lists are found again by Newton's method, or left out (`perilune.proof.recheck`). Where a check fails,
-        its own extremal is called an optimum no longer.
-    """
-    require_type(solution, Solution, "a solution to prove")
-    require_level(level, (0, *LEVELS))
-    require_tolerance(tolerance)
-    if tolerance is not None:
-        solution = replace(solution, verification=Verification(tolerance=tolerance))
-    if level == 0:
-        return solution
-    solution, notes = _keep_confirmed_extremals(solution)
-    if solution.statistics.claimed:
-        solution = replace(solution, structure=())  # a file's words, which nothing here has read off the tables
-    verification = verify(solution, level=level, watch=watch)
-    if not verification.passed and solution.extremals:
-        first, *others = solution.extremals
-        named = replace(first, nature=nature_up_to_level(first.nature, verification.level))
-        solution = replace(solution, extremals=(named, *others))
-    return with_verification(solution, replace(verification, notes=(*notes, *verification.notes)), level)
-
-
-def nature_up_to_level(nature: Nature, level: int) -> Nature:
-    """Return the nature that a proof up to a level confirms; an optimum is then only a local one.
-
-    Parameters
-    ----------
-    nature
-        Nature of an extremal.
-    level
-        Highest level of proof that it passed.
-    """
-    local = nature.dominated
-    optimum = local in (Nature.LOCAL_OPTIMUM, Nature.LOCAL_OPTIMUM_AT_BOUND)
-    return local if level >= (3 if optimum else 2) else Nature.UNPROVED
-
-
-def with_verification(solution: Solution, verification: Verification, level: int) -> Solution:
-    """Return the solution with a verification, and the outcome that follows for the level that was asked for.
-
-    Parameters
-    ----------
-    solution, verification
-        The solution, and the result of its proof.
-    level
-        Level that was asked for.
-    """
-    proved = verification.passed and verification.level >= level
-    return replace(solution, verification=verification, outcome=Outcome.PROVED if proved else Outcome.NOT_PROVED)
-
-
-def _keep_confirmed_extremals(solution: Solution) -> tuple[Solution, tuple[str, ...]]:
-    """Return the solution with the confirmed ones of its listed extremals, and notes on the others."""
-    if not solution.listed:
-        return solution, ()
-    from perilune.proof import confirm_listed_extremals
-
-    extremals, notes = confirm_listed_extremals(solution, _solve_again)
-    return replace(solution, extremals=extremals, listed=()), notes
-
-
-@check_call
-def verify(
-    solution: Solution,
-    level: int = 3,
-    resolve: Resolve | None = None,
-    other: Method | None = None,
-    tolerance: Tolerance | None = None,
-    watch: Watch | None = None,
-) -> Verification:
-    """Check a solution; see `perilune.proof.levels.examine`, and for level 5 `perilune.rigorous.verified`.
-
-    Parameters
-    ----------
-    solution, level
-        What to check, and how far.
-    resolve
-        Solves the neighbouring problems of level 3; by default ``Indirect()``, from the solution.
-    other
-        The other method of level 4; by default ``Pseudospectral()``, and ``Indirect()`` for an answer of that.
-    tolerance
-        As for `prove`.
-    watch
-        Is told of what takes long.
-    """
-    from perilune.proof import examine
-
-    require_type(solution, Solution, "a solution to verify")
-    require_callable(resolve, "the method that solves again")
-    require_tolerance(tolerance)
-    require_callable(watch, "a watch")
-    require_level(level, LEVELS)
-    add_theorem = _theorem() if level == THEOREM else None
-    usual = level if add_theorem is None else THEOREM - 2
-    another = other if other is None else method_or_default(other)
-    with enter_computation(watch) as work:
-        work.at_work("proof: independent re-integration")
-        found = examine(solution, usual, resolve or _solve_again, another, tolerance)
-        if add_theorem is not None and found.level < usual:
-            why = f"no theorem: it is attempted only from level {usual}, and this solution reaches level {found.level}"
-            return replace(found, notes=(why, *found.notes))
-        return found if add_theorem is None else add_theorem(found, solution, work)
-
-
-def _theorem() -> Callable[[Verification, Solution, Watch | None], Verification]:
-    """Return the function that adds level 5.
-
-    Raises
-    ------
-    PeriluneError
-        If ball arithmetic is not installed.
-    """
-    try:
-        from perilune.rigorous import add_theorem_checks
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != "flint":
-            raise
-        raise PeriluneError(
-            "a theorem needs python-flint, which is not installed", advice="pip install 'perilune[rigorous]'"
-        ) from None
-    return add_theorem_checks
-
-
-def _solve_again(problem: Problem, guess: Solution) -> Solution:
-    def work(_: Iteration | str) -> None:
-        sign_of_life("proof: neighbouring problems are solved")
-
-    return Indirect().run(problem, guess, work)
+__getattr__: Callable[[str], Any] = renamed_names(__name__, {"prove": "perilune.verify.verify"})

@@ -348,11 +348,11 @@ def test_newer_values_do_not_end_the_first_flight_from_which_they_are_followed(m
     """At theirs nothing may be found for minutes, and each of them would begin to look for it anew."""
     solve, nudged = perilune.app.answers.solve, Event()
 
-    def slow(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+    def slow(asked: Problem, *, guess: Solution | None = None, callback: Watch, verify: int) -> Solution:
         if guess is None:  # and nothing is at other values
             assert asked.given["vehicle_thrust"].value == 440.0 and nudged.wait(30.0)
-        watch("looking for it")
-        return solve(asked, guess=guess, level=level, watch=watch)
+        callback("looking for it")
+        return solve(asked, guess=guess, verify=verify, callback=callback)
 
     async def story(page: _Page) -> None:
         first = {knob.name: knob.value for knob in subject.knobs}  # as a page says it: all of them, as numbers
@@ -429,12 +429,12 @@ def test_a_saved_flight_is_shown_as_it_was_saved_and_made_anew_once_to_be_follow
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Solving it again may take longer than a page waits, and newer values do not end what they are followed from."""
-    save(solve(load_file(ROOT / "examples" / "hybrid_lander.toml").problem, level=0), tmp_path / "run")
+    save(solve(load_file(ROOT / "examples" / "hybrid_lander.toml").problem, verify=0), tmp_path / "run")
     subject, solve_it, asked = subject_of(tmp_path / "run"), perilune.app.answers.solve, list[float]()
 
     def noted(problem: Problem, **more: Any) -> Solution:
         asked.append(problem.given["vehicle_thrust"].value)
-        more["watch"]("Newton's method")
+        more["callback"]("Newton's method")
         return solve_it(problem, **more)
 
     def newer(_: object) -> None:
@@ -452,7 +452,7 @@ def test_a_saved_flight_is_shown_as_it_was_saved_and_made_anew_once_to_be_follow
 
 def test_a_saved_flight_is_compared_and_proved_like_any_other(tmp_path: Path) -> None:
     """Its file's word on what it is does not count: that of what is found from nothing does, where it is the same."""
-    save(solve(load_file(ROOT / "examples" / "hybrid_lander.toml").problem, level=0), tmp_path / "run")
+    save(solve(load_file(ROOT / "examples" / "hybrid_lander.toml").problem, verify=0), tmp_path / "run")
     known = subject_of(tmp_path / "run" / "solution.json").known  # by the file in it, too
     assert known is not None and not known.extremals
     found = compare_with_cold_start(known, ignore_events)
@@ -470,7 +470,7 @@ def test_a_saved_flight_is_compared_and_proved_like_any_other(tmp_path: Path) ->
 
 def test_a_saved_solution_hands_out_the_scenario_that_it_keeps(tmp_path: Path) -> None:
     scenario = load_file(ROOT / "examples" / "ordinary_lander.toml", ["vehicle.thrust=450 N"])
-    solution = solve(scenario.problem, level=0)
+    solution = solve(scenario.problem, verify=0)
     save(solution, tmp_path / "with", scenario.text)
     save(solution, tmp_path / "without")
     kept, bare = subject_of(tmp_path / "with"), subject_of(tmp_path / "without")
@@ -484,7 +484,7 @@ def test_a_saved_solution_hands_out_the_scenario_that_it_keeps(tmp_path: Path) -
 
 
 def test_a_switch_is_shown_as_a_step_and_a_flat_curve_as_it_goes() -> None:
-    flown = solve(load_file(ROOT / "examples" / "precision_landing.toml").problem, level=0)
+    flown = solve(load_file(ROOT / "examples" / "precision_landing.toml").problem, verify=0)
     (phase,) = flight_message(flown)["phases"]
     throttle, times = phase["columns"]["throttle"]["values"], phase["time"]
     assert set(throttle) == {0.3, 0.9}
@@ -507,7 +507,7 @@ def test_numbers_are_as_short_as_they_may_be() -> None:
 
 
 def test_quantities_are_called_as_on_the_axes_of_figures(subject: Subject) -> None:
-    told = flight_message(solve(subject.problem, level=0))["labels"]
+    told = flight_message(solve(subject.problem, verify=0))["labels"]
     assert told["u"] == "horizontal velocity" and told["thrust_angle"] == "thrust angle β"
     assert "propellant" not in told  # which is its name
 
@@ -622,10 +622,10 @@ def test_a_neighbour_that_never_comes_is_given_up(monkeypatch: pytest.MonkeyPatc
     answering.at({})
     solve = perilune.app.answers.solve
 
-    def lost(problem: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+    def lost(problem: Problem, *, guess: Solution | None = None, callback: Watch, verify: int) -> Solution:
         while guess is not None:
-            watch("structure: of many arcs")
-        return solve(problem, level=level, watch=watch)
+            callback("structure: of many arcs")
+        return solve(problem, verify=verify, callback=callback)
 
     monkeypatch.setattr("perilune.app.answers.solve", lost)
     monkeypatch.setattr("perilune.app.answers._FOLLOW", 0.1)
@@ -650,15 +650,15 @@ def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_th
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
     solve, tried = perilune.app.answers.solve, list[float]()
 
-    def near(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+    def near(asked: Problem, *, guess: Solution | None = None, callback: Watch, verify: int) -> Solution:
         if guess is None:
             raise NotConvergedError("no extremal was found")
         thrust, before = (p.given["vehicle_thrust"].value for p in (asked, guess.problem))
         tried.append(thrust)
-        watch("Newton's method")
+        callback("Newton's method")
         if abs(thrust - before) > 3.0:
             raise NotConvergedError("too far")
-        return solve(asked, guess=guess, level=level, watch=watch)
+        return solve(asked, guess=guess, verify=verify, callback=callback)
 
     def dropping(_: object) -> None:
         if tried[-1:] == [445.0] and len(tried) > 2:
@@ -673,7 +673,7 @@ def test_a_large_step_is_followed_in_smaller_ones_and_newer_values_go_on_from_th
     answering.last = first
     found = answering.at({"vehicle_thrust": 450.0})
     assert tried[4:] == [450.0, 445.0, 442.5, 445.0, 447.5, 450.0] and "followed in 4 steps" in found.words
-    assert found.solution.objective == pytest.approx(solve(found.solution.problem, level=0).objective, rel=1e-9)
+    assert found.solution.objective == pytest.approx(solve(found.solution.problem, verify=0).objective, rel=1e-9)
 
 
 def test_a_step_that_leads_nowhere_leaves_time_to_smaller_ones(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -681,12 +681,12 @@ def test_a_step_that_leads_nowhere_leaves_time_to_smaller_ones(monkeypatch: pyte
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
     solve = perilune.app.answers.solve
 
-    def lost(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+    def lost(asked: Problem, *, guess: Solution | None = None, callback: Watch, verify: int) -> Solution:
         if guess is None:
             raise NotConvergedError("no extremal was found")
         while abs(asked.given["vehicle_thrust"].value - guess.problem.given["vehicle_thrust"].value) > 3.0:
-            watch("direct method")
-        return solve(asked, guess=guess, level=level, watch=watch)
+            callback("direct method")
+        return solve(asked, guess=guess, verify=verify, callback=callback)
 
     answering.at({})
     monkeypatch.setattr("perilune.app.answers.solve", lost)
@@ -700,13 +700,13 @@ def test_the_last_attempt_is_one_step_more(monkeypatch: pytest.MonkeyPatch) -> N
     answering = Answering(load_file(ROOT / "examples" / "hybrid_lander.toml").problem)
     solve, led = perilune.app.answers.solve, {(440.0, 442.5), (442.5, 450.0)}
 
-    def near(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+    def near(asked: Problem, *, guess: Solution | None = None, callback: Watch, verify: int) -> Solution:
         if guess is None:
             raise NotConvergedError("no extremal was found")
         before, thrust = (p.given["vehicle_thrust"].value for p in (guess.problem, asked))
         if (before, thrust) not in led:
             raise NotConvergedError("it leads nowhere")
-        return solve(asked, guess=guess, level=level, watch=watch)
+        return solve(asked, guess=guess, verify=verify, callback=callback)
 
     answering.at({})
     monkeypatch.setattr("perilune.app.answers.solve", near)
@@ -720,10 +720,10 @@ def test_a_link_to_what_is_not_found_from_nothing_is_reached_from_the_first_valu
     problem = load_file(ROOT / "examples" / "hybrid_lander.toml").problem
     solve = perilune.app.answers.solve
 
-    def hard(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+    def hard(asked: Problem, *, guess: Solution | None = None, callback: Watch, verify: int) -> Solution:
         if guess is None and asked.given != problem.given:
             raise NotConvergedError("no extremal was found")
-        return solve(asked, guess=guess, level=level, watch=watch)
+        return solve(asked, guess=guess, verify=verify, callback=callback)
 
     monkeypatch.setattr("perilune.app.answers.solve", hard)
     found = Answering(problem).at({"vehicle_thrust": 445.0})
@@ -735,10 +735,10 @@ def test_a_link_to_what_is_not_found_soon_is_reached_from_the_first_values(monke
     problem = load_file(ROOT / "examples" / "hybrid_lander.toml").problem
     solve = perilune.app.answers.solve
 
-    def long(asked: Problem, *, guess: Solution | None = None, watch: Watch, level: int) -> Solution:
+    def long(asked: Problem, *, guess: Solution | None = None, callback: Watch, verify: int) -> Solution:
         while guess is None and asked.given != problem.given:
-            watch("looking for it")
-        return solve(asked, guess=guess, level=level, watch=watch)
+            callback("looking for it")
+        return solve(asked, guess=guess, verify=verify, callback=callback)
 
     monkeypatch.setattr("perilune.app.answers.solve", long)
     monkeypatch.setattr("perilune.app.answers._FOLLOW", 0.5)
@@ -755,5 +755,5 @@ def test_a_neighbour_that_breaks_a_condition_is_not_shown(monkeypatch: pytest.Mo
     assert meets_path_constraints(answering.at({"site_longitude": math.radians(7.0)}).solution)
     with pytest.raises(PeriluneError, match=r"the best violates steering.azimuth_upper by about 11 deg"):
         answering.at({"site_longitude": math.radians(9.0)})
-    near = solve(answering.problem_at({"site_longitude": math.radians(9.0)}), guess=answering.last, level=0)
+    near = solve(answering.problem_at({"site_longitude": math.radians(9.0)}), guess=answering.last, verify=0)
     assert not meets_path_constraints(near)

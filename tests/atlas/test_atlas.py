@@ -130,7 +130,7 @@ def chart() -> Chart:
 def test_sensitivities_are_exact(chart: Chart) -> None:
     """dy/dp and dJ/dp by columns of the inverse against differences of extremals, and mixed ones of fourth order."""
     problem = cho_landing()
-    best = solve(problem, level=0)
+    best = solve(problem, verify=0)
     values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
     y = chart.from_problem_unknowns(np.array(best.extremals[0].unknowns))[None]
     nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
@@ -151,7 +151,7 @@ def test_sensitivities_are_exact(chart: Chart) -> None:
 
 def test_a_parameter_far_from_its_canonical_unit_is_told_by_its_share_of_a_size() -> None:
     problem = cho_landing()
-    best, names = solve(problem, level=0), ("body_gravitational_parameter", "vehicle_thrust")
+    best, names = solve(problem, verify=0), ("body_gravitational_parameter", "vehicle_thrust")
     slopes = []
     for width in (1e-7 * problem.given[names[0]].value, problem.given[names[0]].value):
         chart = Chart(problem, names, np.array([width, 300.0]))
@@ -166,7 +166,7 @@ def test_a_parameter_far_from_its_canonical_unit_is_told_by_its_share_of_a_size(
 
 def test_a_second_flight_ends_where_the_first_does_and_sees_what_is_wrong(chart: Chart) -> None:
     problem = cho_landing()
-    best = solve(problem, level=0)
+    best = solve(problem, verify=0)
     values = np.array([[problem.given[name].value for name in chart.names]]) / chart.scale
     nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
     here = chart.solve(values, chart.from_problem_unknowns(np.array(best.extremals[0].unknowns))[None], nothing)
@@ -187,7 +187,7 @@ def precision(**more: float) -> Problem:
 
 def test_a_second_flight_goes_over_switches_and_sees_a_broken_path() -> None:
     problem = precision()
-    best = solve(problem, level=0)
+    best = solve(problem, verify=0)
     names = ("approach_east", "corridor_slope")
     chart = Chart(problem, names, np.array([100.0, 0.1]))
     values = np.array([[problem.given[name].value for name in names]]) / chart.scale
@@ -208,7 +208,7 @@ def test_a_second_flight_goes_over_switches_and_sees_a_broken_path() -> None:
 def test_answers_are_those_of_a_solve_from_nothing(atlas: Atlas) -> None:
     for thrust, isp in RNG(1).uniform([430.0, 270.0], [450.0, 310.0], (25, 2)):
         found = atlas.query(vehicle_thrust=thrust, retro_specific_impulse=isp)
-        alone = solve(cho_landing().with_given(vehicle_thrust=thrust, retro_specific_impulse=isp), level=0)
+        alone = solve(cho_landing().with_given(vehicle_thrust=thrust, retro_specific_impulse=isp), verify=0)
         assert found.objective == pytest.approx(alone.objective, rel=1e-10)
         for name, value in alone.free.items():
             assert found.free[name] == pytest.approx(value, rel=1e-9, abs=1e-9)
@@ -256,7 +256,7 @@ def test_the_answer_jumps_where_the_retro_burn_stops_paying(atlas: Atlas) -> Non
 
 
 def test_a_query_is_a_solution_that_proves(atlas: Atlas) -> None:
-    found = pl.prove(atlas.query(vehicle_thrust=440.0, retro_specific_impulse=300.0))
+    found = pl.verify(atlas.query(vehicle_thrust=440.0, retro_specific_impulse=300.0))
     assert found.outcome is Outcome.PROVED and found.verification.level == 3
 
 
@@ -287,7 +287,7 @@ def test_slopes_of_the_cost_are_those_of_solves(atlas: Atlas) -> None:
     for name, value in at.items():
         step = 1e-4 * value
         ahead, behind = (
-            solve(cho_landing().with_given(**{**at, name: value + way * step}), level=0).objective for way in (1, -1)
+            solve(cho_landing().with_given(**{**at, name: value + way * step}), verify=0).objective for way in (1, -1)
         )
         assert slopes[name] == pytest.approx((ahead - behind) / (2 * step), rel=1e-6)
 
@@ -319,7 +319,7 @@ def test_switches_are_mapped_too(tmp_path: Path) -> None:
         build(problem, {"approach.east": (-1900.0, -1700.0), "approach.up": (950.0, 1050.0)}, tmp_path / "p")
     )
     for east, up in RNG(3).uniform([-1900.0, 950.0], [-1700.0, 1050.0], (4, 2)):
-        alone = solve(problem.with_given(approach_east=east, approach_up=up), level=0)
+        alone = solve(problem.with_given(approach_east=east, approach_up=up), verify=0)
         found = atlas.query(approach_east=east, approach_up=up)
         assert found.objective == pytest.approx(alone.objective, rel=1e-10)
 
@@ -499,7 +499,7 @@ def test_a_copy_of_an_atlas_opens_it_again(built: Path) -> None:
 
 def test_what_is_there_is_not_computed_again_and_what_is_missing_comes_back_the_same(built: Path, copy: Path) -> None:
     whole, said = snapshot(copy), list[str]()
-    build(cho_landing(), AXES, copy, watch=lambda line: said.append(str(line)))
+    build(cho_landing(), AXES, copy, callback=lambda line: said.append(str(line)))
     assert snapshot(copy) == whole and said[0].startswith("16 of 16 bricks")
     lines = (copy / MANIFEST).read_text().splitlines(keepends=True)[:-1]  # without that of the end
     (copy / MANIFEST).write_text("".join(lines[:-2]) + lines[-2][:40])  # killed in the middle of a line
@@ -607,7 +607,7 @@ def test_the_command_line_builds_asks_and_goes_on(tmp_path: Path, capsys: pytest
     answer = read_json(capsys.readouterr().out)
     assert answer["results"]["landed_mass"]["value"] == pytest.approx(-atlas_objective(out), rel=1e-12)
     assert {"cell", "steps", "error_bound", "latency", "sheet"} <= set(answer["query"])
-    assert run_command_line(["atlas", "query", out, *at, "--prove", "3"]) == 0
+    assert run_command_line(["atlas", "query", out, *at, "--verify", "3"]) == 0
     assert "level 3" in capsys.readouterr().out
     answered = open_atlas(out).query(vehicle_thrust=440.0, retro_specific_impulse=300.0)
     pl.save(answered, tmp_path / "answer")
@@ -710,7 +710,7 @@ def test_a_sheet_without_a_corner_of_a_cell_is_not_passed_over(atlas: Atlas) -> 
 def test_an_axis_may_be_a_parameter_that_the_problem_chooses(tmp_path: Path) -> None:
     atlas = open_atlas(build(cho_landing(), {"retro.delta_v": (1050.0, 1150.0)}, tmp_path / "held"))
     found = atlas.query(retro_delta_v=1101.0)
-    wanted = solve(cho_landing().with_given(retro_delta_v=1101.0), level=0)
+    wanted = solve(cho_landing().with_given(retro_delta_v=1101.0), verify=0)
     assert found.objective == pytest.approx(wanted.objective, rel=1e-9)
 
 
@@ -762,7 +762,7 @@ def test_sheets_go_on_into_bricks_of_which_they_reach_no_corner(tmp_path: Path) 
     for i in np.nonzero(found.good)[0][::4]:
         given = dict(zip(atlas.region.names, points[i].tolist(), strict=True))
         assert found.objective[i] == pytest.approx(
-            solve(cho_landing().with_given(**given), level=0).objective, rel=1e-9
+            solve(cho_landing().with_given(**given), verify=0).objective, rel=1e-9
         )
     status = np.concatenate([brick.cells["status"] for key in atlas.said if (brick := atlas.brick(key[0], key[1:]))])
     assert {Status.ABSENT, Status.ENDS} <= set(status.tolist())
@@ -826,7 +826,7 @@ def test_answers_that_touch_a_condition_are_mapped_beside_those_that_do_not(tmp_
     assert len(touching.query.met) == 2  # the one that breaks the ceiling would cost less
     slope = (bryson_denham_truth(0.2001) - bryson_denham_truth(0.1999)) / 2e-4
     assert touching.query.slopes["ceiling"] == pytest.approx(slope, rel=1e-6)
-    assert pl.prove(touching).outcome is Outcome.PROVED
+    assert pl.verify(touching).outcome is Outcome.PROVED
 
 
 def test_an_answer_that_breaks_the_path_is_none_where_nothing_that_keeps_it_is_known(

@@ -340,5 +340,5 @@ def test_where_there_are_too_many_sheets_it_is_said_and_those_of_solves_are_kept
     said = "'a flight of one arc' has more than 3 sheets: others, beyond folds and at bounds, are not mapped"
     assert [note.startswith(said) for note in atlas.survey["notes"]] == [True]
     for a in (0.0, 0.5, 1.0):
-        solved = pl.solve(problem.with_given(a=a), level=0)
+        solved = pl.solve(problem.with_given(a=a), verify=0)
         assert atlas.query(a=a).objective == pytest.approx(solved.objective, rel=1e-9)

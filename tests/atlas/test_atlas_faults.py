@@ -484,7 +484,7 @@ def test_many_bricks_open_few_files(built: Path, copy: Path) -> None:
         pytest.skip("no list of open files here")
     (copy / MANIFEST).write_text((copy / MANIFEST).read_text().splitlines(keepends=True)[0])
     most = list[int]()
-    build(cho_landing(), AXES, copy, watch=lambda _: most.append(len(os.listdir("/proc/self/fd"))))
+    build(cho_landing(), AXES, copy, callback=lambda _: most.append(len(os.listdir("/proc/self/fd"))))
     assert max(most) - min(most) <= 2
     assert np.array_equal(sorted(snapshot(built)), sorted(snapshot(copy)))
 

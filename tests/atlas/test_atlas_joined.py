@@ -64,7 +64,7 @@ def assert_right(atlas: Atlas, ends: dict[str, tuple[float, float]]) -> None:
     assert found.good.all() and found.error_bound.max() < 1e-9
     for i in (0, 200):
         given = dict(zip(("vehicle_thrust", "retro_specific_impulse"), points[i].tolist(), strict=True))
-        alone = solve(cho_landing().with_given(**given), level=0)
+        alone = solve(cho_landing().with_given(**given), verify=0)
         assert found.objective[i] == pytest.approx(alone.objective, rel=1e-10)
         assert atlas.query(**given).objective == pytest.approx(alone.objective, rel=1e-10)
 
@@ -306,7 +306,7 @@ def test_a_merge_that_was_stopped_goes_on(
             raise Stop
 
     with pytest.raises(Stop):
-        merge(*parts, tmp_path / "out", watch=stopping)
+        merge(*parts, tmp_path / "out", callback=stopping)
     left = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "out").glob("brick-*")}
     assert left
     merge(*parts, tmp_path / "out")

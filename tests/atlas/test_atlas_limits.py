@@ -282,7 +282,7 @@ def lure(far: float = 0.3) -> pl.Problem:
 @pytest.mark.parametrize("far", [0.3, 0.8])
 def test_a_maximum_over_a_range_at_the_end_is_no_answer(far: float) -> None:
     """What is stationary between the limits has J = 1/36, the worst; both limits are extremals, the best answers."""
-    found = pl.solve(lure(far), level=2)
+    found = pl.solve(lure(far), verify=2)
     assert found.objective == pytest.approx(min(-9.0 * z * z - z for z in (-0.5, far)), rel=1e-12)
     assert found.outcome is pl.Outcome.PROVED
     assert sorted(e.objective for e in found.extremals)[-1] == pytest.approx(1.0 / 36.0, rel=1e-9)

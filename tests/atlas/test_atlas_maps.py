@@ -131,7 +131,7 @@ def test_figures_have_colours_where_there_is_an_answer_and_name_what_they_show(j
     assert best.get_ylabel() == "landed mass (kg)" and best.get_ylim()[0] > 0.0  # J is minus that
     rows = colours(panel)
     np.testing.assert_allclose(rows.T.ravel(), shown.answers.free["retro_delta_v"])
-    below = solve(cho_landing().with_given(vehicle_thrust=440.0, retro_specific_impulse=270.0), level=0)
+    below = solve(cho_landing().with_given(vehicle_thrust=440.0, retro_specific_impulse=270.0), verify=0)
     assert rows[0, 4] == pytest.approx(below.free["retro_delta_v"], abs=1e-9)
     kinds = colours(drawn["sheets"].axes[0])
     assert kinds[0, 4] != kinds[8, 4]  # through the jump

@@ -263,7 +263,7 @@ def test_singular_arcs_are_mapped(tmp_path: Path) -> None:
     found = atlas.query_many(points)
     assert found.good.all()
     np.testing.assert_allclose(found.objective, (points[:, 0] ** 3 + 0.125) / 3, rtol=1e-10)
-    assert pl.prove(atlas.query(start=1.1), 3).outcome is pl.Outcome.PROVED  # a guess of arcs for its neighbours
+    assert pl.verify(atlas.query(start=1.1), 3).outcome is pl.Outcome.PROVED  # a guess of arcs for its neighbours
 
 
 def test_bounds_that_singular_controls_break_cast_no_doubt_on_flights_at_bounds(
@@ -299,7 +299,7 @@ def test_of_a_ride_and_touches_of_the_same_cost_the_ride_answers(
     found, labels = atlas.query_many(points), [label for charted in atlas.charted for label in charted.labels]
     assert any(label.count("touches") == 2 for label in labels)
     assert all("along" in labels[number] for number in found.sheet)
-    assert pl.prove(atlas.query(ceiling=0.11), 3).outcome is pl.Outcome.PROVED
+    assert pl.verify(atlas.query(ceiling=0.11), 3).outcome is pl.Outcome.PROVED
 
 
 def test_a_singular_control_that_is_the_worst_is_told() -> None:
@@ -336,7 +336,7 @@ def test_wells_of_a_parameter_are_looked_for_with_the_arcs_of_an_answer_too(tmp_
     )
     least = float(price(np.linspace(0.0, 1.0, 10_001)).min())
     for ceiling in (0.15, 0.2, 0.3):  # ridden, touched, free
-        solved = pl.solve(problem.with_given(ceiling=ceiling), level=3)
+        solved = pl.solve(problem.with_given(ceiling=ceiling), verify=3)
         assert solved.outcome is pl.Outcome.PROVED and len(solved.extremals) >= 3
         assert solved.objective == pytest.approx(bryson_denham_truth(ceiling) + least, abs=1e-7)
     store = build(problem, {"ceiling": (0.1, 0.45)}, tmp_path / "wells")

@@ -26,7 +26,7 @@ from perilune.atlas.store.manifest import written_line
 from perilune.atlas.store.store import MANIFEST, AtlasStore
 from perilune.cli import run_command_line
 from perilune.core.errors import PeriluneError
-from perilune.solve import prove
+from perilune.verify import verify
 
 THRUST = {"vehicle.thrust": (430.0, 450.0)}
 AXES = {**THRUST, "retro.specific_impulse": (270.0, 310.0)}
@@ -55,7 +55,7 @@ def test_what_is_drawn_are_nodes_and_their_certificates_are_kept(built: Path) ->
     nodes = np.concatenate([np.load(built / one["nodes"]["file"])["values"] for one in atlas.said.values()])
     for one in sample.drawn:
         assert one.values in map(tuple, nodes.tolist())
-        again = prove(atlas.query(vehicle_thrust=one.values[0]), 3)  # as anyone may
+        again = verify(atlas.query(vehicle_thrust=one.values[0]), 3)  # as anyone may
         assert again.verification.level == one.level == 3 and one.failed == ()
     assert len({one.values for one in sample.drawn}) == 3
 
@@ -79,7 +79,7 @@ def test_a_merge_keeps_the_proofs_of_nodes_whose_bricks_it_takes(built: Path, tm
     lost = 1 + len(before) - len(kept)
     assert any(note.startswith(f"{lost} proofs of the merged atlases are dropped") for note in atlas.survey["notes"])
     for one in sample.kept:
-        assert prove(atlas.query(vehicle_thrust=one.values[0]), 3).verification.level == one.level == 3
+        assert verify(atlas.query(vehicle_thrust=one.values[0]), 3).verification.level == one.level == 3
     extend(atlas.store.directory, {}, sample=2)
     assert len(sample_of(open_atlas(atlas.store.directory)).drawn) == 2
 
@@ -165,7 +165,7 @@ def test_what_is_not_proved_is_said(
     """Nothing that this program can build is known to fail, so the proof is made to."""
 
     def strict(solution: Any, level: int) -> Any:
-        proved = prove(solution, level)
+        proved = verify(solution, level)
         if solution.parameters.vehicle_thrust > 440.0:
             first, *others = proved.verification.checks
             wrong = replace(first, value=2.0 * abs(first.limit) + 1.0)

@@ -82,7 +82,7 @@ def test_a_layer_is_one_branch(tmp_path: Path) -> None:
     assert found.good.mean() > 0.97
     for number in np.nonzero(found.good)[0][:8].tolist():
         at = dict(zip(atlas.region.names, points[number].tolist(), strict=True))
-        alone = solve(cho_landing().with_given(**at), level=0)
+        alone = solve(cho_landing().with_given(**at), verify=0)
         assert found.objective[number] == pytest.approx(alone.objective, rel=1e-10)
 
 

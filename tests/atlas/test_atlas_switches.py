@@ -23,7 +23,7 @@ def test_flights_through_a_bent_table_are_answered_between_nodes(tmp_path: Path)
     atlas = open_atlas(build(problem, {"k": (0.2, 0.4)}, tmp_path / "map", bricks=1))
     answers = atlas.query_many(np.linspace(0.2, 0.4, 40)[:, None])
     assert answers.good.all()
-    alone = pl.solve(problem.with_given(k=0.4), level=0)
+    alone = pl.solve(problem.with_given(k=0.4), verify=0)
     assert abs(answers.objective[-1] / alone.objective - 1.0) < 1e-10
 
 
@@ -34,7 +34,7 @@ def test_where_the_dynamics_jump_every_point_is_answered(tmp_path: Path) -> None
     points = np.random.default_rng(0).uniform([0.1, 20.0], [0.5, 60.0], (300, 2))
     answers = atlas.query_many(points)
     assert answers.good.all()
-    alone = pl.solve(problem.with_given(k=points[0, 0], xs=points[0, 1]), level=0)
+    alone = pl.solve(problem.with_given(k=points[0, 0], xs=points[0, 1]), verify=0)
     assert abs(answers.objective[0] / alone.objective - 1.0) < 1e-10
 
 

@@ -23,7 +23,7 @@ from perilune.families.family import Family, FamilyPoint
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.verification import LEVELS
-from perilune.solve import prove
+from perilune.verify import verify
 
 
 def answer_with(monkeypatch: pytest.MonkeyPatch, act: Callable[..., Solution]) -> None:
@@ -36,11 +36,11 @@ def solved(monkeypatch: pytest.MonkeyPatch, hybrid: Solution, ordinary: Solution
     """A solver that knows the two landings of the paper already; the list of what it was asked."""
     asked: list[Problem] = []
 
-    def solve(problem: Problem, method: Any = None, *, watch: Any = None, **_: Any) -> Solution:
+    def solve(problem: Problem, method: Any = None, *, callback: Any = None, **_: Any) -> Solution:
         asked.append(problem)
-        if watch is not None:
-            watch("rung: known")
-            watch(Iteration(number=7, residual=1e-12, step=2e-3, damping=1.0))
+        if callback is not None:
+            callback("rung: known")
+            callback(Iteration(number=7, residual=1e-12, step=2e-3, damping=1.0))
         known = ordinary if "retro_delta_v" in problem.given else hybrid
         # The answer to a problem of the same numbers, so it is the answer to this one.
         assert {k: g.value for k, g in problem.given.items() if k in known.problem.given} == pytest.approx(
@@ -108,7 +108,9 @@ def test_every_level_of_the_library_may_be_asked_for() -> None:
     for words in (["solve", HYBRID], ["sweep", HYBRID, "--vary", "a=1:2:1 N"], ["verify", "there"]):
         assert parse_command_line([*words, "--level", str(LEVELS[-1])]).level == LEVELS[-1]
     for words in (["export", "there", "--out", "x.nc"], ["atlas", "query", "there"]):
-        assert parse_command_line([*words, "--prove", str(LEVELS[-1])]).prove == LEVELS[-1]
+        for flag in ("--verify", "--prove"):  # the name of it until the next minor version
+            assert parse_command_line([*words, flag, str(LEVELS[-1])]).verify == LEVELS[-1]
+        assert parse_command_line(words).verify == 0
 
 
 def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -119,8 +121,8 @@ def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_solve_that_fails_says_and_saves_what_was_tried(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def fails(problem: Problem, method: Any, *, watch: Any, **_: Any) -> Solution:
-        watch("rung: one")
+    def fails(problem: Problem, method: Any, *, callback: Any, **_: Any) -> Solution:
+        callback("rung: one")
         raise NotConvergedError(
             "no solution was found",
             got="touchdown_altitude 12 m",
@@ -198,7 +200,7 @@ def test_solve_says_its_answer_and_shows_every_iteration(
 def test_checks_are_counted_unless_all_are_asked_for(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, hybrid: Solution
 ) -> None:
-    proved = prove(hybrid, 1)
+    proved = verify(hybrid, 1)
     answer_with(monkeypatch, lambda problem, method, **_: proved)
     assert run_command_line(["solve", HYBRID]) == 0
     count = len(proved.verification.checks)
@@ -294,7 +296,7 @@ def test_sweep_reports_what_is_impossible_and_goes_on(
 def family_of(solution: Solution, *, interrupted: bool = False) -> Callable[..., Family]:
     """A sweep that answers every value with one solution, or is stopped after the first."""
 
-    def sweep(problem: Problem, over: dict[str, list[float]], *, level: int, watch: Any, **options: Any) -> Family:
+    def sweep(problem: Problem, over: dict[str, list[float]], *, verify: int, callback: Any, **options: Any) -> Family:
         ((name, values),) = over.items()
         points = [FamilyPoint(values=(value,), solution=solution) for value in values]
         points = points[:1] if interrupted else points

@@ -32,7 +32,7 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/dev/fu
 def solved(monkeypatch: pytest.MonkeyPatch, ordinary: Solution) -> None:
     """A solver that answers every problem of one form with the paper's landing."""
 
-    def solve(problem: Problem, method: Any = None, *, watch: Any = None, **_: Any) -> Solution:
+    def solve(problem: Problem, method: Any = None, *, callback: Any = None, **_: Any) -> Solution:
         return replace(ordinary, problem=problem)
 
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)

@@ -31,7 +31,8 @@ from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.first_order import _check_range_signs
 from perilune.scenario import load_text
 from perilune.shooting.shooting_function import Shooting
-from perilune.solve import solve, verify
+from perilune.solve import solve
+from perilune.verify import verify
 
 Method = Indirect | Pseudospectral
 METHODS: list[Method] = [Indirect(), Pseudospectral()]
@@ -101,7 +102,7 @@ def test_a_sweep_over_the_bound_of_a_range_takes_what_is_held_along() -> None:
     place, speed = base.phases[0].end_conditions
     phase = replace(base.phases[0], end_conditions=(place, replace(speed, upper="fastest")))
     given = {**base.given, "fastest": Given(value=1.2, unit="m/s")}
-    family = sweep(replace(base, phases=(phase,), given=given), {"fastest": [1.2, 1.0, 1.3, 2.0]}, level=1)
+    family = sweep(replace(base, phases=(phase,), given=given), {"fastest": [1.2, 1.0, 1.3, 2.0]}, verify=1)
     for point in family.points:
         assert point.solution is not None and point.solution.outcome is Outcome.PROVED
         assert point.solution.objective == pytest.approx(energy(1.0, 0.0, min(point.value, 1.5)), rel=1e-9)
@@ -143,10 +144,10 @@ def failed(checks: Sequence[Check]) -> set[str]:
 
 def test_the_proof_sees_a_range_that_is_left_and_a_wrong_sign() -> None:
     """The free optimum, sold as that of a range it lies outside of; and that of an equality as that of a range."""
-    free, fixed = solve(push(0.0, 2.0), level=0), solve(push(0.0, 1.0), level=0)
-    assert "speed" in failed(verify(replace(free, problem=push(0.0, 1.0))).checks)
-    assert "range_speed" in failed(verify(replace(fixed, problem=push(1.0, 2.0))).checks)
-    inside = failed(verify(replace(fixed, problem=push(0.0, 2.0))).checks)
+    free, fixed = solve(push(0.0, 2.0), verify=0), solve(push(0.0, 1.0), verify=0)
+    assert "speed" in failed(verify(replace(free, problem=push(0.0, 1.0))).verification.checks)
+    assert "range_speed" in failed(verify(replace(fixed, problem=push(1.0, 2.0))).verification.checks)
+    inside = failed(verify(replace(fixed, problem=push(0.0, 2.0))).verification.checks)
     assert {"transversality", "multipliers"} <= inside
 
 
@@ -244,22 +245,22 @@ def test_which_parameters_sit_on_a_bound_is_found(bounds: tuple[tuple[float, flo
         solution = solve(problem, method)
         assert solution.objective == pytest.approx(best, rel=1e-8)
         assert solution.outcome is Outcome.PROVED
-    solution = solve(problem, level=0)
+    solution = solve(problem, verify=0)
     held = [
         name for name, pair in zip(("a", "b", "T"), bounds, strict=True)
         if any(solution.free[name] == pytest.approx(limit, abs=1e-9) for limit in pair)
     ]  # fmt: skip
     assert (solution.extremals[0].nature is Nature.BEST_AT_BOUND) == bool(held)
-    again = solve(problem, guess=solution, level=0)
+    again = solve(problem, guess=solution, verify=0)
     assert again.objective == pytest.approx(best, rel=1e-8)
     assert again.free == pytest.approx(solution.free, abs=1e-9)
 
 
 def test_a_guess_is_held_at_the_bound_it_runs_into() -> None:
     """From the answer between wide bounds to that between narrow ones, and back."""
-    wide, narrow = (solve(shove(*bounds), level=0) for bounds in (BOUNDED[0], BOUNDED[4]))
-    there = solve(shove(*BOUNDED[4]), guess=wide, level=0)
-    back = solve(shove(*BOUNDED[0]), guess=narrow, level=0)
+    wide, narrow = (solve(shove(*bounds), verify=0) for bounds in (BOUNDED[0], BOUNDED[4]))
+    there = solve(shove(*BOUNDED[4]), guess=wide, verify=0)
+    back = solve(shove(*BOUNDED[0]), guess=narrow, verify=0)
     assert (there.objective, back.objective) == pytest.approx((narrow.objective, wide.objective), rel=1e-9)
 
 
@@ -282,7 +283,7 @@ def test_extremals_are_told_apart_however_close_and_flat(worst: float, price: fl
         objective=lambda x, p, xp: x.cost + p.price * polynomial(p.q / p.length),
     )
 
-    found = {e.nature: e for e in solve(problem, level=0).extremals}
+    found = {e.nature: e for e in solve(problem, verify=0).extremals}
     assert found[Nature.WORST].free["q"] == pytest.approx(worst, abs=1e-7)
     least = found.get(Nature.LOCAL_OPTIMUM) or found[Nature.BEST]
     assert least.free["q"] == pytest.approx(best, abs=1e-7)
@@ -351,7 +352,7 @@ def test_a_negative_flight_time_is_no_answer() -> None:
 def test_from_a_guess_no_negative_flight_time_is_reached() -> None:
     """Newton ends there from that extremal itself, and it is no flight."""
     problem = load_text(SMALL_BODY)
-    best, p, shooting = solve(problem, level=0), extremal_parameters(problem), Shooting(derive(problem))
+    best, p, shooting = solve(problem, verify=0), extremal_parameters(problem), Shooting(derive(problem))
     assert best.unknowns is not None
     backwards = np.tile(best.unknowns, (64, 1))
     backwards[:, :5] = np.random.default_rng(0).normal(size=(64, 5))
@@ -359,7 +360,7 @@ def test_from_a_guess_no_negative_flight_time_is_reached() -> None:
     roots = shooting.solve(backwards, p, shooting.holding({0: 0.0}), max_step=0.5)
     y = next(root.y for root in roots if root.converged and root.y[6] < 0)
     with pytest.raises(NotConvergedError, match=r"outside the bounds of flight_time\s+got: -296.108 s"):
-        solve(problem, guess=replace(best, unknowns=y), level=0)
+        solve(problem, guess=replace(best, unknowns=y), verify=0)
 
 
 @pytest.mark.parametrize("longest", [5.0, math.inf])
@@ -407,7 +408,7 @@ def test_a_bound_that_holds_nothing_back_proves_no_optimum(ranged: bool, sees: s
     """At q = 0 the slope of J is 0 whatever the gain: beyond 1/2 leaving the bound is better at second order."""
     rests = solve(placed_by_choice(0.2, ranged))
     assert rests.outcome is Outcome.PROVED, str(rests.verification)
-    proof = verify(replace(rests, problem=placed_by_choice(1.0, ranged)))
+    proof = verify(replace(rests, problem=placed_by_choice(1.0, ranged))).verification
     assert proof.level == 2
     assert next(c for c in proof.checks if c.name == sees).value == pytest.approx(2.0, rel=1e-6)  # gain / (1/2)
 
@@ -436,8 +437,8 @@ def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else()
     assert best.outcome is Outcome.PROVED, str(best.verification)
     q = best.free["q"]
     assert 0.4 * q == pytest.approx(1 / (q * q * math.sqrt(2 * (1 + 1 / q))), rel=1e-8)
-    least = solve(problem.with_given(q=0.1), level=0)
-    claim = verify(replace(least, problem=problem, free={**least.free, "q": 0.1}))
+    least = solve(problem.with_given(q=0.1), verify=0)
+    claim = verify(replace(least, problem=problem, free={**least.free, "q": 0.1})).verification
     assert [c.name for c in claim.failed if c.level == 2] == ["stationary_q"]
     with pytest.raises(PeriluneError, match="u of go has a free bound, which direct methods do not support"):
         solve(problem, Pseudospectral())
@@ -445,7 +446,7 @@ def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else()
 
 def test_a_multiplier_that_is_no_number_has_no_sign() -> None:
     """Of a range that is met at its bound."""
-    rests = solve(placed_by_choice(0.2, ranged=True), level=0)
+    rests = solve(placed_by_choice(0.2, ranged=True), verify=0)
     for nu, passes in ((0.0, True), (-1.0, True), (1.0, False), (math.nan, False)):
         (sign,) = _check_range_signs(PhaseData(solution=rests, index=0), np.array([nu]))
         assert sign.passed is passes

@@ -248,7 +248,7 @@ def test_propellant_by_the_square_of_the_thrust_makes_h_concave() -> None:
         solution = proved(rocket(), method)
         assert switches(solution) == pytest.approx([first], abs=1e-8)
         assert solution.objective == pytest.approx(cart(first, False, lambda u: 0.01 * u * u)[2], abs=1e-9)
-    told = pl.solve(rocket(), level=5)
+    told = pl.solve(rocket(), verify=5)
     assert told.verification.level == 3 and "which jumps from bound to bound" in str(told.verification)
 
 
@@ -313,7 +313,7 @@ def test_beside_a_direction_too(method: Any, of: str) -> None:
     """At full thrust all along what is counted, or burnt, is the same by the thrust or by its square."""
     one = planar(lambda u, p, xp: -p.k * u.size if of == "m" else p.one * u.size, of)
     two = planar(lambda u, p, xp: -p.c * u.size**2 if of == "m" else u.size**2, of)
-    assert proved(two, method).objective == pytest.approx(pl.solve(one, level=2).objective, abs=1e-11)
+    assert proved(two, method).objective == pytest.approx(pl.solve(one, verify=2).objective, abs=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -365,7 +365,7 @@ def with_energy() -> pl.Problem:
 
 
 def test_a_singular_arc_beside_what_only_counts() -> None:
-    alone = pl.solve(goddard(), level=2)
+    alone = pl.solve(goddard(), verify=2)
     assert proved(with_energy(), pl.Indirect()).objective == pytest.approx(alone.objective, rel=1e-12)
 
 
@@ -378,7 +378,7 @@ def test_a_control_that_bends_what_counts_has_no_singular_arc() -> None:
 
 def test_the_stationary_point_of_a_concave_hamiltonian_is_no_answer() -> None:
     """The flight of least energy has H_u = 0 for the most of it too, with costates of the other sign: refused."""
-    least = pl.solve(spent(1.0), level=2)
+    least = pl.solve(spent(1.0), verify=2)
     assert least.outcome is pl.Outcome.PROVED and not len(switches(least))
     (flown,) = least.trajectories
     assert flown.costate is not None
@@ -390,20 +390,20 @@ def test_the_stationary_point_of_a_concave_hamiltonian_is_no_answer() -> None:
         multipliers={name: -value for name, value in least.multipliers.items()},
         objective=-least.objective,
     )
-    found = pl.verify(mutant)
+    found = pl.verify(mutant).verification
     assert found.level == 1
     assert [c.name for c in found.checks if c.level == 2 and not c.passed] == ["minimum_of_hamiltonian"]
 
 
 def test_costates_of_another_cart_are_no_proof() -> None:
     """With them H is not the same at both bounds where this cart switches."""
-    solution, other = (pl.solve(rocket().with_given(c=c), level=2) for c in (0.01, 0.02))
+    solution, other = (pl.solve(rocket().with_given(c=c), verify=2) for c in (0.01, 0.02))
     (flown,), (behind,) = solution.trajectories, other.trajectories
     assert flown.costate is not None and behind.costate is not None
     share = flown.costate.time / flown.costate.time[-1]
     columns = behind.costate(share * behind.costate.time[-1])
     mutant = replace(flown, costate=replace(flown.costate, values=columns))
-    failed = {c.name for c in pl.verify(replace(solution, trajectories=(mutant,))).checks if not c.passed}
+    failed = {c.name for c in pl.verify(replace(solution, trajectories=(mutant,))).verification.checks if not c.passed}
     assert {"switch_u", "costate_v"} <= failed
 
 
@@ -413,12 +413,12 @@ def test_a_theorem_of_what_only_counts() -> None:
     from perilune.rigorous.verified import add_theorem_checks
     from perilune_checker.check import confirm
 
-    solution = pl.solve(counted(), level=5)
+    solution = pl.solve(counted(), verify=5)
     assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 5)
     told = add_theorem_checks(Verification(checks=()), solution).certificate
     confirm(json.loads(json.dumps(told)), tell=lambda *lines: None)
     # Where its end is asked for, its costate is not known to vanish, and no theorem says so.
-    asked = pl.solve(counted(used=(-math.inf, 100.0)), level=5)
+    asked = pl.solve(counted(used=(-math.inf, 100.0)), verify=5)
     assert asked.verification.level == 3 and "no theorem: H is nonlinear in u" in str(asked.verification)
 
 

@@ -104,7 +104,7 @@ def test_a_jump_between_minima(
 
 
 def test_a_cubic_that_meets_its_chord_in_the_middle_is_not_singular() -> None:
-    solution = pl.solve(cart(cubic, "m^3/s^5", 1.0), level=2)
+    solution = pl.solve(cart(cubic, "m^3/s^5", 1.0), verify=2)
     assert Singular.of(PhaseData(solution=solution, index=0)).places == (None, None)
 
 

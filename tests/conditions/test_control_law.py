@@ -48,14 +48,14 @@ def slide(bound: float | str) -> pl.Problem:
 def test_a_quadratic_cost_between_bounds(bound: float | str) -> None:
     """Saturated until t_1 = (1 - sqrt(0.6))/2, then linear, then saturated: J = 25 (t_1 + (1/2 - t_1)/3)."""
     first = 0.5 * (1 - math.sqrt(0.6))
-    solution = pl.solve(slide(bound), level=2)
+    solution = pl.solve(slide(bound), verify=2)
     assert solution.outcome is pl.Outcome.PROVED
     assert solution.objective == pytest.approx(25 * (first + (0.5 - first) / 3), abs=1e-10)
     time = solution.trajectories[0].control.time
     switches = time[1:][np.diff(time) == 0]
     assert switches == pytest.approx([first, 1 - first], abs=1e-10)
     assert derive(solution.problem).phases[0].regimes == (("lower",), ("interior",), ("upper",))
-    direct = pl.solve(slide(bound), pl.Pseudospectral(), level=0)
+    direct = pl.solve(slide(bound), pl.Pseudospectral(), verify=0)
     assert direct.objective == pytest.approx(solution.objective, abs=1e-6)
 
 
@@ -67,7 +67,7 @@ def test_wide_bounds_are_never_met() -> None:
 
 
 def test_a_bound_that_is_a_parameter_can_be_varied() -> None:
-    weaker = [pl.solve(slide("strength").with_given(strength=s), level=0).objective for s in (5.0, 5.5)]
+    weaker = [pl.solve(slide("strength").with_given(strength=s), verify=0).objective for s in (5.0, 5.5)]
     first = 0.5 * (1 - math.sqrt(0.6))
     assert weaker[0] == pytest.approx(25 * (first + (0.5 - first) / 3), abs=1e-10)
     assert weaker[1] < weaker[0]
@@ -124,7 +124,7 @@ def curve(push: bool) -> pl.Problem:
 def test_a_quadratic_size_beside_a_direction(push: bool, share: float) -> None:
     """J = 6 d^2 - 6 d e + 2 e^2 for each axis, d the way beyond the coast, e the change of speed; half with a brake."""
     east, north = 6.0, 2 * 1.0  # d = 1, e = 0; d = 0, e = -1
-    solution = pl.solve(curve(push), level=2)
+    solution = pl.solve(curve(push), verify=2)
     assert solution.outcome is pl.Outcome.PROVED
     assert solution.objective == pytest.approx(east + share * north, abs=1e-10)
 
@@ -134,14 +134,14 @@ def test_what_has_no_minimum_is_named() -> None:
     base = tangent_steering()
     squared = replace(base.phases[0], dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx * u.cx, p.a * u.cy))
     with pytest.raises(PeriluneError, match="no control law for cx, cy"):
-        pl.solve(replace(base, phases=(squared,)), level=0)
+        pl.solve(replace(base, phases=(squared,)), verify=0)
     pushed = replace(
         base.phases[0],
         controls=(*base.phases[0].controls, pl.Bounded(name="push", unit="m/s^2")),
         dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx + u.push, p.a * u.cy),
     )
     with pytest.raises(PeriluneError, match="no control law for push"):
-        pl.solve(replace(base, phases=(pushed,)), level=0)
+        pl.solve(replace(base, phases=(pushed,)), verify=0)
 
 
 def test_a_bound_of_another_dimension_is_refused() -> None:
@@ -257,8 +257,8 @@ def lander_in_a_plane(angle: pl.Bounded | None) -> pl.Problem:
 def test_an_angle_may_point_no_thrust(lower: float) -> None:
     """While it coasts H does not depend on the angle, which goes on as it would with the least thrust."""
     angle = pl.Bounded(name="theta", unit="rad", lower=lower, upper=-lower)
-    pointed = pl.solve(lander_in_a_plane(None), pl.Pseudospectral(), level=0)
-    solution = pl.solve(lander_in_a_plane(angle), pl.Pseudospectral(), level=2)
+    pointed = pl.solve(lander_in_a_plane(None), pl.Pseudospectral(), verify=0)
+    solution = pl.solve(lander_in_a_plane(angle), pl.Pseudospectral(), verify=2)
     assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 2)
     assert solution.objective == pytest.approx(pointed.objective, rel=1e-9)
     assert solution.trajectories[0].control.values[0, 0] == 0.0

@@ -62,12 +62,12 @@ def test_of_two_conditions_on_a_direction_the_best_that_keeps_both_is_taken() ->
 
 @pytest.fixture(scope="module")
 def level() -> Solution:
-    return pl.solve(level_flight(), pl.Pseudospectral(), level=1)
+    return pl.solve(level_flight(), pl.Pseudospectral(), verify=1)
 
 
 @pytest.mark.parametrize("scale", [None, 40.0])
 def test_what_is_held_says_what_the_control_does(scale: float | None) -> None:
-    solution = pl.solve(level_flight(scale), pl.Pseudospectral(), level=1)
+    solution = pl.solve(level_flight(scale), pl.Pseudospectral(), verify=1)
     assert solution.outcome is pl.Outcome.PROVED
     assert solution.objective == pytest.approx(math.sqrt(50.0), rel=1e-10)
     assert solution.trajectories[0].control.values[:, 1] == pytest.approx(0.6, abs=1e-10)
@@ -80,7 +80,7 @@ def test_the_proof_sees_what_is_not_held(level: Solution) -> None:
     rates = flown.control.rates.copy()
     rates[len(rates) // 2] += (0.0, 1e-3)
     swaying = Curve(time=flown.control.time, values=flown.control.values, rates=rates)
-    proof = pl.verify(replace(level, trajectories=(replace(flown, control=swaying),)), level=1)
+    proof = pl.verify(replace(level, trajectories=(replace(flown, control=swaying),)), level=1).verification
     assert "held_climb" in {c.name for c in proof.failed}
 
 
@@ -89,7 +89,7 @@ def test_a_held_condition_is_saved(level: Solution, tmp_path: Path) -> None:
     back = pl.load(tmp_path / "level")
     assert back.problem == level.problem
     assert back.problem.phases[0].held_conditions == level.problem.phases[0].held_conditions
-    assert pl.verify(back, level=1).passed
+    assert pl.verify(back, level=1).verification.passed
     x, u = np.zeros(4), (0.0, 1.0)
     assert back.problem.phases[0].evaluate("held", x, u, back.parameters) == [2.0]
 
@@ -97,7 +97,7 @@ def test_a_held_condition_is_saved(level: Solution, tmp_path: Path) -> None:
 def test_problems_that_hold_nothing_are_saved_as_before(tmp_path: Path) -> None:
     phase = replace(level_flight().phases[0], held=None, held_conditions=())
     free = replace(level_flight(), phases=(phase,))
-    pl.save(pl.solve(free, pl.Pseudospectral(), level=0), tmp_path / "free")
+    pl.save(pl.solve(free, pl.Pseudospectral(), verify=0), tmp_path / "free")
     document = json.loads((tmp_path / "free" / "solution.json").read_text(encoding="utf-8"))
     assert "held_conditions" not in document["problem"]["phases"][0]
     assert pl.load(tmp_path / "free").problem == free
@@ -110,10 +110,10 @@ def test_what_cannot_be_held_is_named() -> None:
     with pytest.raises(PeriluneError, match="held of level is missing"):
         replace(problem, phases=(replace(problem.phases[0], held=None),))
     with pytest.raises(PeriluneError, match=r"the held condition level\.climb is missed"):
-        pl.solve(problem.with_given(a=2.0), pl.Pseudospectral(), level=0)
+        pl.solve(problem.with_given(a=2.0), pl.Pseudospectral(), verify=0)
 
 
 def test_the_indirect_method_flies_level_too() -> None:
-    solution = pl.solve(level_flight(), pl.Indirect(), level=1)
+    solution = pl.solve(level_flight(), pl.Indirect(), verify=1)
     assert solution.outcome is pl.Outcome.PROVED
     assert solution.objective == pytest.approx(math.sqrt(50.0), rel=1e-12)

@@ -84,7 +84,7 @@ def _clipped(least: float = -1.0) -> tuple[float, float, float]:
 
 def test_linear_tangent_steering_under_a_limit_is_its_closed_form() -> None:
     problem = _steered(path=lambda x, u, p, xp: (p.steepest - u.up,), names=("below_steepest",))
-    solution = solve(problem, level=0)
+    solution = solve(problem, verify=0)
     J, slope, leaves = _clipped()
     assert 0.2 < leaves < 0.8  # the limit holds for a good part of the flight
     assert solution.objective == pytest.approx(J, abs=1e-11)
@@ -104,7 +104,7 @@ def test_a_limit_that_the_direct_solution_meets_is_kept_where_no_extremal_tells_
     found = ColdStarts.from_random_costates
     monkeypatch.setattr(ColdStarts, "from_random_costates", lambda self: found(self) if self.keep else iter(()))
     problem = _steered(path=lambda x, u, p, xp: (p.steepest - u.up,), names=("below_steepest",))
-    solution = solve(problem, level=0)
+    solution = solve(problem, verify=0)
     assert solution.objective == pytest.approx(_clipped()[0], abs=1e-11)
     assert any(line.startswith("random costates keeping steepest") for line in solution.statistics.tried)
 
@@ -112,7 +112,7 @@ def test_a_limit_that_the_direct_solution_meets_is_kept_where_no_extremal_tells_
 def test_a_limit_that_does_not_bind_changes_nothing() -> None:
     """It is not even derived: the control keeps only what an extremal broke."""
     path = {"path": lambda x, u, p, xp: (p.steepest - u.up,), "names": ("below_steepest",)}
-    free, bound = solve(_steered(**path, steepest=2.0), level=0), solve(_steered(**path, steepest=0.97), level=0)
+    free, bound = solve(_steered(**path, steepest=2.0), verify=0), solve(_steered(**path, steepest=0.97), verify=0)
     assert free.objective == pytest.approx(bound.objective, abs=1e-12)
 
 
@@ -148,7 +148,7 @@ def test_two_limits_at_once() -> None:
         path=lambda x, u, p, xp: (p.steepest - u.up, u.up - p.flattest), names=("below", "above"), flattest=0.2
     )
     assert attainable_conditions(problem) == ("below", "above")
-    solution = solve(problem, level=0)
+    solution = solve(problem, verify=0)
     J, _, _ = _clipped(least=0.2)
     assert solution.objective == pytest.approx(J, abs=1e-11)
     assert solution.objective > _clipped()[0] + 1e-4
@@ -179,19 +179,19 @@ def test_limits_about_one_axis_never_hold_together() -> None:
 def test_a_precision_landing_keeps_its_tilt(tilt: float) -> None:
     """As good as the direct method's flight, which keeps it at the points of its mesh."""
     problem = load_file("examples/precision_landing.toml", (f"corridor.tilt={tilt} deg",)).problem
-    solution = solve(problem, level=1)
+    solution = solve(problem, verify=1)
     assert solution.verification is not None and solution.verification.passed
     rough = Pseudospectral(nodes=5, segments=12, refine=0).run(problem)
     assert solution.objective == pytest.approx(rough.objective, rel=2e-5)
     if tilt == 30.0:
-        near = solve(problem.with_given(vehicle_mass=2010.0), guess=solution, level=1)
-        assert near.objective == pytest.approx(solve(near.problem, level=0).objective, rel=1e-11)
+        near = solve(problem.with_given(vehicle_mass=2010.0), guess=solution, verify=1)
+        assert near.objective == pytest.approx(solve(near.problem, verify=0).objective, rel=1e-11)
 
 
 def test_a_descent_keeps_an_elevation_that_turns_with_the_vertical() -> None:
     """The condition knows the place, so its multiplier acts on the costates."""
     problem = load_file("examples/polar_descent.toml", ("steering.elevation_upper=25 deg",)).problem
-    solution = solve(problem, level=1)
+    solution = solve(problem, verify=1)
     assert solution.verification is not None and solution.verification.passed
     rough = Pseudospectral(nodes=5, segments=12, refine=0).run(problem)
     assert solution.objective == pytest.approx(rough.objective, rel=2e-6)
@@ -203,7 +203,7 @@ def test_a_free_parameter_in_a_condition_is_chosen_with_its_multiplier() -> None
 
     def at(steepest: float) -> float:
         problem = _steered(path=lambda x, u, p, xp: (p.steepest - u.up,), names=("below",), steepest=steepest)
-        return solve(problem, level=0).objective + price * steepest
+        return solve(problem, verify=0).objective + price * steepest
 
     base = _steered(path=lambda x, u, p, xp: (p.steepest - u.up,), names=("below",))
     given = {name: g for name, g in base.given.items() if name != "steepest"}
@@ -216,8 +216,8 @@ def test_a_free_parameter_in_a_condition_is_chosen_with_its_multiplier() -> None
         objective=lambda x, p, xp: -x.vx + price * p.steepest * p.push * p.T,
         objective_unit="m/s",
     )
-    guess = solve(base, level=0)
-    solution = solve(problem, guess=guess, level=0)
+    guess = solve(base, verify=0)
+    solution = solve(problem, guess=guess, verify=0)
     best = solution.free["steepest"]
     assert 0.35 < best < 0.9
     assert solution.objective == pytest.approx(at(best), abs=1e-9)

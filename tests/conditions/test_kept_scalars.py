@@ -132,7 +132,7 @@ def _plane(size: bool) -> pl.Problem:
 def test_a_condition_that_two_controls_hold_together() -> None:
     """A circle of components is a size and a direction."""
     solution = _proved(_plane(size=False))
-    assert solution.objective == pytest.approx(pl.solve(_plane(size=True), level=0).objective, abs=1e-10)
+    assert solution.objective == pytest.approx(pl.solve(_plane(size=True), verify=0).objective, abs=1e-10)
     u = solution.trajectories[0].control(np.linspace(0.0, 1.0, 200))
     assert 0.1 < np.mean(np.hypot(*u.T) > 5.2 - 1e-9) < 0.9  # on the circle for a part of the time
 
@@ -224,7 +224,7 @@ def test_an_entry_under_limits_of_load_and_of_heating() -> None:
 
 def test_a_load_that_is_broken_for_a_moment_alone_is_seen() -> None:
     """By 0.7 % in 0.17 s of 45 s, where the lift leaves its bound: between two looks, and the answer was not proved."""
-    free = pl.solve(limited_entry(load=80.0, rate=150e3), level=0)
+    free = pl.solve(limited_entry(load=80.0, rate=150e3), verify=0)
     problem, conditions = free.problem.with_given(most_load=60.7), derive(free.problem)
     p, shooting = extremal_parameters(problem), Shooting(conditions)
     root = shooting.root(np.array(free.unknowns), p, np.zeros(2 * shooting.plan.held))

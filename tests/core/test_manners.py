@@ -26,7 +26,7 @@ from perilune.scenario import load_file
 
 
 def test_a_line_says_what_it_is(landing: Problem, hybrid: Solution) -> None:
-    proved = pl.prove(hybrid, 1)
+    proved = pl.verify(hybrid, 1)
     assert repr(landing) == (
         "<Problem hybrid_landing: 300 kg lander from 15 km to the Moon; descent (5 states); "
         "free: retro_delta_v, flight_time; least J in kg>"
@@ -75,7 +75,7 @@ def test_records_of_arrays_are_a_line_too(hybrid: Solution, tmp_path: Path) -> N
 
 
 def test_a_notebook_shows_pages_without_a_network(hybrid: Solution) -> None:
-    proved = pl.prove(hybrid, 1)
+    proved = pl.verify(hybrid, 1)
     page = proved._repr_html_()
     assert "PROVED, level 1: feasible" in page and "landed mass" in page and "160.61858" in page
     (source,) = re.findall(r'src="([^"]{30})', page)
@@ -117,7 +117,7 @@ def test_a_flight_moves(hybrid: Solution, tmp_path: Path) -> None:
 
 
 def test_flights_that_are_nowhere_in_space_move_too(tmp_path: Path) -> None:
-    flat = pl.solve(load_file(ROOT / "examples" / "mars_pinpoint.toml").problem, level=0)
+    flat = pl.solve(load_file(ROOT / "examples" / "mars_pinpoint.toml").problem, verify=0)
     for solution, label in ((flat, "downrange (km)"), (_bare(flat), "time (s)")):
         drawn: Any = solution.animate(tmp_path / "flight.gif", seconds=0.2, force=True)
         assert drawn._fig.axes[0].get_xlabel() == label

@@ -45,7 +45,7 @@ def test_a_worker_that_is_killed_is_no_loss(tmp_path: Path) -> None:
                 os.kill(killed[0], signal.SIGKILL)
 
         with cluster(local.scheduler_address) as machines:
-            build(cho_landing(), AXES, tmp_path / "there", machines, watch=watch, sample=1)
+            build(cho_landing(), AXES, tmp_path / "there", machines, callback=watch, sample=1)
             with pytest.raises(PeriluneError, match="tolerance"):
                 build(cho_landing(), AXES, tmp_path / "there", machines, tolerance=1.0)
             assert machines.submit(sorted, [2, 1]).result() == [1, 2]

@@ -27,7 +27,8 @@ from perilune.families.sweep import sweep
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
 from perilune.report.family import family_csv
-from perilune.solve import prove, solve
+from perilune.solve import solve
+from perilune.verify import verify
 from problems.landings import meditch
 
 GRID = {"vehicle.thrust": [440.0, 500.0], "vehicle.mass": [290.0, 300.0, 310.0]}
@@ -42,7 +43,7 @@ def fixed() -> Problem:
 @pytest.fixture(scope="module")
 def grid(fixed: Problem) -> Family:
     """Two parameters, one after the other, proved feasible."""
-    return sweep(fixed, GRID, level=1)
+    return sweep(fixed, GRID, verify=1)
 
 
 def objectives(family: Family) -> list[float]:
@@ -54,7 +55,7 @@ def test_a_grid_changes_its_last_parameter_fastest(fixed: Problem, grid: Family)
     assert grid.units == ("N", "kg")
     assert [p.values for p in grid.points] == [(t, m) for t in (440.0, 500.0) for m in (290.0, 300.0, 310.0)]
     assert {p.outcome for p in grid.points} == {Outcome.PROVED}
-    alone = solve(fixed.with_given(vehicle_thrust=500.0, vehicle_mass=310.0), level=0)
+    alone = solve(fixed.with_given(vehicle_thrust=500.0, vehicle_mass=310.0), verify=0)
     assert objectives(grid)[-1] == alone.objective
 
 
@@ -69,7 +70,7 @@ def test_processes_answer_as_one_after_the_other(fixed: Problem, grid: Family) -
     """Bit for bit; what comes back is of the caller's own problem."""
     lines: list[Any] = []
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        family = sweep(fixed, GRID, level=1, executor=pool, watch=lines.append)
+        family = sweep(fixed, GRID, verify=1, executor=pool, callback=lines.append)
     assert [p.values for p in family.points] == [p.values for p in grid.points]
     assert objectives(family) == objectives(grid)
     assert {p.outcome for p in family.points} == {Outcome.PROVED}
@@ -157,9 +158,9 @@ def test_refusals_cross_process_borders(error: type[PeriluneError]) -> None:
 def test_a_store_gives_back_what_was_put_there(fixed: Problem, grid: Family, tmp_path: Path) -> None:
     """Also reasons; nothing is solved again, and everything is proved anew."""
     over = {**GRID, "vehicle.thrust": [440.0, 1.0]}
-    first = sweep(fixed, over, level=1, store=tmp_path)
+    first = sweep(fixed, over, verify=1, store=tmp_path)
     lines: list[Any] = []
-    again = sweep(fixed, over, level=1, store=tmp_path, watch=lines.append)
+    again = sweep(fixed, over, verify=1, store=tmp_path, callback=lines.append)
     assert lines[0] == "6 of 6 members are in the store"
     assert lines[1:] == [f"stored members proved again: {n} of 3" for n in (1, 2, 3)]
     assert again.notes == ()
@@ -171,7 +172,7 @@ def test_a_store_gives_back_what_was_put_there(fixed: Problem, grid: Family, tmp
     assert [vars(c) for c in there.verification.checks] == [vars(c) for c in here.verification.checks]
     assert there.trajectories[0].state == here.trajectories[0].state
     assert there.problem == here.problem
-    assert prove(there, 3).outcome is Outcome.PROVED
+    assert verify(there, 3).outcome is Outcome.PROVED
 
 
 @pytest.mark.parametrize(
@@ -206,7 +207,7 @@ def test_a_store_of_other_ranges_is_refused(tmp_path: Path) -> None:
 def test_the_problems_own_value_does_not_matter_to_the_store(fixed: Problem, tmp_path: Path) -> None:
     sweep(fixed, {"vehicle.thrust": [440.0]}, store=tmp_path)
     lines: list[Any] = []
-    sweep(fixed.with_given(vehicle_thrust=470.0), {"vehicle.thrust": [440.0]}, store=tmp_path, watch=lines.append)
+    sweep(fixed.with_given(vehicle_thrust=470.0), {"vehicle.thrust": [440.0]}, store=tmp_path, callback=lines.append)
     assert lines == ["1 of 1 members are in the store"]
 
 
@@ -246,13 +247,13 @@ def test_a_damaged_member_is_solved_again(
     fixed: Problem, tmp_path: Path, file: str, content: bytes, level: int
 ) -> None:
     """With a note, and afterwards it is there."""
-    first = sweep(fixed, {"vehicle.thrust": [440.0]}, level=level, store=tmp_path)
+    first = sweep(fixed, {"vehicle.thrust": [440.0]}, verify=level, store=tmp_path)
     (tmp_path / file).write_bytes(content)
-    again = sweep(fixed, {"vehicle.thrust": [440.0]}, level=level, store=tmp_path)
+    again = sweep(fixed, {"vehicle.thrust": [440.0]}, verify=level, store=tmp_path)
     assert objectives(again) == objectives(first)
     (note,) = again.notes
     assert note.startswith("stored member 000000 cannot be used") and note.endswith("is solved again")
-    assert sweep(fixed, {"vehicle.thrust": [440.0]}, level=level, store=tmp_path).notes == ()
+    assert sweep(fixed, {"vehicle.thrust": [440.0]}, verify=level, store=tmp_path).notes == ()
 
 
 def test_missing_curves_are_solved_again(fixed: Problem, tmp_path: Path) -> None:
@@ -266,10 +267,10 @@ TWO = {"vehicle.thrust": [440.0, 500.0]}
 
 def test_members_that_changed_places_are_solved_again(fixed: Problem, tmp_path: Path) -> None:
     """One that could not be solved, under the number of another: it says for which values it was tried."""
-    first = sweep(fixed, TWO, level=0, store=tmp_path)
+    first = sweep(fixed, TWO, verify=0, store=tmp_path)
     failed = {"values": [500.0], "message": "no flight", "failure": "NOT_CONVERGED", "solution": None}
     (tmp_path / "000000.json").write_text(json.dumps(failed))
-    again = sweep(fixed, TWO, level=0, store=tmp_path)
+    again = sweep(fixed, TWO, verify=0, store=tmp_path)
     assert objectives(again) == objectives(first)
     (note,) = again.notes
     assert "stored member 000000 cannot be used" in note and "values; got [500.0]" in note
@@ -296,10 +297,10 @@ def falsified(store: Path, change: Any) -> None:
 )
 def test_an_edited_member_is_solved_again(fixed: Problem, tmp_path: Path, change: Any, workers: bool) -> None:
     """Never PROVED with a number of the file."""
-    first = sweep(fixed, TWO, level=1, store=tmp_path)
+    first = sweep(fixed, TWO, verify=1, store=tmp_path)
     falsified(tmp_path, change)
     with ThreadPoolExecutor(1) as pool:
-        again = sweep(fixed, TWO, level=1, store=tmp_path, executor=pool if workers else None)
+        again = sweep(fixed, TWO, verify=1, store=tmp_path, executor=pool if workers else None)
     assert len(again.notes) == 1 and "stored member 000000" in again.notes[0]
     assert objectives(again) == objectives(first)
     assert {p.outcome for p in again.points} == {Outcome.PROVED}
@@ -307,19 +308,19 @@ def test_an_edited_member_is_solved_again(fixed: Problem, tmp_path: Path, change
 
 def test_curves_of_another_member_are_solved_again(fixed: Problem, tmp_path: Path) -> None:
     """Member by member everything is as written, and yet it is not the answer."""
-    first = sweep(fixed, TWO, level=1, store=tmp_path)
+    first = sweep(fixed, TWO, verify=1, store=tmp_path)
     one, other = (tmp_path / f"00000{i}.npz" for i in range(2))
     content = one.read_bytes(), other.read_bytes()
     one.write_bytes(content[1])
     other.write_bytes(content[0])
-    again = sweep(fixed, TWO, level=1, store=tmp_path)
+    again = sweep(fixed, TWO, verify=1, store=tmp_path)
     assert len(again.notes) == 2
     assert objectives(again) == objectives(first)
 
 
 def test_what_a_member_says_of_itself_counts_for_nothing(fixed: Problem, tmp_path: Path) -> None:
     """Outcome, checks, a failure beside a solution: the proof of this run stands in their place."""
-    first = sweep(fixed, TWO, level=1, store=tmp_path)
+    first = sweep(fixed, TWO, verify=1, store=tmp_path)
     document = json.loads((tmp_path / "000000.json").read_text())
     assert "failure" not in document
 
@@ -331,7 +332,7 @@ def test_what_a_member_says_of_itself_counts_for_nothing(fixed: Problem, tmp_pat
         document["solution"]["results"]["landed_mass"]["value"] = 999.0
 
     falsified(tmp_path, change)
-    again = sweep(fixed, TWO, level=1, store=tmp_path)
+    again = sweep(fixed, TWO, verify=1, store=tmp_path)
     assert again.notes == ()
     here, there = first.points[0].solution, again.points[0].solution
     assert here is not None and there is not None
@@ -347,17 +348,17 @@ def test_what_was_not_proved_is_marked_as_stored(fixed: Problem, tmp_path: Path)
     again = sweep(fixed, TWO, store=tmp_path / "zero")
     assert {p.outcome for p in again.points} == {Outcome.SOLVED}
     assert [p.message for p in (*family.points, *again.points)] == ["", "", "as stored", "as stored"]
-    sweep(fixed, TWO, level=1, store=tmp_path / "one")
+    sweep(fixed, TWO, verify=1, store=tmp_path / "one")
     message = "the Moon is closed"
     (tmp_path / "one" / "000000.json").write_text(
         json.dumps({"values": [440.0], "message": message, "failure": "INFEASIBLE", "solution": None})
     )
-    claimed = sweep(fixed, TWO, level=1, store=tmp_path / "one").points[0]
+    claimed = sweep(fixed, TWO, verify=1, store=tmp_path / "one").points[0]
     assert (claimed.outcome, claimed.message) == (Outcome.INFEASIBLE, f"as stored: {message}")
     weak = {"vehicle.thrust": [1.0]}
-    sweep(fixed, weak, level=1, store=tmp_path / "weak")
+    sweep(fixed, weak, verify=1, store=tmp_path / "weak")
     falsified(tmp_path / "weak", lambda d: d.update(message=message))
-    assert "too weak" in sweep(fixed, weak, level=1, store=tmp_path / "weak").points[0].message
+    assert "too weak" in sweep(fixed, weak, verify=1, store=tmp_path / "weak").points[0].message
 
 
 @pytest.mark.parametrize("failure", [None, Outcome.PROVED, Outcome.SOLVED])
@@ -388,7 +389,7 @@ def watch(event):
 
 fixed = cho_landing().with_given(retro_delta_v=0.0)
 over = {"vehicle.thrust": [440.0, 500.0], "vehicle.mass": [290.0, 300.0, 310.0]}
-sweep(fixed, over, level=1, store=store, watch=watch)
+sweep(fixed, over, verify=1, store=store, callback=watch)
 """
 
 
@@ -410,7 +411,7 @@ def test_a_killed_sweep_goes_on_without_repeating_anything(grid: Family, tmp_pat
     assert begun == [f"{n} of 6)" for n in (1, 2, 3, 4, 4, 5, 6)]
     assert {name: (store / name).stat().st_mtime_ns for name in stamps} == stamps
     assert not list(store.glob(".writing-*"))
-    resumed = sweep(cho_landing().with_given(retro_delta_v=0.0), GRID, level=1, store=store)
+    resumed = sweep(cho_landing().with_given(retro_delta_v=0.0), GRID, verify=1, store=store)
     assert objectives(resumed) == objectives(grid)
     for one, other in zip(resumed.points, grid.points, strict=True):
         assert one.solution is not None and other.solution is not None

@@ -30,7 +30,7 @@ def test_members_equal_separate_solves(landing: Problem) -> None:
     """Continuation arrives where a solve from nothing does."""
     fixed = landing.with_given(retro_delta_v=0.0)
     family = sweep(fixed, {"vehicle.thrust": [440.0, 700.0]})
-    alone = solve(fixed.with_given(vehicle_thrust=700.0), level=0)
+    alone = solve(fixed.with_given(vehicle_thrust=700.0), verify=0)
     assert family.points[1].solution is not None
     assert family.points[1].solution.objective == pytest.approx(alone.objective, rel=1e-10)
 
@@ -100,7 +100,7 @@ def test_interruption_keeps_what_is_there(landing: Problem) -> None:
         if sum(str(entry).startswith("vehicle.thrust =") for entry in lines) == 3:
             raise KeyboardInterrupt
 
-    family = sweep(landing.with_given(retro_delta_v=0.0), {"vehicle.thrust": [440.0, 450.0, 460.0]}, watch=press)
+    family = sweep(landing.with_given(retro_delta_v=0.0), {"vehicle.thrust": [440.0, 450.0, 460.0]}, callback=press)
     assert family.interrupted
     assert len(family.points) == 2
 

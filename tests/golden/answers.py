@@ -58,7 +58,7 @@ def golden_problems() -> dict[str, tuple[Callable[[], pl.Problem], tuple[Any, ..
 def golden_solution(name: str, number: int = 0) -> pl.Solution:
     """Solve a problem by one of its methods, without a proof."""
     make, methods = golden_problems()[name]
-    return pl.solve(make(), methods[number], level=0)
+    return pl.solve(make(), methods[number], verify=0)
 
 
 def answer_of(solution: pl.Solution) -> Record:
@@ -113,7 +113,7 @@ def answer_records(quick: bool) -> dict[str, Record]:
 def proof_records(quick: bool) -> dict[str, Record]:
     """Return the proofs at level 3 of the answers of each problem's first method."""
     return {
-        name: proof_of(pl.prove(golden_solution(name), level=3))
+        name: proof_of(pl.verify(golden_solution(name), level=3))
         for name in golden_problems()
         if not (quick and name in SLOW)
     }  # fmt: skip
@@ -124,7 +124,7 @@ def theorem_records(quick: bool) -> dict[str, Record]:
     stated = {"Meditch's lander, a theorem": meditch} | {
         f"examples/{name}, a theorem": _example(EXAMPLES / name) for name in ("ordinary_lander.toml",)
     }
-    proved = {name: pl.solve(make(), level=5) for name, make in stated.items() if not (quick and name in SLOW)}
+    proved = {name: pl.solve(make(), verify=5) for name, make in stated.items() if not (quick and name in SLOW)}
     return {
         name: {**proof_of(solution), "certificate": solution.verification.certificate}
         for name, solution in proved.items()
@@ -135,7 +135,7 @@ def sweep_records(quick: bool) -> dict[str, Record]:
     """Return the members of a family over thrust and mass, each feasible; quick, over the thrust alone."""
     problem = load_file(EXAMPLES / "ordinary_lander.toml").problem
     over = {name: values for name, values in GRID.items() if not quick or name == "vehicle.thrust"}
-    family = pl.sweep(problem, over, level=1)
+    family = pl.sweep(problem, over, verify=1)
     members = {"; ".join(f"{value:g}" for value in point.values): point for point in family.points}
     return {
         name if len(over) > 1 else f"{name}; 300": {"outcome": point.outcome.name, "message": point.message}

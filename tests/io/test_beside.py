@@ -27,7 +27,8 @@ from perilune.proof.recheck import confirm_listed_extremals
 from perilune.report import REPORT_FILE
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
-from perilune.solve import prove, solve
+from perilune.solve import solve
+from perilune.verify import verify
 
 Change = Callable[[dict[str, Any]], Any]
 
@@ -45,7 +46,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     place, found = tmp_path_factory.mktemp("answers"), {}
     for file in (HYBRID, ORDINARY):
         scenario = load_file(file)
-        solution = solve(scenario.problem, level=1)
+        solution = solve(scenario.problem, verify=1)
         found[Path(file).stem] = written(solution, place / Path(file).stem, scenario.text)
     return found
 
@@ -97,11 +98,11 @@ def test_what_is_true_is_confirmed(hybrid_dir: Path, capsys: pytest.CaptureFixtu
 
 
 def test_a_loaded_list_is_no_list_of_extremals(hybrid_dir: Path) -> None:
-    """Until `prove` has found them again; `pl.verify` has no word for them."""
+    """Until `verify` has found them again."""
     loaded = pl.load(edited(hybrid_dir, lambda d: d["extremals"][1].update(objective=-999.0)))
     assert loaded.extremals == () and len(loaded.listed) == 3
     assert loaded.statistics.claimed
-    proved = pl.prove(loaded, level=2)
+    proved = pl.verify(loaded, level=2)
     assert proved.outcome is Outcome.PROVED and proved.listed == ()
     assert [round(e.objective, 3) for e in proved.extremals] == [-160.619, -154.502]
     (note,) = proved.verification.notes
@@ -139,7 +140,7 @@ def test_of_a_solution_whose_unknowns_were_changed_the_curves_remain(hybrid_dir:
     def change(document: dict[str, Any]) -> None:
         document["unknowns"] = unknowns
 
-    proved = prove(pl.load(edited(hybrid_dir, change)), 3)
+    proved = verify(pl.load(edited(hybrid_dir, change)), 3)
     assert proved.outcome is Outcome.PROVED
     assert natures(proved) in ([], [Nature.BEST, Nature.LOCAL_OPTIMUM_AT_BOUND, Nature.WORST])
 
@@ -150,7 +151,7 @@ def test_natures_follow_from_what_was_found(hybrid_dir: Path, capsys: pytest.Cap
         for entry, word in zip(document["extremals"], words, strict=True):
             entry["nature"] = word
 
-    found = prove(pl.load(edited(hybrid_dir, change)), 1)
+    found = verify(pl.load(edited(hybrid_dir, change)), 1)
     assert natures(found) == [Nature.BEST, Nature.LOCAL_OPTIMUM_AT_BOUND, Nature.WORST]
     assert told(hybrid_dir, capsys)[0] == 0
 
@@ -168,15 +169,15 @@ def test_a_lone_extremal_is_called_what_it_is(
 def test_the_best_may_be_left_out_of_a_list_but_is_not_invented(landing: Any, ordinary: Solution, hybrid: Solution,
                                                                 tmp_path: Path) -> None:  # fmt: skip
     """A local optimum whose file claims to be the best of two is none; one that lists a better one says so."""
-    lower = solve(landing, guess=ordinary, level=0)
+    lower = solve(landing, guess=ordinary, verify=0)
     claims = replace(lower, extremals=(replace(hybrid.extremals[1], nature=Nature.BEST), hybrid.extremals[2]))
     save(claims, tmp_path / "without")
-    beside_the_worst = prove(pl.load(tmp_path / "without"), 1)
+    beside_the_worst = verify(pl.load(tmp_path / "without"), 1)
     assert natures(beside_the_worst) == [Nature.LOCAL_OPTIMUM_AT_BOUND, Nature.WORST]
-    alone = prove(pl.load(edited(tmp_path / "without", lambda d: d["extremals"].pop())), 1)
+    alone = verify(pl.load(edited(tmp_path / "without", lambda d: d["extremals"].pop())), 1)
     assert natures(alone) == [Nature.LOCAL_OPTIMUM_AT_BOUND]
     save(replace(lower, extremals=(*lower.extremals, hybrid.extremals[0])), tmp_path / "with")
-    beaten = prove(pl.load(tmp_path / "with"), 1)
+    beaten = verify(pl.load(tmp_path / "with"), 1)
     assert natures(beaten) == [Nature.LOCAL_OPTIMUM_AT_BOUND, Nature.LOCAL_OPTIMUM]
     assert any("a better extremal than this solution is known" in note for note in beaten.verification.notes)
     assert beaten.extremals[0].objective == lower.objective
@@ -187,9 +188,9 @@ def test_an_extremal_that_breaks_a_bound_is_not_confirmed(landing: Any, hybrid: 
     stricter = replace(landing, free=tuple(
         replace(f, lower=800.0) if f.name == "retro_delta_v" else f for f in landing.free
     ), ranges=None)  # fmt: skip
-    solution = replace(solve(stricter, level=0), extremals=hybrid.extremals)
+    solution = replace(solve(stricter, verify=0), extremals=hybrid.extremals)
     save(solution, tmp_path / "s")
-    proved = prove(pl.load(tmp_path / "s"), 1)
+    proved = verify(pl.load(tmp_path / "s"), 1)
     assert len(proved.extremals) == 1
     assert "2 of the 3 extremals" in " ".join(proved.verification.notes)
 
@@ -201,7 +202,7 @@ def test_files_from_before_extremals_had_unknowns(hybrid_dir: Path) -> None:
         for entry in document["extremals"]:
             del entry["unknowns"]
 
-    proved = prove(pl.load(edited(hybrid_dir, change)), 1)
+    proved = verify(pl.load(edited(hybrid_dir, change)), 1)
     assert proved.outcome is Outcome.PROVED
     left = 3 - len(proved.extremals)
     assert natures(proved)[0] is (Nature.BEST if left < 2 else Nature.LOCAL_OPTIMUM)
@@ -344,7 +345,7 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 def true(answers: dict[str, Path]) -> tuple[str, Solution]:
     """A document and what is proved of it."""
     file = answers["hybrid_lander"] / "solution.json"
-    return file.read_text(encoding="utf-8"), pl.prove(pl.load(file), 2)
+    return file.read_text(encoding="utf-8"), pl.verify(pl.load(file), 2)
 
 
 OTHER = [999.0, -999.0, 0, 1e300, 10**400, True, None, "", "kg", "PROVED", [], {}, [[0]]]
@@ -364,7 +365,7 @@ def test_no_entry_of_a_file_is_believed(true: tuple[str, Solution], tmp_path: Pa
     place[path[-1]] = other
     (tmp_path / "solution.json").write_text(json.dumps(document), encoding="utf-8")
     try:
-        found = pl.prove(pl.load(tmp_path), 2)
+        found = pl.verify(pl.load(tmp_path), 2)
     except PeriluneError:
         return
     if found.outcome is Outcome.PROVED:
@@ -403,7 +404,7 @@ def test_files_beside_the_solution_are_named_as_not_read(hybrid_dir: Path, capsy
     ],
 )
 def test_what_follows_from_the_curves_is_computed_again(hybrid_dir: Path, hybrid: Solution, change: Change) -> None:
-    proved = pl.prove(pl.load(edited(hybrid_dir, change)), 1)
+    proved = pl.verify(pl.load(edited(hybrid_dir, change)), 1)
     assert proved.outcome is Outcome.PROVED
     assert set(proved.results) == set(hybrid.results)
     assert proved.results["landed_mass"].unit == "kg"
@@ -464,7 +465,7 @@ def test_solutions_exchanged_under_their_scenarios(
 def test_without_a_scenario_what_was_not_checked_is_said(hybrid_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     loaded = pl.load(edited(hybrid_dir, lambda d: d.update(scenario=None)))
     hooks = [loaded.problem.bookkeeping, loaded.problem.preflight]
-    said = [note for note in pl.verify(loaded, level=1).notes if note.startswith("not checked")]
+    said = [note for note in pl.verify(loaded, level=1).verification.notes if note.startswith("not checked")]
     assert len(said) == (None in hooks)
     assert all("rocket equation" in note for note in said) or loaded.problem.bookkeeping is not None
 
@@ -495,19 +496,19 @@ def test_physics_that_cannot_be_computed_is_not_proved(
 
 def test_a_flight_without_end_is_not_proved(hybrid: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("perilune.proof.feasible.repropagate.MOST_EVALUATIONS", 50)
-    checks = {c.name: c for c in pl.verify(hybrid, level=1).checks}
+    checks = {c.name: c for c in pl.verify(hybrid, level=1).verification.checks}
     assert not checks["computable"].passed
     assert "more than 50 evaluations" in checks["computable"].meaning
 
 
 def test_verify_has_no_such_notes_of_a_problem_in_python(hybrid: Solution) -> None:
-    assert pl.verify(hybrid, level=1).notes == ()
+    assert pl.verify(hybrid, level=1).verification.notes == ()
 
 
 def test_solution_json_alone(hybrid_dir: Path) -> None:
     """A file instead of the directory: nothing lies beside it."""
     (hybrid_dir / "trajectory.csv").write_text("nonsense")
-    proved = pl.prove(pl.load(hybrid_dir / "solution.json"), 1)
+    proved = pl.verify(pl.load(hybrid_dir / "solution.json"), 1)
     assert proved.outcome is Outcome.PROVED and proved.verification.notes == ()
     with pytest.raises(PeriluneError, match="no saved solution here"):
         pl.load(hybrid_dir / "nowhere")

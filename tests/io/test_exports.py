@@ -115,7 +115,7 @@ def test_what_is_not_installed_is_one_sentence(
 
 
 def test_flat_ground_is_nowhere_in_space(tmp_path: Path) -> None:
-    flat = pl.solve(load_file(ROOT / "examples" / "mars_pinpoint.toml").problem, level=0)
+    flat = pl.solve(load_file(ROOT / "examples" / "mars_pinpoint.toml").problem, verify=0)
     for form in ("oem", "czml"):
         with pytest.raises(PeriluneError, match="needs a position in space, and precision_landing has none"):
             pl.export(flat, tmp_path / "flight", form, epoch=EPOCH)
@@ -258,7 +258,7 @@ def test_the_command_exports_what_was_solved(
 ) -> None:
     place, file = str(tmp_path / "run"), tmp_path / "flight.czml"
     scenario = load_file(HYBRID)
-    pl.save(pl.solve(scenario.problem, level=1), place, scenario.text)
+    pl.save(pl.solve(scenario.problem, verify=1), place, scenario.text)
     ask = ["export", place, "--format", "czml", "--out", str(file), "--json"]
     assert run_command_line(ask) == 2
     assert "--epoch" in capsys.readouterr().out
@@ -272,7 +272,7 @@ def test_the_command_exports_what_was_solved(
     assert "perilune_altitude" in vehicle["description"] and "its file claims level 1" in vehicle["description"]
     assert run_command_line([*ask, "--epoch", EPOCH]) == 2
     capsys.readouterr()
-    assert run_command_line([*ask, "--epoch", EPOCH, "--force", "--prove", "1"]) == 0
+    assert run_command_line([*ask, "--epoch", EPOCH, "--force", "--verify", "1"]) == 0
     assert read_json(capsys.readouterr().out)["proof"] == "level 1: feasible"
     assert run_command_line(["export", str(tmp_path), "--out", str(tmp_path / "x")]) == 2
     assert (
@@ -283,18 +283,18 @@ def test_the_command_exports_what_was_solved(
     assert run_command_line(["export", place, "--out", str(tmp_path / "flight.csv")]) == 0
     assert (tmp_path / "flight.csv").read_text().count(",") > 100
     (tmp_path / "flight.csv").unlink()
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "prove", None)  # it takes long, and is not begun
-    assert run_command_line([*ask, "--epoch", "no time", "--force", "--prove", "3"]) == 2
+    monkeypatch.setattr(importlib.import_module("perilune.verify"), "verify", None)  # it takes long, and is not begun
+    assert run_command_line([*ask, "--epoch", "no time", "--force", "--verify", "3"]) == 2
     assert "is not a supported time" in capsys.readouterr().err
     assert sorted(os.listdir(tmp_path)) == ["flight.czml", "run"]
 
 
 def test_both_sides_of_a_switch_stand_in_the_tables(tmp_path: Path) -> None:
     """A throttle of 0.9, 0.3 and 0.9: the row before a switch has what was before it."""
-    flown = pl.solve(load_file(ROOT / "examples" / "precision_landing.toml").problem, level=0)
+    flown = pl.solve(load_file(ROOT / "examples" / "precision_landing.toml").problem, verify=0)
     pl.save(flown, tmp_path / "landing")
     kept = pl.load(tmp_path / "landing")
-    assert pl.prove(kept, 1).verification.level == 1
+    assert pl.verify(kept, 1).verification.level == 1
     frame = kept.to_dataframe()
     throttle, pushed = frame["throttle"].to_numpy(), frame["thrust_acceleration"].to_numpy()
     steps = np.flatnonzero(np.diff(throttle))
@@ -306,7 +306,7 @@ def test_what_is_not_proved_says_so_in_every_file(ordinary: Solution, tmp_path: 
     """Also where only the file of it says so."""
     wrong, told = ordinary.objective + 1.0, "level 0: unverified, NOT_PROVED: 1 of "
     first = replace(ordinary.extremals[0], objective=wrong)
-    failed = pl.prove(replace(ordinary, objective=wrong, extremals=(first, *ordinary.extremals[1:])), 1)
+    failed = pl.verify(replace(ordinary, objective=wrong, extremals=(first, *ordinary.extremals[1:])), 1)
     pl.save(failed, tmp_path / "run")
     for form in ("oem", "czml", "netcdf"):
         file = pl.export(failed, tmp_path / f"{form}.x", form, epoch=EPOCH)

@@ -24,7 +24,8 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Verification
 from perilune.report.summary import solution_summary
 from perilune.scenario import load_file, load_text
-from perilune.solve import prove, solve
+from perilune.solve import solve
+from perilune.verify import verify
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -52,21 +53,21 @@ def test_the_papers_landing_proves_again(hybrid: Solution, tmp_path: Path) -> No
     assert back.outcome is Outcome.SOLVED and back.verification.level == 0
     np.testing.assert_array_equal(back.trajectories[0].state.values, hybrid.trajectories[0].state.values)
     assert back.results == hybrid.results
-    proved = prove(back, 3)
+    proved = verify(back, 3)
     assert proved.outcome is Outcome.PROVED
     assert proved.verification.text == "expressions from a file"
 
 
 def test_what_a_file_says_of_its_proof_is_told_as_its_word(hybrid: Solution, tmp_path: Path) -> None:
     """A flight that was not proved does not come back as one that nobody has looked at."""
-    first, *others = prove(hybrid, 1).verification.checks
+    first, *others = verify(hybrid, 1).verification.checks
     failed = Verification(checks=(replace(first, value=1.0), *others))
     pl.save(replace(hybrid, outcome=Outcome.NOT_PROVED, verification=failed), tmp_path)
     back, count = pl.load(tmp_path), len(others) + 1
     words = f"not verified again; its file claims level 0: unverified, NOT_PROVED: 1 of {count} checks failed"
     assert back.verification.level == 0 and not back.verification.passed
     assert all(words in said for said in (repr(back), back._repr_html_(), solution_summary(back)))
-    proved = prove(back, 1).verification
+    proved = verify(back, 1).verification
     assert proved.title == "level 1: feasible"
     pl.save(replace(back, verification=Verification()), tmp_path, force=True)
     assert pl.load(tmp_path).verification.title == "level 0: unverified"  # nothing was claimed
@@ -79,7 +80,7 @@ def test_a_models_problem_is_made_again(hybrid: Solution, tmp_path: Path) -> Non
     assert problem == hybrid.problem and problem.title == hybrid.problem.title
     assert problem.bookkeeping is not None and problem.text == "the problem's own Python functions"
     assert [f.name for f in pl.preflight(problem)] == [f.name for f in pl.preflight(hybrid.problem)]
-    checks = [{c.name for c in prove(s, 1).verification.checks} for s in (pl.load(tmp_path / "landing"), hybrid)]
+    checks = [{c.name for c in verify(s, 1).verification.checks} for s in (pl.load(tmp_path / "landing"), hybrid)]
     assert checks[1] >= {"rocket_equation", "propellant", "retro_mass"}
     assert checks[0] == checks[1]
     with pytest.raises(PeriluneError, match=r"vehicle\.thrust"):
@@ -147,7 +148,7 @@ def test_where_no_package_brings_the_kind_the_expressions_are_the_problem(hybrid
     edited(tmp_path / "landing", lambda document: document["made"].update(kind="own"))
     loaded = pl.load(tmp_path / "landing")
     assert not loaded.problem.declared and loaded.problem.form == hybrid.problem.form
-    assert pl.verify(loaded, level=1).level == 1
+    assert pl.verify(loaded, level=1).verification.level == 1
 
 
 def test_another_choice_of_the_model_is_refused(tmp_path: Path) -> None:
@@ -164,7 +165,7 @@ def test_an_own_problem_proves_again(hop: Solution, tmp_path: Path) -> None:
     pl.save(hop, tmp_path / "hop")
     back = pl.load(tmp_path / "hop")
     assert back.problem == hop.problem
-    proved = prove(back, 3)
+    proved = verify(back, 3)
     assert proved.outcome is Outcome.PROVED, str(proved.verification)
     found, first = ({c.name for c in s.verification.checks} for s in (proved, hop))
     assert found == first
@@ -184,7 +185,7 @@ def test_the_command_line_verifies_what_python_saved(
 def test_several_phases_and_links_come_back(tmp_path: Path) -> None:
     from problems.staging import staged_burns
 
-    solution = solve(staged_burns(), Pseudospectral(), level=0)
+    solution = solve(staged_burns(), Pseudospectral(), verify=0)
     pl.save(solution, tmp_path / "two")
     assert pl.load(tmp_path / "two").problem == solution.problem
 
@@ -193,7 +194,7 @@ def test_a_loaded_problem_is_solved_as_the_first(hop: Solution, tmp_path: Path) 
     """Its parameters vary as ever."""
     pl.save(hop, tmp_path / "hop")
     farther = pl.load(tmp_path / "hop").problem.with_given(distance=2500.0)
-    here, there = (solve(p, level=0) for p in (hop.problem.with_given(distance=2500.0), farther))
+    here, there = (solve(p, verify=0) for p in (hop.problem.with_given(distance=2500.0), farther))
     assert here.objective == there.objective
 
 
@@ -208,7 +209,7 @@ def test_no_file_is_overwritten(hop: Solution, tmp_path: Path) -> None:
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Solution]:
     """A landing saved with its scenario."""
     stated = load_file(EXAMPLES / "ordinary_lander.toml")
-    solution = solve(stated.problem, level=0)
+    solution = solve(stated.problem, verify=0)
     pl.save(solution, tmp_path_factory.mktemp("scenario") / "out", stated.text)
     return tmp_path_factory.getbasetemp(), solution
 
@@ -221,7 +222,7 @@ def saved(scenario: tuple[Path, Solution], tmp_path: Path) -> Path:
 
 
 def test_with_a_scenario_the_models_own_text_is_flown(saved: Path) -> None:
-    proved = prove(pl.load(saved), 1)
+    proved = verify(pl.load(saved), 1)
     assert proved.verification.text == "the problem's own Python functions"
     assert "propellant" in {c.name for c in proved.verification.checks}  # the model's bookkeeping
 
@@ -233,7 +234,7 @@ def test_a_file_of_the_first_version_still_loads(saved: Path) -> None:
         document["format"]["version"] = 1
         document["problem"] = {name: document["problem"][name] for name in ("name", "title")}
 
-    assert prove(pl.load(edited(saved, older)), 1).outcome is Outcome.PROVED
+    assert verify(pl.load(edited(saved, older)), 1).outcome is Outcome.PROVED
 
 
 def test_scenario_and_expressions_must_agree(saved: Path) -> None:
@@ -308,7 +309,7 @@ def test_what_was_changed_in_the_physics_fails_the_proof(hop: Solution, tmp_path
     def weaker(document: dict[str, Any]) -> None:
         document["given"]["g"]["value"] = 1.63
 
-    assert prove(pl.load(edited(tmp_path / "hop", weaker)), 1).outcome is Outcome.NOT_PROVED
+    assert verify(pl.load(edited(tmp_path / "hop", weaker)), 1).outcome is Outcome.NOT_PROVED
 
 
 def test_scenarios_are_untouched_by_saving(scenario: tuple[Path, Solution]) -> None:

@@ -137,7 +137,7 @@ def test_a_proved_answer_whose_solution_is_not_kept_is_no_success(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], ordinary: Solution, tmp_path: Path
 ) -> None:
     """Whoever asked for files and looks at the exit code alone has to learn of it; of a figure it need not."""
-    proved = importlib.import_module("perilune.solve").prove(ordinary, 1)
+    proved = importlib.import_module("perilune.verify").verify(ordinary, 1)
     monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", lambda *_, **__: proved)
     monkeypatch.setattr("perilune.report.figures.costate_figure", failing(TypeError("x")))
     assert run_command_line(["solve", ORDINARY, "--out", str(tmp_path / "whole")]) == 0

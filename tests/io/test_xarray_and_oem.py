@@ -34,20 +34,20 @@ QUIET = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::Deprecatio
 @pytest.fixture(scope="module")
 def returned() -> Solution:
     """Two phases of different columns, from orbit through the air; its epoch is the problem's own."""
-    return pl.solve(load_file(RETURN, [f"problem.epoch={EPOCH}Z"]).problem, level=0)
+    return pl.solve(load_file(RETURN, [f"problem.epoch={EPOCH}Z"]).problem, verify=0)
 
 
 @pytest.fixture(scope="module")
 def descent() -> Solution:
     """Its states are positions and velocities in axes that turn with the Moon."""
-    return pl.solve(load_file(ROOT / "examples" / "polar_descent.toml").problem, level=0)
+    return pl.solve(load_file(ROOT / "examples" / "polar_descent.toml").problem, verify=0)
 
 
 @pytest.fixture(scope="module")
 def gated() -> Solution:
     """At its gate the thrust swings upright, and before it the throttle is switched."""
     text = (ROOT / "examples" / "precision_landing.toml").read_text(encoding="utf-8")
-    return pl.solve(load_text(text.replace("# [final]", "[final]").replace("# height", "height")), level=0)
+    return pl.solve(load_text(text.replace("# [final]", "[final]").replace("# height", "height")), verify=0)
 
 
 def expected(solution: Solution) -> dict[str, np.ndarray]:

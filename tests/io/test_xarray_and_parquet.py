@@ -51,13 +51,13 @@ def test_the_table_says_what_a_solve_from_nothing_says(atlas: Atlas, expected: d
     thrust, isp = expected["vehicle_thrust"], expected["retro_specific_impulse"]
     at = (thrust == 435.0) & (isp == 300.0) & (expected["answer"] == 1)
     best = np.nonzero(at)[0][expected["objective"][at].argmin()]
-    alone = solve(cho_landing().with_given(vehicle_thrust=435.0, retro_specific_impulse=300.0), level=0)
+    alone = solve(cho_landing().with_given(vehicle_thrust=435.0, retro_specific_impulse=300.0), verify=0)
     assert expected["objective"][best] == pytest.approx(alone.objective, rel=1e-10)
     for name, value in alone.free.items():
         assert expected[name][best] == pytest.approx(value, rel=1e-9)
     step = 0.01
     ends = [
-        solve(cho_landing().with_given(vehicle_thrust=435.0 + way * step, retro_specific_impulse=300.0), level=0)
+        solve(cho_landing().with_given(vehicle_thrust=435.0 + way * step, retro_specific_impulse=300.0), verify=0)
         for way in (-1, 1)
     ]
     slope = (ends[1].objective - ends[0].objective) / (2 * step)
@@ -170,11 +170,11 @@ def test_a_family_is_a_data_set_over_its_parameters(tmp_path: Path) -> None:
     xarray, pandas = pytest.importorskip("xarray", reason=NEEDS), pytest.importorskip("pandas", reason=NEEDS)
     problem = cho_landing().with_given(retro_delta_v=0.0)
     thrusts, masses = [500.0, 440.0], [290.0, 310.0, 300.0]  # in no order
-    family = sweep(problem, {"vehicle.thrust": thrusts, "vehicle.mass": masses}, level=1)
+    family = sweep(problem, {"vehicle.thrust": thrusts, "vehicle.mass": masses}, verify=1)
     found, frame = family.to_xarray(), family.to_dataframe()
     assert found["propellant"].dims == ("vehicle_thrust", "vehicle_mass") and found["propellant"].shape == (2, 3)
     assert found["vehicle_thrust"].values.tolist() == thrusts and found["vehicle_mass"].values.tolist() == masses
-    alone = solve(problem.with_given(vehicle_thrust=440.0, vehicle_mass=310.0), level=1)
+    alone = solve(problem.with_given(vehicle_thrust=440.0, vehicle_mass=310.0), verify=1)
     here = found.sel(vehicle_thrust=440.0, vehicle_mass=310.0)
     for name, result in alone.results.items():
         factor = 180 / np.pi if result.unit == "rad" else 1.0

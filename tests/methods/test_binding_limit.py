@@ -107,9 +107,9 @@ def test_a_vehicle_is_blamed_for_its_dry_mass_and_not_the_slope() -> None:
     """By what the indirect method lands without that dry mass: 1504.5486 kg of the 1505 kg that are asked for."""
     path = EXAMPLES / "mars_pinpoint.toml"
     with pytest.raises(NotConvergedError) as caught:
-        pl.solve(load_file(path, ["vehicle.mass=1901.19 kg"]).problem, level=0)
+        pl.solve(load_file(path, ["vehicle.mass=1901.19 kg"]).problem, verify=0)
     lighter = load_file(path, ["vehicle.mass=1901.19 kg", "vehicle.dry_mass=1400 kg"]).problem
-    landed = pl.solve(lighter, level=0).results["landed_mass"].value
+    landed = pl.solve(lighter, verify=0).results["landed_mass"].value
     first = caught.value.partial["relaxations"][0]
     assert first["limit"] == "vehicle.dry_mass" and first["by"] == pytest.approx(1505 - landed, rel=0.02)
     assert "violates vehicle.dry_mass by about 0.45 kg" in caught.value.what
@@ -120,7 +120,7 @@ def test_a_vehicle_is_blamed_for_its_dry_mass_and_not_the_slope() -> None:
     ] and easier.startswith("more thrust")  # fmt: skip
     for way in ways:  # who types what would do is not refused again
         name, _, value = way.partition(" ")
-        solved = pl.solve(load_file(path, ["vehicle.mass=1901.19 kg", f"{name}={value}"]).problem, level=0)
+        solved = pl.solve(load_file(path, ["vehicle.mass=1901.19 kg", f"{name}={value}"]).problem, verify=0)
         assert solved.results["landed_mass"].value > 1504.5
 
 
@@ -128,11 +128,11 @@ def test_a_thrust_is_blamed_and_what_is_said_to_suffice_flies() -> None:
     """4.5 kN are too few at 90 % throttle, at 95.7 % they are not: 96.5 % lands."""
     path, weak = EXAMPLES / "precision_landing.toml", "vehicle.thrust=4.5 kN"
     with pytest.raises(NotConvergedError) as caught:
-        pl.solve(load_file(path, [weak]).problem, level=0)
+        pl.solve(load_file(path, [weak]).problem, verify=0)
     found = {one["limit"]: one["by"] for one in caught.value.partial["relaxations"]}
     assert found["throttle.upper"] == pytest.approx(0.057, abs=0.003)
     assert (
-        pl.solve(load_file(path, [weak, "throttle.upper=0.965"]).problem, level=0).results["landed_mass"].value > 1200
+        pl.solve(load_file(path, [weak, "throttle.upper=0.965"]).problem, verify=0).results["landed_mass"].value > 1200
     )
 
 
@@ -169,7 +169,7 @@ def test_a_control_that_chatters_is_said_with_its_usual_cause() -> None:
     """The throttle floor lifts 1.38 times the weight, and the thrust is turned back and forth to lift less."""
     assert 0.4 * FLIP["thrust"][0] > FLIP["mass"][0] * FLIP["g"][0]
     with pytest.raises(NotConvergedError, match="it chatters") as caught:
-        pl.solve(floored(0.4), level=0)
+        pl.solve(floored(0.4), verify=0)
     error = caught.value
     assert "jumps" in error.got and "throttle is at its floor (0.4)" in error.got
     assert "time of ignition" in error.advice and "stationarity" not in str(error) and "tried" not in str(error)
@@ -202,7 +202,7 @@ def test_limits_are_called_by_the_key_that_states_them() -> None:
 def test_an_objective_is_shown_in_the_words_of_its_problem() -> None:
     """A result that J is but for 3 s stands in the list of extremals; J itself where none is named."""
     for minimised, column, value in (("clock", "clock", 5.0), ("", "objective", 2.0)):
-        solution = pl.solve(moved(duration=9.0, minimised=minimised), level=0)
+        solution = pl.solve(moved(duration=9.0, minimised=minimised), verify=0)
         (row,) = extremals_document(solution)
         assert row[column] == pytest.approx(value, abs=1e-9)
         assert ("objective" in row) == (not minimised)
@@ -221,7 +221,7 @@ def test_a_limit_that_the_relaxed_flight_keeps_already_has_no_parameter_to_name(
     """The relaxed flight keeps the slope as it is stated: there is no root to look for, which was a fault."""
     changes = ["vehicle.mass=1901.19 kg", "corridor.slope=3.88 deg"]
     with pytest.raises(NotConvergedError, match=r"violates vehicle\.dry_mass by about") as caught:
-        pl.solve(load_file(EXAMPLES / "mars_pinpoint.toml", changes).problem, level=1)
+        pl.solve(load_file(EXAMPLES / "mars_pinpoint.toml", changes).problem, verify=1)
     assert "vehicle.dry_mass 1504.9" in str(caught.value)
 
 

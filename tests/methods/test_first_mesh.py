@@ -29,13 +29,13 @@ def flown(problem: Problem) -> list[Sampler]:
 
 @pytest.fixture(scope="module")
 def transfer() -> pl.Solution:
-    return pl.solve(dionysus(), pl.Pseudospectral(), level=2)
+    return pl.solve(dionysus(), pl.Pseudospectral(), verify=2)
 
 
 def test_five_revolutions_by_default(transfer: pl.Solution) -> None:
     """No setting, no guess; the indirect method and the mesh alone, refined, lead to the same twelve switches."""
     assert transfer.outcome is pl.Outcome.PROVED and transfer.verification.level == 2
-    for rival in (pl.solve(dionysus(), level=0), pl.Pseudospectral(tolerance=1e-8, refine=40).run(dionysus())):
+    for rival in (pl.solve(dionysus(), verify=0), pl.Pseudospectral(tolerance=1e-8, refine=40).run(dionysus())):
         assert transfer.objective == pytest.approx(rival.objective, rel=1e-8)
     switches = np.diff(transfer.trajectories[0].time) == 0
     assert int(switches.sum()) == 12

@@ -63,7 +63,7 @@ def test_what_multiplies_errors_is_proved(rate: float) -> None:
 def test_one_piece_misses_where_pieces_do_not() -> None:
     """A costate that is rounded in its last digit ends e^20 times as far off; each of six pieces e^3.3."""
     problem = saddle(20.0)
-    found = pl.solve(problem, level=0)
+    found = pl.solve(problem, verify=0)
     conditions = derive(problem)
     assert found.unknowns is not None
     p, shooting = extremal_parameters(problem), Shooting(conditions)
@@ -81,7 +81,7 @@ def test_one_piece_misses_where_pieces_do_not() -> None:
 def test_a_flight_that_cannot_be_cut_ends_where_it_should(monkeypatch: pytest.MonkeyPatch) -> None:
     """Newton's flights are rougher than those exported: of as many phases as along a limit by 1e-12 times 1e5."""
     problem = saddle(8.0)
-    near = pl.solve(problem, level=0)
+    near = pl.solve(problem, verify=0)
     monkeypatch.setattr("perilune.methods.indirect.export_arcs._JOINED", -1)
     monkeypatch.setattr("perilune.shooting.newton.FINEST", 1e-9)  # and of one phase by 1e-9 times a few
     found = pl.Indirect().run(problem.with_given(side=1.1), near)
@@ -91,7 +91,7 @@ def test_a_flight_that_cannot_be_cut_ends_where_it_should(monkeypatch: pytest.Mo
 def test_a_root_of_amplified_rounding_is_moved_by_its_last_digits() -> None:
     """The pieces of a return that touches its load limit are no root: its rate was left at 5.5e-9 of its size."""
     problem = saddle(8.0)
-    known = pl.solve(problem, level=0).trajectories
+    known = pl.solve(problem, verify=0).trajectories
     assert isinstance(known, Curves)
     search, root = Search(pl.Indirect(), problem, ignore_events), known.root
     rounded = replace(root, y=root.y + np.array([1e-10, 0.0, 0.0]), residual=root.residual + 5e-10)
@@ -140,7 +140,7 @@ def test_of_what_rounding_leaves_the_least_is_kept(
 def test_a_flight_that_is_stuck_is_flown_as_newton_flew_it_or_refused() -> None:
     """Out of steps, as beside a grazed switch: its tables had ended anywhere, and level 0 looked at none of them."""
     problem = saddle(2.0)
-    known = pl.solve(problem, level=0).trajectories
+    known = pl.solve(problem, verify=0).trajectories
     assert isinstance(known, Curves)
     of = problem, known.conditions, known.root
     assert not propagate_in_one_piece(*of[:2], known.root.y, max_steps=15)[0].complete
@@ -154,7 +154,7 @@ def test_a_flight_that_is_stuck_is_flown_as_newton_flew_it_or_refused() -> None:
 def test_pieces_are_one_curve() -> None:
     """No break is added, and times, gaps and switches are those of the whole flight."""
     problem = saddle(20.0)
-    solution = pl.solve(problem, level=0)
+    solution = pl.solve(problem, verify=0)
     flown = solution.trajectories[0]
     assert np.all(np.diff(flown.time) > 0)
     assert flown.time[-1] == 1.0

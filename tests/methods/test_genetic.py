@@ -238,7 +238,7 @@ def test_every_start_is_told_and_different_answers_are_listed() -> None:
     """One line for each generation; what became of each individual stands in the statistics."""
     lines: list[Any] = []
     settings = Genetic(seed=0, population=64, generations=10, best=2)
-    solution = Hybrid(settings, Indirect()).run(tangent_steering(), watch=lines.append)
+    solution = Hybrid(settings, Indirect()).run(tangent_steering(), callback=lines.append)
     assert sum(str(line).startswith("generation") for line in lines) == 11
     assert sum(line.startswith("individual") for line in solution.statistics.tried) == 2
     assert len(solution.extremals) == 1  # both starts reach the same extremal
@@ -262,7 +262,7 @@ def test_an_interrupted_hybrid_stops() -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Hybrid(Genetic(population=32), Indirect()).run(tangent_steering(), watch=watch)
+        Hybrid(Genetic(population=32), Indirect()).run(tangent_steering(), callback=watch)
     assert str(lines[-1]).startswith("interrupted; generation 3")
 
 

@@ -32,7 +32,7 @@ from problems.ascents import tangent_steering
 @pytest.mark.parametrize("split", [False, True])
 def test_linear_tangent_steering(split: bool) -> None:
     """One phase, and the same cut in two by a link that passes the state on."""
-    solution = solve(tangent_steering(split), level=0)
+    solution = solve(tangent_steering(split), verify=0)
     assert solution.objective == pytest.approx(0.554570878334603, rel=1e-11)
     u = solution.trajectories[0].control(np.linspace(0.0, 0.2, 5))
     slopes = u[:, 1] / u[:, 0]
@@ -44,7 +44,7 @@ def test_a_free_parameter_in_the_dynamics() -> None:
     base = tangent_steering()
 
     def least_time(a: float) -> float:
-        return solve(base.with_given(a=a), level=0).objective
+        return solve(base.with_given(a=a), verify=0).objective
 
     priced = replace(
         base,
@@ -52,7 +52,7 @@ def test_a_free_parameter_in_the_dynamics() -> None:
         free=(*base.free, Free(name="a", unit="m/s^2", typical=90.0)),
         objective=lambda x, p, xp: p.t2 + p.price * p.a,
     )
-    solution = solve(priced, level=0)
+    solution = solve(priced, verify=0)
     a, step = solution.free["a"], 1e-3
     slope = (least_time(a + step) - least_time(a - step)) / (2 * step)
     assert slope == pytest.approx(-2e-3, rel=1e-6)
@@ -77,8 +77,8 @@ def test_iterations_are_shown(landing: Problem, ordinary: Solution) -> None:
     solve(
         landing.with_given(retro_delta_v=0.0, vehicle_thrust=450.0),
         guess=ordinary,
-        level=0,
-        watch=seen.append,
+        verify=0,
+        callback=seen.append,
     )
     iterations = [i for i in seen if isinstance(i, Iteration)]
     assert [i.number for i in iterations] == list(range(1, len(iterations) + 1))
@@ -89,7 +89,7 @@ def test_iterations_are_shown(landing: Problem, ordinary: Solution) -> None:
 def test_the_search_shows_how_far_it_is_and_counts_its_iterations(landing: Problem) -> None:
     """Many starts at once: how many of how many have converged, and the least residual of those at work."""
     seen: list[Iteration | str] = []
-    found = solve(landing, level=0, watch=seen.append)
+    found = solve(landing, verify=0, callback=seen.append)
     lines = [line for line in seen if isinstance(line, str) and line.startswith("round ")]
     starts = [line for line in lines if "of 72 converged" in line]
     assert starts[0].startswith("round 1: 0 of 72 converged, ")
@@ -98,7 +98,7 @@ def test_the_search_shows_how_far_it_is_and_counts_its_iterations(landing: Probl
     assert any("of 33 converged" in line for line in lines)  # the family along the retro burn
     # A start, a member of the family and the answer itself need a few iterations each; no arc is flown without one.
     assert 72 < found.statistics.iterations < found.statistics.arcs
-    assert solve(landing, level=0).statistics.iterations == found.statistics.iterations
+    assert solve(landing, verify=0).statistics.iterations == found.statistics.iterations
 
 
 def test_continuation_halves_steps_and_reports() -> None:
@@ -137,7 +137,7 @@ def impossible_steering() -> Problem:
 def test_failure_names_the_residual() -> None:
     """A target that cannot be met: the message names the condition in its unit, and what was tried is kept."""
     with pytest.raises(NotConvergedError) as caught:
-        solve(impossible_steering(), Indirect(starts=3), level=0)
+        solve(impossible_steering(), Indirect(starts=3), verify=0)
     assert caught.value.partial["tried"]
     assert any("impossible" in name for name in caught.value.partial["residuals"])
 
@@ -145,7 +145,7 @@ def test_failure_names_the_residual() -> None:
 def test_guess_of_another_form_is_refused(hybrid: Solution) -> None:
     """A landing is no guess for a tangent-steering problem."""
     with pytest.raises(PeriluneError, match="other states"):
-        solve(tangent_steering(), guess=hybrid, level=0)
+        solve(tangent_steering(), guess=hybrid, verify=0)
 
 
 def test_solve_without_proof_says_so(hybrid: Solution) -> None:
@@ -166,7 +166,7 @@ def test_it_is_said_that_conditions_are_derived_when_they_are() -> None:
     known = tangent_steering()
     new = replace(known, given={**known.given, "of_no_use": Given(value=1.0, unit="m")})
     for problem in (new, new.with_given(a=99.0)):
-        Indirect(starts=4).run(problem, watch=said.append)
+        Indirect(starts=4).run(problem, callback=said.append)
     assert said[0] == "deriving the optimality conditions" and said.count(said[0]) == 1
 
 

@@ -22,7 +22,7 @@ from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryso
 
 @pytest.fixture(scope="module")
 def touching() -> Solution:
-    return pl.solve(bryson_denham(1 / 5), level=0)
+    return pl.solve(bryson_denham(1 / 5), verify=0)
 
 
 @pytest.mark.parametrize("ceiling", [0.21, 1 / 5.5, 1 / 9, 0.3])
@@ -37,14 +37,14 @@ def test_arcs_that_are_known_are_left_where_they_are_none(touching: Solution, ce
 
 def test_known_arcs_are_neither_read_nor_restated(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor are the curves of a guess made, or those of the answer, before they are looked at."""
-    guess = pl.solve(touching.problem.with_given(ceiling=0.22), guess=touching, level=0)
+    guess = pl.solve(touching.problem.with_given(ceiling=0.22), guess=touching, verify=0)
     problem = touching.problem.with_given(ceiling=0.23)
     plain = replace(guess, trajectories=(*guess.trajectories,))
-    from_curves = pl.solve(problem, guess=plain, level=0)
-    guess = pl.solve(touching.problem.with_given(ceiling=0.22), guess=touching, level=0)
+    from_curves = pl.solve(problem, guess=plain, verify=0)
+    guess = pl.solve(touching.problem.with_given(ceiling=0.22), guess=touching, verify=0)
     for name in ("restate", "detect_structures", "split_solution"):
         monkeypatch.setattr(structured, name, None)
-    solution = pl.solve(problem, guess=guess, level=0)
+    solution = pl.solve(problem, guess=guess, verify=0)
     for known in (guess.trajectories, solution.trajectories):
         assert isinstance(known, JoinedTrajectories) and not known.made
     monkeypatch.undo()
@@ -87,18 +87,18 @@ def test_what_is_made_later_is_what_it_holds() -> None:
 def test_arcs_that_are_known_last_as_long_as_is_stated_now() -> None:
     """The range of a duration that they share is stated of their sum: it was that of the guess, and T stayed at 1 s."""
     shorter, longer = (timed_bryson_denham(0.12, 0.5, longest, 1.0) for longest in (1.0, 1.2))
-    solution = pl.solve(longer, guess=pl.solve(shorter, level=0))
+    solution = pl.solve(longer, guess=pl.solve(shorter, verify=0))
     assert solution.free["T"] == pytest.approx(1.2, rel=1e-14) and solution.verification.level == 3
 
 
 def test_arcs_are_known_where_a_range_moves_that_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """As the longest flight of a return does with the area of its drag: all of it was read and restated anew."""
     first, moved, narrow = (timed_bryson_denham(0.12, 0.5, longest, -8 / 9) for longest in (0.8, 0.9, 0.58))
-    guess, best = pl.solve(first, level=0), pl.solve(moved, level=0)
+    guess, best = pl.solve(first, verify=0), pl.solve(moved, verify=0)
     assert isinstance(guess.trajectories, JoinedTrajectories) and guess.free["T"] == pytest.approx(0.6)
     for name in ("restate", "detect_structures", "split_solution"):
         monkeypatch.setattr(structured, name, None)
-    solution = pl.solve(moved, guess=guess, level=0)
+    solution = pl.solve(moved, guess=guess, verify=0)
     assert solution.objective == pytest.approx(best.objective, rel=1e-12)
     monkeypatch.undo()
     assert pl.solve(narrow, guess=guess).free["T"] == pytest.approx(0.58, rel=1e-14)

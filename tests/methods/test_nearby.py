@@ -19,7 +19,7 @@ from test_atlas_limits import haul
 
 @pytest.fixture(scope="module")
 def touching() -> Solution:
-    return pl.solve(bryson_denham(1 / 5), level=0)
+    return pl.solve(bryson_denham(1 / 5), verify=0)
 
 
 def test_a_family_of_touches_in_lanes(touching: Solution) -> None:
@@ -30,10 +30,10 @@ def test_a_family_of_touches_in_lanes(touching: Solution) -> None:
     assert roots.costs == pytest.approx([bryson_denham_truth(ceiling) for ceiling in ceilings], rel=1e-11)
     for lane in (0, 14):
         found = nearby.at(roots[lane], {"ceiling": float(ceilings[lane])})
-        alone = pl.solve(found.problem, guess=touching, level=0)
+        alone = pl.solve(found.problem, guess=touching, verify=0)
         assert found.objective == alone.objective and found.structure == alone.structure
         assert found.statistics.rung == alone.statistics.rung
-        assert pl.prove(found).outcome is pl.Outcome.PROVED
+        assert pl.verify(found).outcome is pl.Outcome.PROVED
 
 
 def test_a_landing_in_lanes_is_each_alone(landing: pl.Problem, hybrid: Solution) -> None:
@@ -46,7 +46,7 @@ def test_a_landing_in_lanes_is_each_alone(landing: pl.Problem, hybrid: Solution)
     for lane in (0, 3, 6):
         values = dict(zip(names, (thrust * float(shares[lane]), 1.001 * mass), strict=True))
         found = nearby.at(roots[lane], values)
-        alone = pl.solve(landing.with_given(**values), guess=hybrid, level=0)
+        alone = pl.solve(landing.with_given(**values), guess=hybrid, verify=0)
         assert found.objective == pytest.approx(alone.objective, rel=1e-13)
         assert found.extremals[0].nature is alone.extremals[0].nature
         for name, value in alone.free.items():
@@ -77,7 +77,7 @@ def test_what_cannot_be_taken_is_said(touching: Solution) -> None:
 def test_an_end_off_the_arc_that_said_it_is_not_left_out() -> None:
     """At x1 = l the ride says the end; at another x1 a flight that ends at l is none of the problem's."""
     problem = string(1.2, 0.8, 1.0, 0.0).problem
-    riding = pl.solve(problem, level=0)
+    riding = pl.solve(problem, verify=0)
     nearby = Nearby(riding)
     with pytest.raises(PeriluneError, match="there is no longer implied by the arc along room"):
         nearby.roots({"x1": 0.8})
@@ -97,13 +97,13 @@ def test_bounds_that_follow_from_what_varies_are_those_of_each_lane(rides: bool)
     given = {**base.given, "longest": pl.Given(value=1.0, unit="s")}
     ranges = (lambda p, xp: {"T": (0.5 * p.longest, p.longest, 0.9)}) if rides else base.ranges
     problem = replace(base, given=given, ranges=ranges)
-    nearby = Nearby(pl.solve(problem, level=0))
+    nearby = Nearby(pl.solve(problem, verify=0))
     assert (nearby.arcs is not None) == rides
     factors = np.array([1.0, 1.05, 0.95])
     roots = nearby.roots({longest: factors})
     assert roots.converged.all()
     for root, factor in zip(roots, factors.tolist(), strict=True):
-        found, alone = nearby.at(root, {longest: factor}), pl.solve(problem.with_given(**{longest: factor}), level=0)
+        found, alone = nearby.at(root, {longest: factor}), pl.solve(problem.with_given(**{longest: factor}), verify=0)
         assert found.free["T"] == pytest.approx(factor if rides else factor**2, abs=1e-12)
         assert found.objective == pytest.approx(alone.objective, rel=1e-11)
 
@@ -113,6 +113,6 @@ def test_a_sum_of_arcs_whose_range_becomes_one_value_is_solved_anew() -> None:
     base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5)
     given = {**base.given, "least": pl.Given(value=0.5, unit="s")}
     problem = replace(base, given=given, ranges=lambda p, xp: {"T": (p.least, 1.0, 0.9)})
-    nearby = Nearby(pl.solve(problem, level=0))
+    nearby = Nearby(pl.solve(problem, verify=0))
     with pytest.raises(PeriluneError, match="range of T changes its kind"):
         nearby.roots({"least": 1.0})

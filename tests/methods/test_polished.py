@@ -38,17 +38,17 @@ def test_problems_of_the_library_are_proved(name: str) -> None:
     assert solution.statistics.rung == "gauss collocation, 20 nodes, then Newton"
     assert solution.statistics.tried[-1].startswith("polish: by Newton, J = ")
     assert solution.extremals[0].nature is Nature.BEST
-    assert not pl.verify(pl.solve(problem, MESH_ALONE, level=0)).passed
+    assert not pl.verify(pl.solve(problem, MESH_ALONE, verify=0)).verification.passed
 
 
 def test_one_mesh_is_enough() -> None:
     """The mesh that is refined three times otherwise misses the jump of the thrust by 5e-3, and leads to the root."""
     lines = list[str]()
-    solution = pl.solve(meditch(), DIRECT, level=0, watch=lambda line: lines.append(str(line)))
+    solution = pl.solve(meditch(), DIRECT, verify=0, callback=lambda line: lines.append(str(line)))
     assert sum("mesh " in line and "relative error" in line for line in lines) == 1
     assert any(line.startswith("polish: by Newton") for line in lines)
     assert solution.method == "indirect" and solution.unknowns is not None
-    alone = pl.solve(meditch(), MESH_ALONE, level=0)
+    alone = pl.solve(meditch(), MESH_ALONE, verify=0)
     assert alone.method == "pseudospectral" and len(alone.statistics.tried) > 2
 
 
@@ -75,7 +75,7 @@ def test_a_tilt_limit_on_which_refinement_stalls(degrees: int) -> None:
     problem = load_file(PRECISION, (f"corridor.tilt={degrees} deg",)).problem
     solution = pl.solve(problem, DIRECT)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
-    rival = pl.solve(problem, level=0)
+    rival = pl.solve(problem, verify=0)
     assert solution.objective == pytest.approx(rival.objective, rel=1e-10)
 
 
@@ -102,7 +102,7 @@ def test_no_polish_is_a_setting_of_the_direct_method(capsys: pytest.CaptureFixtu
 
 def test_what_cannot_be_made_exact_stays_and_says_so() -> None:
     """The direct method follows Goddard's singular arc; an indirect method that knows none leaves its answer alone."""
-    direct = pl.solve(goddard(), MESH_ALONE, level=0)
+    direct = pl.solve(goddard(), MESH_ALONE, verify=0)
     solution = solve_and_polish(DIRECT, goddard())
     assert solution.objective == pytest.approx(direct.objective, rel=1e-7)
     if solution.method == "pseudospectral":
@@ -115,14 +115,14 @@ def test_the_best_of_a_family_is_found() -> None:
     vehicle = Vehicle(mass=290.0, thrust=640.0, specific_impulse=296.0)
     orbit = Orbit(parking_altitude=111e3, perilune_altitude=11.5e3)
     problem = hybrid_landing(vehicle, Retro(specific_impulse=291.0), orbit, MERCURY)
-    alone = pl.solve(problem, MESH_ALONE, level=0)
+    alone = pl.solve(problem, MESH_ALONE, verify=0)
     assert alone.free["retro_delta_v"] == pytest.approx(0.0, abs=1e-3)
-    solution, rival = pl.solve(problem, DIRECT), pl.solve(problem, level=0)
+    solution, rival = pl.solve(problem, DIRECT), pl.solve(problem, verify=0)
     assert solution.outcome is pl.Outcome.PROVED and solution.objective < alone.objective - 0.03 * 290.0
     assert solution.objective == pytest.approx(rival.objective, rel=1e-10)
     assert [e.nature for e in solution.extremals] == [e.nature for e in rival.extremals]
     # A guess is another matter: what lies near it was asked for.
-    near = pl.solve(problem, DIRECT, guess=alone, level=0)
+    near = pl.solve(problem, DIRECT, guess=alone, verify=0)
     assert near.objective == pytest.approx(alone.objective, rel=1e-6) and len(near.extremals) == 1
 
 
@@ -141,8 +141,8 @@ def test_another_extremal_that_is_worse_is_not_taken() -> None:
 
 
 def test_a_guess_stays_a_guess() -> None:
-    rough = pl.solve(meditch(), MESH_ALONE, level=0)
-    assert pl.solve(meditch(), DIRECT, guess=rough, level=0).extremals[0].nature is Nature.NEAR_GUESS
+    rough = pl.solve(meditch(), MESH_ALONE, verify=0)
+    assert pl.solve(meditch(), DIRECT, guess=rough, verify=0).extremals[0].nature is Nature.NEAR_GUESS
 
 
 def stalled() -> tuple[pl.NotConvergedError, Problem]:
@@ -162,7 +162,7 @@ def test_the_best_flight_of_a_mesh_that_stalls_is_kept() -> None:
     assert flight.statistics.residual == pytest.approx(min(errors), rel=0.1)
     assert f"relative error {flight.statistics.residual:.2g}" in error.got
     assert error.partial["free"] == dict(flight.free)
-    landed = pl.verify(flight, level=1)
+    landed = pl.verify(flight, level=1).verification
     ends = [c for c in landed.checks if c.name in {v.name for v in problem.phases[-1].end_conditions}]
     assert ends and all(c.value <= 1e3 * c.limit for c in ends)
     assert pl.solve(problem, guess=flight).outcome is pl.Outcome.PROVED

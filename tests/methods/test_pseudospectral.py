@@ -69,7 +69,7 @@ def test_convergence_is_spectral(scheme):
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_meditch_switches_where_it_must(scheme):
     lines: list[str] = []
-    s = Pseudospectral(scheme=scheme).run(meditch(), watch=lambda line: lines.append(str(line)))
+    s = Pseudospectral(scheme=scheme).run(meditch(), callback=lambda line: lines.append(str(line)))
     assert s.objective == pytest.approx(1.42031259905, abs=1e-8)
     assert 2.349 * (1 - s.trajectories[0].state.values[-1, 2]) == pytest.approx(s.objective, abs=1e-6)
     assert [line.split(":")[0] for line in lines if "nodes" in line][:2] == ["mesh 0", "mesh 1"]

@@ -156,7 +156,7 @@ def test_what_only_a_coarse_mesh_misses_is_not_refused() -> None:
 def test_where_the_mesh_is_fine_enough_the_bound_is_ridden() -> None:
     """The acceleration falls evenly to 0 in t = 1.5 (1 - 1/V), at the speed V: J = 4 V^2/(3 t)."""
     most = 1.2
-    solution = solve(hurried(most), level=2)
+    solution = solve(hurried(most), verify=2)
     t = 1.5 * (1 - 1 / most)
     assert solution.objective == pytest.approx(4 * most**2 / (3 * t), abs=1e-10)
     assert [(arc.words, arc.begin, arc.end) for arc in solution.structure] == [
@@ -205,7 +205,7 @@ def test_no_number_of_searches_says_that_nothing_flies() -> None:
         -1235.3,
     )
     with pytest.raises(NotConvergedError) as e:
-        solve(weak, level=0)
+        solve(weak, verify=0)
     assert e.value.exit_code == 4 and "the best violates the end condition" in str(e.value)
     mesh = pl.Pseudospectral(nodes=5, segments=20, refine=0, polish=False)
     flight, burnless = None, weak.with_given(retro_delta_v=0.0)
@@ -296,7 +296,7 @@ class Again:
 
     answer: Solution
 
-    def run(self, problem: pl.Problem, guess: Solution | None = None, watch: object = None) -> Solution:
+    def run(self, problem: pl.Problem, guess: Solution | None = None, callback: object = None) -> Solution:
         return self.answer
 
 

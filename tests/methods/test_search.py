@@ -31,7 +31,7 @@ def test_mirror_images_are_listed_once() -> None:
     """Cycloids from rest to the line x = 1 m, free of the slope: T = sqrt((2k + 1) pi) s, and v may be negative."""
     problem = brachistochrone()
     free = replace(problem, phases=(replace(problem.phases[0], path=None, path_conditions=()),))
-    times = [extremal.free["T"] for extremal in pl.solve(free, level=0).extremals]
+    times = [extremal.free["T"] for extremal in pl.solve(free, verify=0).extremals]
     assert times[0] == pytest.approx(np.sqrt(np.pi), abs=1e-9) and len(times) > 2
     turns = np.square(times) / np.pi
     assert turns == pytest.approx(np.round(turns), abs=1e-8)
@@ -68,15 +68,15 @@ def test_a_mesh_that_has_followed_a_flight_is_made_finer_where_newton_fails_from
 
 
 def mass(time: float, **orbits: float) -> float:
-    return -pl.solve(to_circle(time, **orbits), level=0).objective
+    return -pl.solve(to_circle(time, **orbits), verify=0).objective
 
 
 def test_more_time_is_no_loss_on_the_way_to_a_circle() -> None:
     """Who has arrived may wait there: 0.87905 in 15 s; random costates alone find 0.548 in 30 s."""
     orbits = {"radius": 3.0, "exhaust_speed": 2.0, "eccentricity": 0.3}
-    quick = pl.solve(to_circle(15.0, **orbits), level=3)
+    quick = pl.solve(to_circle(15.0, **orbits), verify=3)
     assert quick.outcome is pl.Outcome.PROVED
-    slow = pl.solve(to_circle(30.0, **orbits), level=0)
+    slow = pl.solve(to_circle(30.0, **orbits), verify=0)
     assert -slow.objective >= -quick.objective - 1e-9
     assert slow.statistics.rung == "continuation in the duration"
     assert any("fractions of the duration" in line for line in slow.statistics.tried)
@@ -97,7 +97,7 @@ def test_smoothed_extremals_lead_to_a_better_one() -> None:
 def test_from_circle_to_circle_it_may_wait_at_both_ends() -> None:
     """Extremals that are not isolated are found, listed once, and said to be such."""
     orbits = {"radius": 2.0, "exhaust_speed": 1.0, "eccentricity": 0.0}
-    solution = pl.solve(to_circle(10.0, **orbits), level=2)
+    solution = pl.solve(to_circle(10.0, **orbits), verify=2)
     assert -solution.objective == pytest.approx(mass(9.0, **orbits), abs=1e-9)
     assert len(solution.extremals) == 1
     assert any("not isolated" in line for line in solution.statistics.tried)
@@ -107,7 +107,7 @@ def test_from_circle_to_circle_it_may_wait_at_both_ends() -> None:
 def test_four_revolutions_with_nine_switches() -> None:
     """The first mesh cannot follow it; called a singular arc once, for what that mesh made of its thrust."""
     problem = meeting(4)
-    solution = pl.solve(problem, level=0)
+    solution = pl.solve(problem, verify=0)
     assert (np.diff(solution.trajectories[0].time) == 0).sum() == 9
     # Refined, as a first mesh is wrong by 5e-3; from a straight line it ends at a local optimum beside, 7e-5 worse.
     direct = pl.Pseudospectral(nodes=5, segments=24, refine=4, tolerance=1e-4).run(problem)
@@ -127,12 +127,12 @@ def test_where_none_is_reached_it_is_said_that_they_are_not_isolated(monkeypatch
     )
     monkeypatch.setattr("perilune.methods.indirect.continuation.homotopy.Smoothing.root", lambda self, choice: None)
     with pytest.raises(pl.NotConvergedError, match=r"(?s)nearest approach.*not isolated.*an additional end condition"):
-        pl.solve(to_circle(12.0, radius=2.0, exhaust_speed=1.0, eccentricity=0.0), pl.Indirect(starts=48), level=0)
+        pl.solve(to_circle(12.0, radius=2.0, exhaust_speed=1.0, eccentricity=0.0), pl.Indirect(starts=48), verify=0)
 
 
 def test_a_root_beside_which_nothing_is_known_ends_no_solve() -> None:
     """J^-1 of what one of the starts leads to is not finite: the flight that keeps the limit is found by others."""
-    found = pl.solve(speed_limit(25.0).with_given(g=2.2), level=0)
+    found = pl.solve(speed_limit(25.0).with_given(g=2.2), verify=0)
     assert -found.objective == pytest.approx(speed_limit_truth(25.0, g=2.2)[2], rel=1e-10)
 
 
@@ -166,7 +166,7 @@ def wells(tied: float) -> pl.Problem:
 @pytest.mark.parametrize("tied", [0.3, 0.0, -0.3])
 def test_of_several_parameters_between_bounds_each_is_looked_along_from_every_extremal(tied: float) -> None:
     """Along q alone r stayed in its well; where its well ended the corner, which is the best, was not found at all."""
-    found = pl.solve(wells(tied), level=3)
+    found = pl.solve(wells(tied), verify=3)
     q, r = np.meshgrid(*2 * (np.linspace(0.0, 1.0, 501),), indexing="ij")
     J = 8.0 * ((q - 0.2) * (q - 0.97)) ** 2 - 0.3 * q + 8.0 * ((r - 0.3) * (r - 0.95)) ** 2 - 0.2 * r + tied * q * r
     assert found.outcome is pl.Outcome.PROVED and found.objective == pytest.approx(J.min(), abs=1e-4)
@@ -195,7 +195,7 @@ def test_the_better_well_is_found_where_in_it_alone_the_flight_is_held_back() ->
     )
     v = np.linspace(1.3, 1.6, 30_001)  # the other well, at 0.7 m/s, is worse by 0.96
     truth = min(v**2 * np.array([bryson_denham_truth(0.2 / v) for v in v.tolist()]) + price(v))
-    found = pl.solve(problem, level=3)
+    found = pl.solve(problem, verify=3)
     assert found.outcome is pl.Outcome.PROVED and found.objective == pytest.approx(truth, abs=1e-7)
     assert [e.free["speed"] for e in found.extremals] == pytest.approx([1.45822, 0.70201], abs=1e-5)
 

@@ -28,7 +28,7 @@ THREE = ("upper", "singular", "lower")
 
 @lru_cache
 def climbed() -> Solution:
-    return pl.solve(goddard(), level=2)
+    return pl.solve(goddard(), verify=2)
 
 
 @lru_cache
@@ -85,7 +85,7 @@ def test_the_arcs_are_read_off_any_mesh(mesh: pl.Pseudospectral) -> None:
 def test_arcs_that_are_none_are_dropped() -> None:
     """Aly's problem from a mesh that shows one arc too many: the extremal gives it no length."""
     coarse = pl.Pseudospectral(nodes=5, segments=8, refine=0).run(aly())
-    solution = pl.solve(aly(), guess=coarse, level=2)
+    solution = pl.solve(aly(), guess=coarse, verify=2)
     *_, dropped, kept = solution.statistics.tried
     assert dropped == (
         "structure u at its lower bound, u at its upper bound, u singular: an extremal of another structure"
@@ -97,13 +97,13 @@ def test_arcs_that_are_none_are_dropped() -> None:
 
 def test_an_answer_is_its_own_guess() -> None:
     solution = climbed()
-    again = pl.solve(goddard(), guess=solution, level=2)
+    again = pl.solve(goddard(), guess=solution, verify=2)
     assert again.objective == pytest.approx(solution.objective, rel=1e-12)
     assert again.extremals[0].nature.value == "an extremal near the guess"
 
 
 def test_a_scalar_problem_has_its_closed_form() -> None:
-    solution = pl.solve(nearest_to_zero(), level=2)
+    solution = pl.solve(nearest_to_zero(), verify=2)
     assert solution.outcome is pl.Outcome.PROVED
     assert solution.objective == pytest.approx(0.375, abs=1e-12)
     flown = solution.trajectories[0]
@@ -111,7 +111,7 @@ def test_a_scalar_problem_has_its_closed_form() -> None:
 
 
 def test_an_arc_may_be_singular_to_the_end() -> None:
-    solution = pl.solve(aly(), level=2)
+    solution = pl.solve(aly(), verify=2)
     assert solution.outcome is pl.Outcome.PROVED
     assert solution.objective == pytest.approx(aly_truth(), abs=1e-12)
     assert solution.structure[1].begin == pytest.approx(aly_switch(), abs=1e-9)
@@ -189,9 +189,9 @@ def forced(durations: dict[str, float], *arcs: tuple[str, float]) -> Solution:
 @pytest.mark.parametrize("longer", [1.0, 1e-3])
 def test_a_singular_arc_that_is_too_long_is_no_extremal(longer: float) -> None:
     wrong = forced({"t_f-2": 8.2360925 + longer}, ("upper", 13.75), ("singular", 21.99), ("lower", 42.89))
-    assert pl.verify(wrong, level=1).passed
+    assert pl.verify(wrong, level=1).verification.passed
     assert wrong.objective > climbed().objective
-    failed = {check.name for check in pl.verify(wrong, level=2).failed}
+    failed = {check.name for check in pl.verify(wrong, level=2).verification.failed}
     assert any(name.endswith(("switching_thrust", "switch_thrust", "minimum_of_hamiltonian")) for name in failed)
 
 
@@ -200,7 +200,7 @@ def test_what_chatters_is_no_extremal() -> None:
     for nodes, segments in ((5, 8), (5, 16), (20, 1)):
         mesh = pl.Pseudospectral(nodes=nodes, segments=segments, refine=0)
         dressed = replace(mesh.run(goddard()), method="indirect")
-        assert not pl.verify(dressed, level=1).passed
+        assert not pl.verify(dressed, level=1).verification.passed
 
 
 def test_a_control_that_is_averaged_flies_as_high_and_is_no_extremal() -> None:
@@ -211,7 +211,7 @@ def test_a_control_that_is_averaged_flies_as_high_and_is_no_extremal() -> None:
     values = flown.control.values.copy()
     values[at] *= 1 + 1e-3 * (-1.0) ** np.arange(at.sum())[:, None]
     changed = replace(flown, control=replace(flown.control, values=values))
-    assert not pl.verify(replace(solution, trajectories=(changed,)), level=2).passed
+    assert not pl.verify(replace(solution, trajectories=(changed,)), level=2).verification.passed
 
 
 def test_an_arc_on_the_worse_bound_is_cut() -> None:
@@ -242,7 +242,7 @@ def test_a_speed_limit_is_ridden_in_the_place_of_the_singular_arc() -> None:
     (phase,) = free.phases
     states = tuple(replace(s, upper=225.0) if s.name == "v" else s for s in phase.states)
     limited = free.changed(phases=(replace(phase, states=states),), form=None)
-    solution = pl.solve(limited, level=2)
+    solution = pl.solve(limited, verify=2)
     assert solution.outcome is pl.Outcome.PROVED
     assert climbed().objective < solution.objective < climbed().objective + 20.0
     assert "along the upper bound of v" in [arc.words for arc in solution.structure]

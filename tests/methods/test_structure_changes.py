@@ -120,7 +120,7 @@ def test_a_touch_of_no_multiplier_is_excused_by_what_is_positive_without_it(
         return [Check(name="conjugate_point", level=3, value=value, limit=1.0, unit="1", meaning="")]
 
     monkeypatch.setattr(levels, "check_local_optimality", second_variation)
-    found = list(levels._local_optimality_checks(pl.solve(bryson_denham(0.3), level=0), kept, idle, strict))
+    found = list(levels._local_optimality_checks(pl.solve(bryson_denham(0.3), verify=0), kept, idle, strict))
     assert [check.value for check in found] == [-1e-9, 0.5]
     assert [check.passed for check in found] == [without < 1.0, True]
 
@@ -190,7 +190,7 @@ def test_a_dry_mass_that_a_mesh_lands_by_its_own_error_is_named(offset: float) -
 
 def test_a_flight_that_finer_meshes_bear_out_is_no_error_of_a_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Then a better extremal is missing, and that nothing can be flown is not said."""
-    free = pl.solve(heavy(None), level=0)
+    free = pl.solve(heavy(None), verify=0)
     bound = -free.objective + 1.0
     missed = ConstraintViolation(
         name="m", text="mass falls", miss=1.0, unit="kg", canonical=1e-4, limit="vehicle.dry_mass",
@@ -225,7 +225,7 @@ def test_what_is_told_of_a_flight_whose_phases_have_parts_names_none_of_them() -
 def test_a_tilt_that_binds_for_a_moment_is_proved(offset: float) -> None:
     """Its multiplier is next to nothing there, and no time of the proof lies within: it was level 2 from 1e-6 on."""
     problem = on_mars(None)
-    free = pl.solve(problem, level=0)
+    free = pl.solve(problem, verify=0)
     up = problem.phases[-1].control_names.index("toward_up")
     largest = math.acos(free.trajectories[-1].control.values[:, up].min())
     solution = pl.solve(on_mars(None, tilt=largest * (1.0 + offset)))
@@ -318,7 +318,7 @@ def test_a_pair_of_switches_that_begins_is_found_from_its_first_instant() -> Non
     """
     slopes, between, landed = (0.12337, 0.12338, 0.12339879781006839, 0.12345), list[float](), list[float]()
     for slope in slopes:
-        solution = pl.solve(on_the_moon(slope), level=2)
+        solution = pl.solve(on_the_moon(slope), verify=2)
         assert solution.outcome is pl.Outcome.PROVED, str(solution.verification)
         coasts = [arc for arc in solution.structure if "lower" in arc.words]
         between.append(sum(arc.end - arc.begin for arc in coasts))

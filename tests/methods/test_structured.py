@@ -117,7 +117,7 @@ def test_a_lander_may_ride_along_the_ground_to_its_end(tmp_path: Path) -> None:
     direct = Pseudospectral(segments=8, nodes=5, refine=0).run(problem)
     assert solution.objective == pytest.approx(direct.objective, rel=1e-6)
     pl.save(solution, tmp_path)
-    assert pl.prove(pl.load(tmp_path)).outcome is pl.Outcome.PROVED
+    assert pl.verify(pl.load(tmp_path)).outcome is pl.Outcome.PROVED
 
 
 def test_the_better_extremal_is_the_constrained_one() -> None:
@@ -145,9 +145,9 @@ def test_a_precision_landing_touches_its_glide_slope(degrees: float) -> None:
     problem = slope(degrees)
     solution = pl.solve(problem)
     assert solution.outcome is pl.Outcome.PROVED and solution.verification.level == 3
-    wider = pl.solve(slope(degrees - 0.5), level=0).objective
+    wider = pl.solve(slope(degrees - 0.5), verify=0).objective
     assert wider < solution.objective < wider + 0.1  # a steeper slope costs, and not much
-    again = pl.solve(problem, guess=solution, level=2)
+    again = pl.solve(problem, guess=solution, verify=2)
     assert again.objective == pytest.approx(solution.objective, rel=1e-10)
     assert again.extremals[0].nature.value == "an extremal near the guess"
 
@@ -169,7 +169,7 @@ def test_arcs_keep_a_bound_of_the_control_that_a_law_can_hold(tmp_path: Path) ->
     lines = [line for line in Path("examples/polar_descent.toml").read_text().splitlines() if "azimuth" not in line]
     (tmp_path / "free.toml").write_text("\n".join(lines))
     bounds = ("vehicle.mass=12375 kg", "steering.elevation_lower=-46 deg")
-    solution = pl.solve(load_file(str(tmp_path / "free.toml"), bounds).problem, level=1)
+    solution = pl.solve(load_file(str(tmp_path / "free.toml"), bounds).problem, verify=1)
     words = [arc.words for arc in solution.structure]
     assert words == ["along elevation above lower", "contact point of height above site"]
     assert solution.outcome is pl.Outcome.PROVED
@@ -201,14 +201,14 @@ def test_rounding_in_a_sum_of_durations_is_not_its_size(touching: Solution, roun
 
 
 def test_a_guess_of_another_problem_leads_to_the_answer_of_this_one(touching: Solution) -> None:
-    lower = pl.solve(bryson_denham(0.19), guess=touching, level=2)
+    lower = pl.solve(bryson_denham(0.19), guess=touching, verify=2)
     assert lower.objective == pytest.approx(bryson_denham_truth(0.19), abs=1e-12)
     assert lower.outcome is pl.Outcome.PROVED
 
 
 @pytest.mark.parametrize("amount", [1e-6, -1e-6, -1.0, -2.0])
 def test_another_jump_of_the_costates_is_none(touching: Solution, amount: float) -> None:
-    assert not pl.verify(jumped(touching, amount), level=2).passed
+    assert not pl.verify(jumped(touching, amount), level=2).verification.passed
 
 
 def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
@@ -220,10 +220,10 @@ def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
     problem: Any = bryson_denham(0.3)  # the free flight rises to 1/4
     structure = Structure(((Arc(touches=("room",)), Arc()),))
     restated = restate(problem, structure)
-    forced = pl.Indirect().run(restated, pl.solve(restated, pl.Pseudospectral(refine=0), level=0))
+    forced = pl.Indirect().run(restated, pl.solve(restated, pl.Pseudospectral(refine=0), verify=0))
     whole = join_solution(problem, forced, structure)
-    assert pl.verify(whole, level=1).passed
-    failed = {c.name for c in pl.verify(whole, level=2).failed}
+    assert pl.verify(whole, level=1).verification.passed
+    failed = {c.name for c in pl.verify(whole, level=2).verification.failed}
     assert "swing-1_touch" in failed
 
 
@@ -257,15 +257,15 @@ def at_the_maximum() -> Solution:
 
 def test_riding_along_a_condition_at_a_maximum_of_the_hamiltonian_is_no_extremal() -> None:
     """Against every control, and not only that which rides."""
-    failed = {c.name for c in pl.verify(at_the_maximum(), level=3).failed}
+    failed = {c.name for c in pl.verify(at_the_maximum(), level=3).verification.failed}
     assert {"along_minimum", "along_sufficient"} <= failed
 
 
 def test_a_ceiling_that_is_missed_by_little_is_not_touched() -> None:
     """The answer for a ceiling 1.5e-8 m lower, shown as one for the ceiling."""
-    lower = pl.solve(bryson_denham(1 / 5 - 1.5e-8), level=0)
+    lower = pl.solve(bryson_denham(1 / 5 - 1.5e-8), verify=0)
     wrong = replace(lower, problem=bryson_denham(1 / 5))
-    assert "swing-1_met" in {c.name for c in pl.verify(wrong, level=2).failed}
+    assert "swing-1_met" in {c.name for c in pl.verify(wrong, level=2).verification.failed}
 
 
 def test_a_phase_of_no_length_breaks_nothing_by_rounding() -> None:
@@ -284,7 +284,7 @@ def test_what_is_broken_just_before_its_touch_is_ridden() -> None:
         Orbit(parking_altitude=90651.43049123246, perilune_altitude=8118.463553784256),
         MERCURY,
     )
-    solution = pl.solve(problem, level=2)
+    solution = pl.solve(problem, verify=2)
     assert solution.outcome is pl.Outcome.PROVED
     (arc,) = solution.structure
     assert arc.words == "along height above site" and arc.end - arc.begin == pytest.approx(18.0, abs=0.5)

@@ -137,7 +137,7 @@ def test_what_is_no_time_limit_is_refused(limit: object) -> None:
 
 def test_the_proof_tells_of_itself_and_of_the_answer_before_it(steps: None) -> None:
     lines = list[object]()
-    pl.solve(tangent_steering(), watch=lines.append, time_limit=math.inf)
+    pl.solve(tangent_steering(), callback=lines.append, time_limit=math.inf)
     told = [line for line in lines if isinstance(line, str)]
     best = next(i for i, line in enumerate(told) if line.startswith("best so far: J = 0.554570878"))
     proofs = [i for i, line in enumerate(told) if line.startswith("proof: ")]
@@ -163,7 +163,7 @@ def test_each_member_of_a_sweep_has_a_time_limit(
         now[0] += 3600.0 * ("(2 of 3)" in member[0])
 
     over = {"vehicle.mass": [290.0, 300.0, 310.0], **others}
-    points = pl.sweep(cho_landing().with_given(retro_delta_v=0.0), over, watch=watch).points
+    points = pl.sweep(cho_landing().with_given(retro_delta_v=0.0), over, callback=watch).points
     assert [point.outcome.name for point in points] == ["SOLVED", "NOT_CONVERGED", "SOLVED"]
     assert points[1].message.startswith("the time limit of 600 s is reached")
 

@@ -330,7 +330,7 @@ def folders(tmp_path: Path, *names: str) -> list[Path]:
 
 def test_a_return_through_feet_is_that_through_metres(tmp_path: Path) -> None:
     metres, feet = (
-        pl.solve(load_file(capsule(folder, SHAPES[shape])).problem, level=1)
+        pl.solve(load_file(capsule(folder, SHAPES[shape])).problem, verify=1)
         for folder, shape in zip(folders(tmp_path, "m", "ft"), ("heading", "brackets"), strict=True)
     )
     assert feet.results["peak_load"].value == pytest.approx(8.03, abs=0.01)  # 101.8 where feet are taken as metres

@@ -61,7 +61,7 @@ def test_opportunities_begin_at_their_own_hour() -> None:
 def test_a_flight_settles_in_the_air_along_it() -> None:
     """Where the same flight comes out again, here one through other air, the table of it stays."""
     problem = load_text(PASS).with_given(vehicle_drag_area=0.7)
-    first, asked = pl.solve(load_text(PLAIN), level=0), list[pl.Problem]()
+    first, asked = pl.solve(load_text(PLAIN), verify=0), list[pl.Problem]()
 
     def solve(again: pl.Problem, guess: pl.Solution | None = None) -> pl.Solution:
         assert (guess is None) == (not asked) and again.given["vehicle_drag_area"].value == 0.7

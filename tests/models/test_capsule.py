@@ -180,7 +180,7 @@ def test_the_example_flies_along_its_limit_and_so_do_its_neighbours(monkeypatch:
 
     With 5 % more of specific impulse it has 2027.12 s, and from nothing no extremal is found.
     """
-    found = pl.solve(capsule(), level=2)
+    found = pl.solve(capsule(), verify=2)
     assert found.verification.passed and found.objective == pytest.approx(2095.1732, abs=1e-3)
     assert found.results["peak_load"].value == pytest.approx(4.5, rel=1e-9)
     along, touched = (arc for arc in found.structure if "load left" in arc.words)
@@ -188,7 +188,7 @@ def test_the_example_flies_along_its_limit_and_so_do_its_neighbours(monkeypatch:
     assert touched.begin == pytest.approx(335.05, abs=0.1)
     monkeypatch.setattr(Coarse, "solve", lambda *_: pytest.fail("the direct method"))
     more = 1.05 * found.problem.given["vehicle_specific_impulse"].value
-    beside = pl.solve(found.problem.with_given(vehicle_specific_impulse=more), guess=found, level=2)
+    beside = pl.solve(found.problem.with_given(vehicle_specific_impulse=more), guess=found, verify=2)
     assert beside.verification.passed and beside.objective == pytest.approx(2027.12, abs=0.02)
 
 

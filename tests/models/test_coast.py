@@ -71,11 +71,11 @@ def test_ignition_is_where_it_lands_most(falls: Solution) -> None:
     # Later is too late: the burn is at full throttle from ignition on.
     assert np.all(falls.trajectories[1].control(np.linspace(1.0, falls.free["flight_time"], 50))[:, 3] == 0.9)
     earlier, sooner, then = (
-        solve(landing(fallen(time - ahead), None), level=0).results["landed_mass"].value for ahead in (4.0, 2.0, 0.0)
+        solve(landing(fallen(time - ahead), None), verify=0).results["landed_mass"].value for ahead in (4.0, 2.0, 0.0)
     )
     assert then == pytest.approx(best, abs=1e-6)
     assert earlier < sooner < best - 1e-3
-    assert solve(landing(HIGH, None), level=0).results["landed_mass"].value < best - 1.0
+    assert solve(landing(HIGH, None), verify=0).results["landed_mass"].value < best - 1.0
 
 
 def test_velocity_change_is_split_over_fall_and_burn(falls: Solution) -> None:
@@ -85,7 +85,7 @@ def test_velocity_change_is_split_over_fall_and_burn(falls: Solution) -> None:
 
 
 def test_where_the_engine_should_light_at_once_it_does() -> None:
-    at_once = solve(landing(NEAR), level=0).results["landed_mass"].value
+    at_once = solve(landing(NEAR), verify=0).results["landed_mass"].value
     free = solve(landing(replace(NEAR, longest_coast=100.0)))
     assert free.outcome.name == "PROVED"
     assert free.free["coast_time"] == SHORTEST
@@ -100,7 +100,7 @@ def test_a_site_far_downrange_needs_a_fall_first(tmp_path: Path) -> None:
         altitude=15e3, longitude=0.0, latitude=np.pi / 2, heading=np.pi, forward_speed=1694.3, longest_coast=3000.0
     )  # fmt: skip
     site = Site(altitude=2000.0, longitude=np.radians(5.0), latitude=np.radians(60.0))
-    solution = solve(powered_descent(lander, start, site, MOON), level=2)
+    solution = solve(powered_descent(lander, start, site, MOON), verify=2)
     assert solution.outcome.name == "PROVED"
     assert 200.0 < solution.free["coast_time"] < 400.0
 
@@ -131,7 +131,7 @@ def test_a_fall_is_not_refused_for_what_only_a_burn_cannot() -> None:
 
 
 def test_without_a_corridor_only_the_ground_is_in_the_way() -> None:
-    free, held = solve(landing(NEAR, None), level=1), solve(landing(NEAR), level=0)
+    free, held = solve(landing(NEAR, None), verify=1), solve(landing(NEAR), verify=0)
     assert free.outcome.name == "PROVED"
     assert [c.name for c in free.problem.phases[0].path_conditions] == ["height_above_site"]
     assert free.results["landed_mass"].value >= held.results["landed_mass"].value - 1e-9

@@ -90,7 +90,7 @@ def test_a_return_to_a_place_touches_the_air_on_its_way() -> None:
 
 def test_people_read_angles_in_degrees() -> None:
     problem = deorbit_entry(VEHICLE, ORBIT, STEEP, BODY, manoeuvre=PLACE, minimise="transition_time")
-    solution = pl.solve(problem, level=1)
+    solution = pl.solve(problem, verify=1)
     report = solution_markdown(solution)
     assert "| interface angle | -6.000000 | deg |" in report and " rad |" not in report.partition("## Proof")[0]
 
@@ -295,7 +295,7 @@ def test_who_falls_too_fast_for_a_parachute_is_told_before() -> None:
 def test_a_drift_that_costs_time_is_left_out_from_the_beginning() -> None:
     """No random start came near with one; without it the least time is 1773.6364 s."""
     text = template("deorbit_entry").replace('minimise = "propellant"', 'minimise = "flight_time"')
-    solution = pl.solve(load_text(text), level=2)
+    solution = pl.solve(load_text(text), verify=2)
     assert solution.verification.passed and solution.objective == pytest.approx(1773.6364, abs=2e-3)
     assert solution.free["drift_time"] == pytest.approx(1e-3, rel=1e-6)
     assert solution.statistics.rung == "random costates"

@@ -32,7 +32,7 @@ from perilune.models.precision.problem import Approach, Corridor, precision_land
 from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.solve import verify
+from perilune.verify import verify
 from problems.peng import LANDER, PENG_MOON, PENG_STEERING, POLE, SITE, peng
 
 
@@ -242,7 +242,7 @@ def test_anywhere_needs_no_place(coordinates: str) -> None:
     if coordinates == "cartesian":
         one, other = (Indirect().run(problem) for problem in (named, free))
         assert other.objective == pytest.approx(one.objective, rel=1e-10)
-        assert verify(other).level == 3
+        assert verify(other).verification.level == 3
 
 
 def test_a_guess_of_a_landing_anywhere_lies_ahead() -> None:

@@ -72,11 +72,11 @@ def test_the_best_from_low_over_the_site_is_found(landing: Problem) -> None:
     Against fixed burns beside the one that is found, and against what no flight can land: the rocket equation's.
     """
     low = landing.with_given(orbit_perilune_altitude=1.0)
-    found = solve(low, level=0)
+    found = solve(low, verify=0)
     burn, landed = found.free["retro_delta_v"], -found.objective
     assert [round(e.free["retro_delta_v"]) for e in found.extremals] == [1694, 0, 212]
     assert found.extremals[0].nature is Nature.BEST and landed == pytest.approx(171.5345, abs=1e-4)
-    beside = [-solve(low.with_given(retro_delta_v=burn + change), level=0).objective for change in (-1.0, 1.0)]
+    beside = [-solve(low.with_given(retro_delta_v=burn + change), verify=0).objective for change in (-1.0, 1.0)]
     assert landed > max(beside) > landed - 0.02
     p = low.parameters(found.free)
     least = perilune_speed(p, NUMERIC) - p.body_rotation_rate * p.body_radius
@@ -87,7 +87,7 @@ def test_the_best_from_low_over_the_site_is_found(landing: Problem) -> None:
 @pytest.mark.parametrize("height", [0.3, 0.03, 0.01, 0.003])
 def test_the_best_from_a_hand_over_the_site_is_found(landing: Problem, height: float) -> None:
     """So short a flight costs in proportion to its time, as the root of the height; from 3 cm on it is proved."""
-    far, near = (-solve(landing.with_given(orbit_perilune_altitude=h), level=0).objective for h in (1.0, 0.1))
+    far, near = (-solve(landing.with_given(orbit_perilune_altitude=h), verify=0).objective for h in (1.0, 0.1))
     low = solve(landing.with_given(orbit_perilune_altitude=height))
     slope = (near - far) / (1.0 - math.sqrt(0.1))
     assert -low.objective == pytest.approx(near + slope * (math.sqrt(0.1) - math.sqrt(height)), abs=1e-3)
@@ -99,14 +99,14 @@ def test_the_best_from_a_hand_over_the_site_is_found(landing: Problem, height: f
 @pytest.mark.parametrize("seed", [1, 3])
 def test_where_a_walk_begins_does_not_decide_what_is_found(landing: Problem, seed: int) -> None:
     """From 5 mm over the site costates grow to 1e4 within the last of 33 steps: each start has to come through."""
-    found = solve(landing.with_given(orbit_perilune_altitude=0.005), Indirect(seed=seed), level=0)
+    found = solve(landing.with_given(orbit_perilune_altitude=0.005), Indirect(seed=seed), verify=0)
     assert -found.objective == pytest.approx(171.6279, abs=1e-4) and len(found.extremals) == 3
 
 
 def test_a_fixed_burn_that_leaves_a_short_flight_is_no_refusal(landing: Problem) -> None:
     """2.8 s where the same lander without a burn takes 1000: direct starts that shrink to nothing say nothing of it."""
     short = landing.with_given(orbit_perilune_altitude=1.0, retro_delta_v=1692.81)
-    assert -solve(short, level=0).objective == pytest.approx(171.5296, abs=1e-4)
+    assert -solve(short, verify=0).objective == pytest.approx(171.5296, abs=1e-4)
 
 
 def test_a_guess_at_a_bound_was_compared_with_nothing(landing: Problem, ordinary: Solution) -> None:
@@ -120,7 +120,7 @@ def test_a_guess_at_a_bound_was_compared_with_nothing(landing: Problem, ordinary
 @pytest.mark.parametrize(("isp", "retro_burn"), [(277.95, True), (277.85, False)])
 def test_retro_burn_stops_paying(isp: float, retro_burn: bool) -> None:
     """Figs 9, 10: the global optimum jumps to delta_v = 0 below an impulsive Isp of 277.9 s."""
-    solution = solve(cho_landing(isp), level=0)
+    solution = solve(cho_landing(isp), verify=0)
     if retro_burn:
         assert solution.free["retro_delta_v"] == pytest.approx(1086.0, abs=1.0)
         assert solution.extremals[0].nature is Nature.BEST
@@ -137,7 +137,7 @@ def test_initial_costate_is_the_gradient(landing: Problem, ordinary: Solution) -
 
     def slope(name: str, step: float) -> float:
         value = fixed.given[name].value
-        plus, minus = (solve(fixed.with_given(**{name: value + s}), guess=ordinary, level=0) for s in (step, -step))
+        plus, minus = (solve(fixed.with_given(**{name: value + s}), guess=ordinary, verify=0) for s in (step, -step))
         return (plus.objective - minus.objective) / (2 * step)
 
     assert slope("vehicle_mass", 1e-2) == pytest.approx(lam.values[0, 4], rel=1e-6)
@@ -154,7 +154,7 @@ def test_more_thrust_never_costs_propellant(landing: Problem, ordinary: Solution
     fixed = landing.with_given(retro_delta_v=0.0)
     before = ordinary
     for thrust in (440.5, 460.0, 484.0):
-        after = solve(fixed.with_given(vehicle_thrust=thrust), guess=before, level=0)
+        after = solve(fixed.with_given(vehicle_thrust=thrust), guess=before, verify=0)
         assert after.objective < before.objective
         before = after
 
@@ -167,7 +167,7 @@ def test_units_do_not_matter(hybrid: Solution) -> None:
         Orbit(parking_altitude=100e3, perilune_altitude=15e3),
         CHO_MOON,
     )
-    solution = solve(heavy, guess=hybrid, level=0)
+    solution = solve(heavy, guess=hybrid, verify=0)
     assert solution.objective == pytest.approx(1000 * hybrid.objective, rel=1e-10)
     assert solution.free["retro_delta_v"] == pytest.approx(hybrid.free["retro_delta_v"], rel=1e-9)
 
@@ -182,7 +182,7 @@ def test_restart_from_a_midpoint(landing: Problem, ordinary: Solution) -> None:
         start=lambda p, xp: tuple(getattr(p, name) for name in names),
         given={**fixed.given, **{n: Given(value=v, unit=u) for n, v, u in zip(names, x, units, strict=True)}},
     )
-    solution = solve(rest, level=0)
+    solution = solve(rest, verify=0)
     assert solution.objective == pytest.approx(ordinary.objective, rel=1e-9)
     assert solution.free["flight_time"] == pytest.approx(0.6 * total, rel=1e-8)
 
@@ -224,7 +224,7 @@ def test_too_weak_a_lander_is_refused() -> None:
         Orbit(parking_altitude=100e3, perilune_altitude=15e3),
     )
     with pytest.raises((InfeasibleError, PeriluneError)) as caught:
-        solve(weak, level=0)
+        solve(weak, verify=0)
     assert caught.value.exit_code in (3, 4)
 
 

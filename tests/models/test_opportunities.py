@@ -154,7 +154,7 @@ def test_a_reachable_pass_is_flown() -> None:
     """Takes its seconds: a solve without a guess is what the list speaks of."""
     one = listed(returning())["reachable"][0]
     assert one.ignition > 10 * 3600.0
-    solution = pl.solve(begun(one), level=1)
+    solution = pl.solve(begun(one), verify=1)
     assert solution.verification.passed
     told = solution.results
     assert told["delta_v"].value == pytest.approx(one.velocity_change, rel=0.1)

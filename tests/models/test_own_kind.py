@@ -57,7 +57,7 @@ def test_a_file_may_state_a_kind_that_a_package_brings(tmp_path: Path) -> None:
     assert said(environment, "verify", out)[0] == 0
     assert "lunar_hop" not in KINDS
     saved = pl.load(out)  # where it is not installed: the expressions beside it are the problem
-    assert pl.verify(saved).level == 3 and saved.problem.name == "lunar_hop"
+    assert pl.verify(saved).verification.level == 3 and saved.problem.name == "lunar_hop"
     document = json.loads((Path(out) / "solution.json").read_text(encoding="utf-8"))
     assert document["scenario"]
 

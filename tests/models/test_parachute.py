@@ -106,7 +106,7 @@ def test_the_parachute_is_part_of_the_optimum() -> None:
     """The place is below the point at which it opens: a site that is reached there at once is reached the same way."""
     without = scenario(SCENARIO.replace('altitude = "10 km"', 'altitude = "8 km"'))
     assert len(without.phases) == 4
-    bare = pl.solve(without, level=1)
+    bare = pl.solve(without, verify=1)
     assert bare.results["propellant"].value == pytest.approx(solved().results["propellant"].value, rel=1e-3)
     assert bare.results["landing_speed"].value == pytest.approx(solved().results["opening_speed"].value, rel=1e-3)
 

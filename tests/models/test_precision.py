@@ -59,7 +59,7 @@ def touching() -> Solution:
 def test_the_landing_on_mars_is_the_papers(touching: Solution) -> None:
     """Proved, and the same to a milligram as the plane problem that is stated without any model."""
     assert touching.outcome is Outcome.PROVED and touching.verification.level == 3
-    stated = solve(mars_glide_slope(), level=0)
+    stated = solve(mars_glide_slope(), verify=0)
     assert touching.results["propellant"].value == pytest.approx(stated.results["propellant"].value, abs=1e-3)
     assert touching.results["propellant"].value == pytest.approx(398.0697, abs=1e-4)
     assert touching.results["flight_time"].value == pytest.approx(stated.results["time"].value, abs=1e-3)
@@ -75,7 +75,7 @@ def test_without_a_slope_the_ground_is_touched() -> None:
     heights = found.trajectories[0].state.values[:, 2]
     inner = heights[5:-5]
     assert abs(inner.min()) < 1e-4 and heights.max() > 1e3  # m
-    direct = solve(problem, pl.Pseudospectral(), level=0)
+    direct = solve(problem, pl.Pseudospectral(), verify=0)
     assert found.results["propellant"].value == pytest.approx(direct.results["propellant"].value, abs=2e-3)
 
 
@@ -267,7 +267,7 @@ def test_straight_above_the_site_a_gate_costs_nothing() -> None:
     """Over flat ground the best way down is vertical anyway: with and without a gate the same mass lands."""
     start = Approach(east=0.0, north=0.0, up=1000.0, up_speed=-30.0)
     plain, gated = (
-        solve(over_flat_ground(approach=start, final=final), level=0).results["landed_mass"].value
+        solve(over_flat_ground(approach=start, final=final), verify=0).results["landed_mass"].value
         for final in (None, FinalDescent(height=50.0))
     )
     assert gated == pytest.approx(plain, rel=1e-9)
@@ -299,7 +299,7 @@ def test_a_final_descent_is_saved_and_drawn(upright: Solution, tmp_path: Path) -
     pl.save(upright, tmp_path / "out")
     back = pl.load(tmp_path / "out")
     assert back.problem == upright.problem
-    assert pl.prove(back).outcome is Outcome.PROVED
+    assert pl.verify(back).outcome is Outcome.PROVED
     out = tmp_path / "drawn"
     assert run_command_line(["solve", str(PRECISION), "--set", "final.height=50 m", "--out", str(out)]) == 0
     assert (out / "trajectory_2_final_descent.csv").exists()
@@ -410,7 +410,7 @@ def test_the_bound_of_the_glide_slope_is_sharp(body: Any) -> None:
 def test_a_family_of_landings_touches_its_slope() -> None:
     """Each member of a sweep has what a solve without a guess has; more gravity costs more."""
     problem = load_file(MARS).problem
-    family = pl.sweep(problem, {"body.gravity": [3.5, 3.6, 3.65, 3.7]}, level=1)
+    family = pl.sweep(problem, {"body.gravity": [3.5, 3.6, 3.65, 3.7]}, verify=1)
     found = [point.solution for point in family.points]
     assert all(solution is not None and solution.outcome is Outcome.PROVED for solution in found)
     assert all(
@@ -418,7 +418,7 @@ def test_a_family_of_landings_touches_its_slope() -> None:
     )
     spent = [solution.results["propellant"].value for solution in found if solution]
     assert spent == sorted(spent)
-    alone = solve(problem.with_given(body_gravity=3.65), level=0)
+    alone = solve(problem.with_given(body_gravity=3.65), verify=0)
     assert spent[2] == pytest.approx(alone.results["propellant"].value, rel=1e-9)
 
 
@@ -426,5 +426,5 @@ def test_a_touch_that_a_rough_mesh_does_not_lead_to_is_found_by_a_finer_one() ->
     """Solved from 40 points of a mesh it was refused: every extremal found violates the glide slope."""
     approach = {"approach_east": -1843.0, "approach_up": 1045.0, "approach_up_speed": -32.4}
     problem = load_file(PRECISION).problem
-    found = solve(problem.with_given(corridor_slope=0.42, **approach), level=1)
+    found = solve(problem.with_given(corridor_slope=0.42, **approach), verify=1)
     assert found.outcome is Outcome.PROVED and "contact point" in found.structure[-1].words

@@ -73,7 +73,7 @@ def test_what_is_flown_is_never_refused(
 ) -> None:
     """The least propellant for an angle, and no more than that on board: within all bounds, and not far within."""
     free = replace(VEHICLE, thrust=thrust)
-    solution = pl.solve(returning(degrees, free, orbit, drifts=drifts, body=body), level=1)
+    solution = pl.solve(returning(degrees, free, orbit, drifts=drifts, body=body), verify=1)
     assert solution.verification.passed
     left = solution.results["mass_at_interface"].value
     tight = returning(degrees, replace(free, dry_mass=left * (1 - 1e-9)), orbit, drifts=drifts, body=body)
@@ -95,7 +95,7 @@ def test_an_orbit_that_comes_down_by_itself_is_left_before_it_does() -> None:
     assert {f.name: f.verdict for f in preflight(problem)} == {
         "perigee above the interface": "warning", "ignition above the interface": "ok"
     }  # fmt: skip
-    solution = pl.solve(problem, level=1)
+    solution = pl.solve(problem, verify=1)
     assert solution.verification.passed
     assert solution.results["interface_angle"].value == pytest.approx(math.radians(-1.5), abs=1e-9)
     with pytest.raises(InfeasibleError, match="enters the atmosphere by itself"):
@@ -178,7 +178,7 @@ def test_what_has_burnt_its_propellant_arrives_slower(known: bool) -> None:
     changes = ["site.speed_upper=225 m/s", *(["vehicle.dry_mass=358 kg"] if known else [])]
     problem = load_file(Path(__file__).parents[2] / "examples/minimum_duration_return.toml", changes).problem
     assert all(f.verdict != "impossible" for f in preflight(problem))
-    solution = pl.solve(problem, level=1)
+    solution = pl.solve(problem, verify=1)
     assert solution.verification.passed and solution.results["landing_speed"].value < 225.0
 
 

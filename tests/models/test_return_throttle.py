@@ -114,8 +114,8 @@ def test_what_is_left_behind_was_throttled() -> None:
         "vehicle": VEHICLE, "air": AIR, "site": Landing(altitude=5e3), "separation": Separation(mass=300.0),
         "parachute": Parachute(altitude=8e3, drag_area=100.0), "transition": Transition(longest_coast=4000.0),
     }  # fmt: skip
-    throttled = pl.solve(returning(**parts, throttle=Throttle(lower=0.2, upper=1.0)), level=2)
-    full = pl.solve(returning(**parts), level=1)
+    throttled = pl.solve(returning(**parts, throttle=Throttle(lower=0.2, upper=1.0)), verify=2)
+    full = pl.solve(returning(**parts), verify=1)
     assert throttled.verification.passed and full.verification.passed
     same(throttled, full)
     for name in ("entry_time", "landing_speed", "peak_load"):

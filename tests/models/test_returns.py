@@ -32,7 +32,7 @@ from perilune.models.physics.bodies import EARTH
 from perilune.problem.results.extremal import Nature
 from perilune.scenario import load_file
 from perilune.shooting.contracting_phases import costate_error_growth
-from perilune.solve import verify
+from perilune.verify import verify
 
 NEIGHBOUR_B = Path(__file__).parents[2] / "examples" / "minimum_duration_return.toml"
 FREE_IGNITION = (
@@ -68,15 +68,17 @@ def test_costates_of_a_fall_follow_from_its_end(tmp_path: Path) -> None:
         'drag_area = "0.6 m^2" ', 'ballistic_coefficient = "177 kg/m^2" #'
     )
     (tmp_path / "light.toml").write_text(light, encoding="utf-8")
-    solution = pl.solve(load_file(tmp_path / "light.toml", FREE_IGNITION).problem, level=0)
-    assert not [check for check in verify(solution, level=2).failed]
+    solution = pl.solve(load_file(tmp_path / "light.toml", FREE_IGNITION).problem, verify=0)
+    assert not [check for check in verify(solution, level=2).verification.failed]
     for column in (0, 3):
         entry = solution.trajectories[-1]
         assert entry.costate is not None
         values = entry.costate.values.copy()
         values[len(values) // 2, column] += 1e-6 * np.abs(values[:, column]).max()
         wrong = replace(entry, costate=replace(entry.costate, values=values))
-        failed = verify(replace(solution, trajectories=(*solution.trajectories[:-1], wrong)), level=2).failed
+        failed = verify(
+            replace(solution, trajectories=(*solution.trajectories[:-1], wrong)), level=2
+        ).verification.failed
         assert {check.name for check in failed} & {
             f"entry_costate_{name}" for name in ("x", "y", "z", "vx", "vy", "vz")
         }
@@ -177,7 +179,7 @@ def test_a_fall_that_forgets_everything_is_solved_and_proved(tmp_path: Path) -> 
 @pytest.mark.parametrize("coefficient", [40, 100])
 def test_a_limit_of_a_speed_that_nothing_moves_hinders_no_answer(tmp_path: Path, coefficient: int) -> None:
     """Whether J curves down along a speed at which everything falls is chance, and was taken for a maximum."""
-    limited = pl.solve(returning(tmp_path, coefficient, 'site.speed_upper="300 m/s"'), level=0)
+    limited = pl.solve(returning(tmp_path, coefficient, 'site.speed_upper="300 m/s"'), verify=0)
     assert limited.results["landing_speed"].value < 100.0
     assert limited.objective == pytest.approx(-478.5, abs=0.1)
 
@@ -185,7 +187,7 @@ def test_a_limit_of_a_speed_that_nothing_moves_hinders_no_answer(tmp_path: Path,
 def test_the_jacobian_of_a_phase_that_settles(tmp_path: Path) -> None:
     """By central differences of the residual, at a root and beside it."""
     problem = returning(tmp_path, 177)
-    solution = pl.solve(problem, level=0)
+    solution = pl.solve(problem, verify=0)
     trials = Trials(problem, ignore_events)
     assert [phase.settles for phase in trials.conditions.phases] == [False, False, False, True]
     shooting, choice = trials.shooting, active_set_of_guess(trials, solution, np.array(solution.unknowns))
@@ -229,7 +231,7 @@ def test_a_fixed_sweep_has_two_extremals_and_one_is_a_time_maximum(tmp_path: Pat
     assert -longest.objective == pytest.approx(4902.28707, abs=1e-4)
     # Claimed to be the least it meets every condition but those of the time, which tell the sign of J's multiplier.
     claimed = replace(longest, problem=problem, objective=-longest.objective)
-    failed = {check.name for check in verify(claimed, level=2).failed}
+    failed = {check.name for check in verify(claimed, level=2).verification.failed}
     assert failed == {"stationary_burn_time", "stationary_entry_time"}
     direct = pl.Pseudospectral(nodes=8, segments=10, polish=False).run(pl.opposite(problem))
     assert direct.objective == pytest.approx(longest.objective, rel=1e-6)
@@ -238,7 +240,7 @@ def test_a_fixed_sweep_has_two_extremals_and_one_is_a_time_maximum(tmp_path: Pat
 def test_the_direct_method_flies_neighbour_b_alike() -> None:
     """Refined and not made exact: another transcription of the same flight."""
     problem = load_file(NEIGHBOUR_B).problem
-    indirect = pl.solve(problem, level=0)
+    indirect = pl.solve(problem, verify=0)
     direct = pl.Pseudospectral(nodes=10, segments=12, tolerance=1e-9, polish=False).run(problem)
     assert direct.objective == pytest.approx(indirect.objective, rel=1e-9)
     for name, value in indirect.free.items():
@@ -269,7 +271,7 @@ def test_an_engine_that_burns_all_the_way_leaves_no_drift() -> None:
     assert active_path_condition(rough.problem, rough) is None
     solution = Indirect().run(rough.problem, rough)
     assert solution.free["drift_time"] == 1e-3
-    assert 0 < solution.objective - pl.solve(down(None), level=0).objective < 1e-3
+    assert 0 < solution.objective - pl.solve(down(None), verify=0).objective < 1e-3
 
 
 def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less() -> None:
@@ -293,18 +295,18 @@ def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less(
         *above, entry = problem.phases  # so near to leaving, the direct method does not find it with the condition
         return problem.changed(phases=(*above, replace(entry, path=None, path_conditions=())), form=None)
 
-    anywhere = pl.solve(to(Landing(altitude=10e3), -1.3), level=0)
+    anywhere = pl.solve(to(Landing(altitude=10e3), -1.3), verify=0)
     for degrees in (-1.0, -0.88, -0.85):  # from nothing it is found on some machines alone
-        anywhere = pl.solve(to(Landing(altitude=10e3), degrees), guess=anywhere, level=0)
+        anywhere = pl.solve(to(Landing(altitude=10e3), degrees), guess=anywhere, verify=0)
     place = {name: anywhere.results[f"landing_{name}"].value for name in ("longitude", "latitude")}
     place["longitude"] += 0.02
-    solution = pl.solve(to(Landing(altitude=10e3, **place)), guess=anywhere, level=2)
+    solution = pl.solve(to(Landing(altitude=10e3, **place)), guess=anywhere, verify=2)
     assert solution.verification.level == 2 and solution.free["entry_time"] > 1300
     entry = solution.trajectories[-1]
     assert entry.costate is not None
     moved = replace(entry.costate, values=(1 + 1e-5) * entry.costate.values, rates=(1 + 1e-5) * entry.costate.rates)
     falsified = replace(solution, trajectories=(*solution.trajectories[:-1], replace(entry, costate=moved)))
-    failed = {check.name for check in verify(falsified, level=2).failed}
+    failed = {check.name for check in verify(falsified, level=2).verification.failed}
     assert {"drift_transversality", "entry_transversality"} <= failed
 
 
@@ -324,7 +326,7 @@ def test_the_least_time_from_low_thrust_is_found_without_a_guess(drifts: bool) -
         air=Atmosphere(model="exponential", density=1.225, scale_height=7200.0),
         site=Landing(altitude=10e3),
     )
-    solution = pl.solve(problem, level=2)
+    solution = pl.solve(problem, verify=2)
     assert solution.verification.passed and solution.statistics.rung == "random costates"
     assert solution.objective == pytest.approx(1697.381, abs=1e-3)
     assert solution.free.get("drift_time", 1e-3) == 1e-3
@@ -356,5 +358,5 @@ def test_an_extremal_that_is_no_minimum_leads_on_to_the_direct_method() -> None:
     best, other = solution.extremals[:2]
     assert best.nature is Nature.BEST
     assert other.nature is Nature.UNPROVED and -other.objective == pytest.approx(4818.7, abs=0.5)
-    direct = pl.solve(problem, pl.Pseudospectral(polish=False), level=0)
+    direct = pl.solve(problem, pl.Pseudospectral(polish=False), verify=0)
     assert direct.objective == pytest.approx(solution.objective, rel=1e-5)

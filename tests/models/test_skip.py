@@ -19,7 +19,7 @@ from perilune.models.deorbit.skip_out import rebound_height
 from perilune.models.physics.atmosphere import exponential
 from perilune.models.physics.bodies import EARTH
 from perilune.problem.presolve import preflight
-from perilune.solve import verify
+from perilune.verify import verify
 
 CONDITION = "depth_below_interface"
 
@@ -62,13 +62,13 @@ def test_an_entry_that_leaves_the_air_is_no_answer() -> None:
     It is found beside that of a steeper entry: none of 768 random starts, and no coarse mesh, leads to it from nothing.
     """
     problem = returning(-0.8)
-    steeper = pl.solve(without_condition(returning(-0.9)), level=0)
-    skips = pl.solve(without_condition(problem), guess=steeper, level=0)
+    steeper = pl.solve(without_condition(returning(-0.9)), verify=0)
+    skips = pl.solve(without_condition(problem), guess=steeper, verify=0)
     entry = len(problem.phases) - 1
     x, _ = skips.flown(entry, np.linspace(0.0, skips.trajectories[entry].duration, 2000))
     highest = float(geodetic_altitude(np.array(x[:3])).max()) - 120e3
     assert highest > 1e3
-    checked = verify(replace(skips, problem=problem), level=1)
+    checked = verify(replace(skips, problem=problem), level=1).verification
     failed = {check.name: check.value for check in checked.failed}
     assert checked.level == 0 and list(failed) == [f"entry_path_{CONDITION}"]
     assert failed[f"entry_path_{CONDITION}"] == pytest.approx(highest, abs=5.0)

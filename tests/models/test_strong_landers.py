@@ -349,7 +349,7 @@ def test_a_descent_in_one_burn_is_warned_of_whatever_its_start(speed: float, up:
     known = [one.velocity_change for one in two_impulses(around(problem))]
     fallen = math.sqrt(speed**2 + up**2 + 2 * MU * (1 / RADIUS - 1 / (RADIUS + ALTITUDE)))
     assert found.value == pytest.approx(min(known, default=fallen), rel=1e-3)
-    spent = 320.0 * 9.80665 * math.log(1e4 / -solve(problem, level=0).objective)
+    spent = 320.0 * 9.80665 * math.log(1e4 / -solve(problem, verify=0).objective)
     assert SPENDS * found.limit == pytest.approx(spent, rel=0.02)
     assert not found.passed and not found.binding
 
@@ -419,7 +419,7 @@ def test_where_every_wait_is_about_as_good_neighbours_are_met() -> None:
         Site(longitude=0.5, latitude=0.3),
         MERCURY,
         target="anywhere", throttle=(0.0, 1.0),
-    ), level=2)  # fmt: skip
+    ), verify=2)  # fmt: skip
     parts, _ = restate_with_contacts(with_end_bounds(landed))
     costates = [*check_neighbours(parts, lambda problem, guess: Indirect().run(problem, guess))]
     # 1e-6 is allowed; 1.1e-9 was measured, and 1e-7 without what is held.

@@ -71,7 +71,7 @@ def region(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def made(region: Path) -> LiuReproduction:
     """Everything that the report is made of, at a few manoeuvre points and without proofs."""
-    fixed = solve(site_fixed(), level=0)
+    fixed = solve(site_fixed(), verify=0)
     near = solve_members(
         fixed, [(row.longitude, row.latitude) for row in TABLE_2[FIRST : FIRST + REACHED]], lambda _: None
     )
@@ -82,7 +82,7 @@ def made(region: Path) -> LiuReproduction:
         off_plane=compare_off_plane(fixed.results["entry_time"].value),
         refusals={going: printed_refusal(going) for going in PASSES},
         flown=(fly_printed(1.0), fly_printed(-1.0)),
-        site_free={going: solve(site_free(going), level=0) for going in PASSES},
+        site_free={going: solve(site_free(going), verify=0) for going in PASSES},
         site_fixed=fixed,
         slowest=fixed,
         grid=grid,
@@ -208,7 +208,7 @@ def test_costates_at_ignition_are_what_the_time_changes_by(made: LiuReproduction
         stated = solution.problem.with_given(**{name: solution.problem.given[name].value + sign * step})
         p = stated.parameters({})
         states.append(paper_state(np.array(stated.start(p, NUMERIC), dtype=float)))
-        times.append(solve(stated, guess=solution, level=0).objective / paper_units().time)
+        times.append(solve(stated, guess=solution, verify=0).objective / paper_units().time)
     expected = paper_costates(solution, 0, 0.0) @ (states[1] - states[0])
     assert times[1] - times[0] == pytest.approx(expected, rel=1e-4)
 
@@ -432,7 +432,7 @@ def test_an_answer_beside_what_breaks_the_path_is_not_followed(region: Path, mon
     def asked() -> list[float]:
         return [atlas.query(**dict(zip(AXES, point, strict=True))).objective for point in points]
 
-    expected = [solve(site_fixed().with_given(**dict(zip(AXES, p, strict=True))), level=0).objective for p in points]
+    expected = [solve(site_fixed().with_given(**dict(zip(AXES, p, strict=True))), verify=0).objective for p in points]
     ways = list[int]()
     way = MinimumSearch._best_along_lines
     monkeypatch.setattr(MinimumSearch, "_best_along_lines", lambda *args: (ways.append(1), way(*args))[1])

@@ -58,10 +58,10 @@ def silent(_: Any) -> None:
 @pytest.fixture(scope="module")
 def made() -> PengReproduction:
     """Everything that the report is made of, with a short convergence and seeds that were not run."""
-    indirect = solve(peng_descent(), level=0)
+    indirect = solve(peng_descent(), verify=0)
     return PengReproduction(
         indirect=indirect,
-        fastest=solve(peng_descent(minimise="flight_time"), level=0),
+        fastest=solve(peng_descent(minimise="flight_time"), verify=0),
         direct=AT_FIFTY.run(problem_of_the_paper()),
         direct_fastest=AT_FIFTY.run(problem_of_the_paper(minimise="flight_time")),
         direct_cartesian=Pseudospectral(nodes=20, refine=0).run(peng_descent()),
@@ -69,7 +69,7 @@ def made() -> PengReproduction:
         missed=(1e-4, 1e-6),
         genetic=Starts(flight_times=(indirect.free["flight_time"],) * 2, processor_times=(1.0, 3.0)),
         random=Starts(flight_times=(math.nan, 500.0), processor_times=(1.0, 3.0)),
-        readings={name: solve(peng_descent(case), level=0) for name, case in other_readings().items()},
+        readings={name: solve(peng_descent(case), verify=0) for name, case in other_readings().items()},
         fitting_gravity=4895e9,
     )
 
@@ -122,7 +122,7 @@ def test_printed_numbers_imply_what_is_not_printed(made: PengReproduction) -> No
     assert implied_gravity() == pytest.approx(9.80, abs=5e-4)
     assert parking_altitude() == pytest.approx(110e3, abs=200.0)
     mu = fitting_gravity(made.indirect)
-    at = solve(made.indirect.problem.with_given(body_gravitational_parameter=mu), guess=made.indirect, level=0)
+    at = solve(made.indirect.problem.with_given(body_gravitational_parameter=mu), guess=made.indirect, verify=0)
     assert at.free["flight_time"] == pytest.approx(PRINTED["flight time"][0], abs=1e-4)
 
 

@@ -26,18 +26,18 @@ def test_the_paper_s_landing_from_a_straight_line() -> None:
     """160.618584 kg, as from nothing; the times are the phase's length."""
     made = pl.guess(HYBRID, TIMES, straight_down(), np.tile([-1.0, 0.0], (15, 1)), retro_delta_v=1100.0)
     assert made.free == {"retro_delta_v": 1100.0, "flight_time": 280.0}
-    rough = pl.solve(HYBRID, pl.Pseudospectral(nodes=12), guess=made, level=0)
+    rough = pl.solve(HYBRID, pl.Pseudospectral(nodes=12), guess=made, verify=0)
     assert rough.statistics.tried[0].startswith("start from a guess (by hand)")
-    assert -pl.solve(HYBRID, guess=rough, level=0).objective == pytest.approx(160.618584, abs=1e-6)
+    assert -pl.solve(HYBRID, guess=rough, verify=0).objective == pytest.approx(160.618584, abs=1e-6)
 
 
 def test_the_indirect_method_begins_with_what_the_direct_one_makes_of_it() -> None:
     """A table of the answer, rounded to metres and without costates, leads back to it."""
-    answer = pl.solve(HYBRID, level=0)
+    answer = pl.solve(HYBRID, verify=0)
     t = np.linspace(0.0, answer.free["flight_time"], 12)
     state, control = answer.flown(0, t)
     made = pl.guess(HYBRID, t, np.round(state.T, 2), np.round(control.T, 2), retro_delta_v=1200.0)
-    again = pl.solve(HYBRID, guess=made, level=0)
+    again = pl.solve(HYBRID, guess=made, verify=0)
     assert again.objective == pytest.approx(answer.objective, abs=1e-9)
     assert again.statistics.tried[0].startswith("direct transcription: start from a guess")
 
@@ -85,6 +85,6 @@ def test_a_guess_of_far_other_values_is_followed_where_newton_fails_from_it() ->
     """From 440 to 2000 N: each extremal is predicted by the sensitivity of the one before."""
     problem, said = load_file("examples/ordinary_lander.toml").problem, list[str]()
     strong = problem.with_given(vehicle_thrust=2000.0)
-    near = pl.solve(strong, guess=pl.solve(problem, level=0), level=0, watch=lambda event: said.append(str(event)))
+    near = pl.solve(strong, guess=pl.solve(problem, verify=0), verify=0, callback=lambda event: said.append(str(event)))
     assert "following the guess: 100% of the way" in said and not any("direct" in line for line in said)
-    assert near.objective == pytest.approx(pl.solve(strong, level=0).objective, rel=1e-10)
+    assert near.objective == pytest.approx(pl.solve(strong, verify=0).objective, rel=1e-10)

@@ -48,7 +48,7 @@ def test_light_bends_at_a_choice() -> None:
 
     best: Any = minimize_scalar(lambda c: math.hypot(c, 1) + 2 * math.hypot(1 - c, 1), bounds=(0, 1), method="bounded",
                            options={"xatol": 1e-12})  # fmt: skip
-    solution = pl.solve(refraction(), level=0)
+    solution = pl.solve(refraction(), verify=0)
     assert solution.objective == pytest.approx(best.fun, abs=1e-10)
     path = solution.trajectories[0]
     lam = path.costate
@@ -115,7 +115,7 @@ def flipped() -> pl.Problem:
 
 def test_a_control_changes_its_regime_at_a_choice() -> None:
     """Full thrust to 0.3 m, full thrust the other way, which goes on accelerating, and back at half way."""
-    solution = pl.solve(flipped(), level=0)
+    solution = pl.solve(flipped(), verify=0)
     assert solution.objective == pytest.approx(2.0, abs=1e-10)
     control, border = solution.trajectories[0].control, math.sqrt(0.6)
     times = [0.5 * border, 0.5 * (border + 1), 1.5]
@@ -219,7 +219,7 @@ def test_kinks_are_met_whatever_makes_them(speed: float) -> None:
     """At rest the flight begins and ends on a knot of the tables; at -1 m/s it leaves by the first and comes back."""
     best = least_effort(speed)
     for force in FORCES:
-        solution = pl.solve(transfer(force, speed), level=0)
+        solution = pl.solve(transfer(force, speed), verify=0)
         assert solution.objective == pytest.approx(best, abs=2e-10), force
         curve = solution.trajectories[0].state
         breaks = curve.time[1:][np.diff(curve.time) == 0]
@@ -270,7 +270,7 @@ def test_air_in_layers_and_in_a_table(kind: str) -> None:
     flown = solve_ivp(
         lambda h, w: -2.0 + 0.8 * density(h) * w, (3.0, 0.0), [0.0], rtol=1e-11, atol=1e-13, max_step=0.05
     )
-    solution = pl.solve(layered(kind), level=1)
+    solution = pl.solve(layered(kind), verify=1)
     assert solution.outcome is pl.Outcome.PROVED
     end = solution.trajectories[0].state.values[-1]
     assert end[1] == pytest.approx(-math.sqrt(flown.y[0, -1]), abs=1e-7)
@@ -317,7 +317,7 @@ def test_a_choice_by_a_control_is_refused_by_the_indirect_method() -> None:
         base.phases[0], dynamics=lambda x, u, p, xp: (xp.where(u.cx > u.cy, p.fast, p.slow) * u.cx, p.fast * u.cy)
     )
     with pytest.raises(PeriluneError, match="depends on a control"):
-        pl.solve(replace(base, phases=(by_control,)), level=0)
+        pl.solve(replace(base, phases=(by_control,)), verify=0)
 
 
 def reentry() -> pl.Problem:
@@ -363,8 +363,8 @@ def reentry() -> pl.Problem:
 
 def test_the_re_entry_of_stoer_and_bulirsch() -> None:
     """An angle in lift and drag; T = 224.900756, J = 0.027782408828, u from 68.2206 to -67.3773 degrees."""
-    rough = pl.solve(reentry(), pl.Pseudospectral(segments=3, refine=0, polish=False), level=0)
-    solution = pl.solve(reentry(), guess=rough, level=0)
+    rough = pl.solve(reentry(), pl.Pseudospectral(segments=3, refine=0, polish=False), verify=0)
+    solution = pl.solve(reentry(), guess=rough, verify=0)
     assert solution.objective == pytest.approx(0.027782408828, abs=1e-11)
     assert solution.free["T"] == pytest.approx(224.900756, abs=1e-5)
     control = solution.trajectories[0].control

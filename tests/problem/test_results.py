@@ -25,7 +25,8 @@ from perilune.problem.variables import Variable
 from perilune.report.figures import label, solution_figures
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
-from perilune.solve import prove, solve
+from perilune.solve import solve
+from perilune.verify import verify
 from perilune_papers.peng2012.case import peng_descent, problem_of_the_paper
 from problems.ascents import tangent_steering
 
@@ -39,9 +40,9 @@ def flights(hybrid: Solution, ordinary: Solution) -> dict[str, Solution]:
     return {
         "hybrid": hybrid,
         "ordinary": ordinary,
-        "cartesian": solve(peng_descent(), level=0),
+        "cartesian": solve(peng_descent(), verify=0),
         "spherical": Pseudospectral(nodes=50, refine=0).run(problem_of_the_paper()),
-        "precision": solve(precision, level=0),
+        "precision": solve(precision, verify=0),
     }
 
 
@@ -122,7 +123,7 @@ def test_masses_count_what_the_retro_burn_took(hybrid: Solution, ordinary: Solut
 def test_a_problem_that_asks_nothing_has_flight_time_and_objective() -> None:
     """Any problem has results, JSON, extremals and figures: each state, control and costate."""
     plain = tangent_steering()
-    solution = solve(plain, level=0)
+    solution = solve(plain, verify=0)
     assert list(solution.results) == ["flight_time", "objective"]
     assert solution.results["objective"] == Result(value=solution.objective, unit=plain.objective_unit, description="J")
     document = solution_document(solution)
@@ -139,7 +140,7 @@ def test_phases_add_to_one_integral() -> None:
     """Constant acceleration spends a times t, in one phase or in two."""
     stated = tangent_steering(split=True)
     spent = {"integrals": lambda x, u, p, xp: (p.a,), "integral_variables": (Variable(name="spent", unit="m/s"),)}
-    solution = solve(replace(stated, phases=tuple(replace(phase, **spent) for phase in stated.phases)), level=0)
+    solution = solve(replace(stated, phases=tuple(replace(phase, **spent) for phase in stated.phases)), verify=0)
     whole = sum(trajectory.duration for trajectory in solution.trajectories)
     assert len(solution.trajectories) == 2
     assert solution.results["spent"].value == pytest.approx(solution.parameters.a * whole, rel=1e-12)
@@ -213,7 +214,7 @@ def test_no_inertial_view_is_said(hybrid: Solution) -> None:
 
 def test_a_lone_extremal_from_a_guess_is_not_called_best(landing: Any, hybrid: Solution, ordinary: Solution) -> None:
     """It was compared with no other."""
-    again = solve(landing, guess=hybrid, level=0)
+    again = solve(landing, guess=hybrid, verify=0)
     assert again.statistics.rung == "guess"
     assert [e.nature for e in again.extremals] == [Nature.NEAR_GUESS]
     assert hybrid.extremals[0].nature is Nature.BEST
@@ -316,13 +317,13 @@ def test_what_is_not_proved_is_called_no_optimum(time: float, nature: Nature, tm
     assert [e.nature for e in solution.extremals] == [nature]
     assert ("conjugate_point" in [c.name for c in solution.verification.failed]) == (nature is Nature.UNPROVED)
     pl.save(solution, tmp_path / "endless")
-    again = prove(pl.load(tmp_path / "endless"), 3)
+    again = verify(pl.load(tmp_path / "endless"), 3)
     assert again.outcome is solution.outcome and "best" not in again.extremals[0].nature.value
 
 
 @pytest.mark.parametrize("split", [False, True])
 def test_a_flight_says_how_long_all_of_it_takes(split: bool) -> None:
     """In one phase and in two, of which each is shorter."""
-    found = solve(tangent_steering(split), Indirect(), level=0)
+    found = solve(tangent_steering(split), Indirect(), verify=0)
     assert found.duration == pytest.approx(0.554570878334603, rel=1e-12)
     assert len(found.trajectories) == 1 + split

@@ -22,7 +22,7 @@ from perilune.methods.evolutionary.fitness import ControlFitness
 from perilune.methods.indirect.unknowns import residual_scales
 from perilune.problem.casadi_trace import state_scales
 from perilune.problem.problem import Problem
-from perilune.solve import prove
+from perilune.verify import verify
 from problems import LIBRARY
 from problems.entry import cool_entry
 
@@ -67,7 +67,7 @@ def test_absurd_sizes_change_no_direct_answer(name: str, state: str, factor: flo
 
 def _agree(name: str, method: Any, state: str, factor: float, accuracy: float) -> None:
     problem = KNOWN[name].make()
-    natural, absurd = (pl.solve(p, method, level=3) for p in (problem, sized(problem, **{state: factor})))
+    natural, absurd = (pl.solve(p, method, verify=3) for p in (problem, sized(problem, **{state: factor})))
     assert absurd.objective == pytest.approx(natural.objective, rel=accuracy)
     assert absurd.free == pytest.approx(natural.free, rel=1e2 * accuracy)
     for one, other in zip(natural.trajectories, absurd.trajectories, strict=True):
@@ -89,7 +89,7 @@ def test_sizes_of_conditions_and_of_the_objective_change_no_answer() -> None:
         phases=(replace(phase, end_conditions=ends),),
         objective_scale=20.0 * problem.scales.of(problem.objective_unit),
     )
-    natural, changed = (pl.solve(p, level=3) for p in (problem, other))
+    natural, changed = (pl.solve(p, verify=3) for p in (problem, other))
     assert changed.objective == pytest.approx(natural.objective, rel=1e-11)
     assert changed.multipliers == pytest.approx(natural.multipliers, rel=1e-8)
     assert natural.verification.level == changed.verification.level == 3, str(changed.verification)
@@ -103,9 +103,9 @@ def test_a_heat_load_beside_kilometres() -> None:
     method = pl.Indirect(starts=10, transcription=Pseudospectral(nodes=20, refine=0, iterations=100))
     with pytest.raises(NotConvergedError):
         pl.solve(cool_entry(), method)
-    solution = pl.solve(cool_entry(heat=1e7), method, level=3)
+    solution = pl.solve(cool_entry(heat=1e7), method, verify=3)
     assert solution.outcome is pl.Outcome.PROVED, str(solution.verification)
-    direct = pl.solve(cool_entry(heat=1e7), Pseudospectral(tolerance=1e-5), guess=solution, level=0)
+    direct = pl.solve(cool_entry(heat=1e7), Pseudospectral(tolerance=1e-5), guess=solution, verify=0)
     assert solution.objective == pytest.approx(direct.objective, rel=1e-6)
 
 
@@ -179,8 +179,8 @@ def test_a_state_and_a_condition_of_one_name_are_two() -> None:
 def test_a_guess_of_other_sizes_is_taken_as_a_flight() -> None:
     """Its own unknowns are of another size."""
     problem = KNOWN["lunar ascent"].make()
-    guess = pl.solve(problem, level=0)
-    again = pl.solve(sized(problem, m=40.0), guess=guess, level=0)
+    guess = pl.solve(problem, verify=0)
+    again = pl.solve(sized(problem, m=40.0), guess=guess, verify=0)
     assert again.statistics.rung == "guess"
     assert again.objective == pytest.approx(guess.objective, rel=1e-11)
 
@@ -189,19 +189,19 @@ def test_a_guess_of_other_sizes_is_taken_as_a_flight() -> None:
 
 
 def test_scales_travel_and_are_saved(tmp_path: Path) -> None:
-    solution = pl.solve(cool_entry(heat=1e7), level=0)
+    solution = pl.solve(cool_entry(heat=1e7), verify=0)
     pl.save(solution, tmp_path / "entry")
     back = pl.load(tmp_path / "entry")
     assert back.problem == solution.problem == pickle.loads(pickle.dumps(solution.problem))
     assert back.problem.phases[0].states[3].scale == back.problem.objective_scale == 1e7
-    assert prove(back, 3).outcome is pl.Outcome.PROVED
-    again = pl.solve(back.problem, guess=back, level=0)
+    assert verify(back, 3).outcome is pl.Outcome.PROVED
+    again = pl.solve(back.problem, guess=back, verify=0)
     assert again.objective == pytest.approx(solution.objective, rel=1e-12)
 
 
 @pytest.mark.parametrize("scale", [0.0, -3.0, "big", True, 1e999])
 def test_a_file_with_no_size_is_refused(scale: object, tmp_path: Path) -> None:
-    pl.save(pl.solve(KNOWN["least energy"].make(), level=0), tmp_path / "s")
+    pl.save(pl.solve(KNOWN["least energy"].make(), verify=0), tmp_path / "s")
     file = tmp_path / "s" / "solution.json"
     document = json.loads(file.read_text(encoding="utf-8"))
     document["problem"]["phases"][0]["states"][0]["scale"] = scale
@@ -246,7 +246,7 @@ def test_a_scale_without_effect_is_refused() -> None:
 
 def test_no_stated_size_loosens_the_proof_at_will() -> None:
     """A file may state any scale: a table that is wrong, or an end that is missed, shows all the same."""
-    solution = pl.solve(KNOWN["lunar ascent"].make(), level=0)
+    solution = pl.solve(KNOWN["lunar ascent"].make(), verify=0)
     problem, flown = solution.problem, solution.trajectories[0]
     phase = problem.phases[0]
     huge = {
@@ -254,17 +254,17 @@ def test_no_stated_size_loosens_the_proof_at_will() -> None:
         "end_conditions": tuple(replace(v, scale=1e30) for v in phase.end_conditions),
     }
     stated = replace(problem, phases=(replace(phase, **huge),), objective_scale=1e30)
-    honest = pl.verify(replace(solution, problem=stated), level=2)
+    honest = pl.verify(replace(solution, problem=stated), level=2).verification
     assert honest.passed, str(honest)
     values = flown.state.values.copy()
     values[len(values) // 2, 0] *= 1.0 + 1e-6
     bent = replace(flown, state=replace(flown.state, values=values))
     short = replace(flown, control=_turned(flown.control, 1e-5))
     for trajectory, name in ((bent, "state_y"), (short, "height")):
-        checks = pl.verify(replace(solution, problem=stated, trajectories=(trajectory,)), level=1).checks
+        checks = pl.verify(replace(solution, problem=stated, trajectories=(trajectory,)), level=1).verification.checks
         assert name in {c.name for c in checks if not c.passed}
     claimed = replace(solution, problem=stated, objective=solution.objective * (1 + 1e-6))
-    assert "objective" in {c.name for c in pl.verify(claimed, level=1).checks if not c.passed}
+    assert "objective" in {c.name for c in pl.verify(claimed, level=1).verification.checks if not c.passed}
 
 
 def _turned(control: Any, angle: float) -> Any:

@@ -27,7 +27,7 @@ FLIGHTS: dict[str, tuple[str, tuple[str, ...]]] = {
 @cache
 def solved(name: str) -> pl.Solution:
     file, changes = FLIGHTS[name]
-    return pl.solve(load_file(ROOT / "examples" / file, changes).problem, level=0)
+    return pl.solve(load_file(ROOT / "examples" / file, changes).problem, verify=0)
 
 
 @pytest.mark.parametrize("name", FLIGHTS)

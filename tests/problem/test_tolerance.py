@@ -42,13 +42,13 @@ WITHIN = "within the stated tolerance (position 1 mm)"
 @pytest.fixture(scope="module")
 def precise() -> Solution:
     """The last kilometres, whose coordinates begin at the site: its limits of lengths are below a micrometre."""
-    return pl.solve(load_file(PRECISION).problem, level=0)
+    return pl.solve(load_file(PRECISION).problem, verify=0)
 
 
 @pytest.fixture(scope="module")
 def direct() -> Solution:
     """The paper's landing by the direct method: feasible, and with costates as good as its mesh."""
-    return pl.solve(load_file(HYBRID).problem, pl.Pseudospectral(polish=False), level=0)
+    return pl.solve(load_file(HYBRID).problem, pl.Pseudospectral(polish=False), verify=0)
 
 
 def raised_by(solution: Solution, millimetres: float) -> Solution:
@@ -72,7 +72,7 @@ def raised_by(solution: Solution, millimetres: float) -> Solution:
 def test_a_table_that_is_off(
     precise: Solution, off: float, tolerance: pl.Tolerance, level: int, failed: list[str]
 ) -> None:
-    found = pl.verify(raised_by(precise, off), tolerance=tolerance)
+    found = pl.verify(raised_by(precise, off), tolerance=tolerance).verification
     assert [check.name for check in found.failed] == failed
     assert found.level == level
     assert found.title == ("level 0: unverified" if failed else f"level 3: locally optimal, {WITHIN}")
@@ -80,15 +80,15 @@ def test_a_table_that_is_off(
 
 
 def test_what_was_not_needed_qualifies_nothing(precise: Solution) -> None:
-    found = pl.verify(precise, tolerance=MILLIMETRE)
+    found = pl.verify(precise, tolerance=MILLIMETRE).verification
     assert found.passed and found.within == "" and found.title == "level 3: locally optimal"
     assert found.notes == ("no part of the stated tolerance (position 1 mm) was needed",)
-    failing = pl.verify(raised_by(precise, 3.0), level=1, tolerance=MILLIMETRE)
+    failing = pl.verify(raised_by(precise, 3.0), level=1, tolerance=MILLIMETRE).verification
     assert not any("needed" in note for note in failing.notes)
 
 
 def test_only_limits_of_the_quantity_are_raised_and_none_is_lowered(precise: Solution) -> None:
-    plain = {check.name: check for check in pl.verify(precise).checks}
+    plain = {check.name: check for check in pl.verify(precise).verification.checks}
     for tolerance, units in (
         (MILLIMETRE, {"m"}),
         (pl.Tolerance(speed=1e-3), {"m/s"}),
@@ -97,7 +97,7 @@ def test_only_limits_of_the_quantity_are_raised_and_none_is_lowered(precise: Sol
         (pl.Tolerance(optimality=1e-5), {"1"}),
         (pl.Tolerance(position=1e-9), set()),  # less than the limits' own
     ):
-        found = pl.verify(precise, tolerance=tolerance)
+        found = pl.verify(precise, tolerance=tolerance).verification
         (name, stated) = next(iter(tolerance.stated.items()))
         changed = {check.name for check in found.checks if check.own_limit is not None}
         assert {plain[n].unit for n in changed} == units
@@ -119,7 +119,7 @@ def test_what_failed_needed_nothing_and_what_counts_is_not_raised(precise: Solut
     found = pl.verify(
         raised_by(replace(precise, trajectories=(replace(flown, costate=None),)), 3.0),
         level=2, tolerance=pl.Tolerance(position=1e-3, optimality=1e-3),
-    )  # fmt: skip
+    ).verification  # fmt: skip
     checks = {check.name: check for check in found.checks}
     assert checks["costates"].limit == 0.0 and checks["costates"].own_limit is None
     assert checks["state_up"].own_limit is not None and not checks["state_up"].lenient
@@ -128,21 +128,25 @@ def test_what_failed_needed_nothing_and_what_counts_is_not_raised(precise: Solut
 def test_a_time_stored_twice_is_one_time(precise: Solution) -> None:
     """By however much times may be off: the tables end where the flight does."""
     longer = replace(precise, free={"flight_time": precise.free["flight_time"] + 1e-4})
-    found = pl.verify(longer, level=1, tolerance=pl.Tolerance(time=1e-3, position=0.1, speed=0.01, mass=0.01))
+    found = pl.verify(
+        longer, level=1, tolerance=pl.Tolerance(time=1e-3, position=0.1, speed=0.01, mass=0.01)
+    ).verification
     assert "flight_time" in {check.name for check in found.failed}
 
 
 def test_a_direct_answer_is_proved_to_what_its_mesh_gives(direct: Solution) -> None:
-    assert pl.verify(direct).level == 1
-    found = pl.verify(direct, tolerance=pl.Tolerance(optimality=1e-4))
+    assert pl.verify(direct).verification.level == 1
+    found = pl.verify(direct, tolerance=pl.Tolerance(optimality=1e-4)).verification
     assert found.passed and found.title == "level 3: locally optimal, within the stated tolerance (optimality 0.0001)"
-    short = pl.verify(direct, tolerance=pl.Tolerance(optimality=1e-5))
+    short = pl.verify(direct, tolerance=pl.Tolerance(optimality=1e-5)).verification
     assert [check.name for check in short.failed] == ["costate_r", "costate_v"] and short.title == "level 1: feasible"
 
 
 def test_the_level_says_what_it_needed_itself(direct: Solution) -> None:
     """What a level that was not reached needed is nothing that the one below needed."""
-    found = pl.verify(raised_by_radius(direct, 30.0), tolerance=pl.Tolerance(position=1.0, optimality=1e-5))
+    found = pl.verify(
+        raised_by_radius(direct, 30.0), tolerance=pl.Tolerance(position=1.0, optimality=1e-5)
+    ).verification
     assert found.title == "level 1: feasible, within the stated tolerance (position 1 m)"
     assert any(check.lenient and check.level == 2 for check in found.checks)
 
@@ -163,8 +167,8 @@ def test_however_much_is_stated(precise: Solution, off: float, stated: float, co
     name, alike = quantity_in(units[column]), [unit == units[column] for unit in units]
     most = 1e-3 * np.ptp(precise.trajectories[0].state.values[:, alike], axis=0).max()
     wrong = with_curve(precise, "state", shifted_values(column, off))
-    strict = pl.verify(wrong, level=1)
-    found = pl.verify(wrong, level=1, tolerance=pl.Tolerance(**{name: stated}))
+    strict = pl.verify(wrong, level=1).verification
+    found = pl.verify(wrong, level=1, tolerance=pl.Tolerance(**{name: stated})).verification
     if found.passed:
         assert stated <= most and (strict.passed or off <= 1.001 * stated)
     if strict.passed and stated < 0.999 * most:
@@ -186,12 +190,12 @@ def test_a_wrong_answer_fails_with_the_largest_tolerance(
     precise: Solution, wrong: Callable[[Solution], Solution]
 ) -> None:
     largest = pl.Tolerance(position=1.7, speed=0.049, mass=0.079, time=0.046, angle=1e-3, optimality=1e-3)
-    assert pl.verify(precise, level=1, tolerance=largest).passed
-    assert not pl.verify(wrong(precise), level=2, tolerance=largest).passed
+    assert pl.verify(precise, level=1, tolerance=largest).verification.passed
+    assert not pl.verify(wrong(precise), level=2, tolerance=largest).verification.passed
 
 
 def test_a_worse_extremal_fails_with_any_tolerance(landing: pl.Problem) -> None:
-    near = pl.solve(landing.with_given(retro_delta_v=129.0), level=0)
+    near = pl.solve(landing.with_given(retro_delta_v=129.0), verify=0)
     worst = pl.solve(landing, guess=near, tolerance=pl.Tolerance(position=1.0, optimality=1e-3))
     assert worst.outcome is Outcome.NOT_PROVED and worst.verification.level == 2
 
@@ -214,7 +218,7 @@ def test_what_is_as_large_as_the_flight_is_no_tolerance(
     precise: Solution, stated: pl.Tolerance, value: float, limit: float
 ) -> None:
     """More than a thousandth of what the flight changes: even a perfect answer is not proved."""
-    found = pl.prove(precise, 3, stated)
+    found = pl.verify(precise, 3, stated)
     assert found.outcome is Outcome.NOT_PROVED and found.verification.level == 0
     (check,) = found.verification.failed
     (name,) = stated.stated
@@ -231,12 +235,12 @@ def test_a_spike_in_the_table_makes_no_room_for_a_tolerance(precise: Solution) -
         values[len(values) // 2, UP] += 1e6
         return replace(curve, values=values)
 
-    found = pl.verify(with_curve(precise, "state", spike), level=1, tolerance=pl.Tolerance(position=900.0))
+    found = pl.verify(with_curve(precise, "state", spike), level=1, tolerance=pl.Tolerance(position=900.0)).verification
     assert {"state_up"} <= {check.name for check in found.failed} and "stated_position" not in str(found.failed)
 
 
 def test_a_tolerance_of_what_no_state_is_measured_in() -> None:
-    found = pl.solve(transfer(), level=1, tolerance=pl.Tolerance(mass=1e-9))
+    found = pl.solve(transfer(), verify=1, tolerance=pl.Tolerance(mass=1e-9))
     assert [check.name for check in found.verification.failed] == ["stated_mass"]
 
 
@@ -267,11 +271,11 @@ def turned(slip: float) -> Solution:
 
 def test_an_angle_is_no_larger_than_what_turns() -> None:
     """A thousandth of a radian is all there is of a flight that turns by a millionth."""
-    assert pl.verify(turned(0.0), level=1).passed
-    assert pl.verify(turned(5e-10), level=1).level == 0
-    assert pl.verify(turned(5e-10), level=1, tolerance=pl.Tolerance(angle=9e-10)).level == 1
+    assert pl.verify(turned(0.0), level=1).verification.passed
+    assert pl.verify(turned(5e-10), level=1).verification.level == 0
+    assert pl.verify(turned(5e-10), level=1, tolerance=pl.Tolerance(angle=9e-10)).verification.level == 1
     for slip, stated in ((5e-7, 1e-3), (5e-7, 9e-10), (0.0, 2e-9)):
-        assert pl.verify(turned(slip), level=1, tolerance=pl.Tolerance(angle=stated)).level == 0
+        assert pl.verify(turned(slip), level=1, tolerance=pl.Tolerance(angle=stated)).verification.level == 0
 
 
 @pytest.mark.parametrize("value", [0.0, -1e-3, math.nan, math.inf, "1 mm", object(), 1e40, 1e-40])
@@ -291,8 +295,8 @@ def test_what_is_no_tolerance_is_refused_by_each_verb(precise: Solution) -> None
     wrong: Any = 1e-3
     for call in (
         lambda: pl.solve(precise.problem, tolerance=wrong),
-        lambda: pl.prove(precise, 1, wrong),
-        lambda: pl.verify(precise, tolerance=wrong),
+        lambda: pl.verify(precise, 1, wrong),
+        lambda: pl.verify(precise, tolerance=wrong).verification,
         lambda: pl.sweep(precise.problem, {"vehicle.thrust": [8e3]}, tolerance=wrong),
     ):
         with pytest.raises(PeriluneError, match="not a tolerance of the proof"):
@@ -378,7 +382,7 @@ def test_a_scenario_is_refused_in_words(change: str, said: str) -> None:
 
 
 def test_it_is_said_wherever_the_outcome_is(precise: Solution) -> None:
-    proved = pl.prove(raised_by(precise, 0.3), 3, MILLIMETRE)
+    proved = pl.verify(raised_by(precise, 0.3), 3, MILLIMETRE)
     assert proved.outcome is Outcome.PROVED
     said = f"PROVED, level 3: locally optimal, {WITHIN}"
     assert said in solution_summary(proved) and said in solution_markdown(proved)
@@ -391,32 +395,32 @@ def test_it_is_said_wherever_the_outcome_is(precise: Solution) -> None:
     check = next(c for c in document["verification"]["checks"] if c["name"] == "state_up")
     assert check["own_limit"] < check["value"] < check["limit"] == 1e-3 and check["raised_by"] == "position"
     assert whole_document(proved)["outcome"]["within"] == WITHIN
-    plain = read_json(json.dumps(solution_document(pl.prove(precise, 1))))
+    plain = read_json(json.dumps(solution_document(pl.verify(precise, 1))))
     assert plain["within"] == "" and plain["verification"]["tolerance"] == {}
     assert not any("own_limit" in c for c in plain["verification"]["checks"])
 
 
 def test_it_goes_with_a_solution(precise: Solution, tmp_path: Path) -> None:
     """Through files and processes, at level 0 too; and who proves again may state another, or none."""
-    asked = pl.prove(raised_by(precise, 0.3), 0, MILLIMETRE)
+    asked = pl.verify(raised_by(precise, 0.3), 0, MILLIMETRE)
     assert asked.outcome is Outcome.SOLVED and asked.verification.tolerance == MILLIMETRE
-    assert pl.verify(asked, level=1).within == WITHIN
-    assert pl.verify(pickle.loads(pickle.dumps(asked)), level=1).within == WITHIN
+    assert pl.verify(asked, level=1).verification.within == WITHIN
+    assert pl.verify(pickle.loads(pickle.dumps(asked)), level=1).verification.within == WITHIN
     save(asked, tmp_path)
     loaded = pl.load(tmp_path)
     assert not loaded.verification.checks and loaded.verification.within == ""
-    assert pl.prove(loaded, 3).verification.title.endswith(WITHIN)
-    assert pl.prove(pl.load(tmp_path), 1).verification.title == f"level 1: feasible, {WITHIN}"
-    again = pl.prove(loaded, 1, pl.Tolerance())
+    assert pl.verify(loaded, 3).verification.title.endswith(WITHIN)
+    assert pl.verify(pl.load(tmp_path), 1).verification.title == f"level 1: feasible, {WITHIN}"
+    again = pl.verify(loaded, 1, pl.Tolerance())
     assert again.outcome is Outcome.NOT_PROVED and again.verification.tolerance == pl.Tolerance()
-    assert pl.verify(loaded, level=1, tolerance=pl.Tolerance(position=1e-4)).level == 0
-    assert pl.solve(precise.problem, guess=asked, level=1).verification.tolerance == pl.Tolerance()
+    assert pl.verify(loaded, level=1, tolerance=pl.Tolerance(position=1e-4)).verification.level == 0
+    assert pl.solve(precise.problem, guess=asked, verify=1).verification.tolerance == pl.Tolerance()
 
 
 @pytest.fixture(scope="module")
 def saved(precise: Solution, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     place = tmp_path_factory.mktemp("saved")
-    save(pl.prove(raised_by(precise, 0.3), 1, MILLIMETRE), place)
+    save(pl.verify(raised_by(precise, 0.3), 1, MILLIMETRE), place)
     return json.loads((place / SOLUTION_FILE).read_text(encoding="utf-8"))
 
 
@@ -453,7 +457,7 @@ def test_a_strangers_tolerance_is_checked(saved: dict[str, Any], stated: Any, sa
 @pytest.mark.parametrize("claims", [None, "PROVED", {}, {"tolerance": None}, {"tolerance": {}}])
 def test_a_file_that_states_none_has_none(saved: dict[str, Any], claims: Any, tmp_path: Path) -> None:
     """As those of earlier versions; what it claims of its checks, that they needed none, opens nothing."""
-    found = pl.prove(loaded_as({**saved, "verification": claims}, tmp_path), 1)
+    found = pl.verify(loaded_as({**saved, "verification": claims}, tmp_path), 1)
     assert found.outcome is Outcome.NOT_PROVED and found.verification.tolerance == pl.Tolerance()
 
 
@@ -464,7 +468,7 @@ def test_a_stranger_cannot_hide_what_was_needed(saved: dict[str, Any], tmp_path:
         claims = {**saved["verification"], "within": "", "tolerance": stated, "checks": []}
         document = {**saved, "within": "", "verification": claims}
         (tmp_path / SOLUTION_FILE).write_text(json.dumps(document), encoding="utf-8")
-        found = pl.prove(pl.load(tmp_path), 1)
+        found = pl.verify(pl.load(tmp_path), 1)
         assert (found.outcome is Outcome.PROVED) == proved
         assert found.verification.within == ("within the stated tolerance (position 1 m)" if proved else "")
 
@@ -475,8 +479,8 @@ class Sloppy:
 
     millimetres: float = 0.3
 
-    def run(self, problem: pl.Problem, guess: Any = None, watch: Any = None) -> Solution:
-        return raised_by(pl.Indirect().run(problem, guess, watch), self.millimetres)
+    def run(self, problem: pl.Problem, guess: Any = None, callback: Any = None) -> Solution:
+        return raised_by(pl.Indirect().run(problem, guess, callback), self.millimetres)
 
 
 @pytest.mark.parametrize("elsewhere", [False, True])
@@ -487,8 +491,8 @@ def test_a_sweep_and_its_store(precise: Solution, tmp_path: Path, elsewhere: boo
         lines: list[str] = []
         with ThreadPoolExecutor(1) as pool:
             family = pl.sweep(
-                precise.problem, over, Sloppy(), level=level, tolerance=tolerance, store=tmp_path / "store",
-                executor=pool if elsewhere else None, watch=lambda event: lines.append(str(event)),
+                precise.problem, over, Sloppy(), verify=level, tolerance=tolerance, store=tmp_path / "store",
+                executor=pool if elsewhere else None, callback=lambda event: lines.append(str(event)),
             )  # fmt: skip
         return family, "\n".join(lines)
 
@@ -502,12 +506,12 @@ def test_a_sweep_and_its_store(precise: Solution, tmp_path: Path, elsewhere: boo
     again, lines = swept(MILLIMETRE)
     assert "proved again: 2 of 2" in lines and not again.notes
     assert [point.solution.verification.title for point in again.points] == [f"level 1: feasible, {WITHIN}"] * 2
-    with pytest.raises(PeriluneError, match="a sweep with a different tolerance"):
+    with pytest.raises(PeriluneError, match="a sweep that differs in its tolerance"):
         swept(pl.Tolerance())
 
 
 def test_a_sweep_from_neighbour_to_neighbour(precise: Solution) -> None:
-    (point,) = pl.sweep(precise.problem, {"vehicle.thrust": [8e3]}, level=1, tolerance=MILLIMETRE).points
+    (point,) = pl.sweep(precise.problem, {"vehicle.thrust": [8e3]}, verify=1, tolerance=MILLIMETRE).points
     assert point.solution is not None and point.solution.verification.tolerance == MILLIMETRE
     assert point.outcome is Outcome.PROVED and point.within == ""
 
@@ -515,24 +519,24 @@ def test_a_sweep_from_neighbour_to_neighbour(precise: Solution) -> None:
 def test_a_stored_member_states_nothing_for_a_sweep(precise: Solution, tmp_path: Path) -> None:
     """What a member's file says of its tolerance is not looked at: the sweep has its own."""
     over, place = {"vehicle.thrust": [8e3]}, tmp_path / "store"
-    assert pl.sweep(precise.problem, over, Sloppy(), level=1, store=place).points[0].outcome is Outcome.NOT_PROVED
+    assert pl.sweep(precise.problem, over, Sloppy(), verify=1, store=place).points[0].outcome is Outcome.NOT_PROVED
     file = place / "000000.json"
     document = json.loads(file.read_text(encoding="utf-8"))
     document["solution"]["verification"]["tolerance"] = {"position": {"value": 1e-3, "unit": "m"}}
     file.write_text(json.dumps(document), encoding="utf-8")
-    again = pl.sweep(precise.problem, over, Sloppy(), level=1, store=place)
+    again = pl.sweep(precise.problem, over, Sloppy(), verify=1, store=place)
     assert again.notes == ("stored member 000000 does not prove and is solved again",)
     assert again.points[0].outcome is Outcome.NOT_PROVED
 
 
 def test_the_families_own_stores_of_before_are_read(precise: Solution, tmp_path: Path) -> None:
     over, place = {"vehicle.thrust": [8e3]}, tmp_path / "store"
-    pl.sweep(precise.problem, over, level=1, store=place)
+    pl.sweep(precise.problem, over, verify=1, store=place)
     manifest = place / "sweep.json"
     said = json.loads(manifest.read_text(encoding="utf-8"))
     assert said.pop("tolerance") is None
     manifest.write_text(json.dumps(said), encoding="utf-8")
-    assert pl.sweep(precise.problem, over, level=1, store=place).points[0].outcome is Outcome.PROVED
+    assert pl.sweep(precise.problem, over, verify=1, store=place).points[0].outcome is Outcome.PROVED
 
 
 # --- the command line

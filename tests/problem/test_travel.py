@@ -16,7 +16,8 @@ from perilune.core.errors import Outcome, PeriluneError
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
-from perilune.solve import prove, solve
+from perilune.solve import solve
+from perilune.verify import verify
 
 
 def test_a_copy_is_equal_and_proves_again(ordinary: Solution) -> None:
@@ -24,10 +25,10 @@ def test_a_copy_is_equal_and_proves_again(ordinary: Solution) -> None:
     there = pickle.loads(pickle.dumps(ordinary))
     assert there == ordinary
     assert hash(there) == hash(ordinary)
-    proved = prove(there, 3)
+    proved = verify(there, 3)
     assert proved.outcome is Outcome.PROVED
     assert proved.verification.text == "expressions from a copy"
-    assert prove(ordinary, 1).verification.text == "the problem's own Python functions"
+    assert verify(ordinary, 1).verification.text == "the problem's own Python functions"
     assert copy.deepcopy(ordinary) == ordinary
 
 
@@ -43,8 +44,8 @@ def test_a_copy_in_a_new_process_solves_alike(landing: Problem) -> None:
     """Spawned, so that nothing is inherited."""
     fixed = landing.with_given(retro_delta_v=0.0)
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        there = pool.submit(solve, fixed, level=0).result()
-    here = solve(fixed, level=0)
+        there = pool.submit(solve, fixed, verify=0).result()
+    here = solve(fixed, verify=0)
     assert there.problem == fixed
     assert there.objective == here.objective
     np.testing.assert_array_equal(there.unknowns, here.unknowns)

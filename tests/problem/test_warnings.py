@@ -74,7 +74,7 @@ def ascent(radius: str = "R", longest: float = 1500.0, views: pl.Views | None = 
 @pytest.fixture(scope="module")
 def low() -> pl.Solution:
     """The best ascent of 1500 s, that goes through the Moon."""
-    return pl.solve(ascent(), level=0)
+    return pl.solve(ascent(), verify=0)
 
 
 def seen_by(solution: pl.Solution, problem: pl.Problem) -> pl.Solution:
@@ -153,16 +153,16 @@ def test_the_terminal_and_the_report_say_them(low: pl.Solution) -> None:
 )
 def test_shipped_examples_say_what_a_colleague_would(name: str, said: list[str]) -> None:
     """No false alarm: a retro burn inside its range, a slope that is touched and one that is not."""
-    found = pl.solve(load_file(EXAMPLES / f"{name}.toml").problem, level=0).warnings
+    found = pl.solve(load_file(EXAMPLES / f"{name}.toml").problem, verify=0).warnings
     assert len(found) == len(said) and all(map(str.startswith, found, said))
 
 
 def test_all_propellant_burnt_is_said() -> None:
     """The dry mass of the hybrid lander set to what it lands with: a limit that is reached, and named by its key."""
     problem = load_file(EXAMPLES / "ordinary_lander.toml").problem
-    landed = pl.solve(problem, level=0).results["landed_mass"].value
+    landed = pl.solve(problem, verify=0).results["landed_mass"].value
     scenario = load_file(EXAMPLES / "ordinary_lander.toml", [f"vehicle.dry_mass={landed - 1e-7:.9f} kg"])
-    found = pl.solve(scenario.problem, level=0).warnings
+    found = pl.solve(scenario.problem, verify=0).warnings
     assert any(said.startswith("vehicle.dry_mass of") and said.endswith("is reached") for said in found)
 
 
@@ -173,7 +173,7 @@ def test_flat_ground_is_for_the_last_kilometres() -> None:
     for up in (14e3, 1e3):
         start = Approach(east=-1e3, north=0.0, up=up, up_speed=-20.0)
         problem = precision_landing(lander, start, None, None, (0.3, 1.0), UniformGravity(gravity=1.62))
-        found.append(pl.solve(problem, level=0).warnings)
+        found.append(pl.solve(problem, verify=0).warnings)
     assert [said for said in found[0] if said.startswith("height reaches 1.4e+04 m") and "round body" in said]
     assert not any("round body" in said for said in found[1])
 
@@ -207,7 +207,7 @@ def test_a_coast_on_its_bound_names_the_key_that_states_it_or_that_none_is_best(
     problem = load_file(
         EXAMPLES / "precision_landing.toml", ["approach.longest_coast=10 s", f"approach.up={up}"]
     ).problem
-    assert said in pl.solve(problem, level=0).warnings
+    assert said in pl.solve(problem, verify=0).warnings
 
 
 def test_a_free_parameter_is_called_by_its_key_or_in_words() -> None:

@@ -22,7 +22,7 @@ from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Verification
 from perilune.proof.sufficient.sensitivities import check_neighbours
-from perilune.solve import verify
+from perilune.verify import verify
 from problems.constrained import mars_glide_slope
 
 HYBRID = Retro(specific_impulse=310.0)
@@ -88,7 +88,7 @@ def test_the_scipy_extremals_are_those_of_the_paper(
 
 @pytest.mark.parametrize("name", ["scipy_hybrid", "scipy_ordinary"])
 def test_a_true_extremal_is_proved(name: str, request: pytest.FixtureRequest) -> None:
-    verification = verify(request.getfixturevalue(name), resolve=resolve)
+    verification = verify(request.getfixturevalue(name), resolve=resolve).verification
     assert verification.passed, str(verification)
     assert verification.level == 3
     names = [c.name for c in verification.checks]
@@ -99,7 +99,7 @@ def test_a_true_extremal_is_proved(name: str, request: pytest.FixtureRequest) ->
 @pytest.mark.parametrize("name", ["hybrid", "ordinary"])
 def test_the_answer_of_the_solver_is_proved(name: str, request: pytest.FixtureRequest) -> None:
     """With neighbours solved again by the solver itself."""
-    verification = verify(request.getfixturevalue(name))
+    verification = verify(request.getfixturevalue(name)).verification
     assert verification.passed, str(verification)
     assert verification.level == 3
 
@@ -108,7 +108,7 @@ def test_no_retro_burn_is_an_extremal_at_its_bound(scipy_ordinary: Solution) -> 
     """In the hybrid problem delta_v = 0 satisfies Karush-Kuhn-Tucker: leaving it gains nothing."""
     problem = cho_problem(HYBRID)
     at_bound = replace(scipy_ordinary, problem=problem, free={**scipy_ordinary.free, "retro_delta_v": 0.0})
-    verification = verify(at_bound, resolve=resolve)
+    verification = verify(at_bound, resolve=resolve).verification
     assert verification.passed, str(verification)
     check = next(c for c in verification.checks if c.name == "stationary_retro_delta_v")
     assert "at its bound" in check.meaning
@@ -116,7 +116,7 @@ def test_no_retro_burn_is_an_extremal_at_its_bound(scipy_ordinary: Solution) -> 
 
 
 def test_the_touchdown_of_a_good_answer_is_within_a_millimetre(scipy_ordinary: Solution) -> None:
-    checks = {c.name: c for c in verify(scipy_ordinary, level=1).checks}
+    checks = {c.name: c for c in verify(scipy_ordinary, level=1).verification.checks}
     assert checks["touchdown_altitude"].limit < 1e-3
     assert checks["touchdown_transverse_velocity"].limit < 1e-6
     # Limits are not far above what a good answer leaves; 1e-4 of them would be a check that cannot fail.
@@ -128,7 +128,7 @@ def test_the_touchdown_of_a_good_answer_is_within_a_millimetre(scipy_ordinary: S
 
 
 def test_a_local_minimum_of_landed_mass_fails_the_second_order(local_minimum: Solution) -> None:
-    verification = verify(local_minimum, resolve=resolve)
+    verification = verify(local_minimum, resolve=resolve).verification
     assert failed(verification) == {"second_order_retro_delta_v", "second_variation"}
     assert verification.level == 2
 
@@ -141,7 +141,7 @@ def test_a_retro_burn_of_zero_is_not_stationary_inside_its_range(scipy_ordinary:
         problem=replace(problem, ranges=None, free=free),
         free={**scipy_ordinary.free, "retro_delta_v": 0.0},
     )
-    assert failed(verify(inside, level=2)) == {"stationary_retro_delta_v"}
+    assert failed(verify(inside, level=2).verification) == {"stationary_retro_delta_v"}
 
 
 @pytest.mark.parametrize(("bounds", "passes"), [((0.0, 1000.0), True), ((1000.0, 1500.0), False)])
@@ -153,20 +153,20 @@ def test_at_a_bound_the_objective_must_not_fall_into_the_range(bounds: tuple[flo
     free = tuple(replace(f, lower=lower, upper=upper) if f.name == "retro_delta_v" else f for f in hybrid.free)
     problem = replace(hybrid, ranges=None, free=free)
     claimed = replace(found, problem=problem, free={**found.free, "retro_delta_v": 1000.0})
-    assert failed(verify(claimed, level=2)) == (set() if passes else {"stationary_retro_delta_v"})
+    assert failed(verify(claimed, level=2).verification) == (set() if passes else {"stationary_retro_delta_v"})
 
 
 def test_another_delta_v_is_not_stationary() -> None:
     fixed = cho_problem(Retro(specific_impulse=310.0, delta_v=1200.9011))  # as (26) prints it, 0.04 m/s short
     found = solution_of(fixed, shoot(fixed, np.array(GUESSES["hybrid"])))
     claimed = replace(found, problem=cho_problem(HYBRID), free={**found.free, "retro_delta_v": 1200.9011})
-    assert failed(verify(claimed, level=2)) == {"stationary_retro_delta_v"}
+    assert failed(verify(claimed, level=2).verification) == {"stationary_retro_delta_v"}
 
 
 def test_costates_of_the_other_sign_fail(scipy_hybrid: Solution) -> None:
     flipped = with_curve(scipy_hybrid, "costate", lambda c: replace(c, values=-c.values, rates=-c.rates))
-    assert {"transversality", "minimum_of_hamiltonian"} <= failed(verify(flipped, level=2))
-    assert verify(flipped, level=2).level == 1
+    assert {"transversality", "minimum_of_hamiltonian"} <= failed(verify(flipped, level=2).verification)
+    assert verify(flipped, level=2).verification.level == 1
 
 
 def rotated(angle: float) -> Callable[[Curve], Curve]:
@@ -175,7 +175,7 @@ def rotated(angle: float) -> Callable[[Curve], Curve]:
 
 
 def test_a_control_off_by_a_hundredth_of_a_degree_fails(scipy_hybrid: Solution) -> None:
-    verification = verify(with_curve(scipy_hybrid, "control", rotated(math.radians(0.01))), level=2)
+    verification = verify(with_curve(scipy_hybrid, "control", rotated(math.radians(0.01))), level=2).verification
     assert {
         "touchdown_altitude", "touchdown_radial_velocity", "state_v",
         "minimum_of_hamiltonian", "stationary_direction_transverse_radial",
@@ -185,24 +185,26 @@ def test_a_control_off_by_a_hundredth_of_a_degree_fails(scipy_hybrid: Solution) 
 
 def test_a_control_shifted_in_time_fails(scipy_ordinary: Solution) -> None:
     late = with_curve(scipy_ordinary, "control", lambda c: replace(c, values=c(np.maximum(c.time - 0.5, 0.0))))
-    assert {"touchdown_altitude", "minimum_of_hamiltonian"} <= failed(verify(late, level=2))
+    assert {"touchdown_altitude", "minimum_of_hamiltonian"} <= failed(verify(late, level=2).verification)
 
 
 def test_the_control_that_maximises_the_hamiltonian_fails(scipy_hybrid: Solution) -> None:
     opposite = with_curve(scipy_hybrid, "control", rotated(math.pi))
-    names = failed(verify(opposite, level=3, resolve=resolve))
+    names = failed(verify(opposite, level=3, resolve=resolve).verification)
     assert {"touchdown_transverse_velocity", "minimum_of_hamiltonian", "legendre_clebsch"} <= names
 
 
 @pytest.mark.parametrize("grams", [0.001, 1.0])
 def test_a_mass_that_was_tampered_with_fails(scipy_hybrid: Solution, grams: float) -> None:
     tampered = with_curve(scipy_hybrid, "state", shifted_values(4, grams * 1e-3))
-    assert "state_m" in failed(verify(tampered, level=1))
+    assert "state_m" in failed(verify(tampered, level=1).verification)
     assert "retro_mass" in {c.name for c in mass_consistency_checks(tampered) if not c.passed}
 
 
 def test_a_landed_mass_that_was_not_flown_fails(scipy_hybrid: Solution) -> None:
-    assert failed(verify(replace(scipy_hybrid, objective=scipy_hybrid.objective - 1e-6), level=1)) == {"objective"}
+    assert failed(verify(replace(scipy_hybrid, objective=scipy_hybrid.objective - 1e-6), level=1).verification) == {
+        "objective"
+    }
 
 
 @pytest.mark.parametrize("which", ["state", "control", "costate"])
@@ -212,29 +214,31 @@ def test_a_nan_in_a_table_ends_the_proof(scipy_hybrid: Solution, which: str) -> 
         values[7, 1] = math.nan
         return replace(curve, values=values)
 
-    verification = verify(with_curve(scipy_hybrid, which, spoil))
+    verification = verify(with_curve(scipy_hybrid, which, spoil)).verification
     assert failed(verification) == {"tables"}
     assert verification.level == 0
 
 
 def test_times_out_of_order_end_the_proof(scipy_hybrid: Solution) -> None:
-    assert failed(verify(with_curve(scipy_hybrid, "control", lambda c: replace(c, time=c.time[::-1])))) == {"tables"}
+    assert failed(
+        verify(with_curve(scipy_hybrid, "control", lambda c: replace(c, time=c.time[::-1]))).verification
+    ) == {"tables"}
 
 
 @pytest.mark.parametrize("late", [1e-3, -1e-3])
 def test_a_wrong_flight_time_fails(scipy_hybrid: Solution, late: float) -> None:
     wrong = replace(scipy_hybrid, free={**scipy_hybrid.free, "flight_time": scipy_hybrid.free["flight_time"] + late})
-    assert {"flight_time", "touchdown_transverse_velocity", "objective"} <= failed(verify(wrong, level=1))
+    assert {"flight_time", "touchdown_transverse_velocity", "objective"} <= failed(verify(wrong, level=1).verification)
 
 
 def test_wrong_multipliers_fail(scipy_hybrid: Solution) -> None:
     found = replace(scipy_hybrid, multipliers={"descent.touchdown_altitude": 0.0})
-    assert failed(verify(found, level=2)) == {"multipliers"}
+    assert failed(verify(found, level=2).verification) == {"multipliers"}
 
 
 def test_without_costates_nothing_beyond_level_one_is_proved(scipy_hybrid: Solution) -> None:
     bare = replace(scipy_hybrid, trajectories=(replace(scipy_hybrid.trajectories[0], costate=None),))
-    verification = verify(bare)
+    verification = verify(bare).verification
     assert failed(verification) == {"costates"}
     assert verification.level == 1
 
@@ -243,7 +247,7 @@ def test_a_neighbour_that_cannot_be_solved_fails(scipy_hybrid: Solution) -> None
     def refuse(problem: Problem, guess: Solution) -> Solution:
         raise PeriluneError("no")
 
-    names = failed(verify(scipy_hybrid, resolve=refuse))
+    names = failed(verify(scipy_hybrid, resolve=refuse).verification)
     assert names == {f"initial_costate_{s}" for s in ("r", "phi", "u", "v", "m")} | {"second_order_retro_delta_v"}
 
 
@@ -254,7 +258,9 @@ def test_neighbours_that_disagree_with_the_costates_fail(scipy_hybrid: Solution)
         found = resolve(problem, guess)
         return replace(found, objective=0.5 * (found.objective + guess.objective))
 
-    assert {"initial_costate_r", "initial_costate_u", "initial_costate_m"} <= failed(verify(scipy_hybrid, resolve=half))
+    assert {"initial_costate_r", "initial_costate_u", "initial_costate_m"} <= failed(
+        verify(scipy_hybrid, resolve=half).verification
+    )
 
 
 def test_an_unknown_level_is_refused(scipy_hybrid: Solution) -> None:
@@ -338,7 +344,7 @@ def oscillator_again(problem: Problem, guess: Solution) -> Solution:
 
 @pytest.mark.parametrize("duration", [1.0, 2.5, 3.0, 3.3, 4.0, 5.0])
 def test_the_oscillator_has_its_conjugate_point_at_pi(duration: float) -> None:
-    verification = verify(oscillator(duration), resolve=oscillator_again)
+    verification = verify(oscillator(duration), resolve=oscillator_again).verification
     check = next(c for c in verification.checks if c.name == "conjugate_point")
     assert check.value == pytest.approx((duration / math.pi) ** 2, rel=3e-4)  # measured 1.6e-4
     assert failed(verification) == (set() if duration < math.pi else {"conjugate_point"})
@@ -373,7 +379,9 @@ def test_two_oscillators_have_a_double_conjugate_point() -> None:
             free={},
             trajectories=(rest,),
         )
-        names = failed(verify(solution, resolve=lambda p, g: replace(g, objective=getattr(p, "offset_action", 0.0))))
+        names = failed(
+            verify(solution, resolve=lambda p, g: replace(g, objective=getattr(p, "offset_action", 0.0))).verification
+        )
         assert ("conjugate_point" in names) is not good
 
 
@@ -427,13 +435,13 @@ def minimum_time(problem: Problem, guess: Solution) -> Solution:
 
 
 def test_the_double_integrator_in_two_phases_is_proved() -> None:
-    verification = verify(double_integrator(), resolve=minimum_time)
+    verification = verify(double_integrator(), resolve=minimum_time).verification
     assert verification.passed, str(verification)
     assert verification.level == 3
 
 
 def test_the_double_integrator_with_costates_reversed_fails_its_switching_function() -> None:
-    names = failed(verify(double_integrator(-1.0), level=2))
+    names = failed(verify(double_integrator(-1.0), level=2).verification)
     assert {"speeding_switching_a", "braking_switching_a", "speeding_minimum_of_hamiltonian"} <= names
     assert {"stationary_speeding_time", "stationary_braking_time"} <= names
 
@@ -442,7 +450,7 @@ def test_a_control_beyond_its_bounds_fails() -> None:
     good = double_integrator()
     first, second = good.trajectories
     strong = replace(first, control=replace(first.control, values=first.control.values * 1.001))
-    assert "speeding_bounds_a" in failed(verify(replace(good, trajectories=(strong, second)), level=1))
+    assert "speeding_bounds_a" in failed(verify(replace(good, trajectories=(strong, second)), level=1).verification)
 
 
 def linear_tangent(bend: float = 0.0) -> Solution:
@@ -504,13 +512,13 @@ def linear_tangent_again(problem: Problem, guess: Solution) -> Solution:
 
 
 def test_linear_tangent_steering_is_proved() -> None:
-    verification = verify(linear_tangent(), resolve=linear_tangent_again)
+    verification = verify(linear_tangent(), resolve=linear_tangent_again).verification
     assert verification.passed, str(verification)
     assert verification.level == 3
 
 
 def test_steering_that_is_not_linear_in_its_tangent_is_feasible_but_no_extremal() -> None:
-    verification = verify(linear_tangent(bend=1e-3), level=2)
+    verification = verify(linear_tangent(bend=1e-3), level=2).verification
     assert verification.level == 1
     assert failed(verification) >= {"minimum_of_hamiltonian", "stationary_direction_along_up"}
 
@@ -547,16 +555,16 @@ def test_a_table_off_by_a_hundred_millionth_fails(which: str, column: int, amoun
         rates[:, column] += amount * np.pi / T * np.sin(2 * np.pi * curve.time / T)
         return replace(curve, values=values, rates=rates)
 
-    assert check in failed(verify(with_curve(good, which, bulged), level=2))
+    assert check in failed(verify(with_curve(good, which, bulged), level=2).verification)
 
 
 def test_an_end_that_is_missed_by_a_billionth_fails() -> None:
     good = linear_tangent()
     height = good.problem.given["height"].value
-    assert failed(verify(good, level=1)) == set()
+    assert failed(verify(good, level=1).verification) == set()
     missed = replace(good, problem=good.problem.with_given(height=height + 1e-9))
-    assert failed(verify(missed, level=1)) == {"height"}
-    assert failed(verify(replace(good, objective=good.objective + 1e-9), level=1)) == {"objective"}
+    assert failed(verify(missed, level=1).verification) == {"height"}
+    assert failed(verify(replace(good, objective=good.objective + 1e-9), level=1).verification) == {"objective"}
 
 
 def sailing(along: float, space: int) -> Solution:
@@ -586,8 +594,8 @@ def sailing(along: float, space: int) -> Solution:
 
 @pytest.mark.parametrize("space", [2, 3])
 def test_a_direction_that_is_best_among_its_neighbours_alone_fails(space: int) -> None:
-    assert failed(verify(sailing(1.0, space), level=2)) == set()
-    assert failed(verify(sailing(-1.0, space), level=2)) == {"minimum_of_hamiltonian"}
+    assert failed(verify(sailing(1.0, space), level=2).verification) == set()
+    assert failed(verify(sailing(-1.0, space), level=2).verification) == {"minimum_of_hamiltonian"}
 
 
 def test_what_is_no_flight_has_no_neighbours_solved() -> None:
@@ -597,6 +605,6 @@ def test_what_is_no_flight_has_no_neighbours_solved() -> None:
     def refused(problem: Problem, guess: Solution) -> Solution:
         raise AssertionError("solved again")
 
-    found = verify(rough, resolve=refused)
+    found = verify(rough, resolve=refused).verification
     assert found.level == 0 and "conjugate_point" in {c.name for c in found.checks}
     assert any("neighbouring problems were not solved" in note for note in found.notes)

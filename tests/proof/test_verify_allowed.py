@@ -23,7 +23,7 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check, Verification
-from perilune.solve import verify
+from perilune.verify import verify
 
 
 def failed(verification: Verification) -> set[str]:
@@ -190,7 +190,7 @@ def cone_again(problem: Problem, guess: Solution) -> Solution:
 
 
 def test_the_thrust_within_a_cone_is_an_extremal() -> None:
-    verification = verify(cone(), level=2)
+    verification = verify(cone(), level=2).verification
     assert verification.passed, str(verification)
     assert check(verification, "multiplier_upright").value < 1e-12
     assert not [c for c in verification.checks if c.name == "multiplier_above"]  # no control in it
@@ -199,10 +199,10 @@ def test_the_thrust_within_a_cone_is_an_extremal() -> None:
 def test_a_tilt_that_is_chosen_is_stationary_at_its_price_and_at_no_other() -> None:
     """dJ/dtilt = price - integral of mu sin(tilt)."""
     right = cone(chosen=True)
-    assert verify(right, level=2).passed
+    assert verify(right, level=2).verification.passed
     dearer = right.problem.with_given(price=right.problem.given["price"].value + 1e-7)
     wrong = replace(right, problem=dearer, objective=right.objective + 1e-7 * TILT)
-    assert failed(verify(wrong, level=2)) == {"stationary_tilt"}
+    assert failed(verify(wrong, level=2).verification) == {"stationary_tilt"}
 
 
 def beside(turn: float) -> Callable[..., Any]:
@@ -218,27 +218,31 @@ def beside(turn: float) -> Callable[..., Any]:
 
 @pytest.mark.parametrize("turn", [1e-7, 1e-3, 0.2, math.pi])
 def test_another_point_of_the_cone_is_no_minimum(turn: float) -> None:
-    wrong = failed(verify(cone(steer=beside(turn)), level=2))
+    wrong = failed(verify(cone(steer=beside(turn)), level=2).verification)
     assert {"stationary_direction_along_aside_up"} <= wrong or turn == math.pi
     assert ("minimum_of_hamiltonian" in wrong) == (turn > 1e-4)
 
 
 def test_the_worst_point_of_the_cone_is_stationary_and_its_multiplier_gives_it_away() -> None:
     """Opposite in azimuth H is greatest along the circle: only the inequality and the samples tell."""
-    wrong = failed(verify(cone(steer=beside(math.pi)), level=2))
+    wrong = failed(verify(cone(steer=beside(math.pi)), level=2).verification)
     assert "stationary_direction_along_aside_up" not in wrong
     assert {"minimum_of_hamiltonian", "multiplier_upright"} <= wrong
 
 
 def test_held_where_it_should_be_free_the_multiplier_has_the_wrong_sign() -> None:
     """The thrust stays on the cone although the costates point into it."""
-    verification = verify(cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt, True)), level=2)
+    verification = verify(
+        cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt, True)), level=2
+    ).verification
     assert {"multiplier_upright", "minimum_of_hamiltonian"} <= failed(verification)
     assert "stationary_direction_along_aside_up" not in failed(verification)
 
 
 def test_released_where_it_should_be_held_the_condition_is_broken() -> None:
-    verification = verify(cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt, False)), level=2)
+    verification = verify(
+        cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt, False)), level=2
+    ).verification
     assert "path_upright" in failed(verification)
     assert "stationary_direction_along_aside_up" not in failed(verification)
 
@@ -246,7 +250,7 @@ def test_released_where_it_should_be_held_the_condition_is_broken() -> None:
 @pytest.mark.parametrize("inside", [5e-7, 1e-2])
 def test_short_of_the_cone_there_is_no_multiplier(inside: float) -> None:
     verification = verify(cone(steer=lambda tau, b, c, tilt, held: steering(tau, b, c, tilt - inside * held, held)),
-                          level=2)  # fmt: skip
+                          level=2).verification  # fmt: skip
     assert {"stationary_direction_along_aside_up", "minimum_of_hamiltonian"} <= failed(verification)
     assert "path_upright" not in failed(verification)
     said = "upright >= 0 is kept too inaccurately for a multiplier" in check(verification, "costate_y").meaning
@@ -274,12 +278,14 @@ def on_the_cone(turn: float, aside: float = ASIDE, *, held: bool = False) -> Sol
 @pytest.mark.parametrize("held", [False, True])
 def test_conditions_that_leave_a_circle_are_proved_and_its_worst_point_is_not(held: bool) -> None:
     """Slopes of two are opposite: the one of the right sign has the multiplier. Only samples on the circle see all."""
-    verification = verify(on_the_cone(0.0, held=held), level=2)
+    verification = verify(on_the_cone(0.0, held=held), level=2).verification
     assert verification.passed, str(verification)
-    assert failed(verify(on_the_cone(math.pi, held=held), level=2)) == {"minimum_of_hamiltonian"}
+    assert failed(verify(on_the_cone(math.pi, held=held), level=2).verification) == {"minimum_of_hamiltonian"}
     # Where the thrust does not turn, its own values at other times tell nothing.
-    assert failed(verify(on_the_cone(math.pi, aside=0.0, held=held), level=2)) == {"minimum_of_hamiltonian"}
-    assert "stationary_direction_along_aside_up" in failed(verify(on_the_cone(1e-3, held=held), level=2))
+    assert failed(verify(on_the_cone(math.pi, aside=0.0, held=held), level=2).verification) == {
+        "minimum_of_hamiltonian"
+    }
+    assert "stationary_direction_along_aside_up" in failed(verify(on_the_cone(1e-3, held=held), level=2).verification)
 
 
 def with_engine(share: float = 1.0) -> Solution:
@@ -304,7 +310,7 @@ def with_engine(share: float = 1.0) -> Solution:
 
 def test_a_scalar_on_its_bound_has_a_multiplier_of_its_own_beside_the_condition() -> None:
     """dH/dshare is no equation for mu; what mu leaves of it is the switching function, negative at the upper bound."""
-    verification = verify(with_engine(), resolve=cone_again)
+    verification = verify(with_engine(), resolve=cone_again).verification
     assert verification.passed, str(verification)
     assert verification.level == 3
     # dL/dshare = lam_v.u - mu up, mu that of the meridian: there dH/dangle = mu sin(tilt).
@@ -318,7 +324,7 @@ def test_a_scalar_on_its_bound_has_a_multiplier_of_its_own_beside_the_condition(
 
 
 def test_an_engine_that_is_not_full_is_no_extremal() -> None:
-    assert "switching_share" in failed(verify(with_engine(0.999), level=2))
+    assert "switching_share" in failed(verify(with_engine(0.999), level=2).verification)
 
 
 # --- a limit that rises with the flight: mu dc/dx enters lam' --------------------------------------------------------
@@ -426,7 +432,7 @@ def limited() -> Solution:
 
 
 def test_the_multiplier_of_a_limit_that_knows_the_state_enters_the_costates(limited: Solution) -> None:
-    verification = verify(limited, level=2)
+    verification = verify(limited, level=2).verification
     assert verification.passed, str(verification)
     assert "active" not in str(verification)
 
@@ -440,7 +446,7 @@ def test_costates_without_the_multiplier_fail(limited: Solution) -> None:
         values[:, 2], rates[:, 2] = values[-1, 0] * (TIME - table.time), -values[-1, 0]
         return replace(table, values=values, rates=rates)
 
-    assert "costate_y" in failed(verify(flown(limited, "costate", straight), level=2))
+    assert "costate_y" in failed(verify(flown(limited, "costate", straight), level=2).verification)
 
 
 @pytest.mark.parametrize(("column", "name"), [(0, "costate_y"), (2, "costate_vy")])
@@ -454,11 +460,11 @@ def test_a_costate_that_slips_while_the_condition_holds_fails(limited: Solution,
         rates[:, column] += 1e-8 * np.pi / end * np.sin(2 * np.pi * share)
         return replace(table, values=values, rates=rates)
 
-    assert name in failed(verify(flown(limited, "costate", bulged), level=2))
+    assert name in failed(verify(flown(limited, "costate", bulged), level=2).verification)
 
 
 def test_a_limit_that_knows_the_state_is_proved(limited: Solution) -> None:
-    verification = verify(limited, resolve=limited_again)
+    verification = verify(limited, resolve=limited_again).verification
     assert verification.passed, str(verification)
     assert verification.level == 3
 
@@ -466,7 +472,7 @@ def test_a_limit_that_knows_the_state_is_proved(limited: Solution) -> None:
 @pytest.mark.parametrize("chosen", [False, True])
 def test_the_thrust_within_a_cone_is_proved(chosen: bool) -> None:
     solution = cone(chosen=chosen)
-    verification = verify(solution, resolve=cone_again)
+    verification = verify(solution, resolve=cone_again).verification
     assert verification.passed, str(verification)
     assert verification.level == 3
     # mu sin(tilt) rises with the time since the cone is met, by less and less, to cos(tilt) at the end.
@@ -477,7 +483,10 @@ def test_the_thrust_within_a_cone_is_proved(chosen: bool) -> None:
 
 
 def test_the_worst_point_of_a_circle_is_a_maximum_along_it() -> None:
-    assert check(verify(on_the_cone(math.pi), resolve=lambda problem, guess: guess), "legendre_clebsch").value > 0.5
+    assert (
+        check(verify(on_the_cone(math.pi), resolve=lambda problem, guess: guess).verification, "legendre_clebsch").value
+        > 0.5
+    )
 
 
 def test_a_condition_that_takes_hold_without_a_break_in_the_table_is_not_understood() -> None:
@@ -489,7 +498,7 @@ def test_a_condition_that_takes_hold_without_a_break_in_the_table_is_not_underst
         time[800] += 1e-9
         return replace(table, time=time)
 
-    verification = verify(flown(good, "control", ramp), resolve=cone_again)
+    verification = verify(flown(good, "control", ramp), resolve=cone_again).verification
     assert verification.level == 2, str(verification)
     assert failed(verification) == {"conjugate_point", "strict_upright"} & failed(verification)
     verdict = check(verification, "conjugate_point")
@@ -581,7 +590,7 @@ def leash_again(problem: Problem, guess: Solution) -> Solution:
 @pytest.mark.parametrize("duration", [1.0, 3.5, 3.8, 4.1])
 def test_the_leash_moves_the_conjugate_point(duration: float, power: int) -> None:
     """(T/pi)^2 if the control were not held, (1 - beta^2) of it as it is: 3.5 s are too long for the one alone."""
-    verification = verify(leash(duration, 3.0, power=power), resolve=leash_again)
+    verification = verify(leash(duration, 3.0, power=power), resolve=leash_again).verification
     verdict, kappa = check(verification, "conjugate_point"), (1 - BETA**2) * (duration / math.pi) ** 2
     assert verdict.value == pytest.approx(kappa, rel=3e-4)
     assert failed(verification) == (set() if kappa < 1 else {"conjugate_point"}), str(verification)
@@ -591,7 +600,7 @@ def test_the_leash_moves_the_conjugate_point(duration: float, power: int) -> Non
 def test_a_condition_of_two_controls_leaves_one_way_to_go(share: float) -> None:
     """The point conjugate to the start lies at pi/omega: on which side the end lies is told."""
     duration = share * math.pi / math.sqrt((1 - BETA**2) / (1 + 0.5**2))
-    verification = verify(leash(duration, 3.0, gamma=0.5), resolve=leash_again)
+    verification = verify(leash(duration, 3.0, gamma=0.5), resolve=leash_again).verification
     assert failed(verification) == (set() if share < 1 else {"conjugate_point"}), str(verification)
 
 
@@ -606,7 +615,7 @@ def test_a_parameter_within_a_condition_that_holds_is_varied_with_the_control(be
     """J over s has the curvature w and that of the leash: its sign is that of `beyond`."""
     duration = 3.5
     solution = leash(duration, 3.0, chosen=beyond - curvature(duration))
-    verification = verify(solution, resolve=leash_again)
+    verification = verify(solution, resolve=leash_again).verification
     assert check(verification, "second_order_s").value == pytest.approx(-beyond / solution.objective, rel=0.05)
     expected = set() if beyond > 0 else {"second_variation", "second_order_s"}
     assert failed(verification) - {"second_order_s"} == expected - {"second_order_s"}, str(verification)
@@ -623,7 +632,7 @@ def held_leash(duration: float, q: float) -> Solution:
 @pytest.mark.parametrize("q", [3.0, -3.0])
 @pytest.mark.parametrize("duration", [3.5, 4.1])
 def test_a_condition_that_is_held_all_along_may_pull_either_way(duration: float, q: float) -> None:
-    verification = verify(held_leash(duration, q), resolve=leash_again)
+    verification = verify(held_leash(duration, q), resolve=leash_again).verification
     kappa = (1 - BETA**2) * (duration / math.pi) ** 2
     assert check(verification, "conjugate_point").value == pytest.approx(kappa, rel=3e-4)
     assert failed(verification) == (set() if kappa < 1 else {"conjugate_point"}), str(verification)
@@ -633,23 +642,25 @@ def test_a_condition_that_is_held_all_along_may_pull_either_way(duration: float,
 def test_what_is_held_is_not_left() -> None:
     """Held or not, b is one that its condition asks for; a costate that forgets the pull on x fails."""
     right = held_leash(1.0, -3.0)
-    assert "held_taut" in failed(verify(flown(right, "control", lambda c: replace(c, values=c.values + 1e-9)), level=1))
+    assert "held_taut" in failed(
+        verify(flown(right, "control", lambda c: replace(c, values=c.values + 1e-9)), level=1).verification
+    )
     slipped = replace(right, problem=right.problem.with_given(q=-2.9))
-    assert "costate_x" in failed(verify(slipped, level=2))
+    assert "costate_x" in failed(verify(slipped, level=2).verification)
 
 
 def test_a_leash_that_pulls_the_wrong_way_is_no_extremal() -> None:
     """With q below -b the control would rather leave its condition."""
-    verification = verify(leash(1.0, -3.0), level=2)
+    verification = verify(leash(1.0, -3.0), level=2).verification
     assert failed(verification) == {"minimum_of_hamiltonian", "multiplier_taut"}
 
 
 def test_a_multiplier_that_vanishes_at_the_start_is_not_strict() -> None:
     """Beyond pi the second variation is positive for flights that keep the condition alone, before it for all."""
-    verification = verify(leash(3.5, 0.0, ends=(0.0, 1.0)), resolve=leash_again)
+    verification = verify(leash(3.5, 0.0, ends=(0.0, 1.0)), resolve=leash_again).verification
     assert failed(verification) == {"strict_taut"}, str(verification)
-    verification = verify(leash(1.0, 0.0, ends=(0.0, 1.0)), resolve=leash_again)
+    verification = verify(leash(1.0, 0.0, ends=(0.0, 1.0)), resolve=leash_again).verification
     assert verification.level == 3, str(verification)
     assert check(verification, "conjugate_point").value == pytest.approx((1.0 / math.pi) ** 2, rel=1e-2)
-    verification = verify(leash(1.0, 1.0, ends=(0.0, 1.0)), resolve=leash_again)
+    verification = verify(leash(1.0, 1.0, ends=(0.0, 1.0)), resolve=leash_again).verification
     assert verification.level == 3, str(verification)

@@ -17,7 +17,8 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
 from perilune.problem.verification import Check, Verification
 from perilune.proof.cross_check import check_agreement
-from perilune.solve import prove, solve, verify
+from perilune.solve import solve
+from perilune.verify import verify
 from problems.integrators import CEILING, least_energy
 from problems.landings import meditch
 
@@ -28,13 +29,13 @@ class Says:
 
     answer: Solution
 
-    def run(self, problem: Problem, guess: Solution | None = None, watch: object = None) -> Solution:
+    def run(self, problem: Problem, guess: Solution | None = None, callback: object = None) -> Solution:
         return self.answer
 
 
 @dataclass(frozen=True, kw_only=True)
 class Refuses:
-    def run(self, problem: Problem, guess: Solution | None = None, watch: object = None) -> Solution:
+    def run(self, problem: Problem, guess: Solution | None = None, callback: object = None) -> Solution:
         raise PeriluneError("the engine is cold")
 
 
@@ -52,7 +53,7 @@ def direct(landing: Problem) -> Solution:
 
 
 def test_the_papers_landing_is_cross_checked(landing: Problem) -> None:
-    solution = solve(landing, level=4)
+    solution = solve(landing, verify=4)
     assert solution.outcome is Outcome.PROVED
     verification: Verification = solution.verification
     assert verification.level == 4, str(verification)
@@ -73,13 +74,13 @@ def test_a_direct_answer_is_crossed_with_the_extremal_next_to_it(direct: Solutio
 
 
 def test_meditchs_lander_is_cross_checked() -> None:
-    assert solve(meditch(), level=4).verification.level == 4
+    assert solve(meditch(), verify=4).verification.level == 4
 
 
 def test_a_local_optimum_is_not_the_best_that_is_found(landing: Problem, ordinary: Solution, direct: Solution) -> None:
     """delta_v = 0 passes level 3 in the problem with delta_v free; the direct method lands 6.077 kg more."""
-    claimed = solve(landing, guess=ordinary, level=0)
-    verification = verify(claimed, level=4, other=Says(answer=direct))
+    claimed = solve(landing, guess=ordinary, verify=0)
+    verification = verify(claimed, level=4, other=Says(answer=direct)).verification
     assert verification.level == 3
     worse = next(c for c in verification.failed if c.name == "best_extremal")
     assert worse.value == pytest.approx(160.618584 - 154.541347, abs=2e-6)
@@ -89,11 +90,11 @@ def test_a_local_optimum_is_not_the_best_that_is_found(landing: Problem, ordinar
 
 
 def test_the_solver_itself_finds_that_a_local_optimum_is_not_the_best(landing: Problem, ordinary: Solution) -> None:
-    claimed = solve(landing, guess=ordinary, level=4)
+    claimed = solve(landing, guess=ordinary, verify=4)
     assert claimed.outcome is Outcome.NOT_PROVED
     assert claimed.verification.level == 3
     best = replace(claimed, extremals=(replace(claimed.extremals[0], nature=Nature.BEST_AT_BOUND),))
-    assert prove(best, 4).extremals[0].nature is Nature.LOCAL_OPTIMUM_AT_BOUND
+    assert verify(best, 4).extremals[0].nature is Nature.LOCAL_OPTIMUM_AT_BOUND
 
 
 def test_a_worse_optimum_of_the_other_method_refutes_nothing(
@@ -104,7 +105,7 @@ def test_a_worse_optimum_of_the_other_method_refutes_nothing(
 
     @dataclass(frozen=True, kw_only=True)
     class Lazy:
-        def run(self, problem: Problem, guess: Solution | None = None, watch: object = None) -> Solution:
+        def run(self, problem: Problem, guess: Solution | None = None, callback: object = None) -> Solution:
             return direct if guess is hybrid else poor
 
     checks = crossed(hybrid, Lazy())

@@ -18,7 +18,8 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Given, Variable
 from perilune.proof.sufficient import second_variation as variations
-from perilune.solve import solve, verify
+from perilune.solve import solve
+from perilune.verify import verify
 
 LENGTH = 2.0
 ENDS = {"begin": 0.0, "end": LENGTH}
@@ -88,7 +89,7 @@ def again(problem: Problem, guess: Solution) -> Solution:
 
 
 def level_3(solution: Solution) -> dict[str, Any]:
-    verification = verify(solution, resolve=lambda problem, guess: guess)
+    verification = verify(solution, resolve=lambda problem, guess: guess).verification
     assert verification.level >= 2, str(verification)
     return {check.name: check for check in verification.checks if check.level == 3}
 
@@ -118,7 +119,7 @@ def flown_with_switch(where: str, pull: float, tau: float) -> float:
 
 
 def test_a_flight_to_a_switch_at_its_end_is_proved() -> None:
-    verification = verify(flown("end", 0.1), resolve=again)
+    verification = verify(flown("end", 0.1), resolve=again).verification
     assert verification.level == 3 and verification.passed, str(verification)
 
 
@@ -136,14 +137,14 @@ def test_one_that_vanishes_all_along_is_not_strict() -> None:
 
 def test_one_that_vanishes_at_the_end_from_the_wrong_side_is_no_extremal() -> None:
     wrong = flown("end", 0.0, u=-1.0)
-    failed = {check.name for check in verify(wrong, level=2).failed}
+    failed = {check.name for check in verify(wrong, level=2).verification.failed}
     assert {"switching_u", "minimum_of_hamiltonian"} <= failed
 
 
 @pytest.mark.parametrize("off", [1e-7, 1e-5])
 def test_one_that_is_small_at_the_end_and_not_zero_is_no_switch(off: float) -> None:
     """y(2) = -off leaves S = off/10 at the end, of the wrong sign."""
-    assert "switching_u" in {check.name for check in verify(beside_the_end(0.1, -off), level=2).failed}
+    assert "switching_u" in {check.name for check in verify(beside_the_end(0.1, -off), level=2).verification.failed}
 
 
 @pytest.mark.parametrize("pull", [-0.4, 0.1, 0.49, 0.51, 0.8])

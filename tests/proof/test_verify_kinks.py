@@ -117,7 +117,7 @@ def test_a_loaded_problem_is_proved_the_same(jump: Solution, tmp_path: Any) -> N
     """Its physics are expressions, whose comparisons are found likewise."""
     pl.save(jump, tmp_path / "push")
     loaded = pl.load(tmp_path / "push")
-    again = pl.verify(loaded, level=3)
+    again = pl.verify(loaded, level=3).verification
     assert again.level == 3
     assert "expressions" in again.text
     assert arc_of(loaded).crossings[0].time == arc_of(jump).crossings[0].time
@@ -166,7 +166,7 @@ def test_the_optimum_changes_with_the_place_of_the_jump_as_the_multiplier_says(j
     """dJ/dxs through the guard alone, against problems solved with the slope a little further on."""
     arc = arc_of(jump)
     slope = parameter_gradient([arc], [phase_end_multipliers(arc)[0]], "xs")
-    ahead, behind = (pl.solve(push(SLOPES["jump"]).with_given(xs=30.0 + h), level=0).objective for h in (0.01, -0.01))
+    ahead, behind = (pl.solve(push(SLOPES["jump"]).with_given(xs=30.0 + h), verify=0).objective for h in (0.01, -0.01))
     assert slope == pytest.approx((ahead - behind) / 0.02, rel=1e-5)
     assert abs(slope) > 1e-2
 
@@ -244,8 +244,8 @@ def test_a_narrow_strip_that_nobody_saw_is_found(half: float, form: str) -> None
     """The best flight on the flat, claimed to be one where a strip around 43.21 m slows it, however narrow that is."""
     problem = push(lambda x, p, xp: xp.where(STRIPS[form](x, p, xp), p.k, 0 * p.k), half=(half, "m"))
     problem = problem.with_given(xs=43.21, k=0.1 / half)
-    flat = pl.solve(push(lambda x, p, xp: 0 * p.k), level=0)
-    missed = pl.verify(replace(flat, problem=problem), level=1)
+    flat = pl.solve(push(lambda x, p, xp: 0 * p.k), verify=0)
+    missed = pl.verify(replace(flat, problem=problem), level=1).verification
     assert {"place", "stop", "state_x", "state_v"} <= {c.name for c in missed.failed}
     meaning = next(c.meaning for c in missed.failed if c.name == "state_x")
     assert "a switch by x changes the rates, but the table has no break" in meaning
@@ -260,7 +260,7 @@ def test_costates_that_do_not_jump_fail(jump: Solution) -> None:
     values = flown.costate.values.copy()
     values[k + 1 :] += change
     same = replace(flown, costate=replace(flown.costate, values=values))
-    names = {c.name for c in pl.verify(replace(jump, trajectories=(same,)), level=2).failed}
+    names = {c.name for c in pl.verify(replace(jump, trajectories=(same,)), level=2).verification.failed}
     assert {"costate_x", "hamiltonian_constant"} <= names
 
 
@@ -275,7 +275,7 @@ def test_a_break_of_the_tables_away_from_the_jump_fails(jump: Solution, late: fl
     flown = jump.trajectories[0]
     assert flown.costate is not None
     wrong = replace(flown, state=moved(flown.state), costate=moved(flown.costate), control=moved(flown.control))
-    names = {c.name for c in pl.verify(replace(jump, trajectories=(wrong,)), level=2).failed}
+    names = {c.name for c in pl.verify(replace(jump, trajectories=(wrong,)), level=2).verification.failed}
     assert {"state_x", "costate_x"} <= names
 
 
@@ -319,7 +319,9 @@ def lens(radius: float) -> Solution:
 
 @pytest.mark.parametrize("radius", [0.2, 0.32, 0.33, 0.336, 0.35, 1.0, 1e3, -1.0])
 def test_a_ray_through_a_lens_is_the_fastest_until_its_focus(radius: float) -> None:
-    checks = {c.name: c for c in pl.verify(lens(radius), level=3, resolve=lambda problem, guess: guess).checks}
+    checks = {
+        c.name: c for c in pl.verify(lens(radius), level=3, resolve=lambda problem, guess: guess).verification.checks
+    }
     assert all(c.passed for c in checks.values() if c.level <= 2), [c for c in checks.values() if not c.passed]
     assert checks["conjugate_point"].passed == (radius < 0 or radius > 1 / 3)
 
@@ -344,8 +346,8 @@ def slide(start: float) -> Solution:
 
 
 def test_a_flight_that_would_have_to_slide_is_not_proved() -> None:
-    assert pl.verify(slide(3.0), level=1).passed
-    verification = pl.verify(slide(1.0), level=1)
+    assert pl.verify(slide(3.0), level=1).verification.passed
+    verification = pl.verify(slide(1.0), level=1).verification
     assert "state_x" in {c.name for c in verification.failed}
     assert math.isnan(next(c.value for c in verification.checks if c.name == "state_x"))
 
@@ -389,7 +391,7 @@ def test_at_a_corner_of_two_jumps_nothing_is_known_of_neighbours(apart: float) -
     sides = np.array([*([0] * 2), *([1] * (len(t) - 4)), *([2] * 2)])
     slopes = np.column_stack([np.where(sides == 2, 1.0, 2.0), np.where(sides == 0, 1.0, 2.0)])
     solution = crossing_two(rates, t, np.column_stack([x, y]), slopes)
-    verification = pl.verify(solution, level=1)
+    verification = pl.verify(solution, level=1).verification
     assert verification.passed == bool(apart), str(verification)
     assert np.isnan(arc_of(solution).crossings[0].speeds).all() == (not apart)
 
@@ -403,7 +405,7 @@ def test_a_corner_of_two_kinks_without_a_jump_is_passed() -> None:
     t = np.linspace(0.0, 2 * math.log(2), 801)
     x = np.where(t <= math.log(2), 1 - 2 * np.exp(-t), 0.5 * np.exp(t) - 1)
     solution = crossing_two(rates, t, np.column_stack([x, x]), np.column_stack([1 + np.abs(x)] * 2))
-    assert pl.verify(solution, level=1).passed, str(pl.verify(solution, level=1))
+    assert pl.verify(solution, level=1).verification.passed, str(pl.verify(solution, level=1).verification)
 
 
 def test_a_kink_that_a_control_moves_without_a_jump_is_passed() -> None:
@@ -415,7 +417,7 @@ def test_a_kink_that_a_control_moves_without_a_jump_is_passed() -> None:
     t = np.array([0.0, 0.5, 1.0])
     xy = np.column_stack([t - 0.6, np.sign(t - 0.5) * (t - 0.5) ** 2 / 2])
     solution = crossing_two(rates, t, xy, np.column_stack([np.ones(3), np.abs(t - 0.5)]), control=0.1)
-    assert pl.verify(solution, level=1).passed, str(pl.verify(solution, level=1))
+    assert pl.verify(solution, level=1).verification.passed, str(pl.verify(solution, level=1).verification)
 
 
 def test_rounding_at_a_kink_is_no_jump() -> None:
@@ -427,7 +429,7 @@ def test_rounding_at_a_kink_is_no_jump() -> None:
     t = np.array([0.0, 0.5, 1.0])
     xy = np.column_stack([t - 0.6, np.sign(t - 0.5) * (t - 0.5) ** 2 / 2])
     solution = crossing_two(rates, t, xy, np.column_stack([np.ones(3), np.abs(t - 0.5)]), control=0.1)
-    assert pl.verify(solution, level=1).passed, str(pl.verify(solution, level=1))
+    assert pl.verify(solution, level=1).verification.passed, str(pl.verify(solution, level=1).verification)
 
 
 @pytest.mark.parametrize("share", [1e-2, 1e-7, 1e-11])
@@ -456,7 +458,7 @@ def test_a_jump_that_a_control_moves_is_not_understood() -> None:
     x, y = t - 0.6, np.where(t <= 0.5, t, 2 * t - 0.5)
     slopes = np.column_stack([np.ones(4), [1.0, 1.0, 2.0, 2.0]])
     solution = crossing_two(rates, t, np.column_stack([x, y]), slopes, control=0.1)
-    assert not pl.verify(solution, level=1).passed
+    assert not pl.verify(solution, level=1).verification.passed
     assert np.isnan(arc_of(solution).crossings[0].speeds).all()
 
 

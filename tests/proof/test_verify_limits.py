@@ -40,7 +40,7 @@ def solved(make: Callable[[], pl.Problem]) -> pl.Solution:
 @lru_cache
 def checks_of(solution: pl.Solution) -> tuple[pl.Check, ...]:
     """Of a right answer, whose limits many tests ask for."""
-    return tuple(pl.verify(solution, level=2).checks)
+    return tuple(pl.verify(solution, level=2).verification.checks)
 
 
 def limit_of(solution: pl.Solution, name: str) -> float:
@@ -48,7 +48,7 @@ def limit_of(solution: pl.Solution, name: str) -> float:
 
 
 def failed(solution: pl.Solution) -> set[str]:
-    return {c.name for c in pl.verify(solution, level=2).failed}
+    return {c.name for c in pl.verify(solution, level=2).verification.failed}
 
 
 def bumped(curve: Curve, row: int, size: float) -> Curve:
@@ -77,7 +77,7 @@ def test_right_answers_pass_in_any_units(make: Callable[[], pl.Problem], units: 
     problem = make()
     length, time = units
     scales = replace(problem.scales, length=problem.scales.length * length, time=problem.scales.time * time)
-    solution = pl.solve(replace(problem, scales=scales), level=2)
+    solution = pl.solve(replace(problem, scales=scales), verify=2)
     assert solution.verification.passed, str(solution.verification)
     assert solution.objective == pytest.approx(solved(make).objective, rel=1e-9)
 
@@ -141,7 +141,7 @@ def test_a_duration_beside_its_optimum_is_seen(beside: float) -> None:
     """An extremal of the same problem with the duration held beside its optimum: feasible, and nothing else."""
     problem, best = apollo(), solved(apollo)
     found = Indirect().run(fix_free_parameters(problem, time=best.free["time"] * (1 + beside)), guess=best)
-    wrong = pl.verify(replace(found, problem=problem), level=2)
+    wrong = pl.verify(replace(found, problem=problem), level=2).verification
     assert wrong.level == 1, str(wrong)
     assert "stationary_time" in {c.name for c in wrong.failed}
 
@@ -160,7 +160,7 @@ def test_the_flight_of_another_start_is_seen(off: float) -> None:
     """An entry from an angle that is 1e-8 rad off ends 800 times as far off."""
     problem = apollo()
     other = problem.with_given(angle=problem.given["angle"].value + off)
-    wrong = pl.verify(replace(Indirect().run(other, guess=solved(apollo)), problem=problem), level=2)
+    wrong = pl.verify(replace(Indirect().run(other, guess=solved(apollo)), problem=problem), level=2).verification
     assert wrong.level == 0
     assert {"angle", "state_gamma"} <= {c.name for c in wrong.failed}
 

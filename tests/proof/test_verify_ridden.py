@@ -43,7 +43,7 @@ from problems.ridden import (
 
 @lru_cache(maxsize=1)  # a test asks of one solution what failed, and then for a value
 def verified(solution: Solution, level: int) -> pl.Verification:
-    return pl.verify(solution, level=level)
+    return pl.verify(solution, level=level).verification
 
 
 def failed(solution: Solution, level: int) -> set[str]:
@@ -228,7 +228,7 @@ def test_an_arc_that_fills_its_phase_between_given_ends_has_no_neighbours() -> N
     ],
 )
 def test_what_rides_and_would_better_leave_is_no_extremal(solution: Solution, check: str) -> None:
-    assert pl.verify(solution, level=1).passed
+    assert pl.verify(solution, level=1).verification.passed
     assert check in failed(solution, 2)
 
 
@@ -244,7 +244,7 @@ def test_a_bait_at_a_given_start_changes_nothing() -> None:
 @pytest.mark.parametrize("problem", [bryson_denham(1 / 5), bryson_denham(1 / 9), brachistochrone()])
 def test_another_method_agrees_where_both_tell_costates_in_one_way(problem: pl.Problem) -> None:
     """Along the arc the direct method's own differ by all of their size: there is another multiplier in them."""
-    solution = pl.solve(problem, level=4)
+    solution = pl.solve(problem, verify=4)
     assert solution.verification.level == 4
     names = {check.name for check in solution.verification.checks}
     assert f"{problem.phases[0].name}-2_cross_costate_x" in names

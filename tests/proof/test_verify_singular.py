@@ -47,7 +47,7 @@ def kappa_truth(solution: Solution, end: float | None) -> float:
 def test_the_second_variation_has_its_closed_form(duration: float, end: float | None, bent: float) -> None:
     """In straight and in bent states, where every term of the transformation is at work."""
     solution = swung(duration, end, bent)
-    verification = pl.verify(solution, level=3)
+    verification = pl.verify(solution, level=3).verification
     assert verification.passed
     value = check(verification, "conjugate_point").value
     assert value == pytest.approx(kappa_truth(solution, end), rel=3e-4)  # measured 2.2e-4
@@ -60,7 +60,7 @@ def test_beyond_its_conjugate_point_an_extremal_is_no_minimum(
 ) -> None:
     """Quarter a swing is 1.57 s, which s may take that is free at the end; half of one 3.14 s."""
     solution = pl.Indirect().run(swinging(duration, end), guess=swung(*like, 0.0))
-    verification = pl.verify(solution, level=3)
+    verification = pl.verify(solution, level=3).verification
     assert {c.name for c in verification.failed} == {"conjugate_point"}
     value = check(verification, "conjugate_point").value
     assert value > 1.2 and value == pytest.approx(kappa_truth(solution, end), rel=3e-4)
@@ -101,8 +101,8 @@ def standing(sign: float) -> Solution:
 
 
 def test_kelleys_condition_tells_a_minimum_from_a_maximum() -> None:
-    least, most = (pl.verify(standing(sign), level=3) for sign in (1.0, -1.0))
-    assert pl.verify(standing(-1.0), level=2).passed  # to first order there is no difference
+    least, most = (pl.verify(standing(sign), level=3).verification for sign in (1.0, -1.0))
+    assert pl.verify(standing(-1.0), level=2).verification.passed  # to first order there is no difference
     assert check(least, "kelley").value == pytest.approx(-1.0)
     assert check(least, "conjugate_point").passed
     assert check(most, "kelley").value == pytest.approx(1.0)

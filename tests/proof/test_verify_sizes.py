@@ -60,7 +60,7 @@ def runaway(rate: float) -> pl.Problem:
 
 def test_growth_is_that_of_the_closed_form() -> None:
     """An error of x grows by e^rate; in e it shows through nothing, as u is read from the table."""
-    solution = pl.solve(runaway(3.0), level=0)
+    solution = pl.solve(runaway(3.0), verify=0)
     assert solution.objective == pytest.approx(3.0 / (1 - np.exp(-6.0)), rel=1e-9)  # rate x0^2 / (1 - e^(-2 rate T))
     (_, flight) = reintegrate(solution)[0]
     assert flight.growth == pytest.approx([np.exp(3.0), 1.0], rel=1e-6)
@@ -76,7 +76,7 @@ def test_a_phase_inherits_the_growth_of_those_before() -> None:
         links=(lambda x, p, xp: (x.x, x.e),),
         given={**whole.given, "T": pl.Given(value=0.5, unit="s")},
     )
-    (_, early), (_, late) = reintegrate(pl.solve(problem, level=0))
+    (_, early), (_, late) = reintegrate(pl.solve(problem, verify=0))
     assert early.growth == pytest.approx([np.exp(1.5), 1.0], rel=1e-6)
     assert late.growth == pytest.approx([np.exp(3.0), 1.0], rel=1e-6)
 
@@ -105,7 +105,7 @@ def test_an_error_is_found_however_a_flight_multiplies_it(rate: float) -> None:
     flown = solution.trajectories[0]
     control = replace(flown.control, values=flown.control.values * (1 + 1e-7))
     wrong = replace(solution, trajectories=(replace(flown, control=control),))
-    assert pl.verify(wrong).level == 0
+    assert pl.verify(wrong).verification.level == 0
 
 
 def arrival(clock: float) -> pl.Problem:
@@ -145,11 +145,11 @@ def test_a_constant_in_the_objective_loosens_no_limit(clock: float) -> None:
     assert best.outcome is pl.Outcome.PROVED, str(best.verification)
     assert best.free["T"] == pytest.approx(1800.0**0.25, rel=1e-9)
     late = 1.1 * best.free["T"]
-    held = pl.solve(problem.with_given(T=late), level=0)
-    claim = pl.verify(replace(held, problem=problem, free={"T": late}))
+    held = pl.solve(problem.with_given(T=late), verify=0)
+    claim = pl.verify(replace(held, problem=problem, free={"T": late})).verification
     assert [c.name for c in claim.failed if c.level == 2] == ["stationary_T"]
     early = replace(best, objective=best.objective - 0.01)
-    assert [c.name for c in pl.verify(early, level=1).failed] == ["objective"]
+    assert [c.name for c in pl.verify(early, level=1).verification.failed] == ["objective"]
 
 
 @pytest.mark.parametrize("scales", [pl.Scales(length=1e12), pl.Scales(length=1e12, time=1e9, mass=1e12)])
@@ -158,8 +158,8 @@ def test_scales_loosen_no_limit(hybrid: pl.Solution, scales: pl.Scales) -> None:
     flown = hybrid.trajectories[0]
     turned = replace(flown, control=replace(flown.control, values=flown.control.values + 1e-3))
     of_size = replace(hybrid, problem=replace(hybrid.problem, scales=scales))
-    assert pl.verify(replace(of_size, trajectories=(turned,)), level=1).level == 0
-    assert pl.verify(replace(of_size, objective=hybrid.objective - 1.0), level=1).level == 0
+    assert pl.verify(replace(of_size, trajectories=(turned,)), level=1).verification.level == 0
+    assert pl.verify(replace(of_size, objective=hybrid.objective - 1.0), level=1).verification.level == 0
 
 
 @pytest.mark.parametrize("late", [0.5, 1e-3])
@@ -167,7 +167,7 @@ def test_a_clock_that_begins_late_hides_nothing_in_its_table(late: float) -> Non
     """A clock of 1.7e9 s rounds at 2e-7 s; in a flight of 7 s it may be no more off than that."""
     best = pl.solve(arrival(1.7e9))
     assert best.verification.level == 3, str(best.verification)
-    assert [c.name for c in pl.verify(moved_by(best, 2, late)).failed] == ["state_t"]
+    assert [c.name for c in pl.verify(moved_by(best, 2, late)).verification.failed] == ["state_t"]
 
 
 def moved_by(solution: pl.Solution, state: int, amount: float) -> pl.Solution:
@@ -210,7 +210,7 @@ def test_where_a_state_is_counted_from_changes_no_proof(origin: float, length: f
     best = pl.solve(far(origin, length, gravity))
     assert best.verification.level == 3, str(best.verification)
     assert best.objective == pytest.approx(6 * 10.0**2 / 5.0**3 + 0.5 * gravity**2 * 5.0, rel=1e-4)
-    assert "state_x" in [c.name for c in pl.verify(moved_by(best, 0, 1e-4), level=1).failed]
+    assert "state_x" in [c.name for c in pl.verify(moved_by(best, 0, 1e-4), level=1).verification.failed]
 
 
 def fall_after_an_instant() -> pl.Problem:
@@ -251,5 +251,5 @@ def test_before_an_instant_costates_are_known_as_those_behind_it(error: float, p
     grown = error * np.exp(time[-1] - time)[:, None] * np.array([2.0, 1.0, 0.0])  # lam' = -A'lam, lam ~ e^-t
     costate = replace(fall.costate, values=fall.costate.values + grown, rates=fall.costate.rates - grown)
     moved = replace(solution, trajectories=(*solution.trajectories[:2], replace(fall, costate=costate)))
-    failed = {check.name for check in pl.verify(moved, level=2).failed}
+    failed = {check.name for check in pl.verify(moved, level=2).verification.failed}
     assert failed == set() if passes else {"instant_transversality", "fall_transversality"} <= failed

@@ -85,7 +85,7 @@ def chosen() -> pl.Problem:
 
 
 def failed(solution: Solution, level: int = 2) -> set[str]:
-    return {check.name for check in pl.verify(solution, level=level).failed}
+    return {check.name for check in pl.verify(solution, level=level).verification.failed}
 
 
 @pytest.mark.parametrize("drift", DRIFTS)
@@ -93,7 +93,7 @@ def failed(solution: Solution, level: int = 2) -> set[str]:
 def test_a_control_that_is_nearly_nought_has_a_slope(drift: float, bound: float) -> None:
     J = 0.5 * drift * drift - drift + 1.0
     wrong = claimed(idle(bound), straight([0, 0], [1, J]), straight([drift], [drift]), straight([0, 1], [0, 1]))
-    assert pl.verify(wrong, level=1).passed
+    assert pl.verify(wrong, level=1).verification.passed
     assert failed(wrong) == {"minimum_of_hamiltonian", "switching_u"}
 
 
@@ -106,7 +106,7 @@ def test_a_state_that_nearly_rests_has_a_costate(drift: float, costate: str) -> 
     state = straight([0, 0], [drift, J])
     state = replace(state, rates=np.array([[drift, 1.0], [drift, 1.0 - drift]]))
     wrong = claimed(resting(), state, straight([drift], [drift]), lam)
-    assert pl.verify(wrong, level=1).passed
+    assert pl.verify(wrong, level=1).verification.passed
     assert ("switching_u" if costate == "true" else "costate_x") in failed(wrong)
 
 
@@ -136,12 +136,12 @@ def test_a_state_that_nearly_rests_tells_at_the_end_of_its_phase(drift: float, r
         rest = pl.Trajectory(phase="rest", state=later, control=none, costate=straight([-1, 1], [-1, 1]))
         wrong = replace(wrong, trajectories=(*wrong.trajectories, rest))
     wrong = replace(wrong, objective=c - drift + rests)
-    assert pl.verify(wrong, level=1).passed
+    assert pl.verify(wrong, level=1).verification.passed
     assert failed(wrong) == {"go_transversality" if rests else "transversality"}
 
 
 def test_trajectories_in_another_order_are_refused() -> None:
-    solution = pl.solve(late_stop(2.0), level=0)
+    solution = pl.solve(late_stop(2.0), verify=0)
     turned = replace(solution, trajectories=tuple(reversed(solution.trajectories)))
     with pytest.raises(pl.PeriluneError, match=r"not in the order of its phases(.|\n)*got: stop, wait"):
         pl.verify(turned)
@@ -151,7 +151,7 @@ def test_trajectories_in_another_order_are_refused() -> None:
 def test_a_parameter_that_is_nearly_nought_has_a_slope(drift: float) -> None:
     J = 0.5 * drift * drift - drift + 1.0
     wrong = claimed(chosen(), straight([0], [J]), straight([1], [1]), straight([1], [1]), q=drift)
-    assert pl.verify(wrong, level=1).passed
+    assert pl.verify(wrong, level=1).verification.passed
     assert failed(wrong) == {"stationary_q"}
 
 
@@ -178,7 +178,7 @@ def test_no_choice_of_units_makes_a_rest_the_best(length: float) -> None:
     state = straight([0, 0], [1e-13, 1.0 - 0.5e-13])
     state = replace(state, rates=np.array([[1e-13, 1.0], [1e-13, 1.0 - 1e-13]]))
     wrong = claimed(problem, state, straight([1e-13], [1e-13]), straight([-1e-13, 1], [0, 1]))
-    found = {check.name: check for check in pl.verify(wrong, level=3).checks}
+    found = {check.name: check for check in pl.verify(wrong, level=3).verification.checks}
     assert found["nothing_gained"].value == pytest.approx(1 / 6, rel=1e-3) and not found["nothing_gained"].passed
 
 
@@ -192,7 +192,7 @@ def test_what_a_newton_step_gains_is_what_is_missing(share: float, passes: bool)
     rates = np.column_stack([share * (1 - t), share**2 * (1 - t) ** 2 / 2 - x + 1])
     state = Curve(time=t, values=np.column_stack([x, c]), rates=rates)
     solution = claimed(resting(), state, u, straight([-1, 1], [0, 1]))
-    check = next(c for c in pl.verify(solution, level=3).checks if c.name == "nothing_gained")
+    check = next(c for c in pl.verify(solution, level=3).verification.checks if c.name == "nothing_gained")
     scale = max(1.0, abs(solution.objective))
     assert check.passed is passes
     assert check.value == pytest.approx((1 - share) ** 2 / 6 / scale, rel=1e-3, abs=1e-12)
@@ -258,4 +258,4 @@ def test_controls_of_other_sizes_are_compared_by_what_they_tell(mass: float, asi
     assert solution.objective == pytest.approx(6.0 * (1 + aside**2), rel=1e-9)
     flown = solution.trajectories[0]
     wrong = replace(flown, control=replace(flown.control, values=flown.control.values * np.array([1 + 1e-7, 1.0])))
-    assert pl.verify(replace(solution, trajectories=(wrong,))).level == 0
+    assert pl.verify(replace(solution, trajectories=(wrong,))).verification.level == 0

@@ -19,7 +19,8 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.variables import Free, Given, Variable
 from perilune.problem.verification import Check, Verification
-from perilune.solve import solve, verify
+from perilune.solve import solve
+from perilune.verify import verify
 from problems.integrators import CEILING, least_energy, least_time
 from problems.landings import meditch
 from problems.staging import staged_burns
@@ -126,7 +127,7 @@ def tug_again(problem: Problem, guess: Solution) -> Solution:
 @pytest.mark.parametrize("pull", [-0.4, 0.1, 0.4, 0.49, 0.51, 0.6])
 def test_the_switching_time_has_the_curvature_of_the_closed_form(pull: float) -> None:
     """Beside a regular control: the larger kappa of the two counts, and beyond 1 only this check objects."""
-    verification = verify(tug(pull, swing=0.0), resolve=tug_again)
+    verification = verify(tug(pull, swing=0.0), resolve=tug_again).verification
     kappa = check(verification, "conjugate_point").value
     assert kappa == pytest.approx(max(2 * pull, (END / math.pi) ** 2), rel=3e-4)  # measured 1.7e-4
     assert failed(verification) == (set() if pull < 0.5 else {"conjugate_point"})
@@ -137,7 +138,7 @@ def test_the_switching_time_has_the_curvature_of_the_closed_form(pull: float) ->
 @pytest.mark.parametrize("pull", [-0.4, 0.1, 0.49, 0.51])
 def test_the_switching_time_beside_a_control_that_moves(pull: float) -> None:
     """The size of kappa depends on how time is normalised where w varies; on which side of 1 it lies does not."""
-    verification = verify(tug(pull), resolve=tug_again)
+    verification = verify(tug(pull), resolve=tug_again).verification
     assert failed(verification) == (set() if pull < 0.5 else {"conjugate_point"})
 
 
@@ -145,7 +146,7 @@ def test_the_switching_time_beside_a_control_that_moves(pull: float) -> None:
 def test_a_switching_function_that_only_touches_zero_is_not_strict(power: int) -> None:
     """(t - 1)^2 touches zero without a switch, (t - 1)^3 crosses it with slope zero: extremal, not shown optimal."""
     solution = tug(0.0, power=power, switch=0.0 if power == 2 else MIDDLE)
-    verification = verify(solution, resolve=lambda problem, guess: guess)
+    verification = verify(solution, resolve=lambda problem, guess: guess).verification
     assert verification.level == 2, str(verification)
     assert "strict_u" in failed(verification)
     assert math.isnan(check(verification, "conjugate_point").value) == (power == 3)
@@ -159,13 +160,13 @@ def test_a_condition_that_is_called_as_a_control_excuses_no_weak_switch_of_that(
     (phase,) = solution.problem.phases
     far = replace(phase, path=lambda x, u, p, xp: (2 - u.u,), path_conditions=(Variable(name="u"),))
     solution = replace(solution, problem=replace(solution.problem, phases=(far,)))
-    assert "strict_u" in failed(verify(solution, resolve=lambda problem, guess: guess))
+    assert "strict_u" in failed(verify(solution, resolve=lambda problem, guess: guess).verification)
 
 
 @pytest.mark.parametrize("late", [1e-6, 1e-2, -1e-2])
 def test_a_switch_away_from_the_zero_of_its_function_is_feasible_but_no_extremal(late: float) -> None:
     solution = tug(0.1, switch=MIDDLE + late)
-    verification = verify(solution, level=2)
+    verification = verify(solution, level=2).verification
     assert verification.level == 1, str(verification)
     assert failed(verification) >= {"switch_u", "switching_u"}
     # S = t - 1 - pull y(2) at the switch, over the size of J in the 2 s of the flight
@@ -179,7 +180,9 @@ def test_the_other_order_of_bounds_maximises() -> None:
     flown = good.trajectories[0]
     values = flown.control.values * np.array([-1.0, 1.0])
     reverse = replace(good, trajectories=(replace(flown, control=replace(flown.control, values=values)),))
-    assert {"switching_u", "minimum_of_hamiltonian", "state_y", "objective"} <= failed(verify(reverse, level=2))
+    assert {"switching_u", "minimum_of_hamiltonian", "state_y", "objective"} <= failed(
+        verify(reverse, level=2).verification
+    )
 
 
 def test_a_switch_drawn_as_a_ramp_is_not_taken_for_one() -> None:
@@ -193,7 +196,7 @@ def test_a_switch_drawn_as_a_ramp_is_not_taken_for_one() -> None:
 
     flown = solution.trajectories[0]
     drawn = replace(flown, control=ramp(flown.control))
-    verification = verify(replace(solution, trajectories=(drawn,)), resolve=tug_again)
+    verification = verify(replace(solution, trajectories=(drawn,)), resolve=tug_again).verification
     assert {"conjugate_point"} <= failed(verification, 3)
     assert math.isnan(check(verification, "conjugate_point").value)
     assert "without a switch in the table" in check(verification, "conjugate_point").meaning
@@ -206,7 +209,7 @@ def test_a_time_stands_in_a_table_at_most_twice_and_not_at_its_ends(at: int) -> 
     curve = flown.control
     spoilt = Curve(*(), **{n: np.insert(getattr(curve, n), at, getattr(curve, n)[at], axis=0)
                            for n in ("time", "values", "rates")})  # fmt: skip
-    assert failed(verify(replace(solution, trajectories=(replace(flown, control=spoilt),)))) == {"tables"}
+    assert failed(verify(replace(solution, trajectories=(replace(flown, control=spoilt),))).verification) == {"tables"}
 
 
 def test_a_state_that_jumps_at_a_switch_was_not_flown() -> None:
@@ -215,7 +218,7 @@ def test_a_state_that_jumps_at_a_switch_was_not_flown() -> None:
     values = flown.state.values.copy()
     values[1201:, 1] += 1e-6
     jumped = replace(flown, state=replace(flown.state, values=values))
-    assert "state_y" in failed(verify(replace(solution, trajectories=(jumped,)), level=1))
+    assert "state_y" in failed(verify(replace(solution, trajectories=(jumped,)), level=1).verification)
 
 
 # --- the solver's own answers ----------------------------------------------------------------------------------------
@@ -223,11 +226,11 @@ def test_a_state_that_jumps_at_a_switch_was_not_flown() -> None:
 
 @pytest.fixture(scope="module")
 def lander() -> Solution:
-    return solve(meditch(), level=0)
+    return solve(meditch(), verify=0)
 
 
 def test_meditchs_lander_is_proved_locally_optimal(lander: Solution) -> None:
-    verification = verify(lander)
+    verification = verify(lander).verification
     assert verification.level == 3, str(verification)
     assert verification.passed
     assert lander.objective == pytest.approx(1.42031259905, abs=5e-12)
@@ -244,22 +247,22 @@ def test_meditchs_lander_switched_at_another_time_misses_the_ground(lander: Solu
     moved = flown.control.time.copy()
     moved[moved == switch] += late
     wrong = replace(flown, control=replace(flown.control, time=moved))
-    verification = verify(replace(lander, trajectories=(wrong,)), level=2)
+    verification = verify(replace(lander, trajectories=(wrong,)), level=2).verification
     assert {"touchdown_speed", "state_v", "objective", "switch_thrust"} <= failed(verification)
 
 
 def test_a_throttle_beside_a_direction_is_proved() -> None:
     """Full, coast, full, in three dimensions: the direction varies where the engine burns and nowhere else."""
     problem = approach(Corridor(tilt=math.radians(80), slope=math.radians(5)), throttle=(0.0, 0.9))
-    solution = solve(problem, level=0)
+    solution = solve(problem, verify=0)
     assert int((np.diff(solution.trajectories[0].time) == 0).sum()) == 2
-    verification = verify(solution)
+    verification = verify(solution).verification
     assert verification.level == 3, str(verification)
     assert 0.1 < check(verification, "conjugate_point").value < 0.9
 
 
 def test_least_time_between_rests_is_proved() -> None:
-    verification = verify(solve(least_time(), level=0))
+    verification = verify(solve(least_time(), verify=0)).verification
     assert verification.level == 3, str(verification)
 
 
@@ -267,7 +270,7 @@ def test_least_time_between_rests_is_proved() -> None:
 def test_a_longest_time_that_is_the_least_time_is_proved(spare: float) -> None:
     """It holds nothing back, though a neighbour that takes longer may not be flown."""
     problem = least_time()
-    best = solve(problem, level=0).free["t_f"]
+    best = solve(problem, verify=0).free["t_f"]
     free = tuple(replace(f, upper=best * (1 + spare)) for f in problem.free)
     solution = solve(replace(problem, free=free))
     assert solution.outcome is Outcome.PROVED, str(solution.verification)
@@ -276,7 +279,7 @@ def test_a_longest_time_that_is_the_least_time_is_proved(spare: float) -> None:
     assert flown.costate is not None
     wrong = replace(flown.costate, values=flown.costate.values * (1 + 1e-5), rates=flown.costate.rates * (1 + 1e-5))
     claim = replace(solution, trajectories=(replace(flown, costate=wrong),))
-    assert {"initial_costate_x", "initial_costate_v"} <= {c.name for c in verify(claim).failed}
+    assert {"initial_costate_x", "initial_costate_v"} <= {c.name for c in verify(claim).verification.failed}
 
 
 # --- conditions that are active --------------------------------------------------------------------------------------
@@ -285,7 +288,7 @@ def test_a_longest_time_that_is_the_least_time_is_proved(spare: float) -> None:
 def test_an_arc_on_a_bound_of_a_state_is_not_taken_for_an_extremal() -> None:
     """Its multiplier shows in the costates, and the check says which condition it belongs to."""
     answer = Pseudospectral().run(least_energy(CEILING))
-    verdict = check(verify(answer, level=2), "costate_v")
+    verdict = check(verify(answer, level=2).verification, "costate_v")
     assert not verdict.passed
     assert f"x <= {CEILING:g} is active, but no table has its multiplier" in verdict.meaning
 
@@ -293,7 +296,7 @@ def test_an_arc_on_a_bound_of_a_state_is_not_taken_for_an_extremal() -> None:
 @pytest.mark.parametrize("ceiling", [0.3, 0.25 + 1e-9, 0.25 + 1e-14])
 def test_a_ceiling_that_holds_nothing_back_changes_nothing(ceiling: float) -> None:
     """x rises to 1/4: not reached, or touched at one time with multiplier 0."""
-    verification = verify(solve(least_energy(ceiling), level=0))
+    verification = verify(solve(least_energy(ceiling), verify=0)).verification
     assert verification.level == 3, str(verification)
     assert "active" not in str(verification)
 
@@ -302,19 +305,19 @@ def test_a_bound_that_is_reached_at_the_end_has_a_multiplier_with_a_sign() -> No
     """Two burns, each until its tank is empty: the bound shows in the costates' end, and nowhere else."""
     solution = Pseudospectral(nlp_tolerance=1e-12).run(staged_burns())
     problem, ends = solution.problem, {"first_transversality", "second_transversality"}
-    verification = verify(solution)
+    verification = verify(solution).verification
     assert verification.level == 3, str(verification)
     assert check(verification, "first_range_m_at_end").passed
     # The same flight is none where the tank may be emptied further, nor the slowest, which would rather not burn.
     deeper = replace(problem.phases[0], states=(problem.phases[0].states[0], Variable(name="m", unit="kg", lower=59.9)))
     further = replace(solution, problem=replace(problem, phases=(deeper, problem.phases[1])))
-    assert failed(verify(further, level=2)) & ends == {"first_transversality"}
+    assert failed(verify(further, level=2).verification) & ends == {"first_transversality"}
     flown = (replace(t, costate=opposite(t.costate)) for t in solution.trajectories)
     slowest = replace(
         solution, problem=replace(problem, objective=lambda x, p, xp: x.v), objective=-solution.objective,
         trajectories=tuple(flown),
     )  # fmt: skip
-    assert failed(verify(slowest, level=2)) == ends
+    assert failed(verify(slowest, level=2).verification) == ends
 
 
 @pytest.mark.parametrize("ceiling", [0.5, 9.0])
@@ -333,9 +336,9 @@ def test_where_a_bound_holds_the_end_free_parameters_have_the_ranges_that_they_h
         ranges=lambda p, xp: {"q": (-p.l, p.l, 0.5)},
     )  # fmt: skip
     solution = Pseudospectral(nlp_tolerance=1e-13).run(problem)
-    assert verify(solution).level == 3
+    assert verify(solution).verification.level == 3
     wide = problem.changed(free=(replace(problem.free[0], upper=5.0),))
-    assert "stationary_q" in failed(verify(replace(solution, problem=wide), level=2))
+    assert "stationary_q" in failed(verify(replace(solution, problem=wide), level=2).verification)
 
 
 def opposite(curve: Curve | None) -> Curve:
@@ -356,6 +359,6 @@ def test_no_control_is_compared_with_one_of_which_nothing_is_known(lander: Solut
 
     given = {**problem.given, "gap": Given(value=0.5, unit="N")}
     stated = replace(problem, phases=(replace(phase, dynamics=blind),), given=given)
-    proof = verify(replace(lander, problem=stated), level=2)
+    proof = verify(replace(lander, problem=stated), level=2).verification
     assert math.isnan(check(proof, "minimum_of_hamiltonian").value)
     assert "minimum_of_hamiltonian" in failed(proof)

@@ -35,7 +35,8 @@ from perilune.proof.feasible.sample_points import (
     polynomial,
 )
 from perilune.proof.necessary.first_order import COSTATE_LIMIT
-from perilune.solve import solve, verify
+from perilune.solve import solve
+from perilune.verify import verify
 from problems.landings import meditch
 from test_descent import approach
 
@@ -48,7 +49,7 @@ def with_table(solution: Solution, which: str, change: Change) -> Solution:
 
 
 def failed(solution: Solution, level: int = 2) -> set[str]:
-    return {c.name for c in verify(solution, level=level).failed}
+    return {c.name for c in verify(solution, level=level).verification.failed}
 
 
 def with_nodes(curve: Curve, times: Any) -> Curve:
@@ -128,7 +129,7 @@ def test_more_nodes_on_the_same_curves_change_nothing(hybrid: Solution) -> None:
     for k, which in enumerate(("state", "control", "costate")):
         at = np.random.default_rng(k).uniform(0, hybrid.trajectories[0].duration, 1500)
         denser = with_table(denser, which, lambda c, at=at: with_nodes(c, at))
-    before, after = verify(hybrid, level=3), verify(denser, level=3)
+    before, after = verify(hybrid, level=3).verification, verify(denser, level=3).verification
     assert after.level == 3, str(after)
     assert [c.name for c in before.checks] == [c.name for c in after.checks]
 
@@ -141,7 +142,7 @@ def test_a_reversal_of_the_thrust_between_two_nodes_fails(hybrid: Solution, k: i
     wrong = with_table(hybrid, "control", lambda c: between(*gap(c, k), reversed_values)(c))
     names = failed(wrong)
     assert {"state_v", "state_u", "minimum_of_hamiltonian"} <= names
-    assert verify(wrong, level=2).level == 0
+    assert verify(wrong, level=2).verification.level == 0
 
 
 def test_a_thrust_reversed_nearly_all_the_time_fails_and_takes_no_minutes(hybrid: Solution) -> None:
@@ -167,7 +168,7 @@ def test_a_thrust_reversed_nearly_all_the_time_fails_and_takes_no_minutes(hybrid
 
 def test_a_throttle_of_twenty_between_two_nodes_fails() -> None:
     problem = approach(Corridor(tilt=np.radians(80), slope=np.radians(5)), throttle=(0.0, 0.9))
-    solution = solve(problem, level=0)
+    solution = solve(problem, verify=0)
     column = problem.phases[0].control_names.index("throttle")
 
     def twenty(values: np.ndarray) -> np.ndarray:
@@ -181,7 +182,7 @@ def test_a_throttle_of_twenty_between_two_nodes_fails() -> None:
 
 def test_a_bulge_of_the_throttle_that_only_its_rates_make_fails() -> None:
     """Between two nodes at the bound; the exact extreme of the cubic, h/4 times the rate, is what is reported."""
-    solution = solve(meditch(), level=0)
+    solution = solve(meditch(), verify=0)
 
     control = solution.trajectories[0].control
     way = 1.0 if control.values[5, 0] == control.values.max() else -1.0
@@ -192,7 +193,11 @@ def test_a_bulge_of_the_throttle_that_only_its_rates_make_fails() -> None:
         rates[5], rates[6] = way * 1e-3, -way * 1e-3
         return replace(curve, rates=rates)
 
-    check = next(c for c in verify(with_table(solution, "control", bulge), level=1).checks if c.name == "bounds_thrust")
+    check = next(
+        c
+        for c in verify(with_table(solution, "control", bulge), level=1).verification.checks
+        if c.name == "bounds_thrust"
+    )
     assert check.value == pytest.approx(1e-3 * (control.time[6] - control.time[5]) / 4, rel=1e-9)
     assert not check.passed
 
@@ -212,7 +217,7 @@ def test_an_impulse_in_a_piece_of_a_picosecond_fails(way: float) -> None:
         objective_unit="m^2/s^3",
         given={"T": Given(value=1.0, unit="s"), "far": Given(value=1.0, unit="m")},
     )  # fmt: skip
-    solution = solve(problem, level=3)
+    solution = solve(problem, verify=3)
     assert solution.outcome is Outcome.PROVED
 
     def impulse(curve: Curve) -> Curve:
@@ -230,7 +235,7 @@ def test_an_impulse_in_a_piece_of_a_picosecond_fails(way: float) -> None:
 
 
 def test_the_two_sides_of_a_switch_exchanged_fail() -> None:
-    solution = solve(meditch(), level=0)
+    solution = solve(meditch(), verify=0)
 
     def exchange(curve: Curve) -> Curve:
         (k,) = np.nonzero(np.diff(curve.time) == 0)[0]
@@ -367,7 +372,7 @@ def test_a_dip_below_the_ground_between_the_points_is_found() -> None:
             objective=float(state.values[-1, 0]),
             trajectories=(Trajectory(phase="dive", state=state, control=empty),),
         )  # fmt: skip
-        check = next(c for c in verify(solution, level=1).checks if c.name == "path_height")
+        check = next(c for c in verify(solution, level=1).verification.checks if c.name == "path_height")
         assert check.value == pytest.approx(depth, rel=1e-6)
 
 
@@ -418,7 +423,7 @@ def test_ripples_between_the_nodes_of_a_right_table_are_looked_at_until_nothing_
     ripple = 5e-8 * np.cos(4 * np.pi * 1000 * t)
     flown = solution.trajectories[0]
     table = Curve(time=t, values=np.column_stack([t, 0 * t]), rates=np.column_stack([1 + 0 * t, ripple]))
-    assert verify(replace(solution, trajectories=(replace(flown, state=table),)), level=1).passed
+    assert verify(replace(solution, trajectories=(replace(flown, state=table),)), level=1).verification.passed
 
 
 # --- anything at all
@@ -492,4 +497,4 @@ def test_no_falsified_table_passes(hybrid: Solution, falsification: tuple[str, C
     which, change = falsification
     wrong = with_table(hybrid, which, change)
     small = deviation(PhaseData(solution=hybrid, index=0), which, getattr(wrong.trajectories[0], which)) <= BELOW[which]
-    assert small or not verify(wrong, level=1 if which == "state" else 2).passed
+    assert small or not verify(wrong, level=1 if which == "state" else 2).verification.passed

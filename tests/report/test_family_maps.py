@@ -175,7 +175,7 @@ def test_a_family_without_a_map_has_its_tables(family: Family, tmp_path: Path) -
 @pytest.fixture(scope="module")
 def level_flight() -> Solution:
     """Its start is 2 mm beside the plane of the site."""
-    return solve(load_file(ROOT / "examples" / "mars_pinpoint.toml", ["approach.north=2 mm"]).problem, level=0)
+    return solve(load_file(ROOT / "examples" / "mars_pinpoint.toml", ["approach.north=2 mm"]).problem, verify=0)
 
 
 def test_two_millimetres_are_not_blown_up(level_flight: Solution) -> None:

@@ -28,13 +28,13 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 @pytest.fixture(scope="module")
 def below() -> Solution:
     """A landing 5 km below the body's radius."""
-    return solve(load_file(EXAMPLES / "ordinary_lander.toml", ["landing.altitude=-5 km"]).problem, level=0)
+    return solve(load_file(EXAMPLES / "ordinary_lander.toml", ["landing.altitude=-5 km"]).problem, verify=0)
 
 
 @pytest.fixture(scope="module")
 def descent() -> Solution:
     """The descent over the pole, whose angles are stated in degrees."""
-    return solve(load_file(EXAMPLES / "polar_descent.toml").problem, level=0)
+    return solve(load_file(EXAMPLES / "polar_descent.toml").problem, verify=0)
 
 
 def test_a_flight_that_is_not_proved_is_drawn_with_a_line_that_says_so(hybrid: Solution, ordinary: Solution) -> None:
@@ -70,7 +70,7 @@ def test_a_site_below_the_datum_is_in_the_picture(below: Solution, ordinary: Sol
 
 def test_a_switch_is_drawn_as_a_step() -> None:
     """Both its values at one time, and nothing between them; so is the costate that jumps where a slope is touched."""
-    solution = solve(load_file(EXAMPLES / "mars_pinpoint.toml").problem, level=0)
+    solution = solve(load_file(EXAMPLES / "mars_pinpoint.toml").problem, verify=0)
     figures = solution_figures(solution)
     throttle = next(axes for axes in figures["steering"].axes if axes.get_ylabel().startswith("throttle"))
     costate = next(axes for axes in figures["costates"].axes if "mathrm{east}" in axes.get_ylabel())

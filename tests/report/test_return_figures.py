@@ -28,7 +28,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def flown() -> Solution:
     """The return of the example, with a nose."""
     changes = ["vehicle.nose_radius=0.3 m"]
-    return solve(load_file(EXAMPLES / "minimum_duration_return.toml", changes).problem, level=0)
+    return solve(load_file(EXAMPLES / "minimum_duration_return.toml", changes).problem, verify=0)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_every_figure_of_a_return_is_there(drawn: dict[str, Any]) -> None:
 
 def test_the_condition_of_a_fall_that_counts_for_nothing_is_drawn() -> None:
     """Least propellant to any place: all costates of the entry are 0, and H with them, which is no error of it."""
-    solution = solve(load_text(template("deorbit_entry")), level=0)
+    solution = solve(load_text(template("deorbit_entry")), verify=0)
     lines = optimality_figure(solution).axes[0].lines
     assert np.all([np.isfinite(line.get_ydata()).all() for line in lines])
 

@@ -30,7 +30,7 @@ def test_the_prover(check: Callable[[], bool]) -> None:
 
 def test_a_theorem_is_a_level_of_the_verification() -> None:
     solution = prover_checks.solved(meditch)
-    found = pl.verify(solution, level=5)
+    found = pl.verify(solution, level=5).verification
     assert found.level == 5 and "theorem" in found.title
     assert found.notes[0].startswith("Theorem. ") and "1.42031259904919781546735996764" in found.notes[0]
     certificate = json.loads(json.dumps(found.certificate))
@@ -61,12 +61,12 @@ def test_without_ball_arithmetic_it_says_how_to_get_it(monkeypatch: pytest.Monke
         pl.verify(solution, level=5)
     never = SimpleNamespace(run=lambda *_: pytest.fail("solved, where the proof was to be refused first"))
     with pytest.raises(pl.PeriluneError, match="python-flint"):
-        pl.solve(solution.problem, cast("Any", never), level=5)
+        pl.solve(solution.problem, cast("Any", never), verify=5)
 
 
 def test_a_theorem_is_tried_of_what_is_proved_to_level_3_and_it_is_said() -> None:
     solution = prover_checks.solved(least_time)
-    found = pl.verify(replace(solution, objective=1.001 * solution.objective), level=5)
+    found = pl.verify(replace(solution, objective=1.001 * solution.objective), level=5).verification
     assert not found.passed and found.certificate is None
     note = f"no theorem: it is attempted only from level 3, and this solution reaches level {found.level}"
     assert found.notes[0] == note

@@ -239,7 +239,7 @@ def test_a_bound_that_holds_an_end_keeps_a_local_optimum(gain: float, J: float, 
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
     )  # fmt: skip
     stated = problem(phase, lambda x, p, xp: x.c - p.k * x.x, {"T": (1.0, "s"), "k": (gain, "m/s")}, unit="m^2/s")
-    found = room("theorem").attempt_proof(pl.solve(stated, pl.Pseudospectral(), level=0), lambda _: None).proved
+    found = room("theorem").attempt_proof(pl.solve(stated, pl.Pseudospectral(), verify=0), lambda _: None).proved
     assert found.boundary.sides.states == sides and not found.missing and found.optimum.proved
     assert found.objective.contains(J) and found.objective.rad() < 1e-25
 

@@ -27,7 +27,7 @@ from perilune_checker.expressions import Failed
 
 
 def test_a_theorem_says_which_numbers_it_is_about() -> None:
-    solution = pl.solve(constant_mass(1.62, 20.0, -5.0, 4.0), level=0)
+    solution = pl.solve(constant_mass(1.62, 20.0, -5.0, 4.0), verify=0)
     problem = solution.problem
     given = dict(problem.given)
     given["g"] = replace(given["g"], stated="1.62 m/s^2")
@@ -45,7 +45,7 @@ def test_a_theorem_says_which_numbers_it_is_about() -> None:
 @cache
 def theorem() -> ProvedExtremal:
     """A lander that is proved."""
-    found = attempt_proof(pl.solve(meditch(), level=0), ignore_events).proved
+    found = attempt_proof(pl.solve(meditch(), verify=0), ignore_events).proved
     assert found is not None
     return found
 

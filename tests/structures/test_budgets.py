@@ -120,15 +120,15 @@ def test_two_thrusters_that_switch_at_once() -> None:
 
 def test_the_multiplier_of_a_budget_is_what_more_of_it_gains() -> None:
     """T = (12 L^2/E)^(1/3) and dT/dE = -T/(3 E)."""
-    solution = pl.solve(cart(5.0), level=2)
+    solution = pl.solve(cart(5.0), verify=2)
     assert solution.multipliers["run.left_at_end"] == pytest.approx(-solution.objective / 15.0, rel=1e-9)
 
 
 def test_a_solution_with_a_budget_is_saved_and_proved_again(tmp_path: Path) -> None:
     pl.save(pl.solve(cart(5.0, most=1.1)), tmp_path)
     found = pl.load(tmp_path)
-    assert pl.verify(found).level == 3
-    again = pl.solve(cart(4.0, most=1.1), guess=found, level=2)
+    assert pl.verify(found).verification.level == 3
+    again = pl.solve(cart(4.0, most=1.1), guess=found, verify=2)
     assert again.objective == pytest.approx(least_time(4.0, 1.1), rel=1e-10)
 
 

@@ -117,4 +117,4 @@ def test_another_jump_of_a_costate_is_refused(hop: Solution, share: float) -> No
     values = flown.costate.values.copy()
     values[: int(np.searchsorted(flown.costate.time, 0.5, "right")) - 1, 0] -= 10.0 * share
     wrong = replace(flown, costate=Curve(time=flown.costate.time, values=values, rates=flown.costate.rates))
-    assert not pl.verify(replace(hop, trajectories=(wrong,))).passed
+    assert not pl.verify(replace(hop, trajectories=(wrong,))).verification.passed

@@ -71,7 +71,7 @@ def test_the_direct_method_finds_the_closed_form_from_a_straight_line(
     """dJ/dl is the multiplier of entry, or of the touch."""
     name, problem = "x.upper" if as_bound else "room", bryson_denham(ceiling, as_bound)
     structure = riding(name) if rides else touching(name)
-    solution = pl.solve(restate(problem, structure), pl.Pseudospectral(), level=0)
+    solution = pl.solve(restate(problem, structure), pl.Pseudospectral(), verify=0)
     if rides:  # J has an inflection at the time of entry, and the mesh an error: 1e-5 of it
         assert solution.objective == pytest.approx(bryson_denham_truth(ceiling), abs=5e-5)
         solution = pl.Indirect().run(solution.problem, solution)
@@ -84,19 +84,19 @@ def test_the_direct_method_finds_the_closed_form_from_a_straight_line(
     assert whole.trajectories[0].duration == pytest.approx(1.0, abs=1e-12)
     ends = np.cumsum([t.duration for t in solution.trajectories])[:-1]
     assert ends == pytest.approx([3 * ceiling, 1 - 3 * ceiling] if rides else [0.5], abs=1e-4)
-    assert pl.verify(whole, level=1).passed
+    assert pl.verify(whole, level=1).verification.passed
 
 
 def test_a_boundary_arc_by_the_indirect_method() -> None:
     """The times of the joints are simple roots: they are exact where J is."""
     problem, structure = bryson_denham(1 / 9, as_bound=True), riding("x.upper")
     restated = restate(problem, structure)
-    solution = pl.Indirect().run(restated, pl.solve(restated, pl.Pseudospectral(), level=0))
+    solution = pl.Indirect().run(restated, pl.solve(restated, pl.Pseudospectral(), verify=0))
     assert solution.objective == pytest.approx(4.0, abs=1e-12)
     assert [t.duration for t in solution.trajectories] == pytest.approx([1 / 3] * 3, abs=1e-12)
     assert solution.multipliers["swing-1.enter_x_upper"] == pytest.approx(-36.0, abs=1e-10)
     whole = join_solution(problem, solution, structure)
-    assert pl.verify(whole, level=1).passed
+    assert pl.verify(whole, level=1).verification.passed
     assert [arc.text for arc in whole.structure] == ["along the upper bound of x 0.3333 to 0.6667 s"]
 
 
@@ -104,13 +104,15 @@ def test_a_touch_by_the_indirect_method() -> None:
     """To the last digit; the costate of the place jumps by dJ/dl."""
     problem, structure = bryson_denham(1 / 5), touching("room")
     restated = restate(problem, structure)
-    solution = pl.Indirect().run(restated, pl.solve(restated, ONE_MESH, level=0))
+    solution = pl.Indirect().run(restated, pl.solve(restated, ONE_MESH, verify=0))
     assert solution.objective == pytest.approx(2.24, abs=1e-12)
     assert solution.multipliers["swing-1.touch_room"] == pytest.approx(-9.6, abs=1e-11)
-    proof = pl.verify(solution, level=3)  # the condition on the durations, 1 s together, stands in no costate
+    proof = pl.verify(
+        solution, level=3
+    ).verification  # the condition on the durations, 1 s together, stands in no costate
     assert proof.passed and "multipliers" in {c.name for c in proof.checks}
     whole = join_solution(problem, solution, structure)
-    assert pl.verify(whole, level=1).passed
+    assert pl.verify(whole, level=1).verification.passed
     costate = whole.trajectories[0].costate
     assert costate is not None
     at = np.nonzero(np.diff(costate.time) == 0)[0]
@@ -123,18 +125,18 @@ def test_the_constrained_brachistochrone() -> None:
     """A condition of the first order; its free duration is a sum, in J too."""
     problem = brachistochrone()
     entered, left, least = brachistochrone_truth()
-    coarse = pl.solve(problem, COARSE, level=0)
+    coarse = pl.solve(problem, COARSE, verify=0)
     structure = detect_structure(problem, coarse)
     assert structure is not None
     guess = split_solution(coarse, structure)
-    solution = pl.solve(guess.problem, ONE_MESH, guess=guess, level=0)
+    solution = pl.solve(guess.problem, ONE_MESH, guess=guess, verify=0)
     whole = join_solution(problem, solution, structure)
     assert whole.objective == pytest.approx(least, abs=1e-9)
     assert whole.free == pytest.approx({"T": least}, abs=1e-9)
     ends = np.cumsum([t.duration for t in solution.trajectories])
     assert [(a.words, a.begin, a.end) for a in whole.structure] == [("along above", *ends[:2])]
     assert ends[:2] == pytest.approx([entered, left], abs=1e-3)
-    assert pl.verify(whole, level=1).passed
+    assert pl.verify(whole, level=1).verification.passed
     exact = pl.Indirect().run(guess.problem, solution)
     assert np.cumsum([t.duration for t in exact.trajectories]) == pytest.approx([entered, left, least], abs=1e-10)
 
@@ -143,16 +145,16 @@ def test_a_touch_at_a_wrong_time_is_no_extremal() -> None:
     """One multiplier of the durations' sum cannot make both stationary."""
     restated = restate(bryson_denham(1 / 5), touching("room"))
     early = restated.with_given(**{"T-1": 0.45})
-    solution = pl.Indirect().run(early, pl.solve(early, ONE_MESH, level=0))
-    proof = pl.verify(replace(solution, problem=restated, free={"T-1": 0.45, **solution.free}), level=2)
+    solution = pl.Indirect().run(early, pl.solve(early, ONE_MESH, verify=0))
+    proof = pl.verify(replace(solution, problem=restated, free={"T-1": 0.45, **solution.free}), level=2).verification
     assert {c.name for c in proof.failed} >= {"stationary_T-1", "stationary_T-2"}
 
 
 def test_the_range_of_a_duration_is_one_of_the_sum() -> None:
     problem = brachistochrone()
     slow = replace(problem, free=(replace(problem.free[0], lower=2.0),))
-    guess = split_solution(pl.solve(slow, COARSE, level=0), riding("above"))
-    solution = pl.solve(guess.problem, ONE_MESH, guess=guess, level=0)
+    guess = split_solution(pl.solve(slow, COARSE, verify=0), riding("above"))
+    solution = pl.solve(guess.problem, ONE_MESH, guess=guess, verify=0)
     assert solution.objective == pytest.approx(2.0, abs=1e-9)
     whole = join_solution(slow, solution, riding("above"))
     assert whole.free == pytest.approx({"T": 2.0}, abs=1e-9)
@@ -162,7 +164,7 @@ def test_the_range_of_a_duration_is_one_of_the_sum() -> None:
 @pytest.fixture(scope="module")
 def glide() -> Solution:
     """The glide slope on a coarse mesh, some metres below it."""
-    return pl.solve(mars_glide_slope(), COARSE, level=0)
+    return pl.solve(mars_glide_slope(), COARSE, verify=0)
 
 
 def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path: Path) -> None:
@@ -171,9 +173,9 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path:
     assert structure is not None and structure.text == "free and touches glide, free"
     guess = split_solution(glide, structure)
     assert sum(guess.free[name] for name in guess.problem.duration_names) == pytest.approx(glide.free["flight_time"])
-    rough = pl.solve(guess.problem, ONE_MESH, guess=guess, level=0)
+    rough = pl.solve(guess.problem, ONE_MESH, guess=guess, verify=0)
     solution = join_solution(problem, pl.Indirect().run(guess.problem, rough), structure)
-    proof = pl.verify(solution, level=1)
+    proof = pl.verify(solution, level=1).verification
     assert proof.passed
     assert solution.results["propellant"].value == pytest.approx(398.069674, abs=1e-5)
     names = {arc.words: arc for arc in solution.structure}
@@ -201,19 +203,19 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path:
 def test_a_return_touches_its_shell_in_a_leg_of_a_shared_duration() -> None:
     """The legs stay equal, whatever the first is made of. The touch lasts no time; its time is free."""
     problem = deorbit()
-    coarse = pl.solve(problem, pl.Pseudospectral(refine=0, segments=4, nodes=6, polish=False), level=0)
+    coarse = pl.solve(problem, pl.Pseudospectral(refine=0, segments=4, nodes=6, polish=False), verify=0)
     structure = detect_structure(problem, coarse)
     assert structure is not None and structure.text == "free and touches above, free; free; free"
     guess = split_solution(coarse, structure)
     assert guess.problem.duration_names == ("leg.leg1-1", "leg.leg1-2", "leg", "fall")
-    solution = pl.Indirect().run(guess.problem, pl.solve(guess.problem, ONE_MESH, guess=guess, level=0))
+    solution = pl.Indirect().run(guess.problem, pl.solve(guess.problem, ONE_MESH, guess=guess, verify=0))
     whole = join_solution(problem, solution, structure)
-    assert pl.verify(whole, level=1).passed
+    assert pl.verify(whole, level=1).verification.passed
     assert whole.objective == pytest.approx(2 * whole.free["leg"] + whole.free["fall"], abs=1e-9)
     assert whole.trajectories[0].duration == pytest.approx(whole.trajectories[1].duration, abs=1e-7)
     assert whole.objective == pytest.approx(4443.89648, abs=1e-4)
     # The fall multiplies errors of the costates by more than 1e3: at its end they are known to 1e-8 at best.
-    proof = pl.verify(whole, level=3, tolerance=pl.Tolerance(optimality=1e-6))
+    proof = pl.verify(whole, level=3, tolerance=pl.Tolerance(optimality=1e-6)).verification
     assert proof.passed and proof.level == 3
     kappa = next(check.value for check in proof.checks if check.name == "conjugate_point")
     assert 0.1 < kappa < 0.5
@@ -250,7 +252,9 @@ MESHES = [{"segments": 4, "nodes": 8}, {"segments": 8, "nodes": 5}, {"nodes": 20
 def test_structures_are_read_off_coarse_meshes(make: Any, text: str | None, mesh: Any) -> None:
     """What falls below its limit between the points of a mesh, and bulges above it."""
     problem = make()
-    structure = detect_structure(problem, pl.solve(problem, pl.Pseudospectral(refine=0, polish=False, **mesh), level=0))
+    structure = detect_structure(
+        problem, pl.solve(problem, pl.Pseudospectral(refine=0, polish=False, **mesh), verify=0)
+    )
     assert (structure and structure.text) == text
 
 
@@ -265,7 +269,7 @@ def test_what_cannot_be_restated_is_named() -> None:
         restate(problem, Structure(((Arc(),), (Arc(),))))
     with pytest.raises(PeriluneError, match="an arc of slide has no length"):
         split_solution(
-            pl.solve(problem, COARSE, level=0), Structure(((Arc(until=1.0), Arc(until=1.0), Arc(until=1.0)),))
+            pl.solve(problem, COARSE, verify=0), Structure(((Arc(until=1.0), Arc(until=1.0), Arc(until=1.0)),))
         )
 
 

@@ -154,7 +154,7 @@ class Answering:
                 return self.last, "neighbour", "as it was saved"
             self._saved = False
             with suppress(PeriluneError):  # its arcs, which a file does not hold, are found once for all neighbours
-                self.last = solve(self.last.problem, guess=self.last, level=0, watch=patient)
+                self.last = solve(self.last.problem, guess=self.last, verify=0, callback=patient)
         words = "an extremal near the previous flight"
         longest = min(self.patience, _STEP * _FOLLOW)
         if (near := self._stepped(problem, self.last, watch, longest)) is not None:
@@ -209,7 +209,7 @@ class Answering:
 
     def _found(self, problem: Problem, watch: Watch) -> tuple[Solution, str, str]:
         began = time.thread_time()
-        found = solve(problem, level=0, watch=watch)
+        found = solve(problem, verify=0, callback=watch)
         took = time.thread_time() - began
         self._quick = took < _QUICK
         self.patience = max(_PATIENT[0], took)  # to follow need not take longer than to find
@@ -266,7 +266,7 @@ class Answering:
         """
         began = time.thread_time()
         try:
-            found = solve(problem, guess=last, level=0, watch=_limit_cpu_time(watch, limit))
+            found = solve(problem, guess=last, verify=0, callback=_limit_cpu_time(watch, limit))
         except (PeriluneError, _CpuTimeExceeded) as error:
             if isinstance(error, InfeasibleError) and error.reason == CANNOT_BE_FLOWN:
                 raise

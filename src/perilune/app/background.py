@@ -19,7 +19,8 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal, Nature
 from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Verification
-from perilune.solve import prove, solve
+from perilune.solve import solve
+from perilune.verify import verify
 
 LEVEL = 3
 _SAME = 1e-7  # of J: far above what Newton's method leaves, far below what anybody would change a flight for
@@ -75,7 +76,7 @@ def compare_with_cold_start(followed: Solution, watch: Watch) -> ColdStartCompar
     PeriluneError
         If the cold start finds no solution.
     """
-    found = solve(followed.problem, level=0, watch=watch)
+    found = solve(followed.problem, verify=0, callback=watch)
     room, best = _SAME * (1.0 + abs(found.objective)), found.extremals
     own = _followed_extremal(followed)
     if found.objective < followed.objective - room:
@@ -105,7 +106,7 @@ def solve_without_guess(problem: Problem, watch: Watch) -> ColdStartComparison:
     PeriluneError
         If there is none.
     """
-    found = solve(problem, level=0, watch=watch)
+    found = solve(problem, verify=0, callback=watch)
     words = f"found without an initial guess, as none is near; best of {len(found.extremals)} found"
     return ColdStartComparison(solution=found, jumped=True, words=words, family=cost_along_free_parameter(found))
 
@@ -113,7 +114,7 @@ def solve_without_guess(problem: Problem, watch: Watch) -> ColdStartComparison:
 def prove_timed(solution: Solution, watch: Watch) -> TimedProof:
     """Prove a solution, and take the time."""
     began = time.perf_counter()
-    found = prove(solution, LEVEL)
+    found = verify(solution, LEVEL)
     return TimedProof(outcome=found.outcome, verification=found.verification, took=time.perf_counter() - began)
 
 

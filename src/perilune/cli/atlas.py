@@ -53,7 +53,7 @@ def _run_atlas_build(typed: Namespace) -> CommandAnswer:
             typed.out,
             executor,
             tolerance=TOLERANCE if typed.tolerance is None else typed.tolerance,
-            watch=watch,
+            callback=watch,
             bricks=typed.bricks,
             sample=typed.sample,
             force=typed.force and not typed.resume,
@@ -85,7 +85,7 @@ def _run_atlas_extend(typed: Namespace) -> CommandAnswer:
         progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch,
         sweep_executor(typed) as executor,
     ):
-        extend(typed.directory, wanted, executor, watch=watch, sample=typed.sample)
+        extend(typed.directory, wanted, executor, callback=watch, sample=typed.sample)
     return _atlas_description(_open_typed_atlas(typed), built=str(typed.directory))
 
 
@@ -113,7 +113,7 @@ def _run_atlas_merge(typed: Namespace) -> CommandAnswer:
         return f"{typed.out} is not a complete atlas; repeat the same command to merge again" if copied else ""
 
     with advise_on_interrupt(going_on), progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
-        merge(typed.directory, typed.other, typed.out, force=typed.force, watch=watch)
+        merge(typed.directory, typed.other, typed.out, force=typed.force, callback=watch)
     typed.directory = typed.out
     return _atlas_description(_open_typed_atlas(typed), built=str(typed.out))
 
@@ -137,7 +137,7 @@ def _run_atlas_verify(typed: Namespace) -> CommandAnswer:
     from perilune.atlas.building.verify import verify_atlas
 
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
-        found = verify_atlas(_open_typed_atlas(typed), typed.sample, seed=typed.seed, watch=watch)
+        found = verify_atlas(_open_typed_atlas(typed), typed.sample, seed=typed.seed, callback=watch)
     outcome = ("PROVED" if found.drawn else "SOLVED") if found.passed else "NOT_PROVED"  # of none drawn nothing is
     document = {**asdict(found), "share": found.share, "outcome": outcome}
     return CommandAnswer(text=str(found), document=document, exit_code=0 if found.passed else 5)
@@ -146,13 +146,13 @@ def _run_atlas_verify(typed: Namespace) -> CommandAnswer:
 def _run_atlas_query(typed: Namespace) -> CommandAnswer:
     from perilune.io.save import solution_document
     from perilune.report.summary import solution_summary
-    from perilune.solve import prove
+    from perilune.verify import verify
 
     atlas = _open_typed_atlas(typed)
     values = _typed_axis_values(atlas, typed.at)
     refuse_unusable_target(typed.out, typed.force)
     answer = atlas.query(**values)
-    solution = prove(answer, typed.prove) if typed.prove else answer
+    solution = verify(answer, typed.verify) if typed.verify else answer
     raise_pending_interrupt()
     files = WrittenFiles()
     if typed.out is not None:
@@ -161,7 +161,7 @@ def _run_atlas_query(typed: Namespace) -> CommandAnswer:
 
             write_all(solution, typed.out, scenario_text=None, force=typed.force)
     lines = [solution_summary(solution, every_check=typed.verbose), "", *_query_lines(answer.query)]
-    code = solution.outcome.exit_code if typed.prove else 0
+    code = solution.outcome.exit_code if typed.verify else 0
     document = {**solution_document(solution), "query": asdict(answer.query)}
     return files.placed(CommandAnswer(text="\n".join(lines), document=document, exit_code=code), typed.out)
 

@@ -16,9 +16,9 @@ from perilune.cli.options import (
     Option,
     integer_in_range,
     option,
-    prove_option,
     real,
     switch,
+    verify_options,
 )
 
 _DIRECTORY = option(
@@ -131,7 +131,7 @@ def _add_atlas_reading(command: Callable[..., Any], actions: Any) -> None:
         _DIRECTORY,
         _at('Value of every axis, e.g. "vehicle.thrust=440 N".'),
         OUT,
-        prove_option("Prove the answer"),
+        *verify_options("Prove the answer"),
         VERBOSE,
         FORCE,
         NO_CACHE,

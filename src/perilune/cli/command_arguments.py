@@ -20,9 +20,9 @@ from perilune.cli.options import (
     integer_in_range,
     level_option,
     option,
-    prove_option,
     real,
     switch,
+    verify_options,
 )
 from perilune_papers.papers import PAPERS
 
@@ -106,7 +106,7 @@ def add_solution_commands(command: Callable[..., Any]) -> None:
         ),
         option("--object-name", metavar="TEXT", help="OBJECT_NAME of an OEM. Default: the name of the problem."),
         option("--object-id", metavar="TEXT", help="OBJECT_ID of an OEM, e.g. 2030-001A. Default: UNKNOWN."),
-        prove_option("Prove the solution first", "; otherwise the file states what the solution claims"),
+        *verify_options("Prove the solution first", "; otherwise the file states what the solution claims"),
         FORCE,
         NO_CACHE,
     )

@@ -68,7 +68,7 @@ def _run_solve_command(typed: Namespace) -> CommandAnswer:
     with advise_on_interrupt(lambda: kept), progress(typed.verbose, log) as watch:
         with failure_kept(scenario, out, typed.force, log):
             solution = solve_problem(
-                scenario.problem, chosen, level=typed.level, tolerance=scenario.tolerance, watch=watch,
+                scenario.problem, chosen, verify=typed.level, tolerance=scenario.tolerance, callback=watch,
                 time_limit=limit,
             )  # fmt: skip
             if out is not None:
@@ -100,7 +100,7 @@ def _plainer_flight(solution: Solution) -> Solution | None:
     if beside is None or all(getattr(solution.parameters, name) == value for name, value in beside.given):
         return None
     try:
-        return solve_problem(solution.problem.with_given(**dict(beside.given)), level=0)
+        return solve_problem(solution.problem.with_given(**dict(beside.given)), verify=0)
     except PeriluneError:
         return None
 
@@ -198,7 +198,7 @@ def _run_atlas_command(typed: Namespace) -> CommandAnswer:
 
 def _run_verify_command(typed: Namespace) -> CommandAnswer:
     from perilune.io.load import load
-    from perilune.solve import prove
+    from perilune.verify import verify
 
     certificate = typed.certificate
     if certificate is not None:
@@ -206,7 +206,7 @@ def _run_verify_command(typed: Namespace) -> CommandAnswer:
 
         certificate = new_file(certificate, "the certificate", typed.force)  # refused before the work, not after it
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
-        solution = _with_unread_files(prove(load(typed.directory), typed.level, watch=watch), typed.directory)
+        solution = _with_unread_files(verify(load(typed.directory), typed.level, callback=watch), typed.directory)
     answer, files = _solution_answer(solution, typed.verbose), WrittenFiles()
     if certificate is None:
         return answer
@@ -247,21 +247,21 @@ def _run_export_command(typed: Namespace) -> CommandAnswer:
     from perilune.io.exports.provenance import provenance
     from perilune.io.exports.writing import export_target, require_object, write_export
     from perilune.io.load import load_with_tree
-    from perilune.solve import prove
+    from perilune.verify import verify
 
     _, form = export_target(typed.out, typed.format, typed.force)
     named = require_object(form, typed.object_name, typed.object_id)
     loaded, document = load_with_tree(typed.directory)
     flight_epoch(loaded, typed.epoch)  # refused before the proof, which may take long
     with progress(False, deque(maxlen=1)) as watch:
-        solution = prove(loaded, typed.prove, watch=watch)
+        solution = verify(loaded, typed.verify, callback=watch)
     raise_pending_interrupt()
     about = provenance(solution, document=document)
     write_export(solution, typed.out, form, about, epoch=typed.epoch, force=typed.force, **named)
     size = typed.out.stat().st_size
     told = {"written": str(typed.out), "format": form, "bytes": size, "proof": about["proof"]}
     text = f"written to {typed.out}: {form}, {size / 2**10:.0f} KiB; proof: {about['proof']}"
-    return CommandAnswer(text=text, document=told, exit_code=solution.outcome.exit_code if typed.prove else 0)
+    return CommandAnswer(text=text, document=told, exit_code=solution.outcome.exit_code if typed.verify else 0)
 
 
 def _run_reproduce_command(typed: Namespace) -> CommandAnswer:

@@ -76,10 +76,12 @@ def level_option(least: int, usual: int) -> Option:
     return option("--level", metavar="LEVEL", type=read, default=usual, help=f"{text}. Default: {usual}.")
 
 
-def prove_option(what: str, otherwise: str = "") -> Option:
-    """Return the option for the level to which a command proves its solutions, by default none."""
+def verify_options(what: str, otherwise: str = "") -> tuple[Option, Option]:
+    """Return the option for the level to which a command proves its solutions, by default none, and its old name."""
     help_ = f"{what}, to level 1 to {THEOREM}{otherwise}; 0 (default) for none."
-    return option("--prove", metavar="LEVEL", type=integer_in_range(0, THEOREM), default=0, help=help_)
+    settings: dict[str, Any] = {"metavar": "LEVEL", "type": integer_in_range(0, THEOREM), "default": 0}
+    named = option("--verify", help=help_, **settings)
+    return named, option("--prove", dest="verify", help=argparse.SUPPRESS, **settings)  # until the next minor version
 
 
 FILE = option("file", metavar="FILE", type=Path, help="Scenario in TOML; `perilune new` writes one.")

@@ -62,8 +62,8 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
         family = sweep(
             scenario.problem,
             over,
-            level=order.level,
-            watch=watch,
+            verify=order.level,
+            callback=watch,
             executor=executor,
             tolerance=scenario.tolerance,
             time_limit=limit,

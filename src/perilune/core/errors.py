@@ -18,7 +18,7 @@ class Outcome(Enum):
 
     PROVED = "every check of the requested verification level passed"
     SOLVED = (
-        "the method converged; nothing is verified yet: use perilune verify DIR for what --out DIR saved, or pl.prove"
+        "the method converged; nothing is verified yet: use perilune verify DIR for what --out DIR saved, or pl.verify"
     )
     NOT_PROVED = "solved, but at least one check failed: read the failed checks before using it"
     NOT_CONVERGED = "no solution was found: the residual report names the condition and what to try"

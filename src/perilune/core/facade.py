@@ -6,11 +6,12 @@ its room imports nothing that draws, and nothing is loaded before it is used.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from types import ModuleType
 from typing import Any
+
+from perilune.core.deprecation import warn_renamed
 
 
 def public_names(public: Iterable[str]) -> list[str]:
@@ -52,9 +53,7 @@ def moved_module(old: str, new: str) -> ModuleType:
     old, new
         Full names of the module before and now.
     """
-    warnings.warn(
-        f"{old} is {new} now; the old name goes with the next minor version", DeprecationWarning, stacklevel=3
-    )
+    warn_renamed(old, new, 2)
     return import_module(new)
 
 

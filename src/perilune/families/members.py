@@ -25,7 +25,8 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import Verification
-from perilune.solve import ended_in_time, prove, solve, verify, with_verification
+from perilune.solve import ended_in_time, solve
+from perilune.verify import check_solution, verify, with_verification
 
 Found = Iterator[tuple[int, FamilyPoint]]
 
@@ -139,7 +140,7 @@ class Members:
             self._say(i)
             try:
                 solution = solve(
-                    self._gate(i), self.method, level=self.level, tolerance=self.tolerance, watch=self.watch,
+                    self._gate(i), self.method, verify=self.level, tolerance=self.tolerance, callback=self.watch,
                     time_limit=self.time_limit,
                 )  # fmt: skip
                 yield i, FamilyPoint(values=self.values[i], solution=solution)
@@ -153,7 +154,7 @@ class Members:
             try:
                 problem = self._gate(i)
                 with ended_in_time(problem, self.watch, self.time_limit) as work:
-                    solution = prove(walk.solve(problem, work), self.level, self.tolerance, work)
+                    solution = verify(walk.solve(problem, work), self.level, self.tolerance, work)
                 yield i, FamilyPoint(values=self.values[i], solution=solution)
             except PeriluneError as error:
                 walk.forget()
@@ -204,7 +205,7 @@ def solved_member(
         Time for the member [s].
     """
     try:
-        solution = solve(problem, method, level=level, tolerance=tolerance, time_limit=time_limit)
+        solution = solve(problem, method, verify=level, tolerance=tolerance, time_limit=time_limit)
         return FamilyPoint(values=values, solution=solution)
     except PeriluneError as error:
         return failed_point(values, error)
@@ -221,6 +222,6 @@ def proof_of_member(solution: Solution, level: int) -> Verification | None:
         Level up to which it is proved.
     """
     try:
-        return verify(solution, level=level)
+        return check_solution(solution, level)
     except PeriluneError:
         return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.deprecation import renamed_keywords
 from perilune.core.validation import (
     check_call,
     require_callable,
@@ -17,24 +18,26 @@ from perilune.families.executors import Submits
 from perilune.families.family import Family, FamilyPoint, Over, member_values
 from perilune.families.members import Members
 from perilune.families.store import FamilyStore
-from perilune.methods import Method
+from perilune.methods import Method, method_or_default
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS
-from perilune.solve import method_or_default, require_time_limit, require_tolerance
+from perilune.solve import require_time_limit
+from perilune.verify import require_tolerance
 
 
+@renamed_keywords(level="verify", watch="callback")
 @check_call
 def sweep(
     problem: Problem,
     over: Over,
     method: Method | None = None,
     *,
-    level: int = 0,
+    verify: int = 0,
     tolerance: Tolerance | None = None,
     executor: Submits | None = None,
     store: str | Path | None = None,
-    watch: Watch | None = None,
+    callback: Watch | None = None,
     time_limit: float | None = None,
 ) -> Family:
     """Solve along parameters.
@@ -51,7 +54,7 @@ def sweep(
         is fixed to the values.
     method
         ``Indirect()`` unless another is given.
-    level
+    verify
         Verification level of each member, 0 for none.
     tolerance
         Differences that do not matter to the proof of any member, as of `perilune.solve.solve`.
@@ -59,9 +62,9 @@ def sweep(
         Where the members are computed: a `concurrent.futures.Executor` (a process pool, say) or a Dask client.
     store
         Directory into which each member is written as soon as it is there. The same sweep with the same directory goes
-        on where it was broken off, whatever broke it off: what is there is proved again to `level`, and solved again
+        on where it was broken off, whatever broke it off: what is there is proved again to the level, and solved again
         where that fails. At level 0, and of a member that was not found, the message begins with "as stored".
-    watch
+    callback
         Receives lines of text, ``... (n of N)`` for each member, and each iteration that is made here.
     time_limit
         Of each member [s], as of `perilune.solve.solve`; one whose time is over is not found, and says so.
@@ -78,18 +81,18 @@ def sweep(
         If `over` names what is no parameter, the store is of another sweep, or a worker was lost.
     """
     require_type(problem, Problem, "a problem to sweep")
-    require_level(level, (0, *LEVELS))
+    require_level(verify, (0, *LEVELS))
     require_tolerance(tolerance)
     names, values = member_values(problem, over)
-    require_callable(watch, "a watch")
+    require_callable(callback, "a callback")
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise wrong_type_error(
             executor, "a concurrent.futures.Executor, a Dask client or None", "an executor for the members"
         )
-    say = watch or ignore_events
+    say = callback or ignore_events
     members = Members(
-        problem=problem, names=names, values=values, method=method_or_default(method), level=level,
-        tolerance=tolerance or Tolerance(), watch=say, time_limit=require_time_limit(time_limit, level),
+        problem=problem, names=names, values=values, method=method_or_default(method), level=verify,
+        tolerance=tolerance or Tolerance(), watch=say, time_limit=require_time_limit(time_limit, verify),
     )  # fmt: skip
     notes: list[str] = []
 

@@ -73,7 +73,7 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
         Unverified: a file's own claims are told and not taken over; the tolerance that was stated for its proof is, for
         the next. Its problem is that of the scenario or the model where the file has one (the model's own functions and
         checks), else that of the expressions in the file; `problem.text` says which. The extremals that the file lists
-        stand in `listed`, for `perilune.prove` to find again; `statistics` are `claimed`. Results are computed again
+        stand in `listed`, for `perilune.verify` to find again; `statistics` are `claimed`. Results are computed again
         from the curves; those in the file, and derived files in the directory, are not evidence and are not read.
 
     Raises

@@ -1,4 +1,4 @@
-"""Methods: frozen records of settings with ``run(problem, guess, watch) -> Solution``."""
+"""Methods: frozen records of settings with ``run(problem, guess, callback) -> Solution``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from perilune.methods.indirect.result import Curves, compose_solution
     from perilune.methods.indirect.search import Search
     from perilune.methods.indirect.violations import solution_violations
-    from perilune.methods.method import Method
+    from perilune.methods.method import Method, method_or_default
     from perilune.methods.polish import solve_and_polish
 
 __all__ = [
@@ -38,6 +38,7 @@ __all__ = [
     "Pseudospectral",
     "Search",
     "compose_solution",
+    "method_or_default",
     "solution_violations",
     "solve_and_polish",
     "with_binding_limit",
@@ -58,7 +59,7 @@ __getattr__: Callable[[str], Any] = deferred(
         "indirect.result": "Curves compose_solution",
         "indirect.search": "Search",
         "indirect.violations": "solution_violations",
-        "method": "Method",
+        "method": "Method method_or_default",
         "polish": "solve_and_polish",
     },
 )

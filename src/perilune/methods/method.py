@@ -1,10 +1,12 @@
-"""Protocol of every method."""
+"""Protocol of every method, and the usual one."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
 from perilune.core.callbacks import Watch
+from perilune.core.validation import wrong_type_error
+from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 
@@ -12,7 +14,7 @@ from perilune.problem.results.solution import Solution
 class Method(Protocol):
     """A frozen record of settings with a `run`."""
 
-    def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
+    def run(self, problem: Problem, guess: Solution | None = None, callback: Watch | None = None) -> Solution:
         """Solve the problem, from a guess or without an initial guess.
 
         Parameters
@@ -21,7 +23,7 @@ class Method(Protocol):
             The problem to solve.
         guess
             Trajectory to start from; None to start without one.
-        watch
+        callback
             Called with each iteration and with lines of text; None for silence.
 
         Raises
@@ -32,3 +34,18 @@ class Method(Protocol):
             If none was found.
         """
         ...
+
+
+def method_or_default(method: Method | None) -> Method:
+    """Return the method that was asked for, ``Indirect()`` for none.
+
+    Raises
+    ------
+    PeriluneError
+        If it is not a method, such as a name or a class.
+    """
+    if method is None:
+        return Indirect()
+    if isinstance(method, type) or not callable(getattr(method, "run", None)):
+        raise wrong_type_error(method, "Indirect(), Pseudospectral(), Hybrid(...) or None", "a method")
+    return method

@@ -54,17 +54,17 @@ def compute_cho(watch: Watch, level: int = 3) -> ChoReproduction:
     """
     whole = cho_landing(Retro(specific_impulse=CONSTANTS.specific_impulse))
     watch("the hybrid landing: Table 1, (26), Figs 4-7")
-    hybrid = solve(whole, level=level, watch=watch)
+    hybrid = solve(whole, verify=level, callback=watch)
     watch("the ordinary landing: Table 1, Fig 2")
-    ordinary = solve(cho_landing(), level=level, watch=watch)
+    ordinary = solve(cho_landing(), verify=level, callback=watch)
     by_thrust = {}
     for acceleration in ACCELERATIONS:
         watch(f"Fig 3: thrust to mass {acceleration:.2f} m/s^2")
-        by_thrust[acceleration] = solve(cho_landing(thrust=acceleration * CONSTANTS.mass), level=0, watch=watch)
+        by_thrust[acceleration] = solve(cho_landing(thrust=acceleration * CONSTANTS.mass), verify=0, callback=watch)
     watch("Fig 8: landed mass for given retro burns")
-    by_retro_burn = _refuse_partial_sweep(sweep(whole, {"retro.delta_v": RETRO_BURNS}, level=0, watch=watch))
+    by_retro_burn = _refuse_partial_sweep(sweep(whole, {"retro.delta_v": RETRO_BURNS}, verify=0, callback=watch))
     watch("Figs 9 and 10: the impulsive engine's specific impulse")
-    by_impulse = _refuse_partial_sweep(sweep(whole, {"retro.specific_impulse": IMPULSES}, level=0, watch=watch))
+    by_impulse = _refuse_partial_sweep(sweep(whole, {"retro.specific_impulse": IMPULSES}, verify=0, callback=watch))
     watch("the specific impulse at which the retro burn stops paying")
     break_even, at_break_even = break_even_impulse(by_impulse, watch)
     watch("the landing with the printed retro burn (26)")
@@ -77,7 +77,7 @@ def compute_cho(watch: Watch, level: int = 3) -> ChoReproduction:
         by_impulse=by_impulse,
         break_even_impulse=break_even,
         at_break_even=at_break_even,
-        at_printed_burn=solve(cho_landing(printed), level=0, watch=watch),
+        at_printed_burn=solve(cho_landing(printed), verify=0, callback=watch),
     )
 
 
@@ -105,7 +105,7 @@ def break_even_impulse(family: Family, watch: Watch) -> tuple[float, Solution]:
     last: list[Solution] = []
 
     def gain(impulse: float) -> float:
-        solution = solve(cho_landing(Retro(specific_impulse=impulse)), level=0, watch=watch)
+        solution = solve(cho_landing(Retro(specific_impulse=impulse)), verify=0, callback=watch)
         last[:] = [solution]
         return gain_of_retro_burn(solution)
 

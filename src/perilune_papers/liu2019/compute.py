@@ -135,10 +135,10 @@ def compute_liu(watch: Watch, level: int = 3, seeds: int = 5) -> LiuReproduction
     refusals = {going: printed_refusal(going) for going in PASSES}
     flown = (fly_printed(1.0), fly_printed(-1.0))
     watch("neighbour A: the site free")
-    free = {going: solve(site_free(going), level=level, watch=watch) for going in PASSES}
+    free = {going: solve(site_free(going), verify=level, callback=watch) for going in PASSES}
     watch("neighbour B: a site in the plane")
-    fixed = solve(site_fixed(), level=level, watch=watch)
-    slowest = solve(opposite(fixed_sweep()), level=level, watch=watch)
+    fixed = solve(site_fixed(), verify=level, callback=watch)
+    slowest = solve(opposite(fixed_sweep()), verify=level, callback=watch)
     watch("neighbour B from the points of Table 2")
     grid = solve_members(fixed, [(row.longitude, row.latitude) for row in TABLE_2], watch)
     watch("neighbour B from the points of Table 1")

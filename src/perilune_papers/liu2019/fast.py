@@ -94,7 +94,7 @@ def time_fast_methods(
     low, high = places.min(axis=0) - _BESIDE, places.max(axis=0) + _BESIDE
     box = dict(zip(AXES, zip(low.tolist(), high.tolist(), strict=True), strict=True))
     began = time.process_time()
-    atlas = open_atlas(build(problem, box, directory, sample=0, watch=watch))
+    atlas = open_atlas(build(problem, box, directory, sample=0, callback=watch))
     built = time.process_time() - began
     points = np.radians([(m.longitude, m.latitude) for m in experiments])
     queried, refused, found = _query_points(atlas, points)
@@ -103,7 +103,7 @@ def time_fast_methods(
     for at, known in zip(points.tolist(), found, strict=True):
         watch(f"without an initial guess at {len(alone) + 1} of {len(points)} points")
         began = time.process_time()
-        solution = solve(problem.with_given(**dict(zip(AXES, at, strict=True))), level=0)
+        solution = solve(problem.with_given(**dict(zip(AXES, at, strict=True))), verify=0)
         alone.append(time.process_time() - began)
         if math.isfinite(known):
             apart = max(apart, float(abs(solution.objective / known - 1.0)))

@@ -49,7 +49,7 @@ def solve_members(first: Solution, points: Sequence[tuple[float, float]], watch:
             stated = first.problem.with_given(
                 manoeuvre_longitude=math.radians(longitude), manoeuvre_latitude=math.radians(latitude)
             )
-            solution = solve(stated, guess=known[near], level=0)
+            solution = solve(stated, guess=known[near], verify=0)
         except PeriluneError as error:
             message = " ".join(str(error).split())
         else:

@@ -118,22 +118,22 @@ def compute_peng(watch: Watch, level: int = 3, seeds: int = 3) -> PengReproducti
         Random starts of the genetic search; without it at most `RANDOM_STARTS` of them are tried.
     """
     watch("the indirect method: flight time, fuel, Figs 2-4")
-    indirect = solve(peng_descent(), level=level, watch=watch)
-    fastest = solve(peng_descent(minimise="flight_time"), level=0, watch=watch)
+    indirect = solve(peng_descent(), verify=level, callback=watch)
+    fastest = solve(peng_descent(minimise="flight_time"), verify=0, callback=watch)
     watch("Gauss points: Figs 2-4, Hamiltonian, convergence")
-    direct = AT_FIFTY.run(problem_of_the_paper(), watch=watch)
+    direct = AT_FIFTY.run(problem_of_the_paper(), callback=watch)
     converged = tuple(convergence_at(n, indirect, watch) for n in POINTS)
     watch("from random values")
     genetic = run_starts(from_a_population, seeds, watch)
     random = run_starts(from_random_values, min(seeds, RANDOM_STARTS), watch)
     watch("other readings of what the paper leaves open")
-    readings = {name: solve(peng_descent(case), level=0) for name, case in other_readings().items()}
+    readings = {name: solve(peng_descent(case), verify=0) for name, case in other_readings().items()}
     return PengReproduction(
         indirect=indirect,
         fastest=fastest,
         direct=direct,
-        direct_fastest=AT_FIFTY.run(problem_of_the_paper(minimise="flight_time"), watch=watch),
-        direct_cartesian=AT_FIFTY.run(peng_descent(), watch=watch),
+        direct_fastest=AT_FIFTY.run(problem_of_the_paper(minimise="flight_time"), callback=watch),
+        direct_cartesian=AT_FIFTY.run(peng_descent(), callback=watch),
         convergence=converged,
         missed=missed_by_reintegration(direct),
         genetic=genetic,
@@ -148,7 +148,7 @@ def convergence_at(points: int, reference: Solution, watch: Watch) -> Convergenc
     began = time.process_time()
     # The tolerance that is usual would be the floor before the points are.
     method = Pseudospectral(nodes=points, refine=0, nlp_tolerance=1e-12)
-    solution = method.run(problem_of_the_paper(), watch=watch)
+    solution = method.run(problem_of_the_paper(), callback=watch)
     processor_time = time.process_time() - began
     duration = solution.free["flight_time"]
     t = 0.5 * (np.polynomial.legendre.leggauss(points)[0] + 1.0) * duration
@@ -225,7 +225,7 @@ def fitting_gravity(indirect: Solution) -> float:
 
     def excess(mu: float) -> float:
         changed = indirect.problem.with_given(body_gravitational_parameter=mu)
-        return solve(changed, guess=indirect, level=0).free["flight_time"] - printed
+        return solve(changed, guess=indirect, verify=0).free["flight_time"] - printed
 
     # Far below the last printed digit of any published value.
     return float(brentq(excess, 0.99 * near, 1.01 * near, xtol=1e-7 * near))  # type: ignore[arg-type]

@@ -34,7 +34,7 @@ from perilune.families.executors import Call, Submits, report_lost_worker, run_o
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Verification
-from perilune.solve import prove
+from perilune.verify import verify
 
 Drawn = tuple[tuple[float, ...], Mapped]  # values of the axes [SI], and the answer there
 Refused = dict[tuple[float, ...], str]  # values of the axes [SI], and why a query has no answer there
@@ -294,7 +294,7 @@ def certify_solutions(
 
 
 def _prove_sampled(solution: Solution) -> Verification:
-    return prove(solution, LEVEL).verification
+    return verify(solution, LEVEL).verification
 
 
 def draw_sample(

@@ -22,6 +22,7 @@ from perilune.atlas.survey.neighbour_seeds import Key
 from perilune.atlas.survey.survey import Survey
 from perilune.atlas.survey.surveyed_chart import SurveyedChart, chart_entry, seed_rows
 from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import check_call, require_callable, require_path, require_type
 from perilune.families.executors import (
@@ -44,6 +45,7 @@ _AHEAD = 200  # blocks at work, each with a file that is open
 _LOOSEST, _TIGHTEST = 1e-4, 1e-12
 
 
+@renamed_keywords(watch="callback")
 @check_call
 def build(
     problem: Problem,
@@ -53,7 +55,7 @@ def build(
     *,
     tolerance: float = TOLERANCE,
     method: Indirect | None = None,
-    watch: Watch | None = None,
+    callback: Watch | None = None,
     bricks: int | None = None,
     sample: int | None = None,
     force: bool = False,
@@ -74,7 +76,7 @@ def build(
         Relative, of the unknowns: a cell is cut until one step of Newton's method leads there from what it gives.
     method
         By which the survey solves without an initial guess, ``Indirect()`` by default.
-    watch
+    callback
         Receives lines of text, and each iteration of what the survey solves (`perilune.core.callbacks`).
     bricks
         How many there are along each axis, for as many as that can be computed at once; 8 of one axis, 4 along each of
@@ -98,8 +100,8 @@ def build(
         If no cell answers, once all that there is to compute is there.
     """
     require_type(problem, Problem, "a problem to map")
-    require_callable(watch, "a watch")
-    region, say = region_of(problem, axes, bricks), watch or ignore_events
+    require_callable(callback, "a callback")
+    region, say = region_of(problem, axes, bricks), callback or ignore_events
     if not (isinstance(tolerance, float) and _TIGHTEST <= tolerance <= _LOOSEST):
         raise PeriluneError(
             "the tolerance of the atlas is out of range", got=repr(tolerance)[:40],

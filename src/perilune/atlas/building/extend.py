@@ -42,6 +42,7 @@ from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.atlas.survey.survey import Survey
 from perilune.atlas.survey.surveyed_chart import InteriorSeed, SurveyedChart, chart_entry, seed_rows
 from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import check_call, require_callable, require_path
 from perilune.families.executors import Submits
@@ -49,6 +50,7 @@ from perilune.methods import Indirect
 from perilune.problem.problem import Problem
 
 
+@renamed_keywords(watch="callback")
 @check_call
 def extend(
     store: str | Path,
@@ -56,7 +58,7 @@ def extend(
     executor: Submits | None = None,
     *,
     method: Indirect | None = None,
-    watch: Watch | None = None,
+    callback: Watch | None = None,
     sample: int | None = None,
     problem_from_scenario: Callable[[str], Problem] | None = None,
 ) -> Path:
@@ -68,7 +70,7 @@ def extend(
         The directory of an atlas, as `perilune.atlas.build` made it; no node in it is computed again.
     axes
         ``{name: (low, high)}`` in SI of the axes that become wider; ranges that it has already complete it.
-    executor, method, watch, sample
+    executor, method, callback, sample
         As of `perilune.atlas.build`; the sample is drawn of all that there is then.
     problem_from_scenario
         As of `perilune.atlas.open`.
@@ -87,9 +89,9 @@ def extend(
     """
     if problem_from_scenario is None:
         from perilune.scenario import load_text as problem_from_scenario
-    require_callable(watch, "a watch")
+    require_callable(callback, "a callback")
     require_count(sample)
-    kept, say = AtlasStore(require_path(store, "the directory of an atlas")), watch or ignore_events
+    kept, say = AtlasStore(require_path(store, "the directory of an atlas")), callback or ignore_events
     header, survey = kept.header(), kept.survey()
     problem = header_problem(header, problem_from_scenario)
     if survey is None:

@@ -37,6 +37,7 @@ from perilune.atlas.store.checksums import digest_of, end_line, seal_of
 from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.store import HEADER, AtlasStore, clear_atlas
 from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import PeriluneError
 from perilune.core.units import format_quantity
 from perilune.core.validation import check_call, require_path
@@ -88,6 +89,7 @@ class _Part:
         return found
 
 
+@renamed_keywords(watch="callback")
 @check_call
 def merge(
     first: str | Path,
@@ -95,7 +97,7 @@ def merge(
     out: str | Path,
     *,
     force: bool = False,
-    watch: Watch = ignore_events,
+    callback: Watch = ignore_events,
     problem_from_scenario: Callable[[str], Problem] | None = None,
 ) -> Path:
     """Make one atlas of two.
@@ -109,7 +111,7 @@ def merge(
         A new or empty directory, or that of a merge that was stopped.
     force
         Whether an atlas that is there may be replaced, when all of the new one is written.
-    watch
+    callback
         Receives lines of text.
     problem_from_scenario
         As of `perilune.atlas.open`.
@@ -144,7 +146,7 @@ def merge(
     kept.prepare(None)
 
     def write(into: AtlasStore) -> None:
-        lines = list(_merged_manifest_lines(into, one, other, region, seal_of(header), watch))
+        lines = list(_merged_manifest_lines(into, one, other, region, seal_of(header), callback))
         if one.ended and other.ended:
             survey = next(line for line in lines if line["kind"] == "survey")
             lines.append(end_line(survey, (line for line in lines if line["kind"] == "brick")))

@@ -23,6 +23,7 @@ from perilune.atlas.query.query import Atlas
 from perilune.atlas.query.reader import are_possible_answers
 from perilune.atlas.store.store import MANIFEST
 from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import PeriluneError
 
 _UNENDED = "bricks are missing: the build has not ended, or they were lost; perilune atlas extend DIR builds them"
@@ -85,8 +86,9 @@ class AtlasVerification:
         return "\n".join([*lines, *self.refusals, *self.damaged, *self.unproved])
 
 
+@renamed_keywords(watch="callback")
 def verify_atlas(
-    atlas: Atlas, sample: int = 50, *, seed: int | None = None, watch: Watch = ignore_events
+    atlas: Atlas, sample: int = 50, *, seed: int | None = None, callback: Watch = ignore_events
 ) -> AtlasVerification:
     """Check every shard, and prove some of the nodes.
 
@@ -98,7 +100,7 @@ def verify_atlas(
         How many nodes are proved; 459 of 459 is 99 % at 99 %.
     seed
         Of the draw; by default another each time, so that what is looked at cannot be chosen.
-    watch
+    callback
         Receives lines of text.
 
     Raises
@@ -117,7 +119,7 @@ def verify_atlas(
         shards.append((number, line["nodes"], node_type(d, charts[number]["unknowns"])))
         shards.append((-1, line["cells"], cell_type(d)))
     for count, (number, said, dtype) in enumerate(shards, 1):
-        watch(f"shard {count} of {len(shards)}")
+        callback(f"shard {count} of {len(shards)}")
         try:
             rows = atlas.store.shard(said, dtype)
         except PeriluneError as error:
@@ -133,7 +135,7 @@ def verify_atlas(
         )
     ended = not atlas.unbuilt and atlas.store.ended(atlas.survey, d)
     refused = Refused()
-    found = certify_solutions(drawn_at_random(atlas, sample, np.random.default_rng(seed), refused), None, watch)
+    found = certify_solutions(drawn_at_random(atlas, sample, np.random.default_rng(seed), refused), None, callback)
     unproved = tuple(unproved_samples_text(atlas, one) for one in found if not one.proved)
     return AtlasVerification(
         shards=len(shards), damaged=tuple(damaged), nodes=nodes, answers=good, proved=len(found) - len(unproved),

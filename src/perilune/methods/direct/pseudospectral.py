@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.deprecation import renamed_keywords
 from perilune.core.validation import check_call
 from perilune.direct import MeshRefinement, Transcription
 from perilune.problem.problem import Problem
@@ -45,7 +46,8 @@ class Pseudospectral(Transcription):
         (`perilune.methods.polish`); `run` itself never does.
     """
 
-    def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
+    @renamed_keywords(watch="callback")
+    def run(self, problem: Problem, guess: Solution | None = None, callback: Watch | None = None) -> Solution:
         """Solve the problem.
 
         Parameters
@@ -54,7 +56,7 @@ class Pseudospectral(Transcription):
             Any problem.
         guess
             A solution of any method for the same phases; None starts from a straight line.
-        watch
+        callback
             Receives one line for each NLP and each mesh.
 
         Returns
@@ -71,7 +73,7 @@ class Pseudospectral(Transcription):
             If no feasible trajectory was found, or the accuracy was not reached; the message names the
             conditions that are missed, in SI.
         """
-        *_, finest = self.meshes(problem, guess, watch)
+        *_, finest = self.meshes(problem, guess, callback)
         return finest
 
     def meshes(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Iterator[Solution]:

@@ -13,6 +13,7 @@ import time
 from dataclasses import dataclass, replace
 
 from perilune.core.callbacks import Watch, ignore_events
+from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import NotConvergedError, PeriluneError
 from perilune.core.validation import check_call, require_integers
 from perilune.methods.direct.pseudospectral import Pseudospectral
@@ -53,7 +54,8 @@ class Hybrid:
             )
         require_integers(self, nodes=2)
 
-    def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
+    @renamed_keywords(watch="callback")
+    def run(self, problem: Problem, guess: Solution | None = None, callback: Watch | None = None) -> Solution:
         """Solve from random values.
 
         Parameters
@@ -62,7 +64,7 @@ class Hybrid:
             What to solve.
         guess
             Not used: the search starts from random values within the bounds.
-        watch
+        callback
             Receives one line for each generation, and what the second method says.
 
         Returns
@@ -77,11 +79,11 @@ class Hybrid:
         InfeasibleError
             As the second method says.
         KeyboardInterrupt
-            If the user stopped it; `watch` has then received the best fitness so far.
+            If the user stopped it; `callback` has then received the best fitness so far.
         """
         from perilune.methods.evolutionary.fitness import ControlFitness, CostateFitness
 
-        say = watch or ignore_events
+        say = callback or ignore_events
         began = time.perf_counter()
         fitness = CostateFitness(problem) if isinstance(self.second, Indirect) else ControlFitness(problem, self.nodes)
         survivors = self.first.search(fitness, fitness.lower, fitness.upper, lambda g: say(_generation_line(g)))

@@ -24,6 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from perilune.core.callbacks import TimeLimitReached, Watch, ignore_events, remember_best
+from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import InfeasibleError, NotConvergedError, PeriluneError
 from perilune.core.units import format_quantity
 from perilune.core.validation import check_call
@@ -63,7 +64,8 @@ class Indirect(SearchSettings):
         fine. None: 8 segments of 5 nodes, of several phases fewer for each, not refined.
     """
 
-    def run(self, problem: Problem, guess: Solution | None = None, watch: Watch | None = None) -> Solution:
+    @renamed_keywords(watch="callback")
+    def run(self, problem: Problem, guess: Solution | None = None, callback: Watch | None = None) -> Solution:
         """Solve.
 
         Parameters
@@ -72,7 +74,7 @@ class Indirect(SearchSettings):
             What to solve.
         guess
             A solution of any method for this problem or one of the same form.
-        watch
+        callback
             Receives each Newton iteration, or a line of text for each round of many starts and each way of starting.
 
         Returns
@@ -88,7 +90,7 @@ class Indirect(SearchSettings):
             If bounds and conditions contradict each other, or if every extremal found violates a condition and the
             direct method finds no flight either.
         """
-        search = Search(self, problem, watch or ignore_events)
+        search = Search(self, problem, callback or ignore_events)
         if guess is not None and _may_be_structured(guess := fitting_guess(problem, guess)):
             found = self._structured(search, guess, guessed=True)
             if found is not None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-import warnings
+from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
 from perilune.core.datetimes import instant
+from perilune.core.deprecation import renamed_names
 from perilune.core.errors import PeriluneError
 from perilune.core.fields import quantity, record, text_field
 from perilune.core.maths import NUMERIC
@@ -377,9 +378,4 @@ def least_mass_left(p: Any, xp: Any = NUMERIC) -> Any:
     return xp.fmax(getattr(p, "vehicle_dry_mass", 0.0), getattr(p, "separation_mass", 0.0))
 
 
-def __getattr__(name: str) -> Any:
-    """Find the orbit of a return by its old name, which goes with the next minor version."""
-    if name != "Orbit":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    warnings.warn("Orbit of a return is ReturnOrbit now", DeprecationWarning, stacklevel=2)
-    return ReturnOrbit
+__getattr__: Callable[[str], Any] = renamed_names(__name__, {"Orbit": f"{__name__}.ReturnOrbit"})

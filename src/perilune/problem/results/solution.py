@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Iteration
+from perilune.core.deprecation import warn_renamed
 from perilune.core.equality import equal_fields
 from perilune.core.errors import Named, Outcome, PeriluneError
 from perilune.core.maths import NUMERIC
@@ -32,6 +33,11 @@ from perilune.problem.results.trajectory import Trajectory, read_only_array
 from perilune.problem.results.warnings import warnings_of
 from perilune.problem.variables import Variable
 from perilune.problem.verification import Verification
+
+# The public parts of a `Verification`.
+_OF_VERIFICATION = frozenset({
+    *(f.name for f in fields(Verification)), "level", "title", "told", "headline", "within", "passed", "failed",
+})  # fmt: skip
 
 
 @check_call
@@ -89,7 +95,7 @@ class Solution(ShownSolution):
         Every extremal found, best first; this solution is the first.
     listed
         The same of a loaded solution, as its file states them. They were not found here, and are no `extremals`
-        until `perilune.prove` has found each again.
+        until `perilune.verify` has found each again.
     unknowns
         The method's own unknowns, so that it can start again from here (`method` says whose they are).
     structure
@@ -115,6 +121,15 @@ class Solution(ShownSolution):
             object.__setattr__(self, name, MappingProxyType(Named(kind, getattr(self, name))))
         if self.unknowns is not None:
             object.__setattr__(self, "unknowns", read_only_array(self.unknowns))
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Find what `perilune.verify` returned in earlier versions, the record itself, for one minor version."""
+            if name not in _OF_VERIFICATION:
+                raise AttributeError(f"'Solution' object has no attribute {name!r}", name=name, obj=self)
+            warn_renamed(f"{name} of what verify returns", f"verify(...).verification.{name}")
+            return getattr(self.verification, name)
 
     def __getstate__(self) -> dict[str, Any]:
         plain = {"free": dict(self.free), "multipliers": dict(self.multipliers), "trajectories": (*self.trajectories,)}

@@ -1,0 +1,107 @@
+"""Old names of what is public: they work for one minor version, each use with a `DeprecationWarning`."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from functools import wraps
+from importlib import import_module
+from typing import Any, TypeVar, cast
+
+from perilune.core.errors import PeriluneError
+
+Renamed = TypeVar("Renamed", bound=Callable[..., Any])
+
+
+def warn_renamed(old: str, new: str, depth: int = 1) -> None:
+    """Warn that a name is another one now.
+
+    Parameters
+    ----------
+    old, new
+        The two names, as a user writes them.
+    depth
+        Number of calls between the user's line and the caller of this function.
+    """
+    warnings.warn(
+        f"{old} is {new} now; the old name goes with the next minor version", DeprecationWarning, stacklevel=depth + 2
+    )
+
+
+def renamed_names(module: str, new: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a module that is asked for its old names.
+
+    Parameters
+    ----------
+    module
+        Its dotted name.
+    new
+        By old name, the dotted name by which it is found now.
+    """
+
+    def attribute(name: str) -> Any:
+        if name not in new:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        home, _, own = new[name].rpartition(".")
+        warn_renamed(f"{module}.{name}", new[name])
+        return getattr(import_module(home), own)
+
+    return attribute
+
+
+def renamed_keywords(**new: str) -> Callable[[Renamed], Renamed]:
+    """Let a function, method or class take keywords by their old names too (``old="new"``)."""
+
+    def of(asked: Renamed) -> Renamed:
+        given: Any = asked
+        function = given.__init__ if isinstance(given, type) else given
+
+        @wraps(function)
+        def call(*args: Any, **keywords: Any) -> Any:
+            if not new.keys().isdisjoint(keywords):
+                keywords = _with_new_keywords(given.__name__, new, keywords)
+            return function(*args, **keywords)
+
+        if not isinstance(given, type):
+            return cast("Renamed", call)
+        given.__init__ = call
+        return asked
+
+    return of
+
+
+def _with_new_keywords(name: str, new: Mapping[str, str], keywords: Mapping[str, Any]) -> dict[str, Any]:
+    found = dict(keywords)
+    for old in new.keys() & keywords.keys():
+        if new[old] in keywords:
+            raise PeriluneError(
+                f"{name} takes a value by one name only",
+                got=f"{old}=..., {new[old]}=...",
+                expected=f"{new[old]}=...",
+                advice=f"leave {old} out; it is the old name of the same",
+            )
+        warn_renamed(f"{old}= of {name}", f"{new[old]}=", 2)
+        found[new[old]] = found.pop(old)
+    return found
+
+
+class RenamedAttribute:
+    """Old name of an attribute or method of a class.
+
+    Parameters
+    ----------
+    new
+        The name by which it is found now.
+    """
+
+    def __init__(self, new: str) -> None:
+        self.new = new
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.old = f"{owner.__name__}.{name}"
+
+    def __get__(self, instance: Any, owner: type) -> Any:
+        if instance is None:
+            return self
+        warn_renamed(self.old, f"{owner.__name__}.{self.new}")
+        return getattr(instance, self.new)

@@ -1,0 +1,84 @@
+"""Old names of what is public work for one minor version: each use warns once, and gives what the new name gives."""
+
+from __future__ import annotations
+
+import importlib
+import pickle
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import perilune as pl
+from perilune.core.deprecation import renamed_keywords
+from perilune.core.errors import PeriluneError
+from perilune.problem.results.solution import Solution
+
+Old: Any = pl  # which names what it no longer lists
+GOES = "goes with the next minor version"
+
+
+def warned(ask: Callable[[], Any], *words: str) -> Any:
+    """Return what an old form gives; it has to warn once, in these words, of the line that uses it."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = ask()
+    (warning,) = caught
+    assert warning.category is DeprecationWarning and warning.filename == __file__
+    assert all(word in str(warning.message) for word in (GOES, *words)), str(warning.message)
+    return found
+
+
+def test_prove_is_verify() -> None:
+    assert warned(lambda: Old.prove, "perilune.prove is perilune.verify now") is pl.verify
+    assert warned(lambda: importlib.import_module("perilune.solve").prove, "perilune.solve.prove") is pl.verify
+    assert importlib.import_module("perilune.solve").verify is pl.verify
+    assert "prove" not in pl.__all__ and "prove" not in dir(pl)
+
+
+def test_a_solve_takes_its_old_keywords(landing: pl.Problem, hybrid: Solution) -> None:
+    solve: Any = pl.solve
+    found = warned(lambda: solve(landing, level=0, guess=hybrid), "level= of solve is verify= now")
+    assert found.objective == solve(landing, verify=0, guess=hybrid).objective
+    with pytest.raises(PeriluneError, match=r"not a callback(.|\n)*got: 3"):
+        warned(lambda: solve(landing, watch=3), "watch= of solve is callback= now")
+    with pytest.raises(PeriluneError, match=r"no such verification level(.|\n)*got: 9"):
+        warned(lambda: Old.sweep(landing, {"vehicle.mass": [300.0]}, level=9), "level= of sweep is verify= now")
+
+
+def test_old_and_new_together_are_refused(landing: pl.Problem) -> None:
+    with pytest.raises(PeriluneError) as caught:
+        Old.solve(landing, level=0, verify=3)
+    for part in ("by one name only", "got: level=..., verify=...", "expected: verify=...", "leave level out"):
+        assert part in str(caught.value)
+    with pytest.raises(PeriluneError, match="did you mean 'verify'"):  # the names offered are the new ones
+        Old.solve(landing, verifi=3)
+
+
+def test_the_record_of_a_proof_is_found_on_what_verify_returns(hybrid: Solution) -> None:
+    """`verify` returned the record itself."""
+    proved = pl.verify(hybrid, level=1)
+    assert isinstance(proved, Solution) and proved.outcome is pl.Outcome.PROVED
+    for name in ("level", "passed", "checks", "failed", "notes", "title", "tolerance", "certificate"):
+        asked: Callable[[], Any] = lambda name=name: getattr(proved, name)  # noqa: E731
+        assert warned(asked, f"verify(...).verification.{name}") == getattr(proved.verification, name)
+    with pytest.raises(AttributeError, match="'Solution' object has no attribute 'levels'"):
+        _ = getattr(proved, "levels")  # noqa: B009
+    assert pickle.loads(pickle.dumps(proved)) == proved
+
+
+def test_nothing_is_verified_at_level_0(hybrid: Solution) -> None:
+    assert pl.verify(hybrid, 0) == hybrid
+    stated = pl.verify(hybrid, 0, pl.Tolerance(position=0.001))
+    assert stated.verification.tolerance.position == 0.001 and stated.verification.checks == ()
+
+
+def test_keywords_of_a_class_are_renamed_too() -> None:
+    @renamed_keywords(size="length")
+    class Rod:
+        def __init__(self, *, length: float) -> None:
+            self.length = length
+
+    made: Any = Rod
+    assert warned(lambda: made(size=2.0), "size= of Rod is length= now").length == made(length=2.0).length == 2.0
