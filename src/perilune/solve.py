@@ -12,7 +12,7 @@ from perilune.core.deprecation import renamed_keywords, renamed_names
 from perilune.core.errors import NotConvergedError, PeriluneError
 from perilune.core.units import format_quantity
 from perilune.core.validation import check_call, require_callable, require_level, require_si_number, require_type
-from perilune.methods import Indirect, Method, method_or_default
+from perilune.methods import Indirect, Method
 from perilune.problem.display.quantity_names import objective_text
 from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.problem.problem import Problem
@@ -20,7 +20,7 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, THEOREM
 from perilune.structures.monotone_limits import with_budgets
-from perilune.verify import require_tolerance, theorem_prover, verify
+from perilune.verify import method_or_default, require_tolerance, theorem_prover, verify
 
 TIME_LIMIT = 600.0  # s, where none is stated: the hardest answers take a minute or two
 SECOND_VARIATION = ("conjugate_point", "second_variation", "nothing_gained")  # checks of level 3

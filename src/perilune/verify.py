@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from perilune.core.callbacks import Iteration, Watch, enter_computation, sign_of_life
 from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import Outcome, PeriluneError
-from perilune.core.validation import check_call, require_callable, require_level, require_type
-from perilune.methods import Indirect, Method, method_or_default
+from perilune.core.validation import check_call, require_callable, require_level, require_type, wrong_type_error
+from perilune.methods import Indirect, Method
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Solution
@@ -107,6 +107,21 @@ def check_solution(
             why = f"no theorem: it is attempted only from level {usual}, and this solution reaches level {found.level}"
             return replace(found, notes=(why, *found.notes))
         return found if add_theorem is None else add_theorem(found, solution, work)
+
+
+def method_or_default(method: Method | None) -> Method:
+    """Return the method that was asked for, ``Indirect()`` for none.
+
+    Raises
+    ------
+    PeriluneError
+        If it is not a method, such as a name or a class.
+    """
+    if method is None:
+        return Indirect()
+    if isinstance(method, type) or not callable(getattr(method, "run", None)):
+        raise wrong_type_error(method, "Indirect(), Pseudospectral(), Hybrid(...) or None", "a method")
+    return method
 
 
 def require_tolerance(tolerance: Tolerance | None) -> None:

@@ -18,12 +18,12 @@ from perilune.families.executors import Submits
 from perilune.families.family import Family, FamilyPoint, Over, member_values
 from perilune.families.members import Members
 from perilune.families.store import FamilyStore
-from perilune.methods import Method, method_or_default
+from perilune.methods import Method
 from perilune.problem.problem import Problem
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS
 from perilune.solve import require_time_limit
-from perilune.verify import require_tolerance
+from perilune.verify import method_or_default, require_tolerance
 
 
 @renamed_keywords(level="verify", watch="callback")

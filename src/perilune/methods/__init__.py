@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from perilune.methods.indirect.result import Curves, compose_solution
     from perilune.methods.indirect.search import Search
     from perilune.methods.indirect.violations import solution_violations
-    from perilune.methods.method import Method, method_or_default
+    from perilune.methods.method import Method
     from perilune.methods.polish import solve_and_polish
 
 __all__ = [
@@ -38,7 +38,6 @@ __all__ = [
     "Pseudospectral",
     "Search",
     "compose_solution",
-    "method_or_default",
     "solution_violations",
     "solve_and_polish",
     "with_binding_limit",
@@ -59,7 +58,7 @@ __getattr__: Callable[[str], Any] = deferred(
         "indirect.result": "Curves compose_solution",
         "indirect.search": "Search",
         "indirect.violations": "solution_violations",
-        "method": "Method method_or_default",
+        "method": "Method",
         "polish": "solve_and_polish",
     },
 )

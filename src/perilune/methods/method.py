@@ -1,12 +1,10 @@
-"""Protocol of every method, and the usual one."""
+"""Protocol of every method."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
 from perilune.core.callbacks import Watch
-from perilune.core.validation import wrong_type_error
-from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 
@@ -34,18 +32,3 @@ class Method(Protocol):
             If none was found.
         """
         ...
-
-
-def method_or_default(method: Method | None) -> Method:
-    """Return the method that was asked for, ``Indirect()`` for none.
-
-    Raises
-    ------
-    PeriluneError
-        If it is not a method, such as a name or a class.
-    """
-    if method is None:
-        return Indirect()
-    if isinstance(method, type) or not callable(getattr(method, "run", None)):
-        raise wrong_type_error(method, "Indirect(), Pseudospectral(), Hybrid(...) or None", "a method")
-    return method
