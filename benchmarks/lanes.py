@@ -21,7 +21,7 @@ import numpy as np
 
 from doubles import Doubles, ball, between, joined
 from perilune.core.arrays import Batch
-from perilune.problem.controls import Direction
+from perilune.problem.controls import UnitVectorControl
 from perilune.problem.problem import Problem
 from perilune.rigorous.equations import ProblemReader
 from perilune.rigorous.exact_tape import Unsupported
@@ -48,7 +48,7 @@ class Equations:
 
     def __init__(self, problem: Problem, cyclic: Sequence[str], alone: Sequence[str]) -> None:
         (phase,) = problem.phases
-        if not all(isinstance(control, Direction) for control in phase.controls):
+        if not all(isinstance(control, UnitVectorControl) for control in phase.controls):
             raise Unsupported(f"{phase.name} has controls other than a direction")
         reader = ProblemReader(problem)
         arc, graph = reader.arc(0, {}), reader.graph

@@ -131,11 +131,11 @@ def _along(solution: Solution, value: Callable[[Any, Any], Any], *, ends: bool) 
     length = solution.trajectories[k].duration
 
     def at(share: float) -> float:
-        x, u = solution.flown(k, np.array([share * length]))
+        x, u = solution.evaluate(k, np.array([share * length]))
         return float(np.asarray(value(x[:, 0], u[:, 0])))
 
     shares = np.linspace(0.0, 1.0, 2001)
-    x, u = solution.flown(k, shares * length)
+    x, u = solution.evaluate(k, shares * length)
     with np.errstate(all="ignore"):
         values = np.array([value(x[:, i], u[:, i]) for i in range(len(shares))])
     values[~np.isfinite(values)] = np.inf

@@ -11,26 +11,33 @@ def variables(**units):
 hop = pl.Phase(
     name="hop",
     states=variables(x="m", y="m", vx="m/s", vy="m/s", m="kg"),
-    controls=(pl.Direction(names=("along", "up")), pl.Bounded(name="thrust", unit="N", lower=0.0, upper=4000.0)),
+    controls=(
+        pl.UnitVectorControl(names=("along", "up")),
+        pl.ScalarControl(name="thrust", unit="N", lower=0.0, upper=4000.0),
+    ),
     dynamics=lambda x, u, p, xp: (
-        x.vx, x.vy, u.thrust / x.m * u.along, u.thrust / x.m * u.up - p.g, -u.thrust / p.exhaust_speed,
+        x.vx,
+        x.vy,
+        u.thrust / x.m * u.along,
+        u.thrust / x.m * u.up - p.g,
+        -u.thrust / p.exhaust_speed,
     ),
     duration="flight_time",
     end=lambda x, p, xp: (x.x - p.distance, x.y, x.vx, x.vy),
     end_conditions=variables(place="m", ground="m", speed_along="m/s", speed_up="m/s"),
-    typical_end=lambda p, xp: (p.distance, 0.0, 0.0, 0.0, 0.9 * p.mass),
-)  # fmt: skip
+    end_guess=lambda p, xp: (p.distance, 0.0, 0.0, 0.0, 0.9 * p.mass),
+)
 problem = pl.Problem(
     name="lunar_hop",
     phases=(hop,),
     start=lambda p, xp: (0.0, 0.0, 0.0, 0.0, p.mass),
     given={
-        "g": pl.Given(value=1.62, unit="m/s^2"),
-        "distance": pl.Given(value=2000.0, unit="m"),
-        "mass": pl.Given(value=1000.0, unit="kg"),
-        "exhaust_speed": pl.Given(value=3000.0, unit="m/s"),
+        "g": pl.Parameter(value=1.62, unit="m/s^2"),
+        "distance": pl.Parameter(value=2000.0, unit="m"),
+        "mass": pl.Parameter(value=1000.0, unit="kg"),
+        "exhaust_speed": pl.Parameter(value=3000.0, unit="m/s"),
     },
-    free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=300.0, typical=60.0),),
+    free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.0, upper=300.0, guess=60.0),),
     objective=lambda x, p, xp: -x.m,
     objective_unit="kg",
     scales=pl.Scales(length=1000.0, time=30.0, mass=1000.0),

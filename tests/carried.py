@@ -46,7 +46,7 @@ def said(*arguments: str) -> tuple[int, str, str]:
 def rough_flight(problem: pl.Problem) -> pl.Solution:
     """A flight from which a direct method would start, with curves in the place of costates: none, but whole."""
     _, lines, _ = next(iter(first_guesses(problem, None)))
-    free = {f.name: min(max(f.typical, f.lower), f.upper) for f in problem.free}
+    free = {f.name: min(max(f.guess, f.lower), f.upper) for f in problem.free}
     times, states, controls = [], [], []
     for phase, line in zip(problem.phases, lines, strict=True):
         share = np.linspace(0.0, 1.0, 21)

@@ -17,10 +17,10 @@ from perilune.conditions.pontryagin import derive
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.units import Scales
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.controls import Bounded, Direction
+from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.shooting.shooting_function import Shooting
 from problems.ascents import TWO_STAGES, staged_launch
 
@@ -32,7 +32,7 @@ def landing() -> Problem:
     descent = Phase(
         name="descent",
         states=tuple(Variable(name=n, unit=u) for n, u in (("r", "m"), ("u", "m/s"), ("v", "m/s"), ("m", "kg"))),
-        controls=(Direction(names=("transverse", "radial")),),
+        controls=(UnitVectorControl(names=("transverse", "radial")),),
         dynamics=lambda x, u, p, xp: (
             x.v,
             -x.u * x.v / x.r + p.thrust / x.m * u.transverse,
@@ -42,7 +42,7 @@ def landing() -> Problem:
         duration="time",
         end=lambda x, p, xp: (x.r - p.radius, x.u, x.v),
         end_conditions=tuple(Variable(name=n, unit=u) for n, u in (("ground", "m"), ("along", "m/s"), ("up", "m/s"))),
-        typical_end=lambda p, xp: (p.radius, 0 * p.along, 0 * p.along, 0.7 * p.mass),
+        end_guess=lambda p, xp: (p.radius, 0 * p.along, 0 * p.along, 0.7 * p.mass),
     )
     given = {
         "mu": (MU, "m^3/s^2"), "radius": (RADIUS, "m"), "thrust": (440.0, "N"), "exhaust_speed": (3040.0, "m/s"),
@@ -52,8 +52,8 @@ def landing() -> Problem:
         name="landing",
         phases=(descent,),
         start=lambda p, xp: (p.radius + p.height, p.along, p.up, p.mass),
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        free=(Free(name="time", unit="s", lower=0.0, typical=1000.0),),
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(FreeParameter(name="time", unit="s", lower=0.0, guess=1000.0),),
         objective=lambda x, p, xp: p.time,
         objective_unit="s",
         scales=Scales(length=RADIUS, time=1035.0, mass=300.0),
@@ -65,18 +65,18 @@ def transfer() -> Problem:
     phase = Phase(
         name="transfer",
         states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s"), Variable(name="effort", unit="m/s")),
-        controls=tuple(Bounded(name=n, unit="m/s^2", lower=0.0, upper=1.0) for n in ("push", "brake")),
+        controls=tuple(ScalarControl(name=n, unit="m/s^2", lower=0.0, upper=1.0) for n in ("push", "brake")),
         dynamics=lambda x, u, p, xp: (x.v, u.push - u.brake, u.push + u.brake),
         duration="T",
         end=lambda x, p, xp: (x.x - p.length, x.v),
         end_conditions=(Variable(name="place", unit="m"), Variable(name="speed", unit="m/s")),
-        typical_end=lambda p, xp: (p.length, 0 * p.length / p.T, p.length / p.T),
+        end_guess=lambda p, xp: (p.length, 0 * p.length / p.T, p.length / p.T),
     )
     return Problem(
         name="transfer",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0),
-        given={"length": Given(value=1.0, unit="m"), "T": Given(value=3.0, unit="s")},
+        given={"length": Parameter(value=1.0, unit="m"), "T": Parameter(value=3.0, unit="s")},
         objective=lambda x, p, xp: x.effort,
         objective_unit="m/s",
     )

@@ -21,7 +21,7 @@ from flint import arb, arb_mat, arb_series, ctx, fmpq
 import perilune as pl
 import perilune_checker.equations
 from perilune.core.units import parse_quantity
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 from perilune.problem.verification import Verification
 from problems.ascents import tangent_steering
 from problems.integrators import least_time
@@ -316,7 +316,7 @@ def swinging(duration: float, free: bool) -> pl.Problem:
     phase = pl.Phase(
         name="go",
         states=(pl.Variable(name="x", unit="m"), pl.Variable(name="cost", unit="m^2*s")),
-        controls=(pl.Bounded(name="u", unit="m/s"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * (u.u * u.u / (p.w * p.w) - x.x * x.x)),
         duration="T",
         end=None if free else lambda x, p, xp: (x.x - p.e,),
@@ -327,7 +327,7 @@ def swinging(duration: float, free: bool) -> pl.Problem:
         name="swinging",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0),
-        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        given={name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
         objective=lambda x, p, xp: x.cost,
         objective_unit="m^2*s",
     )
@@ -431,7 +431,7 @@ def numbers_are_exact() -> bool:
         ("12 deg", "rad", "1/15", 1), ("90 s/deg", "s/rad", "16200", -1), ("3 cm^0.5", "m^0.5", "3/10", 0),
     ):  # fmt: skip
         value = parse_quantity(stated, unit)
-        found, own = exactly(Given(value=value, unit=unit, stated=stated)), graph.Graph()
+        found, own = exactly(Parameter(value=value, unit=unit, stated=stated)), graph.Graph()
         truth = arb(fmpq(*Fraction(number).as_integer_ratio())) * arb.pi() ** power
         (read,) = program(own, [], [found.expression(own)]).values([])
         told = found.document()
@@ -441,7 +441,7 @@ def numbers_are_exact() -> bool:
         if (Fraction(number), power) != (found.rational, found.power) or told["taken"] != "text":
             return False
     for value, stated in ((0.1, ""), (0.2, "0.1"), (0.1, "about a tenth")):
-        told = exactly(Given(value=value, unit="1", stated=stated)).document()
+        told = exactly(Parameter(value=value, unit="1", stated=stated)).document()
         if told != {"taken": "double", "text": "", "number": str(Fraction(value))}:
             return False
     return True

@@ -51,7 +51,7 @@ def problem_of(task: Task) -> Any:
 
 
 def _meditch(task: Task) -> Any:
-    from perilune import Bounded, Free, Given, Phase, Problem, Variable
+    from perilune import FreeParameter, Parameter, Phase, Problem, ScalarControl, Variable
 
     phase = Phase(
         name="descent",
@@ -60,23 +60,23 @@ def _meditch(task: Task) -> Any:
             Variable(name="v", unit="m/s"),
             Variable(name="m", unit="kg", lower=0.1),
         ),
-        controls=(Bounded(name="thrust", unit="N", lower=task.bounds[0], upper=task.bounds[1]),),
+        controls=(ScalarControl(name="thrust", unit="N", lower=task.bounds[0], upper=task.bounds[1]),),
         dynamics=lambda x, u, p, xp: (x.v, u.thrust / x.m - p.g, -u.thrust / p.c),
         duration="t_f",
         end=lambda x, p, xp: (x.h, x.v),
         end_conditions=(Variable(name="touchdown", unit="m"), Variable(name="touchdown_speed", unit="m/s")),
-        typical_end=lambda p, xp: (0 * p.h, 0 * p.v, task.guess_end[-1] * p.m),
+        end_guess=lambda p, xp: (0 * p.h, 0 * p.v, task.guess_end[-1] * p.m),
     )
     return Problem(
         name="meditch",
         phases=(phase,),
         start=lambda p, xp: (p.h, p.v, p.m),
         given={
-            "g": Given(value=numbers.GRAVITY, unit="m/s^2"),
-            "c": Given(value=numbers.EXHAUST, unit="m/s"),
-            **{n: Given(value=v, unit=u) for n, v, u in zip("hvm", task.start, ("m", "m/s", "kg"), strict=True)},
+            "g": Parameter(value=numbers.GRAVITY, unit="m/s^2"),
+            "c": Parameter(value=numbers.EXHAUST, unit="m/s"),
+            **{n: Parameter(value=v, unit=u) for n, v, u in zip("hvm", task.start, ("m", "m/s", "kg"), strict=True)},
         },
-        free=(Free(name="t_f", unit="s", lower=0.0, upper=10.0, typical=task.guess_time),),
+        free=(FreeParameter(name="t_f", unit="s", lower=0.0, upper=10.0, guess=task.guess_time),),
         objective=lambda x, p, xp: p.c * (p.m - x.m),
         objective_unit="N*s",
     )

@@ -47,14 +47,14 @@ def lunar_hop(problem: Aim, hopper: Hopper, hop: Hop) -> pl.Problem:
         name="hop",
         states=_variables(x="m", y="m", vx="m/s", vy="m/s", m="kg"),
         controls=(
-            pl.Direction(names=("along", "up")),
-            pl.Bounded(name="thrust", unit="N", lower=0.0, upper="hopper_thrust"),
+            pl.UnitVectorControl(names=("along", "up")),
+            pl.ScalarControl(name="thrust", unit="N", lower=0.0, upper="hopper_thrust"),
         ),
         dynamics=_rates,
         duration="flight_time",
         end=lambda x, p, xp: (x.x - p.hop_distance, x.y, x.vx, x.vy),
         end_conditions=_variables(place="m", ground="m", speed_along="m/s", speed_up="m/s"),
-        typical_end=lambda p, xp: (p.hop_distance, 0.0, 0.0, 0.0, 0.9 * p.hopper_mass),
+        end_guess=lambda p, xp: (p.hop_distance, 0.0, 0.0, 0.0, 0.9 * p.hopper_mass),
     )
     return pl.Problem(
         name="lunar_hop",
@@ -62,7 +62,7 @@ def lunar_hop(problem: Aim, hopper: Hopper, hop: Hop) -> pl.Problem:
         start=lambda p, xp: (0.0, 0.0, 0.0, 0.0, p.hopper_mass),
         given=given_of(hopper, hop),
         declared=(hopper, hop),  # whose ranges hold for values that are given later, too
-        free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=300.0, typical=60.0),),
+        free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.0, upper=300.0, guess=60.0),),
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         scales=pl.Scales(length=1000.0, time=30.0, mass=1000.0),

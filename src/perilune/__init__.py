@@ -14,10 +14,10 @@ _EXPORTS = {
     "Problem": "perilune.problem.problem",
     "Phase": "perilune.problem.phase",
     "Variable": "perilune.problem.variables",
-    "Direction": "perilune.problem.controls",
-    "Bounded": "perilune.problem.controls",
-    "Given": "perilune.problem.variables",
-    "Free": "perilune.problem.variables",
+    "UnitVectorControl": "perilune.problem.controls",
+    "ScalarControl": "perilune.problem.controls",
+    "Parameter": "perilune.problem.variables",
+    "FreeParameter": "perilune.problem.variables",
     "Scales": "perilune.core.units",
     "Table": "perilune.core.maths",
     "Finding": "perilune.problem.presolve",
@@ -60,21 +60,24 @@ _EXPORTS = {
 }
 
 # old name: new name. For one minor version, with a warning.
-_RENAMED = {"prove": "verify"}
+_RENAMED = {
+    "Bounded": "ScalarControl",
+    "Direction": "UnitVectorControl",
+    "Free": "FreeParameter",
+    "Given": "Parameter",
+    "prove": "verify",
+}
 
 __all__ = [
     "MOON",
-    "Bounded",
     "Check",
     "Curve",
-    "Direction",
     "Extremal",
     "Family",
     "FamilyPoint",
     "Finding",
-    "Free",
+    "FreeParameter",
     "Genetic",
-    "Given",
     "Hybrid",
     "Indirect",
     "InfeasibleError",
@@ -82,17 +85,20 @@ __all__ = [
     "Nature",
     "NotConvergedError",
     "Outcome",
+    "Parameter",
     "PeriluneError",
     "Phase",
     "Problem",
     "Pseudospectral",
     "Result",
+    "ScalarControl",
     "Scales",
     "Solution",
     "Statistics",
     "Table",
     "Tolerance",
     "Trajectory",
+    "UnitVectorControl",
     "Variable",
     "Verification",
     "Views",
@@ -139,7 +145,7 @@ if TYPE_CHECKING:
     from perilune.io.save import save
     from perilune.methods import Genetic, Hybrid, Indirect, Pseudospectral
     from perilune.models.physics.bodies import MOON
-    from perilune.problem.controls import Bounded, Direction
+    from perilune.problem.controls import ScalarControl, UnitVectorControl
     from perilune.problem.display import views
     from perilune.problem.display.views import Views
     from perilune.problem.initial_guess import guess
@@ -152,7 +158,7 @@ if TYPE_CHECKING:
     from perilune.problem.results.solution import Result, Solution, Statistics
     from perilune.problem.results.trajectory import Curve, Trajectory
     from perilune.problem.tolerance import Tolerance
-    from perilune.problem.variables import Free, Given, Variable
+    from perilune.problem.variables import FreeParameter, Parameter, Variable
     from perilune.problem.verification import Check, Verification
     from perilune.solve import solve
     from perilune.verify import verify

@@ -67,7 +67,7 @@ def verify(
     if level == 0:
         return solution
     solution, notes = _keep_confirmed_extremals(solution)
-    if solution.statistics.claimed:
+    if solution.statistics.from_file:
         solution = replace(solution, structure=())  # a file's words, which nothing here has read off the tables
     found = check_solution(solution, level, callback, resolve=resolve, other=another)
     if not found.passed and solution.extremals:
@@ -161,12 +161,12 @@ def with_verification(solution: Solution, verification: Verification, level: int
 
 def _keep_confirmed_extremals(solution: Solution) -> tuple[Solution, tuple[str, ...]]:
     """Return the solution with the confirmed ones of its listed extremals, and notes on the others."""
-    if not solution.listed:
+    if not solution.unverified_extremals:
         return solution, ()
     from perilune.proof import confirm_listed_extremals
 
     extremals, notes = confirm_listed_extremals(solution, _solve_again)
-    return replace(solution, extremals=extremals, listed=()), notes
+    return replace(solution, extremals=extremals, unverified_extremals=()), notes
 
 
 def theorem_prover() -> Callable[[Verification, Solution, Watch | None], Verification]:

@@ -26,7 +26,7 @@ from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.store.cells import WHOLE
 from perilune.atlas.survey import survey
 from perilune.core.arrays import Matrix, Vector
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 
 build = partial(building.build, sample=0)  # proofs have tests of their own
 
@@ -34,12 +34,12 @@ WHERE, WIDE = 0.31, 0.02  # of the window
 OUT, IN = (0.97, 0.05), (1.05, -0.12)  # the better well beside it, and how far it moves there
 
 
-def priced(price: Callable[[Any, Any], Any], *more: pl.Free) -> pl.Problem:
+def priced(price: Callable[[Any, Any], Any], *more: pl.FreeParameter) -> pl.Problem:
     """x(1) = q with the least int u^2/2, which is taken off again, and a price of q."""
     phase = pl.Phase(
         name="way",
         states=(Variable(name="x", unit="1"), Variable(name="c", unit="1/s")),
-        controls=(pl.Bounded(name="u", unit="1/s"),),
+        controls=(pl.ScalarControl(name="u", unit="1/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.x - p.q,),
@@ -51,8 +51,8 @@ def priced(price: Callable[[Any, Any], Any], *more: pl.Free) -> pl.Problem:
         name="wells",
         phases=(phase,),
         start=lambda p, xp: (0.0 * p.a, 0.0 * p.a / p.one),
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
-        free=(pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5), *more),
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in values.items()},
+        free=(pl.FreeParameter(name="q", unit="1", lower=0.0, upper=1.0, guess=0.5), *more),
         objective=lambda x, p, xp: p.one * x.c - 0.5 * p.q * p.q + price(p, xp),
         objective_unit="1",
     )
@@ -215,7 +215,7 @@ def test_two_bounds_are_crossed_inside_a_brick(tmp_path: Path, width: float, lat
         return float(far.fun)
 
     problem, few = (
-        priced(price, pl.Free(name="r", unit="1", lower=0.0, upper=1.0, typical=0.5)),
+        priced(price, pl.FreeParameter(name="r", unit="1", lower=0.0, upper=1.0, guess=0.5)),
         SimpleNamespace(exp=np.exp),
     )
     points = np.append(np.random.default_rng(5).uniform(0.25, 0.6, 99), 0.42)[:, None]
@@ -249,7 +249,7 @@ def test_a_bound_that_goes_and_comes_back_inside_a_cell_is_where_it_is_at_the_po
         return 0.7 + 0.3 * xp.exp(-(((p.a - 0.3) / 0.04) ** 2))
 
     base = priced(lambda p, xp: 0.5 * p.q * (0.8 - p.q) + 0.0 * p.a)
-    problem = replace(base, ranges=lambda p, xp: {"q": (0.0, upper(p, xp), 0.5)})
+    problem = replace(base, parameter_bounds=lambda p, xp: {"q": (0.0, upper(p, xp), 0.5)})
     monkeypatch.setattr(building, "refuse_moving_ranges", lambda *_: None)  # a model's are kept with its records
     monkeypatch.setattr(read, "header_problem", lambda *_: problem)
     atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=1))
@@ -278,7 +278,7 @@ def answered(
     tmp_path: Path, bricks: int, windows: tuple[tuple[float, float, float], ...]
 ) -> tuple[Atlas, Vector, Answers]:
     """An atlas of both wells, and its answers; each that it gives is looked at."""
-    r = pl.Free(name="r", unit="1", lower=0.0, upper=1.0, typical=0.5)
+    r = pl.FreeParameter(name="r", unit="1", lower=0.0, upper=1.0, guess=0.5)
     problem = priced(lambda p, xp: two_wells(p) + 2.06 * (p.r - wanted(p, xp, windows)) ** 2, r)
     atlas = open_atlas(build(problem, {"a": (0.0, 1.0)}, tmp_path / "atlas", bricks=bricks), lambda _: problem)
     a = np.random.default_rng(5).uniform(0.0, 1.0, 150)

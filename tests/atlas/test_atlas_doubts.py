@@ -100,10 +100,10 @@ def two_wells(
     problem = replace(
         plain,
         free=(
-            pl.Free(name="speed", unit="m/s", typical=1.0, **bounds),
-            *[pl.Free(name="other", lower=0.0, upper=1.0, typical=0.5)] * beside,
+            pl.FreeParameter(name="speed", unit="m/s", guess=1.0, **bounds),
+            *[pl.FreeParameter(name="other", lower=0.0, upper=1.0, guess=0.5)] * beside,
         ),
-        given={**given, **{name: pl.Given(value=1.0, unit=unit) for name, unit in units.items()}},
+        given={**given, **{name: pl.Parameter(value=1.0, unit=unit) for name, unit in units.items()}},
         objective=lambda x, p, xp: (
             plain.objective(x, p, xp)
             + p.one * (price(p.speed / p.pace, p.ceiling / p.far) + ((p.other - 0.4) ** 2 if beside else 0.0))
@@ -155,8 +155,8 @@ def test_what_is_kept_amid_a_cell_and_broken_alike_at_its_corners_is_an_answer(t
     problem = replace(
         plain,
         phases=(replace(phase, path=lambda x, u, p, xp: (p.top - p.far * p.off**2 - x.x,)),),
-        given={**given, **{n: pl.Given(value=0.3 if n == "top" else 1.0, unit=unit) for n, unit in units.items()}},
-        free=(pl.Free(name="other", lower=0.0, upper=1.0, typical=0.5),) * beside,
+        given={**given, **{n: pl.Parameter(value=0.3 if n == "top" else 1.0, unit=unit) for n, unit in units.items()}},
+        free=(pl.FreeParameter(name="other", lower=0.0, upper=1.0, guess=0.5),) * beside,
         objective=lambda x, p, xp: (
             plain.objective(x, p, xp) + (p.one * (p.other - 0.2 - p.off) ** 2 if beside else 0.0)
         ),
@@ -192,7 +192,7 @@ def test_ranges_of_several_parameters_are_looked_over_in_turn(tmp_path: Path) ->
     What breaks the path there leads nowhere on the straight way to the answer; these points were refused.
     """
     problem, least = two_wells(96.749, 0.746, 1.304, 6.045, -7.581, lower=0.6, upper=1.6)
-    priced, q = problem.objective, pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5)
+    priced, q = problem.objective, pl.FreeParameter(name="q", unit="1", lower=0.0, upper=1.0, guess=0.5)
     several = replace(
         problem, free=(*problem.free, q), objective=lambda x, p, xp: priced(x, p, xp) + p.one * (p.q - 0.4) ** 2
     )
@@ -212,8 +212,8 @@ def test_durations_between_bounds_are_followed_over_their_ranges_too() -> None:
     units = {"one": plain.objective_unit, "second": "s"}
     problem = replace(
         plain,
-        free=(pl.Free(name="T", unit="s", lower=0.9, upper=1.2, typical=1.0),),
-        given={**given, **{name: pl.Given(value=1.0, unit=unit) for name, unit in units.items()}},
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.9, upper=1.2, guess=1.0),),
+        given={**given, **{name: pl.Parameter(value=1.0, unit=unit) for name, unit in units.items()}},
         objective=lambda x, p, xp: plain.objective(x, p, xp) + p.one * (p.T / p.second - 1) ** 2,
     )
     region = region_of(problem, {"ceiling": (0.1, 0.14)}, bricks=1)

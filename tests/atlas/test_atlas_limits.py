@@ -24,7 +24,7 @@ from perilune.models.landing.problem import Orbit, hybrid_landing
 from perilune.models.physics.bodies import MOON
 from perilune.models.physics.vehicle import Retro, Vehicle
 from perilune.problem.results.extremal import Nature
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune.structures.structure import Arc, Structure
 from problems.constrained import timed_bryson_denham
 
@@ -43,7 +43,7 @@ def haul(patient: bool) -> pl.Problem:
     phase = pl.Phase(
         name="haul",
         states=tuple(Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("c", "m^2/s^3"))),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.v, x.x),
@@ -55,9 +55,9 @@ def haul(patient: bool) -> pl.Problem:
         name="haul",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0),
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
-        free=(pl.Free(name="T", unit="s", lower=0.0, upper=2.0, typical=1.0),) if patient else (),
-        ranges=(lambda p, xp: {"T": (0.0, p.longest * p.patience**2, 1.0)}) if patient else None,
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in values.items()},
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.0, upper=2.0, guess=1.0),) if patient else (),
+        parameter_bounds=(lambda p, xp: {"T": (0.0, p.longest * p.patience**2, 1.0)}) if patient else None,
         objective=lambda x, p, xp: x.c - p.reward * x.x,
         objective_unit="m^2/s^3",
     )
@@ -130,7 +130,7 @@ def test_ranges_are_asked_of_no_values_that_were_not_set() -> None:
         asked.append(p.longest if p.longest > 0.0 else -1.0)  # what has no value is not compared
         return {"T": (0.0, p.longest * p.patience**2, 1.0)}
 
-    borders = Borders(Chart(replace(haul(True), ranges=ranges), ("longest",), np.array([0.2])))
+    borders = Borders(Chart(replace(haul(True), parameter_bounds=ranges), ("longest",), np.array([0.2])))
     values = np.full((1, 1), np.nan)
     (_, upper), fill = borders.bind(values)
     values[:] = 1.05
@@ -147,7 +147,8 @@ def test_ranges_that_an_atlas_cannot_keep_are_refused(tmp_path: Path) -> None:
     assert "0.891 s" in str(refused.value)
     assert not (tmp_path / "map").exists()
     there_and_back = replace(
-        problem.with_given(high=0.5), ranges=lambda p, xp: {"T": (0.0, LONGEST + (p.high - 0.5) * (0.7 - p.high), 1.0)}
+        problem.with_given(high=0.5),
+        parameter_bounds=lambda p, xp: {"T": (0.0, LONGEST + (p.high - 0.5) * (0.7 - p.high), 1.0)},
     )
     with pytest.raises(PeriluneError, match="the range of T depends on the varied parameters"):
         build(there_and_back, {"high": (0.5, 0.7)}, tmp_path / "map")
@@ -165,7 +166,7 @@ def test_ranges_of_the_users_in_a_problem_of_a_model_are_refused_where_they_move
         Orbit(parking_altitude=100e3, perilune_altitude=15e3),
     )
     model = hybrid_landing(vehicle, Retro(specific_impulse=310.0), orbit, body=MOON)
-    ranges = model.ranges
+    ranges = model.parameter_bounds
     assert ranges is not None and model.declared
 
     def slower(p: Any, xp: Any) -> Any:
@@ -174,7 +175,7 @@ def test_ranges_of_the_users_in_a_problem_of_a_model_are_refused_where_they_move
         return {**found, "retro_delta_v": (least, most - 10.0 * (p.vehicle_thrust - 440.0), typical)}
 
     for name in ("hybrid_landing", "landing_of_my_own"):
-        problem = replace(model, name=name, ranges=slower)
+        problem = replace(model, name=name, parameter_bounds=slower)
         with pytest.raises(PeriluneError, match=r"the range of retro\.delta_v depends on the varied parameters"):
             build(problem, {"vehicle.thrust": (435.0, 445.0)}, tmp_path / "map")
 
@@ -182,7 +183,8 @@ def test_ranges_of_the_users_in_a_problem_of_a_model_are_refused_where_they_move
 def test_an_atlas_that_has_lost_what_its_ranges_follow_from_is_not_extended(tmp_path: Path) -> None:
     """Within its axes they do not move; what they do beyond nobody who opens it knows."""
     problem = replace(
-        haul(True).with_given(high=0.6), ranges=lambda p, xp: {"T": (0.0, LONGEST - xp.fmax(p.high - 0.7, 0.0), 1.0)}
+        haul(True).with_given(high=0.6),
+        parameter_bounds=lambda p, xp: {"T": (0.0, LONGEST - xp.fmax(p.high - 0.7, 0.0), 1.0)},
     )
     directory = build(problem, {"high": (0.5, 0.7)}, tmp_path / "map", bricks=1)
     with pytest.raises(PeriluneError, match="follow from a function that this atlas does not keep"):
@@ -196,7 +198,7 @@ def two_hauls() -> pl.Problem:
     phase = pl.Phase(
         name="haul",
         states=tuple(Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("c", "m^2/s^3"))),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.v, x.x - p.q - p.way),
@@ -207,8 +209,8 @@ def two_hauls() -> pl.Problem:
         name="two_hauls",
         phases=(phase,),
         start=lambda p, xp: (0.0 * p.way, 0.0, 0.0),
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in values.items()},
-        free=(pl.Free(name="q", unit="m", lower=-1.0, upper=1.0, typical=1.0),),
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in values.items()},
+        free=(pl.FreeParameter(name="q", unit="m", lower=-1.0, upper=1.0, guess=1.0),),
         objective=lambda x, p, xp: x.c - 0.5 * p.bend * (p.q**2 - p.way**2) + (p.toll - p.K / p.T**3) * (p.q + p.way),
         objective_unit="m^2/s^3",
     )
@@ -247,8 +249,8 @@ def test_a_sum_of_arcs_lies_between_bounds_that_follow_from_what_varies() -> Non
     """A duration of several arcs, and each of them: all stayed within the bounds of the problem as it was stated."""
     base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5)
     problem = replace(
-        base, given={**base.given, "longest": Given(value=1.0, unit="s")},
-        ranges=lambda p, xp: {"T": (0.5 * p.longest, p.longest, 0.9)},
+        base, given={**base.given, "longest": Parameter(value=1.0, unit="s")},
+        parameter_bounds=lambda p, xp: {"T": (0.5 * p.longest, p.longest, 0.9)},
     )  # fmt: skip
     rides = Structure(((Arc(until=0.3), Arc(until=0.7, along=("room",)), Arc()),))
     borders = Borders(Chart(problem, ("longest",), np.array([0.4]), ArcSequence(structure=rides)))
@@ -273,7 +275,7 @@ def lure(far: float = 0.3) -> pl.Problem:
         name="lure",
         phases=(phase,),
         start=base.start,
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
         objective=lambda x, p, xp: x.c - 0.5 * p.pull * x.x**2 - p.push * x.x,
         objective_unit="m^2/s^3",
     )

@@ -88,7 +88,7 @@ def test_bounds_that_only_numpy_states_are_made_point_by_point() -> None:
             raise pl.PeriluneError("too weak")
         return {"flight_time": (0.0, float(np.interp(p.vehicle_thrust, [300.0, 500.0], [1e3, 3e3])), 1e3)}
 
-    problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, ranges=ranges)
+    problem = replace(load_file(EXAMPLES / "hybrid_lander.toml").problem, parameter_bounds=ranges)
     chart = Chart(problem, ("vehicle_thrust",), np.array([100.0]))
     _, upper = Borders(chart).at(np.array([[200.0], [400.0]]) / chart.scale)
     at, size = chart.free.free_names.index("flight_time"), problem.scales.of("s")

@@ -330,8 +330,8 @@ def test_wells_of_a_parameter_are_looked_for_with_the_arcs_of_an_answer_too(tmp_
     unit = plain.objective_unit
     problem = replace(
         plain,
-        free=(*plain.free, pl.Free(name="q", unit="1", lower=0.0, upper=1.0, typical=0.5)),
-        given={**plain.given, "one": pl.Given(value=1.0, unit=unit)},
+        free=(*plain.free, pl.FreeParameter(name="q", unit="1", lower=0.0, upper=1.0, guess=0.5)),
+        given={**plain.given, "one": pl.Parameter(value=1.0, unit=unit)},
         objective=lambda x, p, xp: plain.objective(x, p, xp) + p.one * price(p.q),
     )
     least = float(price(np.linspace(0.0, 1.0, 10_001)).min())
@@ -350,6 +350,6 @@ def test_wells_of_a_parameter_are_looked_for_with_the_arcs_of_an_answer_too(tmp_
 def test_a_control_without_an_end_is_tried_close_by_and_within_its_bound(flown: float, tried: list[float]) -> None:
     """By a tenth, canonical, to either side."""
     (phase,) = bryson_denham(1 / 9).phases
-    phase = replace(phase, controls=(pl.Bounded(name="u", lower=0.0),))
+    phase = replace(phase, controls=(pl.ScalarControl(name="u", lower=0.0),))
     found = _admissible_controls(phase, ca.SX(flown), ca.SX([0.0, float("inf")]))
     assert [float(one) for one in found] == pytest.approx(tried, abs=1e-15)

@@ -20,12 +20,12 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.evolutionary.genetic import Genetic
 from perilune.methods.evolutionary.hybrid import Hybrid
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.problem.verification import Check
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.first_order import _check_range_signs
@@ -43,7 +43,7 @@ def push(lower: float = -math.inf, upper: float = math.inf, **given: float) -> P
     phase = Phase(
         name="push",
         states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s"), Variable(name="cost", unit="m^2/s^3")),
-        controls=(Bounded(name="u", unit="m/s^2"),),
+        controls=(ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.x - p.length, x.v),
@@ -51,14 +51,14 @@ def push(lower: float = -math.inf, upper: float = math.inf, **given: float) -> P
             Variable(name="place", unit="m"),
             Variable(name="speed", unit="m/s", lower=lower, upper=upper),
         ),
-        typical_end=lambda p, xp: (p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
+        end_guess=lambda p, xp: (p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
     )
     numbers = {"T": (1.0, "s"), "length": (1.0, "m")}
     return Problem(
         name="push",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0),
-        given={name: Given(value=given.get(name, v), unit=unit) for name, (v, unit) in numbers.items()},
+        given={name: Parameter(value=given.get(name, v), unit=unit) for name, (v, unit) in numbers.items()},
         objective=lambda x, p, xp: x.cost,
         objective_unit="m^2/s^3",
     )
@@ -101,7 +101,7 @@ def test_a_sweep_over_the_bound_of_a_range_takes_what_is_held_along() -> None:
     base = push()
     place, speed = base.phases[0].end_conditions
     phase = replace(base.phases[0], end_conditions=(place, replace(speed, upper="fastest")))
-    given = {**base.given, "fastest": Given(value=1.2, unit="m/s")}
+    given = {**base.given, "fastest": Parameter(value=1.2, unit="m/s")}
     family = sweep(replace(base, phases=(phase,), given=given), {"fastest": [1.2, 1.0, 1.3, 2.0]}, verify=1)
     for point in family.points:
         assert point.solution is not None and point.solution.outcome is Outcome.PROVED
@@ -118,7 +118,7 @@ def test_a_range_between_phases(upper: float) -> None:
         return replace(
             half, name=name, duration=duration, end_conditions=conditions,
             end=lambda x, p, xp: (x.x - where * p.length, x.v)[: len(conditions)],
-            typical_end=lambda p, xp: (where * p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
+            end_guess=lambda p, xp: (where * p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
         )  # fmt: skip
 
     place, speed = half.end_conditions[0], Variable(name="speed", unit="m/s", upper=upper)
@@ -126,7 +126,7 @@ def test_a_range_between_phases(upper: float) -> None:
         base,
         phases=(phase("first", "T", 0.5, (place, speed)), phase("second", "T2", 1.0, (place,))),
         links=(lambda x, p, xp: (x.x, x.v, x.cost),),
-        given={**base.given, "T2": Given(value=1.0, unit="s")},
+        given={**base.given, "T2": Parameter(value=1.0, unit="s")},
     )
     speeds = np.linspace(0.0, upper, 20001)
     # Over the second half the end speed is free: u ends at zero, and the energy is 3/2 (distance - v)^2.
@@ -161,7 +161,7 @@ def between(slowest: float, fastest: float) -> Problem:
     base = push()
     place, speed = base.phases[0].end_conditions
     phase = replace(base.phases[0], end_conditions=(place, replace(speed, lower="slowest", upper="fastest")))
-    bounds = {"slowest": Given(value=slowest, unit="m/s"), "fastest": Given(value=fastest, unit="m/s")}
+    bounds = {"slowest": Parameter(value=slowest, unit="m/s"), "fastest": Parameter(value=fastest, unit="m/s")}
     return replace(base, phases=(phase,), given={**base.given, **bounds})
 
 
@@ -200,15 +200,15 @@ def shove(place: tuple[float, float], speed: tuple[float, float], time: tuple[fl
         base,
         start=lambda p, xp: (p.a, p.b, 0.0 * p.price_a * p.a * p.a),
         given={
-            "length": Given(value=1.0, unit="m"),
-            "price_a": Given(value=4.0, unit="1/s^3"),
-            "price_b": Given(value=1.0, unit="1/s"),
-            "price_T": Given(value=1.5, unit="m^2/s^4"),
+            "length": Parameter(value=1.0, unit="m"),
+            "price_a": Parameter(value=4.0, unit="1/s^3"),
+            "price_b": Parameter(value=1.0, unit="1/s"),
+            "price_T": Parameter(value=1.5, unit="m^2/s^4"),
         },
         free=(
-            Free(name="a", unit="m", lower=place[0], upper=place[1], typical=0.1),
-            Free(name="b", unit="m/s", lower=speed[0], upper=speed[1], typical=0.1),
-            Free(name="T", unit="s", lower=time[0], upper=time[1], typical=1.0),
+            FreeParameter(name="a", unit="m", lower=place[0], upper=place[1], guess=0.1),
+            FreeParameter(name="b", unit="m/s", lower=speed[0], upper=speed[1], guess=0.1),
+            FreeParameter(name="T", unit="s", lower=time[0], upper=time[1], guess=1.0),
         ),
         objective=lambda x, p, xp: x.cost + p.price_a * p.a * p.a + p.price_b * p.b * p.b + p.price_T * p.T,
     )
@@ -278,8 +278,8 @@ def test_extremals_are_told_apart_however_close_and_flat(worst: float, price: fl
 
     problem = replace(
         base,
-        given={**base.given, "price": Given(value=price, unit="m^2/s^3")},
-        free=(Free(name="q", unit="m", lower=0.0, upper=1.0, typical=1.0),),
+        given={**base.given, "price": Parameter(value=price, unit="m^2/s^3")},
+        free=(FreeParameter(name="q", unit="m", lower=0.0, upper=1.0, guess=1.0),),
         objective=lambda x, p, xp: x.cost + p.price * polynomial(p.q / p.length),
     )
 
@@ -305,8 +305,8 @@ def test_a_parameter_that_acts_between_phases() -> None:
         base,
         phases=(first, second),
         links=(lambda x, p, xp: (x.x, x.v + p.kick, x.cost),),
-        given={**base.given, "T2": Given(value=0.5, unit="s"), "price": Given(value=0.8, unit="1/s")},
-        free=(Free(name="kick", unit="m/s", lower=-5.0, upper=5.0, typical=1.0),),
+        given={**base.given, "T2": Parameter(value=0.5, unit="s"), "price": Parameter(value=0.8, unit="1/s")},
+        free=(FreeParameter(name="kick", unit="m/s", lower=-5.0, upper=5.0, guess=1.0),),
         objective=lambda x, p, xp: x.cost + p.price * p.kick * p.kick,
     )
 
@@ -369,8 +369,8 @@ def test_that_no_flight_at_all_is_best_is_said(longest: float) -> None:
     base = push(0.0, 1.0)
     waiting = replace(
         base,
-        given={"length": Given(value=0.0, unit="m"), "price": Given(value=1.0, unit="m^2/s^4")},
-        free=(Free(name="T", unit="s", lower=0.0, upper=longest, typical=1.0),),
+        given={"length": Parameter(value=0.0, unit="m"), "price": Parameter(value=1.0, unit="m^2/s^4")},
+        free=(FreeParameter(name="T", unit="s", lower=0.0, upper=longest, guess=1.0),),
         objective=lambda x, p, xp: x.cost + p.price * p.T,
     )
     with pytest.raises(
@@ -384,7 +384,7 @@ def placed_by_choice(gain: float, ranged: bool) -> Problem:
     phase = Phase(
         name="go",
         states=(Variable(name="x", unit="m"), Variable(name="e", unit="m^2/s")),
-        controls=(Bounded(name="u", unit="m/s"),),
+        controls=(ScalarControl(name="u", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
         end=(lambda x, p, xp: (x.x,)) if ranged else (lambda x, p, xp: (x.x - p.q,)),
@@ -394,8 +394,8 @@ def placed_by_choice(gain: float, ranged: bool) -> Problem:
         name="placed",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0),
-        given={"T": Given(value=1.0, unit="s"), "gain": Given(value=gain, unit="1/s")},
-        free=() if ranged else (Free(name="q", unit="m", lower=0.0, upper=5.0),),
+        given={"T": Parameter(value=1.0, unit="s"), "gain": Parameter(value=gain, unit="1/s")},
+        free=() if ranged else (FreeParameter(name="q", unit="m", lower=0.0, upper=5.0),),
         objective=(lambda x, p, xp: x.e - p.gain * x.x * x.x)
         if ranged
         else (lambda x, p, xp: x.e - p.gain * p.q * p.q),
@@ -418,7 +418,7 @@ def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else()
     phase = Phase(
         name="go",
         states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
-        controls=(Bounded(name="u", unit="m/s^2", lower=-1.0, upper="q"),),
+        controls=(ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper="q"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u),
         duration="T",
         end=lambda x, p, xp: (x.x - p.distance, x.v),
@@ -428,8 +428,11 @@ def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else()
         name="limits",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0),
-        given={"distance": Given(value=1.0, unit="m"), "price": Given(value=0.2, unit="s^5/m^2")},
-        free=(Free(name="T", unit="s", lower=0.0, upper=20.0), Free(name="q", unit="m/s^2", lower=0.1, upper=10.0)),
+        given={"distance": Parameter(value=1.0, unit="m"), "price": Parameter(value=0.2, unit="s^5/m^2")},
+        free=(
+            FreeParameter(name="T", unit="s", lower=0.0, upper=20.0),
+            FreeParameter(name="q", unit="m/s^2", lower=0.1, upper=10.0),
+        ),
         objective=lambda x, p, xp: p.T + p.price * p.q * p.q,
         objective_unit="s",
     )

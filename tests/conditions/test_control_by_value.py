@@ -46,7 +46,7 @@ def counted(
     phase = pl.Phase(
         name="run",
         states=variables(s="m", v="m/s", E=unit),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=lower, upper=upper),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=lower, upper=upper),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, rate(u, p, xp)),
         duration="T",
         end=lambda x, p, xp: (x.s - p.L, x.v) if used is None else (x.s - p.L, x.v, x.E),
@@ -58,7 +58,7 @@ def counted(
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0),
         given=given(L=(10.0, "m"), one=(1.0, "m/s^2"), **({} if fastest is None else {"fastest": (fastest, "m/s")})),
-        free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.1, upper=100.0, guess=8.0),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=SCALES,
@@ -70,7 +70,7 @@ def spent(sign: float) -> pl.Problem:
     phase = pl.Phase(
         name="run",
         states=variables(s="m", v="m/s", E="m^2/s^3"),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=0.5),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=0.5),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.s - p.L,),
@@ -92,7 +92,7 @@ def turned(a: float, lower: float, upper: float) -> pl.Problem:
     phase = pl.Phase(
         name="run",
         states=variables(s="m", v="m/s", E="m^2/s^3", tau="s", C="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=lower, upper=upper),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=lower, upper=upper),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, u.u * u.u, 1.0, (p.a - x.tau) * x.E),
         duration="T",
         end=lambda x, p, xp: (x.s - p.L, x.v),
@@ -117,7 +117,7 @@ def rocket(fastest: float | None = None) -> pl.Problem:
     phase = pl.Phase(
         name="run",
         states=variables(s="m", v="m/s", m="kg"),
-        controls=(pl.Bounded(name="u", unit="N", lower=-1.1, upper=1.1),),
+        controls=(pl.ScalarControl(name="u", unit="N", lower=-1.1, upper=1.1),),
         dynamics=lambda x, u, p, xp: (x.v, (u.u - p.k * x.v * x.v) / x.m, -p.c * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.s - p.L, x.v),
@@ -130,7 +130,7 @@ def rocket(fastest: float | None = None) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, p.m0),
         given=given(**values, **({} if fastest is None else {"fastest": (fastest, "m/s")})),
-        free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.1, upper=100.0, guess=8.0),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=SCALES,
@@ -288,7 +288,10 @@ def planar(rate: Rate, of: str) -> pl.Problem:
     phase = pl.Phase(
         name="run",
         states=variables(x="m", y="m", vx="m/s", vy="m/s", **({"m": "kg"} if mass else {"E": "m^2/s^3"})),
-        controls=(pl.Direction(names=("dx", "dy")), pl.Bounded(name="size", unit=unit, lower=0.2, upper=1.0)),
+        controls=(
+            pl.UnitVectorControl(names=("dx", "dy")),
+            pl.ScalarControl(name="size", unit=unit, lower=0.2, upper=1.0),
+        ),
         dynamics=dynamics,
         duration="T",
         end=lambda x, p, xp: (x.x - p.L, x.y - p.L, x.vx, x.vy),
@@ -300,7 +303,7 @@ def planar(rate: Rate, of: str) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0, p.v0, p.m0 if mass else 0.0),
         given=given(L=(2.0, "m"), v0=(1.0, "m/s"), **own),
-        free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.1, upper=100.0, guess=8.0),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=SCALES,
@@ -325,8 +328,8 @@ def test_one_of_two_scalars_alone(rate: Rate) -> None:
         name="run",
         states=variables(s="m", v="m/s", w="m/s", E="m^2/s^3", C="s"),
         controls=(
-            pl.Bounded(name="u", unit="m/s^2", lower=-1.1, upper=0.8),
-            pl.Bounded(name="b", unit="m/s^2", lower=-1.0, upper=1.0),
+            pl.ScalarControl(name="u", unit="m/s^2", lower=-1.1, upper=0.8),
+            pl.ScalarControl(name="b", unit="m/s^2", lower=-1.0, upper=1.0),
         ),
         dynamics=lambda x, u, p, xp: (x.v, u.u, u.b, rate(u, p, xp), 0.5 * u.b * u.b / (p.one * p.one)),
         duration="T",
@@ -338,7 +341,7 @@ def test_one_of_two_scalars_alone(rate: Rate) -> None:
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.0),
         given=given(L=(3.0, "m"), W=(1.0, "m/s"), one=(1.0, "m/s^2")),
-        free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.1, upper=100.0, guess=8.0),),
         objective=lambda x, p, xp: p.T + x.C,
         objective_unit="s",
         scales=SCALES,
@@ -359,7 +362,7 @@ def with_energy() -> pl.Problem:
         ascent,
         states=(*ascent.states, pl.Variable(name="E", unit="N^2*s")),
         dynamics=dynamics,
-        typical_end=lambda p, xp: (p.scale_height, 0 * p.c, p.dry_mass, 0.0 * p.c),
+        end_guess=lambda p, xp: (p.scale_height, 0 * p.c, p.dry_mass, 0.0 * p.c),
     )
     return replace(own, phases=(phase,), start=lambda p, xp: (0.0, 0.0, p.mass, 0.0))
 

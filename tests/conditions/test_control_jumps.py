@@ -24,7 +24,7 @@ def cart(cost: Cost, unit: str, way: float, speed: float | None = None) -> pl.Pr
     phase = pl.Phase(
         name="run",
         states=variables(s="m", v="m/s", C=unit),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, cost(u.u, p.one)),
         duration="T",
         end=lambda x, p, xp: (x.s - p.L,) if speed is None else (x.s - p.L, x.v - p.vT),

@@ -15,8 +15,8 @@ from perilune.core.errors import PeriluneError
 from test_indirect import tangent_steering
 
 
-def given(**values: tuple[float, str]) -> dict[str, pl.Given]:
-    return {name: pl.Given(value=value, unit=unit) for name, (value, unit) in values.items()}
+def given(**values: tuple[float, str]) -> dict[str, pl.Parameter]:
+    return {name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in values.items()}
 
 
 def variables(**units: str) -> tuple[pl.Variable, ...]:
@@ -28,7 +28,9 @@ def slide(bound: float | str) -> pl.Problem:
     phase = pl.Phase(
         name="slide",
         states=variables(x="m", v="m/s", c="m^2/s^3"),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-5.0 if isinstance(bound, str) else -bound, upper=bound),),
+        controls=(
+            pl.ScalarControl(name="u", unit="m/s^2", lower=-5.0 if isinstance(bound, str) else -bound, upper=bound),
+        ),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.x - p.way, x.v),
@@ -80,7 +82,7 @@ def test_an_angle_and_a_direction_steer_alike() -> None:
     base = tangent_steering()
     turned = replace(
         base.phases[0],
-        controls=(pl.Bounded(name="angle", unit="rad"),),
+        controls=(pl.ScalarControl(name="angle", unit="rad"),),
         dynamics=lambda x, u, p, xp: (x.vy, p.a * xp.cos(u.angle), p.a * xp.sin(u.angle)),
     )
     solution = pl.solve(replace(base, phases=(turned,)))
@@ -100,11 +102,15 @@ def curve(push: bool) -> pl.Problem:
         cost = 0.5 * u.size * u.size + (0.5 * u.brake * u.brake if push else 0.0 * u.size * u.size)
         return (x.vx, x.vy, u.size * u.dx, y, cost)
 
-    brake = (pl.Bounded(name="brake", unit="m/s^2"),) if push else ()
+    brake = (pl.ScalarControl(name="brake", unit="m/s^2"),) if push else ()
     phase = pl.Phase(
         name="curve",
         states=variables(x="m", y="m", vx="m/s", vy="m/s", c="m^2/s^3"),
-        controls=(pl.Direction(names=("dx", "dy")), pl.Bounded(name="size", unit="m/s^2", lower=0.0), *brake),
+        controls=(
+            pl.UnitVectorControl(names=("dx", "dy")),
+            pl.ScalarControl(name="size", unit="m/s^2", lower=0.0),
+            *brake,
+        ),
         dynamics=dynamics,
         duration="T",
         end=lambda x, p, xp: (x.x - p.way, x.y - p.way, x.vx, x.vy),
@@ -137,7 +143,7 @@ def test_what_has_no_minimum_is_named() -> None:
         pl.solve(replace(base, phases=(squared,)), verify=0)
     pushed = replace(
         base.phases[0],
-        controls=(*base.phases[0].controls, pl.Bounded(name="push", unit="m/s^2")),
+        controls=(*base.phases[0].controls, pl.ScalarControl(name="push", unit="m/s^2")),
         dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx + u.push, p.a * u.cy),
     )
     with pytest.raises(PeriluneError, match="no control law for push"):
@@ -147,7 +153,7 @@ def test_what_has_no_minimum_is_named() -> None:
 def test_a_bound_of_another_dimension_is_refused() -> None:
     base = slide("strength")
     with pytest.raises(PeriluneError, match="strength of u has another dimension"):
-        replace(base, given={**base.given, "strength": pl.Given(value=5.0, unit="kg")})
+        replace(base, given={**base.given, "strength": pl.Parameter(value=5.0, unit="kg")})
 
 
 def test_on_either_side_of_a_kink_a_control_passes_through_the_same_regimes() -> None:
@@ -179,7 +185,7 @@ def across_a_current(lower: float, upper: float, unit: str) -> tuple[pl.Problem,
     phase = pl.Phase(
         name="cross",
         states=variables(x="m", y="m"),
-        controls=(pl.Bounded(name="theta", unit=unit, lower=lower, upper=upper),),
+        controls=(pl.ScalarControl(name="theta", unit=unit, lower=lower, upper=upper),),
         dynamics=lambda x, u, p, xp: (p.V * xp.cos(u.theta) - p.k * x.y, p.V * xp.sin(u.theta)),
         duration="T",
         end=lambda x, p, xp: (x.x, x.y),
@@ -191,7 +197,7 @@ def across_a_current(lower: float, upper: float, unit: str) -> tuple[pl.Problem,
         phases=(phase,),
         start=lambda p, xp: (p.x0, p.y0),
         given=given(V=(1.0, "m/s"), k=(1.0, "1/s"), x0=(x0, "m"), y0=(y0, "m")),
-        free=(pl.Free(name="T", unit="s", lower=1.0, upper=20.0, typical=5.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=1.0, upper=20.0, guess=5.0),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=pl.Scales(length=1.0, time=1.0, mass=1.0),
@@ -222,9 +228,9 @@ def test_an_angle_goes_on_past_half_a_turn(lower: float, upper: float, unit: str
     assert lower <= theta.min() and theta.max() <= upper
 
 
-def lander_in_a_plane(angle: pl.Bounded | None) -> pl.Problem:
+def lander_in_a_plane(angle: pl.ScalarControl | None) -> pl.Problem:
     """Least propellant from 1 km to rest anywhere on the ground, by throttle and angle, or by a direction."""
-    controls = (pl.Bounded(name="k", lower=0.0, upper=1.0), angle or pl.Direction(names=("a", "b")))
+    controls = (pl.ScalarControl(name="k", lower=0.0, upper=1.0), angle or pl.UnitVectorControl(names=("a", "b")))
 
     def rates(x: Any, u: Any, p: Any, xp: Any) -> tuple[Any, ...]:
         east, up = (u.a, u.b) if angle is None else (xp.sin(u.theta), xp.cos(u.theta))
@@ -247,7 +253,7 @@ def lander_in_a_plane(angle: pl.Bounded | None) -> pl.Problem:
         given=given(
             thrust=(4000.0, "N"), g=(1.6, "m/s^2"), exhaust=(120.0, "m/s"), height=(1000.0, "m"), across=(24.0, "m/s"),
             down=(8.0, "m/s"), mass=(1000.0, "kg")),
-        free=(pl.Free(name="T", unit="s", lower=7.5, upper=200.0, typical=38.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=7.5, upper=200.0, guess=38.0),),
         objective=lambda x, p, xp: -x.mass,
         objective_unit="kg",
     )  # fmt: skip
@@ -256,7 +262,7 @@ def lander_in_a_plane(angle: pl.Bounded | None) -> pl.Problem:
 @pytest.mark.parametrize("lower", [-math.inf, -math.pi / 2])
 def test_an_angle_may_point_no_thrust(lower: float) -> None:
     """While it coasts H does not depend on the angle, which goes on as it would with the least thrust."""
-    angle = pl.Bounded(name="theta", unit="rad", lower=lower, upper=-lower)
+    angle = pl.ScalarControl(name="theta", unit="rad", lower=lower, upper=-lower)
     pointed = pl.solve(lander_in_a_plane(None), pl.Pseudospectral(), verify=0)
     solution = pl.solve(lander_in_a_plane(angle), pl.Pseudospectral(), verify=2)
     assert (solution.outcome, solution.verification.level) == (pl.Outcome.PROVED, 2)

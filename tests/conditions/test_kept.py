@@ -17,10 +17,10 @@ from perilune.conditions.pontryagin import attainable_conditions, derive
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.initializers import ColdStarts
 from perilune.models.descent.coordinates import variables_of_unit
-from perilune.problem.controls import Bounded, Direction
+from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.scenario import load_file
 from perilune.solve import solve
 
@@ -37,7 +37,7 @@ def _steered(*, path: Any, names: tuple[str, ...], of: str = "1", **given: float
     phase = Phase(
         name="burn",
         states=(*variables_of_unit("m", "x", "y"), *variables_of_unit("m/s", "vx", "vy")),
-        controls=(Direction(names=("along", "up")),),
+        controls=(UnitVectorControl(names=("along", "up")),),
         dynamics=_rates,
         duration="T",
         end=lambda x, p, xp: (x.y - p.height,),
@@ -51,7 +51,7 @@ def _steered(*, path: Any, names: tuple[str, ...], of: str = "1", **given: float
         name="steered",
         phases=(phase,),
         start=lambda p, xp: (0 * p.height, 0 * p.height, 0 * p.push * p.T, 0 * p.push * p.T),
-        given={name: Given(value=value, unit=units.get(name, "1")) for name, value in values.items()},
+        given={name: Parameter(value=value, unit=units.get(name, "1")) for name, value in values.items()},
         objective=lambda x, p, xp: -x.vx,
         objective_unit="m/s",
     )
@@ -212,7 +212,7 @@ def test_a_free_parameter_in_a_condition_is_chosen_with_its_multiplier() -> None
         phases=base.phases,
         start=base.start,
         given=given,
-        free=(Free(name="steepest", unit="1", typical=0.5),),
+        free=(FreeParameter(name="steepest", unit="1", guess=0.5),),
         objective=lambda x, p, xp: -x.vx + price * p.steepest * p.push * p.T,
         objective_unit="m/s",
     )
@@ -231,5 +231,5 @@ def test_bounded_controls_beside_a_kept_condition() -> None:
     assert [*zip(phase.held, phase.regimes, strict=True)] == [
         ((), ("lower",)), ((), ("upper",)), (("pointing_margin",), ("lower",)), (("pointing_margin",), ("upper",)),
     ]  # fmt: skip
-    assert Bounded in {type(control) for control in problem.phases[0].controls}
+    assert ScalarControl in {type(control) for control in problem.phases[0].controls}
     assert Variable in {type(condition) for condition in problem.phases[0].path_conditions}

@@ -39,7 +39,7 @@ def test_a_limit_that_is_no_interval_holds_on_both_its_sides() -> None:
     bounded = slide("strength")
     phase = replace(
         bounded.phases[0],
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         path=lambda x, u, p, xp: (p.strength * p.strength - u.u * u.u,),
         path_conditions=variables(weak="m^2/s^4"),
     )
@@ -56,7 +56,7 @@ def _pushed(*limits: str) -> pl.Problem:
     phase = pl.Phase(
         name="push",
         states=variables(x="m", v="m/s"),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-BRAKES, upper=9.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-BRAKES, upper=9.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u),
         duration="T",
         end=lambda x, p, xp: (x.x - p.way, x.v),
@@ -69,7 +69,7 @@ def _pushed(*limits: str) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0),
         given=given(way=(WAY, "m"), push=(1.0, "m/s^2"), gain=(1.0, "1/s"), most=(1.5, "m/s^2")),
-        free=(pl.Free(name="T", unit="s", lower=0.1, upper=20.0, typical=3.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.1, upper=20.0, guess=3.0),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
@@ -109,12 +109,15 @@ def _plane(size: bool) -> pl.Problem:
         "end_conditions": variables(there="m", rest="m/s", height="m", level="m/s"),
     }  # fmt: skip
     if size:
-        controls = pl.Bounded(name="size", unit="m/s^2", lower=0.0, upper="most"), pl.Direction(names=("e", "n"))
+        controls = (
+            pl.ScalarControl(name="size", unit="m/s^2", lower=0.0, upper="most"),
+            pl.UnitVectorControl(names=("e", "n")),
+        )
         phase = pl.Phase(**common, controls=controls, dynamics=by_size)
     else:
         phase = pl.Phase(
             **common,
-            controls=(pl.Bounded(name="a", unit="m/s^2"), pl.Bounded(name="b", unit="m/s^2")),
+            controls=(pl.ScalarControl(name="a", unit="m/s^2"), pl.ScalarControl(name="b", unit="m/s^2")),
             dynamics=by_components,
             path=lambda x, u, p, xp: (p.most * p.most - u.a * u.a - u.b * u.b,),
             path_conditions=variables(weak="m^2/s^4"),
@@ -153,7 +156,7 @@ def _least(H: Any, held: Any, *ranges: tuple[float, float]) -> list[float]:
     """Where H is least over two scalars of some ranges that hold a condition, by the program."""
     (phase,), u = _plane(size=False).phases, ca.SX.sym("u", 2)
     free = [
-        Scalar(phase, at, pl.Bounded(name="ab"[at], unit="m/s^2", lower=low, upper=high), H(*ca.vertsplit(u)), u,
+        Scalar(phase, at, pl.ScalarControl(name="ab"[at], unit="m/s^2", lower=low, upper=high), H(*ca.vertsplit(u)), u,
                (ca.SX(low), ca.SX(high)), acts=True)
         for at, (low, high) in enumerate(ranges)
     ]  # fmt: skip

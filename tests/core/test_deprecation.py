@@ -6,7 +6,8 @@ import importlib
 import pickle
 import warnings
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
+from typing import Any, cast
 
 import pytest
 
@@ -82,3 +83,62 @@ def test_keywords_of_a_class_are_renamed_too() -> None:
 
     made: Any = Rod
     assert warned(lambda: made(size=2.0), "size= of Rod is length= now").length == made(length=2.0).length == 2.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("Given", "Parameter"),
+        ("Free", "FreeParameter"),
+        ("Bounded", "ScalarControl"),
+        ("Direction", "UnitVectorControl"),
+    ],
+)
+def test_records_are_found_by_their_old_names(old: str, new: str) -> None:
+    assert warned(lambda: getattr(pl, old), f"perilune.{old} is perilune.{new} now") is getattr(pl, new)
+    assert old not in pl.__all__
+
+
+def test_fields_are_stated_and_read_by_their_old_names(landing: pl.Problem, hybrid: Solution) -> None:
+    free: Any = pl.FreeParameter
+    made = warned(lambda: free(name="T", unit="s", typical=60.0), "typical= of FreeParameter is guess= now")
+    assert made == pl.FreeParameter(name="T", unit="s", guess=60.0)
+    assert warned(lambda: made.typical, "FreeParameter.typical is FreeParameter.guess now") == 60.0
+    pairs = (
+        (landing, "ranges", "parameter_bounds"), (landing, "bookkeeping", "consistency_checks"),
+        (landing, "rough_flight", "initial_guess"), (landing.phases[0], "typical_end", "end_guess"),
+        (landing.phases[0], "marks", "end_outputs"), (hybrid, "listed", "unverified_extremals"),
+        (hybrid.statistics, "claimed", "from_file"),
+    )  # fmt: skip
+    for owner, old, new in pairs:
+        kind = type(owner).__name__
+        read: Callable[[], Any] = lambda owner=owner, old=old: getattr(owner, old)  # noqa: E731
+        assert warned(read, f"{kind}.{old} is {kind}.{new} now") == getattr(owner, new)
+        change: Any = {old: getattr(owner, new)}
+        copy: Callable[[], Any] = lambda owner=owner, change=change: replace(owner, **change)  # noqa: E731
+        with warnings.catch_warnings(record=True) as caught:  # of `dataclasses`, which calls the class
+            warnings.simplefilter("always")
+            assert copy() == owner
+        assert [GOES in str(warning.message) and old in str(warning.message) for warning in caught] == [True]
+
+
+def test_what_is_replaced_by_its_old_name_is_replaced(landing: pl.Problem) -> None:
+    """`dataclasses.replace` states all fields, the new name of this one too."""
+    change: Any = {"ranges": None}
+    assert landing.parameter_bounds is not None
+    with pytest.warns(DeprecationWarning, match=GOES):
+        assert replace(landing, **change).parameter_bounds is None
+    changed: Any = landing.changed
+    assert warned(lambda: changed(ranges=None), "ranges= of changed").parameter_bounds is None
+
+
+def test_curves_are_evaluated_by_their_old_names(hybrid: Solution) -> None:
+    t, old = hybrid.trajectories[0].state.time[:3], cast("Any", hybrid)
+    for found, now in zip(
+        warned(lambda: old.flown(0, t), "Solution.flown is Solution.evaluate now"), hybrid.evaluate(0, t), strict=True
+    ):
+        assert (found == now).all()
+    curve: Any = hybrid.trajectories[0].state
+    assert (
+        warned(lambda: curve.extended(1e4), "Curve.extended is Curve.extrapolate now") == curve.extrapolate(1e4)
+    ).all()

@@ -34,7 +34,7 @@ ORBIT = Orbit(parking_altitude=100e3, perilune_altitude=15e3)
 # As who types it without a type checker.
 Loose: Any = pl
 LOOSE: Any = LANDING
-TURN: Any = pl.Direction(names=("x", "y"))
+TURN: Any = pl.UnitVectorControl(names=("x", "y"))
 Lander: Any = Vehicle
 hybrid_of: Any = hybrid_landing
 precision_of: Any = precision_landing
@@ -78,18 +78,24 @@ load_any: Any = load_file
         (lambda: Loose.sweep(None, {}), ("not a problem to sweep",)),
         (lambda: Loose.sweep(LANDING, None), ("not a valid set of values to sweep", "None", "{name: values}")),
         (lambda: Loose.sweep(LANDING, "vehicle.thrust"), ("not a valid set of values to sweep", "'vehicle.thrust'")),
-        (lambda: Loose.sweep(LANDING, {"vehicle.thrust": 440.0}),
-         ("not a valid set of values of vehicle.thrust", "440", "a list")),
+        (
+            lambda: Loose.sweep(LANDING, {"vehicle.thrust": 440.0}),
+            ("not a valid set of values of vehicle.thrust", "440", "a list"),
+        ),
         (lambda: Loose.sweep(LANDING, {"vehicle.thrst": [1.0]}), ("no parameter", "did you mean 'vehicle_thrust'")),
         (lambda: Loose.sweep(LANDING, {"vehicle.thrust": [440.0]}, "direct"), ("not a method",)),
-        (lambda: hybrid_of(VEHICLE, None, ORBIT).with_given(vehicle_thrust="440 N"),
-         ("not a value of vehicle_thrust", "'440 N'", "parse_quantity")),
+        (
+            lambda: hybrid_of(VEHICLE, None, ORBIT).with_given(vehicle_thrust="440 N"),
+            ("not a value of vehicle_thrust", "'440 N'", "parse_quantity"),
+        ),
         (lambda: LOOSE.with_given(vehicle_thrust="440"), ("not a value of vehicle_thrust", "'440'", "in SI")),
         (lambda: LOOSE.with_given(vehicle_thrust=True), ("not a value of vehicle_thrust", "True", "in SI")),
         (lambda: LOOSE.with_given(vehicle_thrust=np.True_), ("not a value of vehicle_thrust",)),
-        (lambda: Loose.Given(value="3 km", unit="m"), ("not a given value", "'3 km'")),
-        (lambda: Lander(mass="300 kg", thrust=440.0, specific_impulse=310.0),
-         ("vehicle.mass must be a number in SI", "'300 kg'", "scenario")),
+        (lambda: Loose.Parameter(value="3 km", unit="m"), ("not a given value", "'3 km'")),
+        (
+            lambda: Lander(mass="300 kg", thrust=440.0, specific_impulse=310.0),
+            ("vehicle.mass must be a number in SI", "'300 kg'", "scenario"),
+        ),
         (lambda: Lander(mass=None, thrust=440.0, specific_impulse=310.0), ("vehicle.mass must be a number", "None")),
         (lambda: Lander(mas=300.0, thrust=440.0, specific_impulse=310.0), ("no field of Vehicle", "'mass'")),
         (lambda: Lander(mass=300.0, thrust=440.0, isp=310.0), ("no field", "did you mean 'specific_impulse'")),
@@ -106,10 +112,12 @@ load_any: Any = load_file
         (lambda: Loose.Indirect(strats=4), ("no keyword of Indirect", "did you mean 'starts'")),
         (lambda: Loose.atlas.build(LANDING, {}, "map", brick=3), ("no keyword of build", "did you mean 'bricks'")),
         (lambda: Loose.solve(), ("solve needs problem",)),
-        (lambda: Loose.solve(LANDING, None, 3),
-         ("solve takes at most 2", "Problem, None, 3", "solve(problem, method, guess=...")),
+        (
+            lambda: Loose.solve(LANDING, None, 3),
+            ("solve takes at most 2", "Problem, None, 3", "solve(problem, method, guess=..."),
+        ),
         (lambda: Loose.Indirect(24), ("Indirect takes none of its arguments by position", "24", "starts=...")),
-        (lambda: Loose.Given(3.0), ("Given takes none", "Given(value=..., unit=...")),
+        (lambda: Loose.Parameter(3.0), ("Parameter takes none", "Parameter(value=..., unit=...")),
         (lambda: Lander(300.0), ("Vehicle takes none", "300.0", "mass=...")),
         (lambda: Loose.scenario.load_file(pth="x.toml"), ("no keyword of load_file", "did you mean 'path'")),
         (lambda: Loose.Solution.animate(None, "a.gif", 3), ("animate takes at most 1", "animate(file, seconds=...")),
@@ -125,55 +133,102 @@ load_any: Any = load_file
         (lambda: Loose.Genetic(crossover=None), ("crossover must be a number", "None")),
         (lambda: Loose.Variable(name=3), ("not a name", "3", "a text")),
         (lambda: Loose.Variable(name="two words"), ("Python identifier", "'two words'")),
-        (lambda: Loose.Direction(names="up"), ("not names of components", "'up'", "toward_x")),
+        (lambda: Loose.UnitVectorControl(names="up"), ("not names of components", "'up'", "toward_x")),
         (lambda: Loose.Scales(length=[1.0]), ("not a valid scale of a length", "[1.0]")),
         (lambda: Loose.Scales().of([]), ("not a unit", "[]", "a text")),
-        (lambda: TURN.normalised([1.0, 2.0]), ("normalised of a Direction cannot be", "[1.0, 2.0]", "arrays of NumPy")),
-        (lambda: TURN.samples(3.0, 1.0, None), ("samples of a Direction cannot be", "3.0, 1.0, None")),
+        (
+            lambda: TURN.normalised([1.0, 2.0]),
+            ("normalised of a UnitVectorControl cannot be", "[1.0, 2.0]", "arrays of NumPy"),
+        ),
+        (lambda: TURN.samples(3.0, 1.0, None), ("samples of a UnitVectorControl cannot be", "3.0, 1.0, None")),
         (lambda: TURN.tangents(np.zeros((2, 3))), ("tangents needs scale",)),
         (lambda: TURN.example(iter(()), None, "x", 3), ("example takes at most 3",)),
-        (lambda: Loose.Bounded(name="a", lower="b").limits(3), ("limits of a Bounded cannot be", "3", "parameters")),
+        (
+            lambda: Loose.ScalarControl(name="a", lower="b").limits(3),
+            ("limits of a ScalarControl cannot be", "3", "parameters"),
+        ),
         (lambda: Loose.Table("x", [1.0]), ("not a column x of a table", "'x'", "a list of numbers")),
-        (lambda: Loose.Problem(name="p", phases=LANDING.phases[0], start=None, objective=None),
-         ("not a row of phases", "Phase")),
-        (lambda: Loose.Problem(name="p", phases=("descent",), start=None, objective=None),
-         ("not a phase", "'descent'")),
-        (lambda: replace(LOOSE, given={**LANDING.given, "vehicle_mass": 300.0}),
-         ("not a given value of vehicle_mass", "300.0", "Given", 'write pl.Given(value=300.0, unit="m/s")')),
-        (lambda: replace(LOOSE, given=None), ("not a valid given of a problem", "None", "Mapping", "pl.Given(")),
+        (
+            lambda: Loose.Problem(name="p", phases=LANDING.phases[0], start=None, objective=None),
+            ("not a row of phases", "Phase"),
+        ),
+        (
+            lambda: Loose.Problem(name="p", phases=("descent",), start=None, objective=None),
+            ("not a phase", "'descent'"),
+        ),
+        (
+            lambda: replace(LOOSE, given={**LANDING.given, "vehicle_mass": 300.0}),
+            ("not a given value of vehicle_mass", "300.0", "Parameter", 'write pl.Parameter(value=300.0, unit="m/s")'),
+        ),
+        (lambda: replace(LOOSE, given=None), ("not a valid given of a problem", "None", "Mapping", "pl.Parameter(")),
         (lambda: replace(LOOSE, given={3: LANDING.given["vehicle_mass"]}), ("name of a given parameter", "3")),
-        (lambda: replace(LOOSE, free=None), ("not a row of free parameters", "None", "(Free(...), ...)")),
-        (lambda: replace(LOOSE, free=("T",)), ("not a free parameter", "'T'", "Free(...)", "try: Free(name='T', ...)")),
-        (lambda: replace(LOOSE, free=FREE), ("not a row of free parameters", "Free", "ends with a comma")),
+        (lambda: replace(LOOSE, free=None), ("not a row of free parameters", "None", "(FreeParameter(...), ...)")),
+        (
+            lambda: replace(LOOSE, free=("T",)),
+            ("not a free parameter", "'T'", "FreeParameter(...)", "try: FreeParameter(name='T', ...)"),
+        ),
+        (lambda: replace(LOOSE, free=FREE), ("not a row of free parameters", "FreeParameter", "ends with a comma")),
         (lambda: replace(LOOSE, links=3), ("not a row of links", "3", "(a function, ...)")),
         (lambda: replace(LOOSE, phases=2 * LANDING.phases, links=("x",)), ("not a link", "'x'", "a function")),
         (lambda: replace(LOOSE, scales=None), ("not a valid scales of a problem", "None", "Scales", "omit it")),
         (lambda: replace(LOOSE, scales=3), ("not a valid scales of a problem", "3", "Scales")),
         (lambda: replace(LOOSE, views=3), ("not a valid views of a problem", "3", "Views")),
-        (lambda: replace(LOOSE, ranges=3), ("not a valid ranges of a problem", "3", "a function, or None")),
+        (
+            lambda: replace(LOOSE, parameter_bounds=3),
+            ("not a valid parameter_bounds of a problem", "3", "a function, or None"),
+        ),
         (lambda: replace(LOOSE, declared=("x",)), ("not a record of a problem", "'x'", "@record")),
         (lambda: replace(LOOSE, result_variables=("x",)), ("not a result variable", "'x'")),
         (lambda: replace(DESCENT, states=cast("Any", None)), ("not a row of states", "None", "(Variable(...), ...)")),
         (lambda: replace(DESCENT, states=cast("Any", ("x",))), ("not a state", "'x'", "Variable(...)")),
-        (lambda: replace(DESCENT, controls=cast("Any", None)), ("a row of controls", "Direction(...) or Bounded(...)")),
-        (lambda: replace(DESCENT, controls=cast("Any", ("thrust",))), ("not a control", "try: Bounded(name='thrust',")),
+        (
+            lambda: replace(DESCENT, controls=cast("Any", None)),
+            ("a row of controls", "UnitVectorControl(...) or ScalarControl(...)"),
+        ),
+        (
+            lambda: replace(DESCENT, controls=cast("Any", ("thrust",))),
+            ("not a control", "try: ScalarControl(name='thrust',"),
+        ),
         (lambda: replace(DESCENT, end_conditions=cast("Any", None)), ("not a row of end conditions", "None")),
         (lambda: replace(DESCENT, path_conditions=cast("Any", ("x",))), ("not a path condition", "'x'")),
-        *((lambda make=make, unit=unit: make(unit), ("not the unit of", repr(unit), "a text", '"m/s"'))
-          for unit in (3, [], None)
-          for make in (lambda unit: Loose.Variable(name="a", unit=unit), lambda unit: Loose.Given(value=1.0, unit=unit),
-                       lambda unit: Loose.Free(name="a", unit=unit), lambda unit: Loose.Bounded(name="a", unit=unit))),
-        (lambda: Loose.Free(name=3), ("not the name of a free parameter", "3")),
-        (lambda: pl.Bounded(name="thrust", unit="kN"), ("numbers are in SI: thrust", "'kN'")),
-        (lambda: pl.Bounded(name="a", lower=math.nan), ("not the lower bound of a", "nan", "a finite number in SI")),
+        *(
+            (lambda make=make, unit=unit: make(unit), ("not the unit of", repr(unit), "a text", '"m/s"'))
+            for unit in (3, [], None)
+            for make in (
+                lambda unit: Loose.Variable(name="a", unit=unit),
+                lambda unit: Loose.Parameter(value=1.0, unit=unit),
+                lambda unit: Loose.FreeParameter(name="a", unit=unit),
+                lambda unit: Loose.ScalarControl(name="a", unit=unit),
+            )
+        ),
+        (lambda: Loose.FreeParameter(name=3), ("not the name of a free parameter", "3")),
+        (lambda: pl.ScalarControl(name="thrust", unit="kN"), ("numbers are in SI: thrust", "'kN'")),
+        (
+            lambda: pl.ScalarControl(name="a", lower=math.nan),
+            ("not the lower bound of a", "nan", "a finite number in SI"),
+        ),
         (lambda: pl.Variable(name="a", upper=math.nan), ("not the upper bound of a", "nan")),
-        (lambda: pl.Free(name="a", lower=math.nan), ("not the lower bound of a", "nan")),
-        (lambda: pl.Free(name="a", typical=math.nan), ("not the typical value of a", "nan")),
-        (lambda: pl.Given(value=math.nan), ("not a given value", "nan")),
+        (lambda: pl.FreeParameter(name="a", lower=math.nan), ("not the lower bound of a", "nan")),
+        (lambda: pl.FreeParameter(name="a", guess=math.nan), ("not the guess of a", "nan")),
+        (lambda: pl.Parameter(value=math.nan), ("not a given value", "nan")),
         (lambda: LANDING.with_given(vehicle_thrust=math.nan), ("not a value of vehicle_thrust", "nan")),
-        *((lambda called=called: getattr(Loose, called)(3), (f"{called} takes none of its arguments by position",))
-          for called in ("Check", "Curve", "Extremal", "Family", "FamilyPoint", "Finding", "NamedArc", "Result",
-                         "Solution", "Statistics", "Trajectory", "Verification")),
+        *(
+            (lambda called=called: getattr(Loose, called)(3), (f"{called} takes none of its arguments by position",))
+            for called in (
+                "Check",
+                "Curve",
+                "Extremal",
+                "Family",
+                "FamilyPoint",
+                "Finding",
+                "NamedArc",
+                "Result",
+                "Solution",
+                "Statistics",
+                "Trajectory",
+                "Verification",
+            )
+        ),
         (lambda: Loose.Curve(), ("Curve needs time, values, rates",)),
         (lambda: Loose.NamedArc(), ("NamedArc needs phase, begin, end, words",)),
         (lambda: Loose.views.Space(body=3), ("not a valid body of Space", "3", "a text")),
@@ -192,8 +247,10 @@ load_any: Any = load_file
         (lambda: LOOSE.parameters([("mass", 3.0)]), ("not a mapping of values of free", "list", "Mapping")),
         (lambda: LANDING.parameters({"vehicle_mass": 3.0}), ("no free parameter", "'vehicle_mass'", "flight_time")),
         (lambda: LOOSE.parameters({1: 2}), ("no free parameter", "'1'")),
-        (lambda: Loose.Pseudospectral(scheme=["radau"]),
-         ("not a collocation scheme", "['radau']", "'gauss' or 'radau'")),
+        (
+            lambda: Loose.Pseudospectral(scheme=["radau"]),
+            ("not a collocation scheme", "['radau']", "'gauss' or 'radau'"),
+        ),
         (lambda: Loose.scenario.template([]), ("not a kind of problem", "[]", "a text")),
         (lambda: Loose.scenario.bounds_of("a", 3, {}), ("not a range", "3", "a text")),
         (lambda: Loose.preflight(LANDING, {1: 2}), ("no parameter of this name", "'1'")),
@@ -201,7 +258,7 @@ load_any: Any = load_file
         (lambda: Loose.atlas.sliced("map"), ("not an atlas", "'map'", "atlas.open(DIRECTORY)")),
         (lambda: Loose.solve(LANDING, verify=np.zeros(2)), ("no such verification level",)),
     ],
-)  # fmt: skip
+)
 def test_a_slip_is_refused_in_words(ask: Callable[[], Any], words: tuple[str, ...]) -> None:
     with pytest.raises(PeriluneError) as caught:
         ask()
@@ -266,7 +323,7 @@ def test_a_retro_burn_that_is_no_record_is_not_taken_for_none() -> None:
         (lambda s, _: s.trajectories[0].state("3"), ("not a time at which to evaluate a curve", "'3'")),
         (lambda s, _: s.trajectories[0].state([1.0, None]), ("not a time at which to evaluate a curve", "[1.0, None]")),
         (lambda s, _: s.trajectories[0].state(True), ("not a time at which to evaluate a curve", "True")),
-        (lambda s, _: s.trajectories[0].state.extended("end"), ("not a time at which to evaluate a curve", "'end'")),
+        (lambda s, _: s.trajectories[0].state.extrapolate("end"), ("not a time at which to evaluate a curve", "'end'")),
         (lambda s, _: s.inertial(1, 0.0), ("not a phase of hybrid_landing", "1", "its number, 0 to 0")),
         (lambda s, _: s.outputs("descent", 0.0), ("not a phase of hybrid_landing", "'descent'")),
     ],

@@ -17,7 +17,7 @@ from perilune.methods.method import Method
 from perilune.problem.display.quantity_names import end_text, kept_text
 from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.scenario import load_file
 from perilune.solve import solve
 from problems.integrators import least_energy, least_time
@@ -25,7 +25,7 @@ from problems.integrators import least_energy, least_time
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def walled(room: Callable[..., Any], **given: Given) -> Problem:
+def walled(room: Callable[..., Any], **given: Parameter) -> Problem:
     """Least time over 1 m from x = 0, v = 0, and a condition of the path."""
     problem = least_time()
     phase = replace(
@@ -36,7 +36,7 @@ def walled(room: Callable[..., Any], **given: Given) -> Problem:
 
 @pytest.mark.parametrize("method", [Indirect(), Pseudospectral()])
 def test_by_how_much_a_start_breaks_the_path_is_told(method: Method) -> None:
-    problem = walled(lambda x, u, p: x.x - p.wall, wall=Given(value=0.25, unit="m"))
+    problem = walled(lambda x, u, p: x.x - p.wall, wall=Parameter(value=0.25, unit="m"))
     with pytest.raises(InfeasibleError, match="the start violates a path condition: wall") as refused:
         solve(problem, method)
     assert (refused.value.got, refused.value.expected) == ("room at the start -0.25 m", "at least 0 m")
@@ -58,13 +58,16 @@ def test_a_start_on_its_limit_keeps_it(off: float) -> None:
 
 def test_what_is_chosen_is_not_judged_at_the_start() -> None:
     """A control, and a free parameter, may keep what their typical values break."""
-    push = Given(value=1.0, unit="m/s^2")
+    push = Parameter(value=1.0, unit="m/s^2")
     assert preflight(walled(lambda x, u, p: (x.x + p.distance) * (u.u / p.push) - p.distance, push=push)) == ()
-    assert preflight(walled(lambda x, u, p: x.x - p.distance * (p.t_f / p.wait), wait=Given(value=1.0, unit="s"))) == ()
+    assert (
+        preflight(walled(lambda x, u, p: x.x - p.distance * (p.t_f / p.wait), wait=Parameter(value=1.0, unit="s")))
+        == ()
+    )
     moved = replace(
         walled(lambda x, u, p: x.x - p.distance),
         start=lambda p, xp: (p.begin, 0.0 * p.begin / p.t_f),
-        free=(*least_time().free, Free(name="begin", unit="m", lower=0.0, upper=2.0)),
+        free=(*least_time().free, FreeParameter(name="begin", unit="m", lower=0.0, upper=2.0)),
     )
     assert preflight(moved) == ()
 

@@ -20,7 +20,7 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem.casadi_trace import Unnumbered, canonical_given
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from problems.ascents import tangent_steering
 from problems.goddard import goddard
 from problems.integrators import least_energy, least_time
@@ -238,11 +238,13 @@ def exponential(growth: float) -> Problem:
         phases=(phase,),
         start=lambda p, xp: (p.x0,),
         given={
-            "T": Given(value=1.0, unit="s"), "k": Given(value=growth, unit="1/s"), "x0": Given(value=1.0, unit="m")
+            "T": Parameter(value=1.0, unit="s"),
+            "k": Parameter(value=growth, unit="1/s"),
+            "x0": Parameter(value=1.0, unit="m"),
         },
         objective=lambda x, p, xp: x.x,
         objective_unit="m",
-    )  # fmt: skip
+    )
 
 
 def test_a_phase_without_length_keeps_its_mesh() -> None:

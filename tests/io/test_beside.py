@@ -100,10 +100,10 @@ def test_what_is_true_is_confirmed(hybrid_dir: Path, capsys: pytest.CaptureFixtu
 def test_a_loaded_list_is_no_list_of_extremals(hybrid_dir: Path) -> None:
     """Until `verify` has found them again."""
     loaded = pl.load(edited(hybrid_dir, lambda d: d["extremals"][1].update(objective=-999.0)))
-    assert loaded.extremals == () and len(loaded.listed) == 3
-    assert loaded.statistics.claimed
+    assert loaded.extremals == () and len(loaded.unverified_extremals) == 3
+    assert loaded.statistics.from_file
     proved = pl.verify(loaded, level=2)
-    assert proved.outcome is Outcome.PROVED and proved.listed == ()
+    assert proved.outcome is Outcome.PROVED and proved.unverified_extremals == ()
     assert [round(e.objective, 3) for e in proved.extremals] == [-160.619, -154.502]
     (note,) = proved.verification.notes
     assert note == "1 of the 3 extremals listed in the file is not confirmed, and left out"
@@ -187,7 +187,7 @@ def test_an_extremal_that_breaks_a_bound_is_not_confirmed(landing: Any, hybrid: 
     """Roots of the necessary conditions they are, but with less of a retro burn than the problem allows."""
     stricter = replace(landing, free=tuple(
         replace(f, lower=800.0) if f.name == "retro_delta_v" else f for f in landing.free
-    ), ranges=None)  # fmt: skip
+    ), parameter_bounds=None)  # fmt: skip
     solution = replace(solve(stricter, verify=0), extremals=hybrid.extremals)
     save(solution, tmp_path / "s")
     proved = verify(pl.load(tmp_path / "s"), 1)
@@ -220,7 +220,7 @@ def reached(solution: Solution, *said: tuple[float, Nature]) -> tuple[Solution, 
         k = 0 if guess is listing else int(guess.unknowns[0])  # type: ignore[index]
         return replace(solution, extremals=(entries[k],))
 
-    listing = replace(solution, extremals=(), listed=tuple(entries))
+    listing = replace(solution, extremals=(), unverified_extremals=tuple(entries))
     return listing, resolve
 
 
@@ -280,7 +280,7 @@ def test_a_claimed_mesh_error_opens_no_limit(hybrid: Solution) -> None:
     """Level 4 compares within the mesh error, which a file may not choose; nor which method is "another"."""
     from perilune.methods.direct.pseudospectral import Pseudospectral
 
-    told_error = replace(hybrid.statistics, residual=1e6, claimed=True)
+    told_error = replace(hybrid.statistics, residual=1e6, from_file=True)
     claimed = replace(hybrid, method="pseudospectral", statistics=told_error, extremals=())
     checks = list(check_agreement(claimed, None))
     assert all(c.limit < 1e-3 * claimed.problem.scales.of(c.unit) for c in checks if np.isfinite(c.limit))
@@ -464,10 +464,10 @@ def test_solutions_exchanged_under_their_scenarios(
 
 def test_without_a_scenario_what_was_not_checked_is_said(hybrid_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     loaded = pl.load(edited(hybrid_dir, lambda d: d.update(scenario=None)))
-    hooks = [loaded.problem.bookkeeping, loaded.problem.preflight]
+    hooks = [loaded.problem.consistency_checks, loaded.problem.preflight]
     said = [note for note in pl.verify(loaded, level=1).verification.notes if note.startswith("not checked")]
     assert len(said) == (None in hooks)
-    assert all("rocket equation" in note for note in said) or loaded.problem.bookkeeping is not None
+    assert all("rocket equation" in note for note in said) or loaded.problem.consistency_checks is not None
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_a_models_problem_is_made_again(hybrid: Solution, tmp_path: Path) -> Non
     pl.save(hybrid, tmp_path / "landing")
     problem = pl.load(tmp_path / "landing").problem
     assert problem == hybrid.problem and problem.title == hybrid.problem.title
-    assert problem.bookkeeping is not None and problem.text == "the problem's own Python functions"
+    assert problem.consistency_checks is not None and problem.text == "the problem's own Python functions"
     assert [f.name for f in pl.preflight(problem)] == [f.name for f in pl.preflight(hybrid.problem)]
     checks = [{c.name for c in verify(s, 1).verification.checks} for s in (pl.load(tmp_path / "landing"), hybrid)]
     assert checks[1] >= {"rocket_equation", "propellant", "retro_mass"}
@@ -103,7 +103,7 @@ def test_every_kind_is_made_again(example: str, change: tuple[str, ...]) -> None
     """With other given values and fewer free parameters too, through JSON."""
     problem = load_file(EXAMPLES / f"{example}.toml", change).problem
     heavier = problem.with_given(vehicle_mass=1.01 * problem.given["vehicle_mass"].value)
-    for one in (problem, heavier, problem.with_given(**{problem.free_names[0]: problem.free[0].typical})):
+    for one in (problem, heavier, problem.with_given(**{problem.free_names[0]: problem.free[0].guess})):
         made = model_document(one)
         assert made is not None
         again = read_model(json.loads(json.dumps(made)), one.given)

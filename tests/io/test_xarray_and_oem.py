@@ -341,12 +341,12 @@ def test_cesium_finds_position_attitude_and_thrust(descent: Solution, returned: 
             np.testing.assert_allclose(samples[inside, 1:], state, rtol=0, atol=1e-9 * sizes.max())
             arrows = tips[inside, 1:4] - samples[inside, 1:4]
             if "toward_x" in solution.problem.phases[k].control_names:
-                along = solution.flown(k, samples[inside, 0] - begin)[1][:3].T
+                along = solution.evaluate(k, samples[inside, 0] - begin)[1][:3].T
                 lengths = np.linalg.norm(arrows, axis=1)
                 np.testing.assert_allclose(arrows, along * lengths[:, None], atol=1e-9 * np.abs(samples).max())
                 here = (turned[:, 0] >= begin) & (turned[:, 0] < begin + trajectory.duration)
                 up = Rotation.from_quat(turned[here, 1:]).apply([0.0, 0.0, 1.0])
-                np.testing.assert_allclose(up, solution.flown(k, turned[here, 0] - begin)[1][:3].T, atol=1e-9)
+                np.testing.assert_allclose(up, solution.evaluate(k, turned[here, 0] - begin)[1][:3].T, atol=1e-9)
             else:
                 assert not arrows.any() and not thrust["polyline"]["show"][k]["boolean"]
             begin += trajectory.duration

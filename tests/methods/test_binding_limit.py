@@ -34,19 +34,19 @@ def moved(
     """One metre from rest to rest, by a push between -1 and `hardest` m/s^2, in a given time at most."""
     phase = pl.Phase(
         name="move", states=variables(x="m", v="m/s"),
-        controls=(pl.Bounded(name="push", unit="m/s^2", lower=-1.0, upper="hardest"),),
+        controls=(pl.ScalarControl(name="push", unit="m/s^2", lower=-1.0, upper="hardest"),),
         dynamics=lambda x, u, p, xp: (x.v, u.push), duration="flight_time",
         end=lambda x, p, xp: (x.x - p.way, x.v), end_conditions=variables(place="m", rest="m/s"),
-        typical_end=lambda p, xp: (p.way, 0.0),
+        end_guess=lambda p, xp: (p.way, 0.0),
     )  # fmt: skip
     given = {
-        "way": pl.Given(value=1.0, unit="m"),
-        "hardest": pl.Given(value=hardest, unit="m/s^2"),
-        "spare": pl.Given(value=3.0, unit="s"),
+        "way": pl.Parameter(value=1.0, unit="m"),
+        "hardest": pl.Parameter(value=hardest, unit="m/s^2"),
+        "spare": pl.Parameter(value=3.0, unit="s"),
     }
     return pl.Problem(
         name="move", phases=(phase,), start=lambda p, xp: (0.0, 0.0), given=given,
-        free=(pl.Free(name="flight_time", unit="s", lower=0.1, upper=duration, typical=duration),),
+        free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.1, upper=duration, guess=duration),),
         objective=lambda x, p, xp: p.flight_time, objective_unit="s",
         results=lambda first, last, p, xp: (p.flight_time + p.spare,),
         result_variables=variables(clock="s"), minimised=minimised, scales=scales or pl.Scales(),
@@ -150,17 +150,24 @@ def floored(floor: float) -> pl.Problem:
         return x.vx, x.vy, push * u.along, push * u.up - p.g, -p.thrust * u.throttle / p.ve
 
     burn = pl.Phase(
-        name="burn", states=variables(x="m", y="m", vx="m/s", vy="m/s", m="kg"),
-        controls=(pl.Direction(names=("along", "up")), pl.Bounded(name="throttle", lower=floor, upper=1.0)),
-        dynamics=rates, duration="flight_time", end=lambda x, p, xp: (x.x, x.y, x.vx, x.vy),
+        name="burn",
+        states=variables(x="m", y="m", vx="m/s", vy="m/s", m="kg"),
+        controls=(
+            pl.UnitVectorControl(names=("along", "up")),
+            pl.ScalarControl(name="throttle", lower=floor, upper=1.0),
+        ),
+        dynamics=rates,
+        duration="flight_time",
+        end=lambda x, p, xp: (x.x, x.y, x.vx, x.vy),
         end_conditions=variables(end_x="m", end_y="m", end_vx="m/s", end_vy="m/s"),
-        typical_end=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.95 * p.mass),
-        path=lambda x, u, p, xp: (u.up - xp.cos(p.tilt),), path_conditions=variables(tilt_margin="1"),
-    )  # fmt: skip
+        end_guess=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.95 * p.mass),
+        path=lambda x, u, p, xp: (u.up - xp.cos(p.tilt),),
+        path_conditions=variables(tilt_margin="1"),
+    )
     return pl.Problem(
         name="flip", phases=(burn,), start=lambda p, xp: (p.x0, p.h0, p.vx0, p.vy0, p.mass),
-        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in FLIP.items()},
-        free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=60.0, typical=15.0),),
+        given={name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in FLIP.items()},
+        free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.0, upper=60.0, guess=15.0),),
         objective=lambda x, p, xp: -x.m, objective_unit="kg", scales=pl.Scales(length=500.0, time=10.0, mass=1e5),
     )  # fmt: skip
 

@@ -76,7 +76,7 @@ def test_three_quarters_round_in_one_leg() -> None:
 def test_phases_are_flown_one_after_the_other() -> None:
     problem = staged_launch(TWO_STAGES, 60e3, 1700.0)
     first, second = flown(problem)
-    p = problem.parameters({f.name: f.typical for f in problem.free})
+    p = problem.parameters({f.name: f.guess for f in problem.free})
     ended = problem.phases[0].state_record(*first(np.array([1.0]))[0][0])
     assert second(np.array([0.0]))[0][0] == pytest.approx(problem.links[0](ended, p, NUMERIC), rel=1e-9)
 

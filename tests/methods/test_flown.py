@@ -17,7 +17,7 @@ from perilune.core.errors import NotConvergedError
 from perilune.methods.indirect.export_arcs import correct_last_digits, propagate_for_export, propagate_in_one_piece
 from perilune.methods.indirect.result import Curves
 from perilune.methods.indirect.search import Search
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune.shooting.shooting_function import Root, Shooting
 from test_control_law import given, variables
 
@@ -27,21 +27,21 @@ def saddle(rate: float) -> pl.Problem:
     phase = pl.Phase(
         name="way",
         states=(Variable(name="x", unit="m"), Variable(name="J", unit="m^2/s")),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-100.0, upper=100.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-100.0, upper=100.0),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * (u.u * u.u + (p.rate * x.x) ** 2)),
         duration="T",
         end=lambda x, p, xp: (x.x - p.side,),
         end_conditions=(Variable(name="there", unit="m"),),
-        typical_end=lambda p, xp: (p.side, p.side**2 / p.T),
+        end_guess=lambda p, xp: (p.side, p.side**2 / p.T),
     )
     return pl.Problem(
         name="saddle",
         phases=(phase,),
         start=lambda p, xp: (p.side, 0.0),
         given={
-            "side": Given(value=1.0, unit="m"),
-            "rate": Given(value=rate, unit="1/s"),
-            "T": Given(value=1.0, unit="s"),
+            "side": Parameter(value=1.0, unit="m"),
+            "rate": Parameter(value=rate, unit="1/s"),
+            "T": Parameter(value=1.0, unit="s"),
         },
         objective=lambda x, p, xp: x.J,
         objective_unit="m^2/s",
@@ -173,14 +173,18 @@ def test_a_thrust_that_nothing_points_in_the_last_instant_is_told(drag: float) -
         return x.vx, x.vy, p.T * u.a - slowed * x.vx, p.T * u.b - p.g - slowed * x.vy
 
     phase = pl.Phase(
-        name="go", states=variables(x="m", y="m", vx="m/s", vy="m/s"), controls=(pl.Direction(names=("a", "b")),),
-        dynamics=rates, duration="t", end=lambda x, p, xp: (x.x - p.L, x.y - p.L),
+        name="go",
+        states=variables(x="m", y="m", vx="m/s", vy="m/s"),
+        controls=(pl.UnitVectorControl(names=("a", "b")),),
+        dynamics=rates,
+        duration="t",
+        end=lambda x, p, xp: (x.x - p.L, x.y - p.L),
         end_conditions=variables(east="m", up="m"),
-    )  # fmt: skip
+    )
     problem = pl.Problem(
         name="toy", phases=(phase,), start=lambda p, xp: (0.0, 0.0, -p.v, 0.0),
         given=given(T=(2.0, "m/s^2"), k=(drag, "1/m"), g=(1.0, "m/s^2"), L=(3.0, "m"), v=(0.5, "m/s")),
-        free=(pl.Free(name="t", unit="s", lower=0.1, upper=50.0, typical=3.0),),
+        free=(pl.FreeParameter(name="t", unit="s", lower=0.1, upper=50.0, guess=3.0),),
         objective=lambda x, p, xp: p.t, objective_unit="s",
     )  # fmt: skip
     solution = pl.solve(problem)

@@ -14,7 +14,7 @@ from perilune.methods.evolutionary.fitness import ControlFitness, CostateFitness
 from perilune.methods.evolutionary.genetic import Generation, Genetic
 from perilune.methods.evolutionary.hybrid import Hybrid
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.variables import Variable
 from problems.peng import PENG_STEERING, peng
 from test_indirect import impossible_steering, tangent_steering
@@ -202,7 +202,7 @@ def test_an_unbounded_control_is_refused() -> None:
     base = tangent_steering()
     steered = replace(
         base.phases[0],
-        controls=(Bounded(name="angle"),),
+        controls=(ScalarControl(name="angle"),),
         dynamics=lambda x, u, p, xp: (x.vy, p.a * xp.cos(u.angle), p.a * xp.sin(u.angle)),
     )
     with pytest.raises(PeriluneError, match="control angle has none"):

@@ -10,10 +10,10 @@ import pytest
 
 from perilune.methods.indirect.indirect import Indirect
 from perilune.models.descent.coordinates import variables_of_unit
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given
+from perilune.problem.variables import FreeParameter, Parameter
 
 
 def _rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
@@ -34,7 +34,7 @@ def bryson_denham(wall: float) -> Problem:
                 *variables_of_unit("m/s", "v"),
                 *variables_of_unit("m^2/s^3", "cost"),
             ),
-            controls=(Bounded(name="a", unit="m/s^2"),),
+            controls=(ScalarControl(name="a", unit="m/s^2"),),
             dynamics=_rates,
             duration=f"T_{name}",
             **more,
@@ -62,11 +62,11 @@ def bryson_denham(wall: float) -> Problem:
         links=(lambda x, p, xp: (x.x, x.v, x.cost),) * 2,
         start=lambda p, xp: (0 * p.wall, p.speed, 0 * p.speed * p.speed / p.T),
         given={
-            "wall": Given(value=wall, unit="m"),
-            "speed": Given(value=1.0, unit="m/s"),
-            "T": Given(value=1.0, unit="s"),
+            "wall": Parameter(value=wall, unit="m"),
+            "speed": Parameter(value=1.0, unit="m/s"),
+            "T": Parameter(value=1.0, unit="s"),
         },
-        free=tuple(Free(name=f"T_{name}", unit="s", typical=0.3) for name in ("up", "along", "down")),
+        free=tuple(FreeParameter(name=f"T_{name}", unit="s", guess=0.3) for name in ("up", "along", "down")),
         objective=lambda x, p, xp: x.cost,
         objective_unit="m^2/s^3",
     )

@@ -21,7 +21,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.hermite_nodes import hermite_nodes
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.shooting.continuation import Member, follow_family
 from perilune.shooting.newton import Columns, newton
 from perilune.shooting.shooting_function import Root, Shooting
@@ -48,8 +48,8 @@ def test_a_free_parameter_in_the_dynamics() -> None:
 
     priced = replace(
         base,
-        given={**{n: g for n, g in base.given.items() if n != "a"}, "price": Given(value=2e-3, unit="s^3/m")},
-        free=(*base.free, Free(name="a", unit="m/s^2", typical=90.0)),
+        given={**{n: g for n, g in base.given.items() if n != "a"}, "price": Parameter(value=2e-3, unit="s^3/m")},
+        free=(*base.free, FreeParameter(name="a", unit="m/s^2", guess=90.0)),
         objective=lambda x, p, xp: p.t2 + p.price * p.a,
     )
     solution = solve(priced, verify=0)
@@ -164,7 +164,7 @@ def test_it_is_said_that_conditions_are_derived_when_they_are() -> None:
     """Of a capsule that takes many seconds, in which nothing else is told."""
     said: list[Iteration | str] = []
     known = tangent_steering()
-    new = replace(known, given={**known.given, "of_no_use": Given(value=1.0, unit="m")})
+    new = replace(known, given={**known.given, "of_no_use": Parameter(value=1.0, unit="m")})
     for problem in (new, new.with_given(a=99.0)):
         Indirect(starts=4).run(problem, callback=said.append)
     assert said[0] == "deriving the optimality conditions" and said.count(said[0]) == 1

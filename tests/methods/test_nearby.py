@@ -94,9 +94,9 @@ def test_bounds_that_follow_from_what_varies_are_those_of_each_lane(rides: bool)
     """T is at its longest: along a ceiling, where it is a sum of arcs, and without one."""
     base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5) if rides else haul(True)
     longest = "longest" if rides else "patience"
-    given = {**base.given, "longest": pl.Given(value=1.0, unit="s")}
-    ranges = (lambda p, xp: {"T": (0.5 * p.longest, p.longest, 0.9)}) if rides else base.ranges
-    problem = replace(base, given=given, ranges=ranges)
+    given = {**base.given, "longest": pl.Parameter(value=1.0, unit="s")}
+    ranges = (lambda p, xp: {"T": (0.5 * p.longest, p.longest, 0.9)}) if rides else base.parameter_bounds
+    problem = replace(base, given=given, parameter_bounds=ranges)
     nearby = Nearby(pl.solve(problem, verify=0))
     assert (nearby.arcs is not None) == rides
     factors = np.array([1.0, 1.05, 0.95])
@@ -111,8 +111,8 @@ def test_bounds_that_follow_from_what_varies_are_those_of_each_lane(rides: bool)
 def test_a_sum_of_arcs_whose_range_becomes_one_value_is_solved_anew() -> None:
     """That is another formula, and no other number."""
     base = timed_bryson_denham(0.1, 0.5, 1.0, 0.5)
-    given = {**base.given, "least": pl.Given(value=0.5, unit="s")}
-    problem = replace(base, given=given, ranges=lambda p, xp: {"T": (p.least, 1.0, 0.9)})
+    given = {**base.given, "least": pl.Parameter(value=0.5, unit="s")}
+    problem = replace(base, given=given, parameter_bounds=lambda p, xp: {"T": (p.least, 1.0, 0.9)})
     nearby = Nearby(pl.solve(problem, verify=0))
     with pytest.raises(PeriluneError, match="range of T changes its kind"):
         nearby.roots({"least": 1.0})

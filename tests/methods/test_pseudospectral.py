@@ -16,9 +16,9 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import MOON
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.solve import solve
 from problems.ascents import tangent_steering
 from problems.integrators import least_energy, least_time
@@ -226,10 +226,10 @@ def test_bounds_that_exclude_the_end_are_named():
 def test_empty_control_bounds_are_named():
     problem = least_energy()
     with pytest.raises(PeriluneError, match=r"bounds of control u are empty[\s\S]*\[2, 1\] m/s\^2") as refused:
-        Bounded(name="u", unit="m/s^2", lower=2.0, upper=1.0)
+        ScalarControl(name="u", unit="m/s^2", lower=2.0, upper=1.0)
     assert refused.value.exit_code == 2
-    crossed = replace(problem.phases[0], controls=(Bounded(name="u", unit="m/s^2", lower="least", upper=1.0),))
-    given = {**problem.given, "least": Given(value=2.0, unit="m/s^2")}
+    crossed = replace(problem.phases[0], controls=(ScalarControl(name="u", unit="m/s^2", lower="least", upper=1.0),))
+    given = {**problem.given, "least": Parameter(value=2.0, unit="m/s^2")}
     for method in (Pseudospectral(), Indirect()):
         with pytest.raises(PeriluneError, match="bounds of u are empty") as refused:
             solve(replace(problem, phases=(crossed,), given=given), method)
@@ -244,7 +244,7 @@ def test_a_phase_without_length_is_named():
 
 def test_an_unreachable_end_is_reported_in_physical_units():
     problem = least_energy()
-    weak = replace(problem.phases[0], controls=(Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),))
+    weak = replace(problem.phases[0], controls=(ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),))
     with pytest.raises(NotConvergedError, match=r"no trajectory[\s\S]*swing.\w+ is missed by [\d.]+ m") as e:
         Pseudospectral().run(replace(problem, phases=(weak,)))
     # u = -1 throughout comes nearest: x(1) = 1/2 and v(1) = 0 instead of 0 and -1.
@@ -258,12 +258,12 @@ def test_an_unreachable_end_is_reported_in_physical_units():
 
 def test_a_lander_out_of_propellant_is_reported_in_physical_units():
     problem = hybrid_landing(VEHICLE, None, ORBIT, MOON)
-    free = (Free(name="flight_time", unit="s", lower=0.0, upper=300.0, typical=200.0),)
+    free = (FreeParameter(name="flight_time", unit="s", lower=0.0, upper=300.0, guess=200.0),)
     with pytest.raises(
         NotConvergedError,
         match=r"best of 4 found violates the end condition descent.touchdown_transverse_velocity by [\d.]+ m/s",
     ) as caught:
-        Pseudospectral(refine=0, iterations=60).run(replace(problem, free=free, ranges=None))
+        Pseudospectral(refine=0, iterations=60).run(replace(problem, free=free, parameter_bounds=None))
     assert caught.value.exit_code == 4 and caught.value.flight is not None
     # 300 s of thrust: less than its ideal velocity change of the 1692 m/s is gone, gravity's share apart.
     missed = float(re.search(r"velocity by ([\d.]+) m/s", caught.value.what).group(1))  # type: ignore[union-attr]
@@ -280,7 +280,7 @@ def slow_move(fastest: float) -> Problem:
         path=lambda x, u, p, xp: (p.fastest - x.v,),
         path_conditions=(Variable(name="slower", unit="m/s"),),
     )
-    given = {**base.given, "fastest": Given(value=fastest, unit="m/s")}
+    given = {**base.given, "fastest": Parameter(value=fastest, unit="m/s")}
     return replace(base, phases=(phase,), given=given, free=(replace(base.free[0], upper=3.0),))
 
 

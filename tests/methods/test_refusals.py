@@ -25,13 +25,13 @@ from perilune.methods.indirect.refinement.structure_search import StructureRefin
 from perilune.methods.indirect.violations import ConstraintViolation, bound_violations
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import MOON
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.display.quantity_names import stating_keys
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics
 from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune.scenario import load_file
 from perilune.solve import solve
 from problems.ascents import tangent_steering
@@ -129,7 +129,7 @@ def hurried(most: float) -> Problem:
             Variable(name="v", unit="m/s", upper=most),
             Variable(name="e", unit="m^2/s^3"),
         ),
-        controls=(Bounded(name="a", unit="m/s^2"),),
+        controls=(ScalarControl(name="a", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.a, 0.5 * u.a * u.a),
         duration="T",
         end=lambda x, p, xp: (x.x - p.far, x.v),
@@ -139,7 +139,7 @@ def hurried(most: float) -> Problem:
         name="hurried",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0),
-        given={"far": Given(value=1.0, unit="m"), "T": Given(value=1.0, unit="s")},
+        given={"far": Parameter(value=1.0, unit="m"), "T": Parameter(value=1.0, unit="s")},
         free=(),
         objective=lambda x, p, xp: x.e,
         objective_unit="m^2/s^3",
@@ -189,7 +189,7 @@ def test_where_a_flight_keeps_everything_it_is_kept(monkeypatch: pytest.MonkeyPa
         solve(tight)
     flight = e.value.flight
     t = np.linspace(0.0, flight.trajectories[0].duration, 301)
-    state, control = flight.flown(0, t)
+    state, control = flight.evaluate(0, t)
     margins = tight.phases[0].evaluate("path", list(state), list(control), flight.parameters)
     assert min(margins[0]) > -5.0 and min(margins[1]) > -0.05  # m, and of a cosine: the error of a coarse mesh
     assert any("direct transcription" in line for line in e.value.partial["tried"])
@@ -257,7 +257,7 @@ def over_ground(height: Callable[[np.ndarray], np.ndarray], residual: float = 1e
     phase = pl.Phase(
         name="over",
         states=(pl.Variable(name="h", unit="m"),),
-        controls=(pl.Bounded(name="climb", unit="m/s"),),
+        controls=(pl.ScalarControl(name="climb", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (u.climb,),
         duration="T",
         path=lambda x, u, p, xp: (x.h,),
@@ -267,7 +267,7 @@ def over_ground(height: Callable[[np.ndarray], np.ndarray], residual: float = 1e
         name="over",
         phases=(phase,),
         start=lambda p, xp: (p.h0,),
-        given={"T": pl.Given(value=1.0, unit="s"), "h0": pl.Given(value=1.0, unit="m")},
+        given={"T": pl.Parameter(value=1.0, unit="s"), "h0": pl.Parameter(value=1.0, unit="m")},
         objective=lambda x, p, xp: x.h,
         objective_unit="m",
     )

@@ -146,7 +146,7 @@ def wells(tied: float) -> pl.Problem:
     phase = pl.Phase(
         name="way",
         states=(pl.Variable(name="x", unit="1"), pl.Variable(name="c", unit="1/s")),
-        controls=(pl.Bounded(name="u", unit="1/s"),),
+        controls=(pl.ScalarControl(name="u", unit="1/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.x - p.q,),
@@ -156,8 +156,8 @@ def wells(tied: float) -> pl.Problem:
         name="wells",
         phases=(phase,),
         start=lambda p, xp: (0.0 * p.one / p.T, 0.0 / p.T),
-        given={"T": pl.Given(value=1.0, unit="s"), "one": pl.Given(value=1.0, unit="s")},
-        free=tuple(pl.Free(name=name, unit="1", lower=0.0, upper=1.0, typical=0.5) for name in "qr"),
+        given={"T": pl.Parameter(value=1.0, unit="s"), "one": pl.Parameter(value=1.0, unit="s")},
+        free=tuple(pl.FreeParameter(name=name, unit="1", lower=0.0, upper=1.0, guess=0.5) for name in "qr"),
         objective=lambda x, p, xp: p.one * x.c - 0.5 * p.q * p.q + price(p.q, p.r),
         objective_unit="1",
     )
@@ -186,10 +186,10 @@ def test_the_better_well_is_found_where_in_it_alone_the_flight_is_held_back() ->
 
     plain = bryson_denham(0.2)
     given = {name: one for name, one in plain.given.items() if name != "speed"}
-    units = {"one": pl.Given(value=1.0, unit=plain.objective_unit), "pace": pl.Given(value=1.0, unit="m/s")}
+    units = {"one": pl.Parameter(value=1.0, unit=plain.objective_unit), "pace": pl.Parameter(value=1.0, unit="m/s")}
     problem = replace(
         plain,
-        free=(pl.Free(name="speed", unit="m/s", lower=0.6, upper=1.6, typical=0.65),),
+        free=(pl.FreeParameter(name="speed", unit="m/s", lower=0.6, upper=1.6, guess=0.65),),
         given={**given, **units},
         objective=lambda x, p, xp: plain.objective(x, p, xp) + p.one * price(p.speed / p.pace),
     )

@@ -176,7 +176,7 @@ def forced(durations: dict[str, float], *arcs: tuple[str, float]) -> Solution:
     """The extremal of a structure with some of its durations given: what a wrong structure leads to."""
     problem, structure = goddard(), structured(*arcs)
     restated = restate(problem, structure)
-    given = {name: pl.Given(value=value, unit="s") for name, value in durations.items()}
+    given = {name: pl.Parameter(value=value, unit="s") for name, value in durations.items()}
     free = tuple(f for f in restated.free if f.name not in durations)
     fixed = restated.changed(given={**restated.given, **given}, free=free, form=None)
     near = pl.Pseudospectral(nodes=10, segments=2, refine=0).run(fixed)

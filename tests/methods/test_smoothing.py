@@ -85,7 +85,7 @@ def test_several_phases_hand_on_what_is_gained() -> None:
         whole,
         phases=(first, last),
         links=(lambda x, p, xp: (x.h, x.v, x.m, x.effort),),
-        given={**whole.given, "t_first": pl.Given(value=0.1, unit="s")},
+        given={**whole.given, "t_first": pl.Parameter(value=0.1, unit="s")},
     )
     both = smooth(problem)
     values = dict(zip(both.phases[0].state_names, (1.0, 2.0, 3.0, 4.0, 5.0), strict=True))
@@ -110,9 +110,11 @@ def test_directions_that_turn_each_other_have_no_law() -> None:
     """One that only scales another is placed after it; two that are multiplied with each other are refused."""
     phase = replace(
         meditch().phases[0],
-        controls=(pl.Direction(names=("a", "b")), pl.Direction(names=("c", "d"))),
+        controls=(pl.UnitVectorControl(names=("a", "b")), pl.UnitVectorControl(names=("c", "d"))),
         dynamics=lambda x, u, p, xp: (x.v, -p.g + p.g * (u.a * u.c + u.b * u.d), 0 * p.m_rate, 0 * p.g * x.m),
     )
-    problem = replace(meditch(), phases=(phase,), given={**meditch().given, "m_rate": pl.Given(value=0.0, unit="kg/s")})
+    problem = replace(
+        meditch(), phases=(phase,), given={**meditch().given, "m_rate": pl.Parameter(value=0.0, unit="kg/s")}
+    )
     with pytest.raises(PeriluneError, match="a direction that depends on another one"):
         derive(problem)

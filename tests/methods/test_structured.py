@@ -234,7 +234,7 @@ def at_the_maximum() -> Solution:
     phase = pl.Phase(
         name="go",
         states=(*variables_of_unit("m", "h"), *variables_of_unit("m^2/s", "c")),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (u.u, -0.5 * u.u * u.u),
         duration="T",
         path=lambda x, u, p, xp: (x.h,),
@@ -242,7 +242,7 @@ def at_the_maximum() -> Solution:
     )
     problem = pl.Problem(
         name="at_the_maximum", phases=(phase,), start=lambda p, xp: (0 * p.T * p.v, 0 * p.T * p.v * p.v),
-        given={"T": pl.Given(value=1.0, unit="s"), "v": pl.Given(value=1.0, unit="m/s")},
+        given={"T": pl.Parameter(value=1.0, unit="s"), "v": pl.Parameter(value=1.0, unit="m/s")},
         objective=lambda x, p, xp: x.c, objective_unit="m^2/s",
     )  # fmt: skip
     time = np.array([0.0, 0.4, 0.4, 1.0])

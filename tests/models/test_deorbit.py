@@ -315,7 +315,7 @@ def test_the_kinds_own_template_is_solved_and_proved() -> None:
     entry = solution.trajectories[-1]
     p, phase = solution.parameters, problem.phases[-1]
     t = np.linspace(0.0, entry.duration, 40)
-    x = solution.flown(2, t)[0]
+    x = solution.evaluate(2, t)[0]
     density = standard_atmosphere.density(solution.outputs(2, t)["altitude"])
     pressure = 0.5 * density * (x[3] ** 2 + x[4] ** 2 + x[5] ** 2)
     np.testing.assert_allclose(solution.outputs(2, t)["dynamic_pressure"], pressure, rtol=1.1e-3)

@@ -250,7 +250,7 @@ def test_a_guess_of_a_landing_anywhere_lies_ahead() -> None:
     start = replace(INCLINED, longitude=radians(179.9), heading=radians(90.0), latitude=0.1, sideways_speed=0.0)
     for coordinates in ("cartesian", "spherical"):
         problem = peng(site=Site(), start=start, target="anywhere", coordinates=coordinates)
-        p, typical_end = problem.parameters({"flight_time": 400.0}), problem.phases[0].typical_end
+        p, typical_end = problem.parameters({"flight_time": 400.0}), problem.phases[0].end_guess
         assert typical_end is not None
         end = np.array(typical_end(p, NUMERIC), dtype=float)
         if coordinates == "cartesian":
@@ -299,7 +299,7 @@ def test_margins_of_the_steering_are_those_of_its_angles(optimum: Solution) -> N
     angles = optimum.outputs(0, t)
     elevation, azimuth = angles["thrust_elevation"], angles["thrust_azimuth"]
     _, low, high, right, left = problem.phases[0].evaluate(
-        "path", *optimum.flown(0, t), problem.parameters(optimum.free)
+        "path", *optimum.evaluate(0, t), problem.parameters(optimum.free)
     )
     assert low == pytest.approx(np.sin(elevation) - np.sin(radians(-50)), abs=1e-12)
     assert high == pytest.approx(np.sin(radians(25)) - np.sin(elevation), abs=1e-12)

@@ -16,7 +16,7 @@ from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landin
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 from perilune.report.summary import solution_summary
 from perilune.solve import solve
 
@@ -180,7 +180,7 @@ def test_restart_from_a_midpoint(landing: Problem, ordinary: Solution) -> None:
     rest = replace(
         fixed,
         start=lambda p, xp: tuple(getattr(p, name) for name in names),
-        given={**fixed.given, **{n: Given(value=v, unit=u) for n, v, u in zip(names, x, units, strict=True)}},
+        given={**fixed.given, **{n: Parameter(value=v, unit=u) for n, v, u in zip(names, x, units, strict=True)}},
     )
     solution = solve(rest, verify=0)
     assert solution.objective == pytest.approx(ordinary.objective, rel=1e-9)

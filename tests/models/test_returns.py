@@ -101,14 +101,14 @@ PERIOD = 2 * math.pi * math.sqrt((EARTH.radius + 300e3) ** 3 / EARTH.gravitation
 def test_a_rough_coast_ends_at_the_pass_that_comes_nearest_to_the_site(turns: float, longest: float) -> None:
     """Where a rough flight ends that begins so many turns later: that from t = 0 waits for it, or flies on to it."""
     anywhere = deorbit_entry(orbit_=replace(LOW, longest_coast=3.0 * PERIOD), site=Landing(altitude=10e3), **COASTING)
-    assert anywhere.rough_flight is not None
-    known = {f.name: f.typical for f in anywhere.free}
-    end = anywhere.rough_flight(anywhere.parameters({**known, "coast_time": turns * PERIOD}))[-1][-1, :3]
+    assert anywhere.initial_guess is not None
+    known = {f.name: f.guess for f in anywhere.free}
+    end = anywhere.initial_guess(anywhere.parameters({**known, "coast_time": turns * PERIOD}))[-1][-1, :3]
     site = Landing(
         longitude=math.atan2(end[1], end[0]), latitude=math.asin(end[2] / np.linalg.norm(end)), altitude=10e3
     )
     there = deorbit_entry(orbit_=replace(LOW, longest_coast=longest * PERIOD), site=site, **COASTING)
-    rough = {f.name: f.typical for f in there.free}
+    rough = {f.name: f.guess for f in there.free}
     coast, drift = rough["coast_time"], rough["drift_time"] - known["drift_time"]
     assert coast == pytest.approx(min(turns, longest) * PERIOD, abs=0.025 * PERIOD)
     assert drift == pytest.approx(max(turns - longest, 0.0) * PERIOD, abs=0.01 * PERIOD)
@@ -119,13 +119,13 @@ def test_a_rough_burn_without_a_coast_goes_on_to_the_next_pass(thrust: float, tu
     """To a site that is 20 deg aside at first, and below the orbit a turn later: where burn and drift last so long."""
     low = {**COASTING, "vehicle": replace(COASTING["vehicle"], thrust=thrust)}
     anywhere = deorbit_entry(orbit_=replace(LOW, longest_coast=3.0 * PERIOD), site=Landing(altitude=10e3), **low)
-    assert anywhere.rough_flight is not None
-    known = {f.name: f.typical for f in anywhere.free}
-    end = anywhere.rough_flight(anywhere.parameters({**known, "coast_time": PERIOD}))[-1][-1, :3]
+    assert anywhere.initial_guess is not None
+    known = {f.name: f.guess for f in anywhere.free}
+    end = anywhere.initial_guess(anywhere.parameters({**known, "coast_time": PERIOD}))[-1][-1, :3]
     site = Landing(
         longitude=math.atan2(end[1], end[0]), latitude=math.asin(end[2] / np.linalg.norm(end)), altitude=10e3
     )
-    rough = {f.name: f.typical for f in deorbit_entry(orbit_=LOW, site=site, **low).free}
+    rough = {f.name: f.guess for f in deorbit_entry(orbit_=LOW, site=site, **low).free}
     later = rough["burn_time"] + rough["drift_time"] - known["burn_time"] - known["drift_time"]
     assert later == pytest.approx(turns * PERIOD, abs=0.1 * PERIOD) and rough["drift_time"] <= 3600.0
 
@@ -136,9 +136,9 @@ def test_a_rough_burn_of_low_thrust_comes_down_at_the_angle_that_is_stated() -> 
     low |= {"interface": Interface(altitude=120e3, angle=math.radians(-2.8))}
     radius = EARTH.radius + 713e3
     problem = deorbit_entry(orbit_=replace(LOW, radius=radius), site=Landing(altitude=10e3), **low)
-    rough = {f.name: f.typical for f in problem.free}
-    assert problem.rough_flight is not None
-    x = problem.rough_flight(problem.parameters(rough))[1][-1]
+    rough = {f.name: f.guess for f in problem.free}
+    assert problem.initial_guess is not None
+    x = problem.initial_guess(problem.parameters(rough))[1][-1]
     angle = math.asin(x[:3] @ x[3:6] / np.linalg.norm(x[:3]) / np.linalg.norm(x[3:6]))
     assert math.degrees(angle) == pytest.approx(-2.8, abs=0.15)
     change = impulsive_deorbit(

@@ -65,7 +65,7 @@ def test_an_entry_that_leaves_the_air_is_no_answer() -> None:
     steeper = pl.solve(without_condition(returning(-0.9)), verify=0)
     skips = pl.solve(without_condition(problem), guess=steeper, verify=0)
     entry = len(problem.phases) - 1
-    x, _ = skips.flown(entry, np.linspace(0.0, skips.trajectories[entry].duration, 2000))
+    x, _ = skips.evaluate(entry, np.linspace(0.0, skips.trajectories[entry].duration, 2000))
     highest = float(geodetic_altitude(np.array(x[:3])).max()) - 120e3
     assert highest > 1e3
     checked = verify(replace(skips, problem=problem), level=1).verification

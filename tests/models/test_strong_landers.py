@@ -332,7 +332,7 @@ def test_one_burn_that_wastes_is_warned_of(
 ) -> None:
     """With the figure of two impulses; what full throttle spends is known roughly before it is solved."""
     problem = hybrid_landing(vehicle, Retro(specific_impulse=320.0, delta_v=0.0), orbit, body)
-    p = problem.parameters({f.name: f.typical for f in problem.free})
+    p = problem.parameters({f.name: f.guess for f in problem.free})
     found = next(f for f in preflight(problem) if f.name == "velocity change of two impulses")
     assert not found.passed
     assert not found.binding

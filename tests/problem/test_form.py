@@ -21,7 +21,7 @@ from perilune.core.errors import PeriluneError
 from perilune.core.maths import NUMERIC
 from perilune.io.tape_json import tape_of
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from test_problem import slider
 
 
@@ -61,7 +61,7 @@ def test_numbers_and_titles_are_no_part_of_it() -> None:
 def test_physics_units_and_names_are() -> None:
     plain = slider()
     faster = with_dynamics(lambda x, u, p, xp: (x.v, 2 * p.push * u.along))
-    more = slider(given={**plain.given, "spare": Given(value=1.0, unit="s")})
+    more = slider(given={**plain.given, "spare": Parameter(value=1.0, unit="s")})
     assert len({plain.form.digest, faster.form.digest, more.form.digest}) == 3
 
 
@@ -150,8 +150,8 @@ def test_ranges_travel_by_name() -> None:
     plain = cho_landing()
     there = pickle.loads(pickle.dumps(plain))
     assert there.with_given(vehicle_mass=250.0).free == plain.with_given(vehicle_mass=250.0).free
-    unnamed = slider(ranges=lambda p, xp: {"time": (0.0, 2 * p.distance / p.push, 1.0)})
-    assert pickle.loads(pickle.dumps(unnamed)).ranges is None
+    unnamed = slider(parameter_bounds=lambda p, xp: {"time": (0.0, 2 * p.distance / p.push, 1.0)})
+    assert pickle.loads(pickle.dumps(unnamed)).parameter_bounds is None
     assert pickle.loads(pickle.dumps(unnamed)).free == unnamed.free
 
 

@@ -35,7 +35,7 @@ def test_the_indirect_method_begins_with_what_the_direct_one_makes_of_it() -> No
     """A table of the answer, rounded to metres and without costates, leads back to it."""
     answer = pl.solve(HYBRID, verify=0)
     t = np.linspace(0.0, answer.free["flight_time"], 12)
-    state, control = answer.flown(0, t)
+    state, control = answer.evaluate(0, t)
     made = pl.guess(HYBRID, t, np.round(state.T, 2), np.round(control.T, 2), retro_delta_v=1200.0)
     again = pl.solve(HYBRID, guess=made, verify=0)
     assert again.objective == pytest.approx(answer.objective, abs=1e-9)

@@ -22,7 +22,7 @@ def refraction(slow: float = 0.5) -> pl.Problem:
     phase = pl.Phase(
         name="ray",
         states=variables(x="m", y="m"),
-        controls=(pl.Direction(names=("cx", "cy")),),
+        controls=(pl.UnitVectorControl(names=("cx", "cy")),),
         dynamics=lambda x, u, p, xp: (
             xp.where(x.y > p.border, p.fast, p.slow) * u.cx,
             xp.where(x.y > p.border, p.fast, p.slow) * u.cy,
@@ -36,7 +36,7 @@ def refraction(slow: float = 0.5) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (0.0, p.far),
         given=given(fast=(1.0, "m/s"), slow=(slow, "m/s"), far=(1.0, "m"), border=(0.0, "m")),
-        free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=3.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.0, upper=20.0, guess=3.0),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
@@ -67,7 +67,7 @@ def test_a_costate_that_only_one_side_moves_is_kept() -> None:
     phase = pl.Phase(
         name="sail",
         states=variables(x="m", y="m/s", cost="m^2/s^3"),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (
             p.drift + xp.where(x.x > p.border, x.y, 0.0 * p.drift), u.u, 0.5 * u.u * u.u,
         ),
@@ -96,7 +96,7 @@ def flipped() -> pl.Problem:
     phase = pl.Phase(
         name="go",
         states=variables(x="m", v="m/s"),
-        controls=(pl.Bounded(name="a", unit="m/s^2", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="a", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, xp.where(x.x > p.border, -1.0, 1.0) * u.a),
         duration="T",
         end=lambda x, p, xp: (x.x - p.far, x.v),
@@ -107,7 +107,7 @@ def flipped() -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0),
         given=given(far=(1.0, "m"), border=(0.3, "m")),
-        free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=3.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.0, upper=20.0, guess=3.0),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
@@ -132,7 +132,7 @@ def test_a_regime_behind_a_choice_is_that_of_the_costate_there(stream: float, en
     phase = pl.Phase(
         name="cross",
         states=variables(x="m", fuel="s"),
-        controls=(pl.Bounded(name="u", lower=0.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", lower=0.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (
             xp.where(x.x > p.border, p.stream + p.engine * u.u, p.near * (1 + u.u)), u.u,
         ),
@@ -146,7 +146,7 @@ def test_a_regime_behind_a_choice_is_that_of_the_costate_there(stream: float, en
         start=lambda p, xp: (0.0, 0.0),
         given=given(near=(1.0, "m/s"), stream=(stream, "m/s"), engine=(engine, "m/s"),
                     border=(1.0, "m"), far=(2.0, "m")),
-        free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=2.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.0, upper=20.0, guess=2.0),),
         objective=lambda x, p, xp: x.fuel + 0.8 * p.T,
         objective_unit="s",
     )  # fmt: skip
@@ -176,7 +176,7 @@ def transfer(force: str, speed: float = 0.0) -> pl.Problem:
     phase = pl.Phase(
         name="go",
         states=variables(x="m", v="m/s", e="m^2/s^3"),
-        controls=(pl.Bounded(name="a", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="a", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.a - p.stiff * FORCES[force](x, p, xp), u.a**2 / 2),
         duration="T",
         end=lambda x, p, xp: (x.x - p.far, x.v),
@@ -245,7 +245,7 @@ def layered(kind: str) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (p.h0, 0.0),
         given=given(h0=(3.0, "m"), H=(1.0, "m"), g=(1.0, "m/s^2"), k=(0.4, "1/m")),
-        free=(pl.Free(name="T", unit="s", lower=0.1, upper=20.0, typical=3.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.1, upper=20.0, guess=3.0),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
@@ -338,12 +338,12 @@ def reentry() -> pl.Problem:
     phase = pl.Phase(
         name="entry",
         states=variables(v="m/s", gamma="rad", h="m", J="kg^0.5*m^1.5/s^3"),
-        controls=(pl.Bounded(name="u", unit="rad"),),
+        controls=(pl.ScalarControl(name="u", unit="rad"),),
         dynamics=dynamics,
         duration="T",
         end=lambda x, p, xp: (x.v - p.v1, x.gamma, x.h - p.h1),
         end_conditions=variables(speed="m/s", level="rad", height="m"),
-        typical_end=lambda p, xp: (p.v1, 0.0, p.h1, 0.03 * p.heating * p.v1 * p.v1 * p.v1 * xp.sqrt(p.rho0) * p.T),
+        end_guess=lambda p, xp: (p.v1, 0.0, p.h1, 0.03 * p.heating * p.v1 * p.v1 * p.v1 * xp.sqrt(p.rho0) * p.T),
     )
     return pl.Problem(
         name="reentry",
@@ -354,7 +354,7 @@ def reentry() -> pl.Problem:
             area_per_mass=(53200.0, "m^2/kg"), heating=(10.0, "1/s"), v0=(0.36, "m/s"), v1=(0.27, "m/s"),
             gamma0=(math.radians(-8.1), "rad"), h0=(4.0, "m"), h1=(2.5, "m"),
         ),
-        free=(pl.Free(name="T", unit="s", lower=100.0, upper=400.0, typical=135.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=100.0, upper=400.0, guess=135.0),),
         objective=lambda x, p, xp: x.J,
         objective_unit="kg^0.5*m^1.5/s^3",
         scales=pl.Scales(length=4.0, time=10.0, mass=1.0),

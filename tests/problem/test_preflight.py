@@ -22,11 +22,11 @@ from perilune.models.descent.problem import Ignition, Site, powered_descent
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import MARS, MOON, Body
 from perilune.models.precision.problem import Approach, Corridor, precision_landing
-from perilune.problem.controls import Direction
+from perilune.problem.controls import UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.presolve import Finding, is_possible, preflight, refuse_impossible, select_findings
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune.solve import solve
 
 
@@ -254,7 +254,7 @@ def test_a_problem_without_comparisons_has_none() -> None:
     phase = Phase(
         name="p",
         states=(Variable(name="x"),),
-        controls=(Direction(names=("a", "b")),),
+        controls=(UnitVectorControl(names=("a", "b")),),
         dynamics=lambda x, u, p, xp: (x.x / p.T,),
         duration="T",
     )
@@ -263,7 +263,7 @@ def test_a_problem_without_comparisons_has_none() -> None:
         phases=(phase,),
         start=lambda p, xp: (1.0,),
         objective=lambda x, p, xp: x.x,
-        given={"T": Given(value=1.0, unit="s")},
+        given={"T": Parameter(value=1.0, unit="s")},
     )
     assert preflight(other) == ()
     assert is_possible(preflight(other))

@@ -9,11 +9,11 @@ from typing import Any, cast
 import pytest
 
 from perilune.core.errors import PeriluneError
-from perilune.problem.controls import Bounded, Direction
+from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.display.views import Space, Views
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 
 
 def slider(**changes: Any) -> Problem:
@@ -21,7 +21,7 @@ def slider(**changes: Any) -> Problem:
     phase = Phase(
         name="slide",
         states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
-        controls=(Direction(names=("along", "across")),),
+        controls=(UnitVectorControl(names=("along", "across")),),
         dynamics=lambda x, u, p, xp: (x.v, p.push * u.along),
         duration="time",
         end=lambda x, p, xp: (x.x - p.distance, x.v),
@@ -31,8 +31,8 @@ def slider(**changes: Any) -> Problem:
         "name": "slider",
         "phases": (phase,),
         "start": lambda p, xp: (0.0, 0.0),
-        "given": {"push": Given(value=2.0, unit="m/s^2"), "distance": Given(value=8.0, unit="m")},
-        "free": (Free(name="time", unit="s", lower=0.0, typical=4.0),),
+        "given": {"push": Parameter(value=2.0, unit="m/s^2"), "distance": Parameter(value=8.0, unit="m")},
+        "free": (FreeParameter(name="time", unit="s", lower=0.0, guess=4.0),),
         "objective": lambda x, p, xp: p.time,
         "objective_unit": "s",
     }
@@ -143,7 +143,7 @@ def test_absurd_values_are_tried_without_a_warning(name: str, size: float) -> No
         return x.v, p.push * u.along + p.push * getattr(xp, name)(x.x / p.distance)
 
     phase = replace(slider().phases[0], dynamics=dynamics)
-    values = {**slider().given, "distance": Given(value=size, unit="m")}
+    values = {**slider().given, "distance": Parameter(value=size, unit="m")}
     assert slider(phases=(phase,), given=values).form == slider(phases=(phase,)).form
 
 
@@ -160,12 +160,12 @@ def test_wrong_number_of_rates() -> None:
         ({"phases": ()}, "at least one phase"),
         ({"links": (lambda x, p, xp: (),)}, "needs a link"),
         (
-            {"free": (Free(name="push", unit="m/s^2"), Free(name="time", unit="s"))},
+            {"free": (FreeParameter(name="push", unit="m/s^2"), FreeParameter(name="time", unit="s"))},
             "both given and free: *|got: push",
         ),
-        ({"given": {"push": Given(value=float("inf"), unit="m/s^2")}}, "value of push is not finite"),
-        ({"free": (Free(name="time", unit="s", lower=2.0, upper=1.0),)}, "bounds of time are empty"),
-        ({"free": (Free(name="tme", unit="s"),)}, "did you mean 'tme'"),
+        ({"given": {"push": Parameter(value=float("inf"), unit="m/s^2")}}, "value of push is not finite"),
+        ({"free": (FreeParameter(name="time", unit="s", lower=2.0, upper=1.0),)}, "bounds of time are empty"),
+        ({"free": (FreeParameter(name="tme", unit="s"),)}, "did you mean 'tme'"),
     ],
 )
 def test_inconsistent_problems(changes: dict[str, Any], words: str) -> None:
@@ -178,8 +178,8 @@ def test_inconsistent_problems(changes: dict[str, Any], words: str) -> None:
 def test_a_duration_is_a_time(unit: str) -> None:
     """Free or given: in scales in which a kilogram is as much as a second the physics would not show it."""
     with pytest.raises(PeriluneError, match=f"the duration time of slide has another dimension(.|\n)*time in {unit}"):
-        slider(free=(Free(name="time", unit=unit, lower=0.0, typical=1.0),))
-    given = {**slider().given, "time": Given(value=1.0, unit=unit)}
+        slider(free=(FreeParameter(name="time", unit=unit, lower=0.0, guess=1.0),))
+    given = {**slider().given, "time": Parameter(value=1.0, unit=unit)}
     with pytest.raises(PeriluneError, match="the duration time of slide has another dimension"):
         slider(free=(), given=given)
 
@@ -201,7 +201,7 @@ def test_given_fixes_a_free_parameter() -> None:
     """And the values are the problem's own afterwards."""
     fixed = slider().with_given(time=3.0)
     assert fixed.free == ()
-    assert fixed.given["time"] == Given(value=3.0, unit="s")
+    assert fixed.given["time"] == Parameter(value=3.0, unit="s")
 
 
 @pytest.mark.parametrize(
@@ -209,18 +209,18 @@ def test_given_fixes_a_free_parameter() -> None:
     [
         (lambda: Variable(name="2x"), "identifier"),
         (lambda: Variable(name="x", unit="furlong"), "not a unit"),
-        (lambda: Given(value=2.0, unit="km"), "numbers are in SI"),
-        (lambda: Free(name="t", unit="min"), "numbers are in SI: t"),
+        (lambda: Parameter(value=2.0, unit="km"), "numbers are in SI"),
+        (lambda: FreeParameter(name="t", unit="min"), "numbers are in SI: t"),
         (lambda: Variable(name="x", lower=1.0, upper=1.0), "bounds of x are empty"),
         (
             lambda: Variable(name="x", lower=cast("Any", None), upper=1.0),
             r"the lower bound of x[\s\S]*got: None[\s\S]*try: omit lower",
         ),
         (lambda: Variable(name="x", lower="least", upper=cast("Any", None)), "the upper bound of x"),
-        (lambda: Bounded(name="u", upper=cast("Any", None)), "the upper bound of u"),
-        (lambda: Free(name="t", unit="s", lower=cast("Any", None)), r"the lower bound of t\n *got: None"),
-        (lambda: Free(name="t", unit="s", typical=cast("Any", None)), "the typical value of t"),
-        (lambda: Direction(names=("a",)), "two or three"),
+        (lambda: ScalarControl(name="u", upper=cast("Any", None)), "the upper bound of u"),
+        (lambda: FreeParameter(name="t", unit="s", lower=cast("Any", None)), r"the lower bound of t\n *got: None"),
+        (lambda: FreeParameter(name="t", unit="s", guess=cast("Any", None)), "the typical value of t"),
+        (lambda: UnitVectorControl(names=("a",)), "two or three"),
     ],
 )
 def test_inconsistent_parts(make: Any, words: str) -> None:
@@ -231,17 +231,17 @@ def test_inconsistent_parts(make: Any, words: str) -> None:
 
 def test_bounded_control_has_one_name() -> None:
     """As a component of u."""
-    assert Bounded(name="throttle", lower=0.1, upper=1.0).names == ("throttle",)
+    assert ScalarControl(name="throttle", lower=0.1, upper=1.0).names == ("throttle",)
 
 
 def test_the_middle_of_a_range_and_the_shares_of_it() -> None:
     """Where a first guess begins, and how far it may go: of an open range from the bound that there is."""
     p: Any = None
-    throttle = Bounded(name="throttle", lower=0.2, upper=1.0)
+    throttle = ScalarControl(name="throttle", lower=0.2, upper=1.0)
     assert throttle.middle(p) == pytest.approx((0.6, 0.32))
-    assert Bounded(name="force", lower=2.0).middle(p) == (2.0, math.inf)
-    assert Bounded(name="force", upper=-2.0).middle(p) == (-2.0, math.inf)
-    assert Bounded(name="force").middle(p) == (0.0, math.inf)
+    assert ScalarControl(name="force", lower=2.0).middle(p) == (2.0, math.inf)
+    assert ScalarControl(name="force", upper=-2.0).middle(p) == (-2.0, math.inf)
+    assert ScalarControl(name="force").middle(p) == (0.0, math.inf)
     assert [throttle.share(u, p) for u in (0.2, 0.6, 1.0)] == pytest.approx([0.0, 0.5, 1.0])
 
 
@@ -262,7 +262,7 @@ def test_a_name_that_a_table_has_for_something_else_is_refused(states: Any, cont
     """It stood in tables and files in place of the time, the phase, a costate or H, or was lost."""
     with pytest.raises(PeriluneError, match=words):
         phase = replace(slider().phases[0], name="swing", states=tuple(Variable(name=name) for name in states))
-        slider(phases=(replace(phase, controls=(Bounded(name=controls),)),))
+        slider(phases=(replace(phase, controls=(ScalarControl(name=controls),)),))
 
 
 @pytest.mark.parametrize("name", ["", "two words", "../out", "a\nb", cast("Any", 5)])

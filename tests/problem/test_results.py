@@ -262,7 +262,7 @@ def test_legends_come_from_the_problem(hybrid: Solution, ordinary: Solution) -> 
 
 def test_of_a_loaded_solution_how_it_was_found_is_the_files_word(hybrid: Solution) -> None:
     """Named in the document, and not repeated in words; a solution made here claims nothing."""
-    loaded = replace(hybrid, outcome=Outcome.SOLVED, statistics=replace(hybrid.statistics, claimed=True))
+    loaded = replace(hybrid, outcome=Outcome.SOLVED, statistics=replace(hybrid.statistics, from_file=True))
     assert solution_document(loaded)["claimed"] == ["method", "statistics"]
     assert "claimed" not in solution_document(hybrid)
     for words in (solution_summary, solution_markdown):
@@ -295,7 +295,7 @@ def endless(time: float) -> pl.Problem:
     phase = pl.Phase(
         name="swing",
         states=tuple(pl.Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("e", "m^2/s^3"))),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
         duration="T",
         end=lambda x, p, xp: (x.x - p.L, x.v),
@@ -304,7 +304,7 @@ def endless(time: float) -> pl.Problem:
     numbers = {"T": (time, "s"), "L": (1.0, "m"), "k": (1.0, "1/s^2")}
     return pl.Problem(
         name="endless", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0),
-        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in numbers.items()},
+        given={name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in numbers.items()},
         objective=lambda x, p, xp: x.e, objective_unit="m^2/s^3",
     )  # fmt: skip
 

@@ -18,10 +18,10 @@ def with_ends(problem: pl.Problem, factor: float | None) -> pl.Problem:
 
     def phases():
         for phase in problem.phases:
-            rough = phase.typical_end
+            rough = phase.end_guess
             assert rough is not None
             wrong = None if factor is None else lambda p, xp, rough=rough: tuple(factor * v for v in rough(p, xp))
-            yield replace(phase, typical_end=wrong)
+            yield replace(phase, end_guess=wrong)
 
     return replace(problem, phases=tuple(phases()))
 
@@ -35,5 +35,5 @@ def test_a_wrong_rough_end_changes_no_answer(make, factor: float | None) -> None
 
 
 def test_a_rough_end_that_is_no_number_is_refused() -> None:
-    with pytest.raises(pl.PeriluneError, match=r"typical_end of .* is not a number\n.*nan"):
+    with pytest.raises(pl.PeriluneError, match=r"end_guess of .* is not a number\n.*nan"):
         pl.Pseudospectral().run(with_ends(ordinary(), math.nan))

@@ -129,7 +129,7 @@ def test_canonical_physics_is_the_users_in_other_units() -> None:
     assert sizes[0] == 0.25 * scales.length and sizes[4] == 3.0 * scales.mass and sizes[2] == scales.of("m/s")
     x = np.array([1.75e6, 3.2, 1500.0, -20.0, 250.0])
     u = (0.6, 0.8)
-    known = problem.parameters({f.name: f.typical for f in problem.free})
+    known = problem.parameters({f.name: f.guess for f in problem.free})
     p = type(known)(**{n: v / scales.of(problem.unit_of(n)) for n, v in vars(known).items()})
     inside = problem.canonical
     rates = np.array(inside.phases[0].rates(x / sizes, u, p))

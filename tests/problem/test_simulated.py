@@ -38,7 +38,7 @@ def test_a_solution_is_flown_to_its_end(name: str) -> None:
         phase, time = solution.problem.phases[k], trajectory.time
 
         def along(t: float, x: Any, k: int = k) -> Any:
-            u = solution.flown(k, np.array([t]))[1][:, 0]
+            u = solution.evaluate(k, np.array([t]))[1][:, 0]
             return solution.problem.rates(x, u, t, phase=k, free=solution.free)
 
         jumps = [end for begin, end in pairwise(time) if end - begin < 1e-6 * trajectory.duration]
@@ -55,7 +55,7 @@ def test_shapes() -> None:
     """One state or many, one control for all of them or one for each, lists as well as arrays."""
     solution = solved("hybrid")
     problem, t = solution.problem, np.linspace(0.0, 0.9 * solution.duration, 7)
-    x, u = solution.flown(0, t)
+    x, u = solution.evaluate(0, t)
     many = problem.rates(x, u)
     assert many.shape == x.shape and many.dtype == float
     for j in range(len(t)):
@@ -73,18 +73,18 @@ def hop(**more: Any) -> pl.Problem:
     """Two phases straight up: thrust, whose size is free, then a fall."""
     height, speed = pl.Variable(name="h", unit="m"), pl.Variable(name="v", unit="m/s")
     rise = pl.Phase(
-        name="rise", states=(height, speed), controls=(pl.Bounded(name="throttle", lower=0.0, upper=1.0),),
+        name="rise", states=(height, speed), controls=(pl.ScalarControl(name="throttle", lower=0.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.throttle * p.push - p.g), duration="t1",
     )  # fmt: skip
     fall = pl.Phase(
         name="fall", states=(height, speed), dynamics=lambda x, u, p, xp: (x.v, -p.g), duration="t2",
         end=lambda x, p, xp: (x.h,), end_conditions=(pl.Variable(name="ground", unit="m"),),
     )  # fmt: skip
-    times = tuple(pl.Free(name=name, unit="s", upper=100.0, typical=10.0) for name in ("t1", "t2"))
-    push = pl.Free(name="push", unit="m/s^2", lower=2.0, upper=5.0, typical=3.0)
+    times = tuple(pl.FreeParameter(name=name, unit="s", upper=100.0, guess=10.0) for name in ("t1", "t2"))
+    push = pl.FreeParameter(name="push", unit="m/s^2", lower=2.0, upper=5.0, guess=3.0)
     return pl.Problem(**{
         "name": "hop", "phases": (rise, fall), "start": lambda p, xp: (0.0 * p.g * p.t1**2, 0.0 * p.g * p.t1),
-        "links": (lambda x, p, xp: (x.h, x.v),), "given": {"g": pl.Given(value=1.62, unit="m/s^2")},
+        "links": (lambda x, p, xp: (x.h, x.v),), "given": {"g": pl.Parameter(value=1.62, unit="m/s^2")},
         "free": (*times, push), "objective": lambda x, p, xp: x.v, "objective_unit": "m/s", **more,
     })  # fmt: skip
 

@@ -257,8 +257,8 @@ def turned(slip: float) -> Solution:
     )
     problem = pl.Problem(
         name="turn", phases=(phase,), start=lambda p, xp: (0.0,),
-        given={"rate": pl.Given(value=1e-6, unit="rad/s"), "T": pl.Given(value=1.0, unit="s"),
-               "target": pl.Given(value=1e-6 + slip, unit="rad")},
+        given={"rate": pl.Parameter(value=1e-6, unit="rad/s"), "T": pl.Parameter(value=1.0, unit="s"),
+               "target": pl.Parameter(value=1e-6 + slip, unit="rad")},
         objective=lambda x, p, xp: x.x, objective_unit="rad",
     )  # fmt: skip
     time, flat = np.array([0.0, 1.0]), np.zeros((2, 0))

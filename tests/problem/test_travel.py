@@ -93,7 +93,7 @@ def test_what_is_no_time_of_a_curve_is_refused(asked: tuple[Any, ...], words: st
 def test_rounding_at_the_ends_is_no_fault() -> None:
     assert straight()(2.0 + 1e-10) == pytest.approx([4.0])
     assert straight()(np.array([-1e-10, 1.0])) == pytest.approx(np.array([[0.0], [2.0]]), abs=1e-9)
-    assert straight().extended(3.0) == pytest.approx([6.0])
+    assert straight().extrapolate(3.0) == pytest.approx([6.0])
 
 
 def test_the_landing_ends_where_it_ends(ordinary: Solution) -> None:

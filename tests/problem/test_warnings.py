@@ -55,17 +55,24 @@ def ascent(radius: str = "R", longest: float = 1500.0, views: pl.Views | None = 
         return x.r - low, x.u - xp.sqrt(2 * p.mu * high / (low * (low + high))), x.v
 
     phase = pl.Phase(
-        name="ascent", states=variables(r="m", u="m/s", v="m/s", m="kg"),
-        controls=(pl.Direction(names=("along", "up")), pl.Bounded(name="throttle", unit="1", lower=0.0, upper=1.0)),
-        dynamics=dynamics, duration="flight_time", end=end,
+        name="ascent",
+        states=variables(r="m", u="m/s", v="m/s", m="kg"),
+        controls=(
+            pl.UnitVectorControl(names=("along", "up")),
+            pl.ScalarControl(name="throttle", unit="1", lower=0.0, upper=1.0),
+        ),
+        dynamics=dynamics,
+        duration="flight_time",
+        end=end,
         end_conditions=variables(end_r="m", end_u="m/s", end_v="m/s"),
-        typical_end=lambda p, xp: (at(p) + p.h1, 1680.0, 0.0, 0.55 * p.mass),
-        outputs=lambda x, u, p, xp: (x.r - at(p),), output_variables=variables(height="m"),
-    )  # fmt: skip
+        end_guess=lambda p, xp: (at(p) + p.h1, 1680.0, 0.0, 0.55 * p.mass),
+        outputs=lambda x, u, p, xp: (x.r - at(p),),
+        output_variables=variables(height="m"),
+    )
     return pl.Problem(
         name="ascent", phases=(phase,), start=lambda p, xp: (at(p), 0.0, 0.0, p.mass),
-        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=longest, typical=430.0),),
+        given={name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.0, upper=longest, guess=430.0),),
         objective=lambda x, p, xp: -x.m, objective_unit="kg", views=views or pl.Views(),
         scales=pl.Scales(length=1e5, time=100.0, mass=4700.0),
     )  # fmt: skip

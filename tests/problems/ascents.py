@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from perilune.core.units import Scales
-from perilune.problem.controls import Direction
+from perilune.problem.controls import UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from problems.answered import Answered
 
 END = tuple(Variable(name=n, unit=u) for n, u in (("height", "m"), ("along", "m/s"), ("up", "m/s")))
@@ -32,27 +32,27 @@ def tangent_steering(split: bool = False) -> Problem:
         return Phase(
             name=name,
             states=STATES,
-            controls=(Direction(names=("cx", "cy")),),
+            controls=(UnitVectorControl(names=("cx", "cy")),),
             dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx, p.a * u.cy),
             duration=duration,
             end=(lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy)) if last else None,
             end_conditions=END if last else (),
-            typical_end=lambda p, xp: (p.height, p.speed, 0 * p.speed),
+            end_guess=lambda p, xp: (p.height, p.speed, 0 * p.speed),
         )
 
-    first = Given(value=0.2, unit="s")
+    first = Parameter(value=0.2, unit="s")
     return Problem(
         name="linear_tangent_steering",
         phases=(phase("first", "t1", False), phase("second", "t2", True)) if split else (phase("only", "t2", True),),
         links=(lambda x, p, xp: (x.y, x.vx, x.vy),) if split else (),
         start=lambda p, xp: (0.0, 0.0, 0.0),
         given={
-            "a": Given(value=100.0, unit="m/s^2"),
-            "height": Given(value=5.0, unit="m"),
-            "speed": Given(value=45.0, unit="m/s"),
+            "a": Parameter(value=100.0, unit="m/s^2"),
+            "height": Parameter(value=5.0, unit="m"),
+            "speed": Parameter(value=45.0, unit="m/s"),
             "t1": first,
         },
-        free=(Free(name="t2", unit="s", lower=0.0, typical=0.6),),
+        free=(FreeParameter(name="t2", unit="s", lower=0.0, guess=0.6),),
         objective=lambda x, p, xp: p.t2 + p.t1 if split else p.t2,
         objective_unit="s",
         scales=Scales(length=20.0, time=0.5),
@@ -64,20 +64,20 @@ def lunar_ascent(acceleration: float, gravity: float, height: float, speed: floa
     phase = Phase(
         name="ascent",
         states=STATES,
-        controls=(Direction(names=("cx", "cy")),),
+        controls=(UnitVectorControl(names=("cx", "cy")),),
         dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx, p.a * u.cy - p.g),
         duration="time",
         end=lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy),
         end_conditions=END,
-        typical_end=lambda p, xp: (p.height, p.speed, 0 * p.speed),
+        end_guess=lambda p, xp: (p.height, p.speed, 0 * p.speed),
     )
     given = {"a": (acceleration, "m/s^2"), "g": (gravity, "m/s^2"), "height": (height, "m"), "speed": (speed, "m/s")}
     return Problem(
         name="lunar_ascent",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0),
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        free=(Free(name="time", unit="s", lower=0.0, typical=300.0),),
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(FreeParameter(name="time", unit="s", lower=0.0, guess=300.0),),
         objective=lambda x, p, xp: p.time,
         objective_unit="s",
         scales=Scales(length=height, time=100.0),
@@ -102,15 +102,15 @@ TWO_STAGES = (Stage(15e3, 60e3, 3000.0, 200.0), Stage(8e3, 20e3, 3000.0))
 def staged_launch(stages: Sequence[Stage], height: float, speed: float) -> Problem:
     """Launch from the flat Moon to horizontal flight at a height in least time; one phase for each stage."""
     given = {
-        "g": Given(value=LUNAR_GRAVITY, unit="m/s^2"),
-        "height": Given(value=height, unit="m"),
-        "speed": Given(value=speed, unit="m/s"),
+        "g": Parameter(value=LUNAR_GRAVITY, unit="m/s^2"),
+        "height": Parameter(value=height, unit="m"),
+        "speed": Parameter(value=speed, unit="m/s"),
     }
     for k, stage in enumerate(stages):
         for name, unit in (("mass", "kg"), ("thrust", "N"), ("exhaust_speed", "m/s"), ("burn", "s")):
             value = getattr(stage, name)
             if value is not None:
-                given[f"{name}_{k}"] = Given(value=value, unit=unit)
+                given[f"{name}_{k}"] = Parameter(value=value, unit=unit)
     last = len(stages) - 1
     duration = f"burn_{last}"
 
@@ -127,12 +127,12 @@ def staged_launch(stages: Sequence[Stage], height: float, speed: float) -> Probl
         return Phase(
             name=f"stage_{k}",
             states=(*STATES, Variable(name="m", unit="kg", lower=0.0)),
-            controls=(Direction(names=("cx", "cy")),),
+            controls=(UnitVectorControl(names=("cx", "cy")),),
             dynamics=rates,
             duration=f"burn_{k}",
             end=(lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy)) if k == last else None,
             end_conditions=END if k == last else (),
-            typical_end=typical_end,
+            end_guess=typical_end,
         )
 
     def dropped(k: int, x, p, xp):
@@ -144,7 +144,7 @@ def staged_launch(stages: Sequence[Stage], height: float, speed: float) -> Probl
         start=lambda p, xp: (0.0, 0.0, 0.0, p.mass_0),
         links=tuple(partial(dropped, k) for k in range(1, len(stages))),
         given=given,
-        free=(Free(name=duration, unit="s", lower=0.0, typical=400.0),),
+        free=(FreeParameter(name=duration, unit="s", lower=0.0, guess=400.0),),
         objective=lambda x, p, xp: sum(getattr(p, f"burn_{k}") for k in range(len(stages))),
         objective_unit="s",
         scales=Scales(length=height, time=300.0, mass=stages[0].mass),

@@ -14,7 +14,10 @@ def to_circle(
     phase = pl.Phase(
         name="transfer",
         states=tuple(pl.Variable(name=n, unit=u) for n, u in zip(("x", "y", "vx", "vy", "m"), _UNITS, strict=True)),
-        controls=(pl.Direction(names=("a", "b")), pl.Bounded(name="T", unit="N", lower=0.0, upper=thrust)),
+        controls=(
+            pl.UnitVectorControl(names=("a", "b")),
+            pl.ScalarControl(name="T", unit="N", lower=0.0, upper=thrust),
+        ),
         dynamics=lambda x, u, p, xp: (
             x.vx,
             x.vy,
@@ -31,7 +34,7 @@ def to_circle(
         end_conditions=tuple(
             pl.Variable(name=n, unit=u) for n, u in (("energy", "m^2/s^2"), ("radial", "m^2/s"), ("radius", "m^2"))
         ),
-        typical_end=lambda p, xp: (p.far, 0 * p.far, 0 * p.speed, p.speed * xp.sqrt(p.near / p.far), 0.75 * p.mass),
+        end_guess=lambda p, xp: (p.far, 0 * p.far, 0 * p.speed, p.speed * xp.sqrt(p.near / p.far), 0.75 * p.mass),
     )
     given = {
         "mu": (1.0, "m^3/s^2"), "near": (1.0, "m"), "far": (radius, "m"), "mass": (1.0, "kg"), "time": (time, "s"),
@@ -41,7 +44,7 @@ def to_circle(
         name="transfer",
         phases=(phase,),
         start=lambda p, xp: (p.near, 0.0, 0.0, p.speed, p.mass),
-        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        given={name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
     )
@@ -68,12 +71,15 @@ def meeting(revolutions: int, thrust: float = 0.03, parameter: float = 2.0, f: f
     phase = pl.Phase(
         name="meeting",
         states=tuple(pl.Variable(name=n, unit=u) for n, u in {**units, "m": "kg"}.items()),
-        controls=(pl.Direction(names=("r", "t")), pl.Bounded(name="T", unit="N", lower=0.0, upper=thrust)),
+        controls=(
+            pl.UnitVectorControl(names=("r", "t")),
+            pl.ScalarControl(name="T", unit="N", lower=0.0, upper=thrust),
+        ),
         dynamics=rates,
         duration="time",
         end=lambda x, p, xp: (x.p - p.far, x.f - p.f, x.g, x.L - p.angle),
         end_conditions=tuple(pl.Variable(name=f"{n}_end", unit=u) for n, u in units.items()),
-        typical_end=lambda p, xp: (p.far, p.f, 0 * p.f, p.angle, 0.8 * p.mass),
+        end_guess=lambda p, xp: (p.far, p.f, 0 * p.f, p.angle, 0.8 * p.mass),
     )
     time = revolutions * 2 * math.pi * ((1 + parameter / (1 - f**2)) / 2) ** 1.5
     given = {
@@ -84,7 +90,7 @@ def meeting(revolutions: int, thrust: float = 0.03, parameter: float = 2.0, f: f
         name="meeting",
         phases=(phase,),
         start=lambda p, xp: (p.near, 0.0, 0.0, 0.0, p.mass),
-        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        given={name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
     )

@@ -11,15 +11,15 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 import perilune as pl
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 
 
 def _variables(**units: str) -> tuple[Variable, ...]:
     return tuple(Variable(name=name, unit=unit) for name, unit in units.items())
 
 
-def _given(**values: tuple[float, str]) -> dict[str, Given]:
-    return {name: Given(value=value, unit=unit) for name, (value, unit) in values.items()}
+def _given(**values: tuple[float, str]) -> dict[str, Parameter]:
+    return {name: Parameter(value=value, unit=unit) for name, (value, unit) in values.items()}
 
 
 def bryson_denham(ceiling: float, as_bound: bool = False) -> pl.Problem:
@@ -32,7 +32,7 @@ def bryson_denham(ceiling: float, as_bound: bool = False) -> pl.Problem:
     phase = pl.Phase(
         name="swing",
         states=(x, *_variables(v="m/s", c="m^2/s^3")),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.x, x.v + p.speed),
@@ -67,7 +67,7 @@ def timed_bryson_denham(ceiling: float, low: float, high: float, price: float = 
         whole,
         phases=(swing,),
         given={name: g for name, g in whole.given.items() if name != "T"} | _given(w=(price, "m^2/s^4")),
-        free=(pl.Free(name="T", unit="s", lower=low, upper=high, typical=0.9),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=low, upper=high, guess=0.9),),
     )
 
 
@@ -126,7 +126,7 @@ def drawn_off() -> pl.Problem:
     phase = pl.Phase(
         name="flight",
         states=_variables(x="m", v="m/s", t="s", c="m^2/s^3"),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 1.0, 0.5 * (u.u - p.k * (x.t - p.turn) ** 3) ** 2),
         duration="T",
         end=lambda x, p, xp: (x.x, x.v),
@@ -160,7 +160,7 @@ def hopping() -> pl.Problem:
     phase = pl.Phase(
         name="flight",
         states=_variables(x="m", v="m/s", t="s", c="m^2/s^3"),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 1.0, 0.5 * (u.u - 0.5 * p.k * x.t**2) ** 2),
         duration="T",
         end=lambda x, p, xp: (x.x, x.v),
@@ -189,21 +189,21 @@ def brachistochrone() -> pl.Problem:
     phase = pl.Phase(
         name="slide",
         states=_variables(x="m", y="m", v="m/s"),
-        controls=(pl.Direction(names=("c", "s")),),
+        controls=(pl.UnitVectorControl(names=("c", "s")),),
         dynamics=lambda x, u, p, xp: (x.v * u.c, x.v * u.s, p.g * u.s),
         duration="T",
         end=lambda x, p, xp: (x.x - p.far,),
         end_conditions=_variables(across="m"),
         path=lambda x, u, p, xp: (p.slope * x.x + p.offset - x.y,),
         path_conditions=_variables(above="m"),
-        typical_end=lambda p, xp: (p.far, p.slope * p.far, xp.sqrt(p.g * p.far)),
+        end_guess=lambda p, xp: (p.far, p.slope * p.far, xp.sqrt(p.g * p.far)),
     )
     return pl.Problem(
         name="brachistochrone",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0),
         given=_given(g=(1.0, "m/s^2"), far=(1.0, "m"), slope=(SLOPE, "1"), offset=(OFFSET, "m")),
-        free=(pl.Free(name="T", unit="s", upper=10.0, lower=0.0, typical=1.8),),
+        free=(pl.FreeParameter(name="T", unit="s", upper=10.0, lower=0.0, guess=1.8),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
     )
@@ -232,8 +232,8 @@ def mars_glide_slope() -> pl.Problem:
         name="descent",
         states=_variables(up="m", x="m", vu="m/s", vx="m/s", m="kg"),
         controls=(
-            pl.Direction(names=("du", "dx")),
-            pl.Bounded(name="T", unit="N", lower="least", upper="most"),
+            pl.UnitVectorControl(names=("du", "dx")),
+            pl.ScalarControl(name="T", unit="N", lower="least", upper="most"),
         ),
         dynamics=lambda x, u, p, xp: (x.vu, x.vx, u.T / x.m * u.du - p.g, u.T / x.m * u.dx, -u.T * p.alpha),
         duration="flight_time",
@@ -241,7 +241,7 @@ def mars_glide_slope() -> pl.Problem:
         end_conditions=_variables(down="m", there="m", sinking="m/s", drifting="m/s"),
         path=lambda x, u, p, xp: (x.up - p.slope * (xp.sqrt(x.x * x.x + p.pad * p.pad) - p.pad),),
         path_conditions=_variables(glide="m"),
-        typical_end=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.8 * p.m0),
+        end_guess=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.8 * p.m0),
     )
     return pl.Problem(
         name="mars_glide_slope",
@@ -253,7 +253,7 @@ def mars_glide_slope() -> pl.Problem:
             least=(6 * 0.3 * 3100 * math.cos(cant), "N"), most=(6 * 0.8 * 3100 * math.cos(cant), "N"),
             slope=(math.tan(math.radians(4.0)), "1"), pad=(1.0, "m"),
         ),
-        free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=200.0, typical=70.0),),
+        free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.0, upper=200.0, guess=70.0),),
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         results=lambda first, last, p, xp: (first.m - last.m, p.flight_time),
@@ -267,14 +267,14 @@ def speed_limit(limit: float) -> pl.Problem:
     phase = pl.Phase(
         name="descent",
         states=_variables(h="m", v="m/s", m="kg"),
-        controls=(pl.Bounded(name="T", unit="N", lower="least", upper="most"),),
+        controls=(pl.ScalarControl(name="T", unit="N", lower="least", upper="most"),),
         dynamics=lambda x, u, p, xp: (x.v, u.T / x.m - p.g, -u.T / p.c),
         duration="flight_time",
         end=lambda x, p, xp: (x.h, x.v),
         end_conditions=_variables(down="m", still="m/s"),
         path=lambda x, u, p, xp: (p.limit + x.v,),
         path_conditions=_variables(room="m/s"),
-        typical_end=lambda p, xp: (0.0, 0.0, 0.8 * p.m0),
+        end_guess=lambda p, xp: (0.0, 0.0, 0.8 * p.m0),
     )
     return pl.Problem(
         name="speed_limit",
@@ -282,7 +282,7 @@ def speed_limit(limit: float) -> pl.Problem:
         start=lambda p, xp: (p.h0, p.v0, p.m0),
         given=_given(h0=(2000.0, "m"), v0=(-20.0, "m/s"), m0=(1000.0, "kg"), g=(1.62, "m/s^2"), c=(3000.0, "m/s"),
                      least=(0.0, "N"), most=(4000.0, "N"), limit=(limit, "m/s")),
-        free=(pl.Free(name="flight_time", unit="s", lower=0.0, upper=1000.0, typical=80.0),),
+        free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.0, upper=1000.0, guess=80.0),),
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         scales=pl.Scales(length=2000.0, time=35.0, mass=1000.0),
@@ -370,8 +370,8 @@ def deorbit(count: int = 2) -> pl.Problem:
     states = (*_variables(x="m", y="m", z="m", vx="m/s", vy="m/s", vz="m/s"), Variable(name="m", unit="kg", lower=50.0))
     legs = [
         pl.Phase(
-            name=f"leg{j}", states=states, controls=(pl.Direction(names=("a", "b", "c")),), dynamics=burning,
-            duration="leg", typical_end=way(j / count),
+            name=f"leg{j}", states=states, controls=(pl.UnitVectorControl(names=("a", "b", "c")),), dynamics=burning,
+            duration="leg", end_guess=way(j / count),
             end=gate if j == count else None,
             end_conditions=_variables(shell="m", entry_speed="m/s", entry_angle="1") if j == count else (),
             path=lambda x, u, p, xp: ((x.x * x.x + x.y * x.y + x.z * x.z) / p.gate**2 - 1,),
@@ -386,7 +386,7 @@ def deorbit(count: int = 2) -> pl.Problem:
             a - (p.radius + p.site) * float(c) for a, c in zip((x.x, x.y, x.z), site, strict=True)
         ),
         end_conditions=_variables(site_x="m", site_y="m", site_z="m"),
-        typical_end=lambda p, xp: (
+        end_guess=lambda p, xp: (
             *((p.radius + p.site) * float(c) for c in site), *(0.1 * p.speed * float(c) for c in on), 0.7 * p.m0,
         ),
     )  # fmt: skip
@@ -404,8 +404,8 @@ def deorbit(count: int = 2) -> pl.Problem:
             orbit=(6678.14e3, "m"), speed=(7500.0, "m/s"), angle=(math.radians(-6.0), "rad"), **at, **going,
         ),
         free=(
-            pl.Free(name="leg", unit="s", lower=500.0 / count, upper=6000.0 / count, typical=4300.0 / count),
-            pl.Free(name="fall", unit="s", lower=20.0, upper=900.0, typical=200.0),
+            pl.FreeParameter(name="leg", unit="s", lower=500.0 / count, upper=6000.0 / count, guess=4300.0 / count),
+            pl.FreeParameter(name="fall", unit="s", lower=20.0, upper=900.0, guess=200.0),
         ),
         objective=lambda x, p, xp: count * p.leg + p.fall,
         objective_unit="s",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import perilune as pl
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from problems.answered import Answered
 
 MU, RADIUS, TURNS = 3.986012e14, 6378145.0, 7.29211585e-5
@@ -65,12 +65,12 @@ def delta() -> pl.Problem:
         return pl.Phase(
             name=f"stage{stage}",
             states=STATES,
-            controls=(pl.Direction(names=("a", "b", "c")),),
+            controls=(pl.UnitVectorControl(names=("a", "b", "c")),),
             dynamics=partial(rates, stage),
             duration=f"burn{stage}",
             end=orbit if last else None,
             end_conditions=ORBIT if last else (),
-            typical_end=lambda p, xp: (*map(float, _typical(stage)), left),
+            end_guess=lambda p, xp: (*map(float, _typical(stage)), left),
         )
 
     place, speed = _launch()
@@ -90,8 +90,8 @@ def delta() -> pl.Problem:
         phases=tuple(phase(stage) for stage in range(4)),
         start=lambda p, xp: (p.x0, p.y0, p.z0, p.vx0, p.vy0, p.vz0, p.mass0),
         links=tuple(partial(_dropped, stage) for stage in (1, 2, 3)),
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        free=(pl.Free(name="burn3", unit="s", lower=100.0, upper=SECOND[3], typical=650.0),),
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(pl.FreeParameter(name="burn3", unit="s", lower=100.0, upper=SECOND[3], guess=650.0),),
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         scales=pl.Scales(length=RADIUS, time=math.sqrt(RADIUS**3 / MU), mass=3e4),

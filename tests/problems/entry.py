@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from perilune.core.units import Scales
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 
 
 def _rates(x: Any, u: Any, p: Any, xp: Any) -> Sequence[Any]:
@@ -41,7 +41,7 @@ def limited_entry(load: float, rate: float) -> Problem:
 
     free = cool_entry(heat=1e7)
     limits = Variable(name="load", unit="1"), Variable(name="rate", unit="1")
-    given = {"most_load": Given(value=load, unit="m/s^2"), "most_rate": Given(value=rate, unit="W/m^2")}
+    given = {"most_load": Parameter(value=load, unit="m/s^2"), "most_rate": Parameter(value=rate, unit="W/m^2")}
     return replace(
         free, phases=(replace(free.phases[0], path=path, path_conditions=limits),), given={**free.given, **given}
     )
@@ -57,12 +57,12 @@ def cool_entry(heat: float | None = None) -> Problem:
             Variable(name="gamma", unit="rad"),
             Variable(name="Q", unit="J/m^2", scale=heat),
         ),
-        controls=(Bounded(name="lift", lower=-1.0, upper=1.0),),
+        controls=(ScalarControl(name="lift", lower=-1.0, upper=1.0),),
         dynamics=_rates,
         duration="time",
         end=lambda x, p, xp: (x.h - p.last_height, x.v - p.last_speed),
         end_conditions=(Variable(name="height", unit="m"), Variable(name="speed", unit="m/s")),
-        typical_end=lambda p, xp: (p.last_height, p.last_speed, -0.1, p.typical_heat),
+        end_guess=lambda p, xp: (p.last_height, p.last_speed, -0.1, p.typical_heat),
     )
     given = {
         "mu": (3.986e14, "m^3/s^2"), "radius": (6.371e6, "m"), "density": (1.225, "kg/m^3"),
@@ -75,8 +75,8 @@ def cool_entry(heat: float | None = None) -> Problem:
         name="cool_entry",
         phases=(phase,),
         start=lambda p, xp: (p.height, p.speed, p.path_angle, 0.0 * p.typical_heat),
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        free=(Free(name="time", unit="s", lower=1.0, upper=2000.0, typical=60.0),),
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(FreeParameter(name="time", unit="s", lower=1.0, upper=2000.0, guess=60.0),),
         objective=lambda x, p, xp: x.Q,
         objective_unit="J/m^2",
         objective_scale=heat,

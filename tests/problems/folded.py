@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import perilune as pl
-from perilune.problem.problem import Given
+from perilune.problem.problem import Parameter
 from perilune.problem.variables import Variable
 
 
@@ -23,7 +23,7 @@ def cusp(a: float, b: float) -> pl.Problem:
     phase = pl.Phase(
         name="way",
         states=(Variable(name="x", unit="1"), Variable(name="c", unit="1/s")),
-        controls=(pl.Bounded(name="u", unit="1/s"),),
+        controls=(pl.ScalarControl(name="u", unit="1/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
     )
@@ -32,10 +32,10 @@ def cusp(a: float, b: float) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0),
         given={
-            "T": Given(value=1.0, unit="s"),
-            "a": Given(value=a, unit="1"),
-            "b": Given(value=b, unit="1"),
-            "rate": Given(value=1.0, unit="1/s"),
+            "T": Parameter(value=1.0, unit="s"),
+            "a": Parameter(value=a, unit="1"),
+            "b": Parameter(value=b, unit="1"),
+            "rate": Parameter(value=1.0, unit="1/s"),
         },
         objective=lambda x, p, xp: x.c / p.rate + x.x**4 / 4 + (p.a - 1.0) * x.x**2 / 2 + p.b * x.x,
         objective_unit="1",
@@ -63,7 +63,7 @@ def two_cusps(a: float, b: float) -> pl.Problem:
     phase = pl.Phase(
         name="way",
         states=(Variable(name="x", unit="1"), Variable(name="y", unit="1"), Variable(name="c", unit="1/s")),
-        controls=(pl.Bounded(name="u", unit="1/s"), pl.Bounded(name="v", unit="1/s")),
+        controls=(pl.ScalarControl(name="u", unit="1/s"), pl.ScalarControl(name="v", unit="1/s")),
         dynamics=lambda x, u, p, xp: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v)),
         duration="T",
     )

@@ -7,10 +7,10 @@ singular arc H does not depend on the thrust, so that a direct method in one pha
 from __future__ import annotations
 
 from perilune.core.units import Scales
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from problems.answered import Answered
 
 FOOT = 0.3048
@@ -27,7 +27,7 @@ def goddard() -> Problem:
             Variable(name="v", unit="m/s", lower=0.0),
             Variable(name="m", unit="kg", lower=1.0 * SLUG, upper=3.0 * SLUG),
         ),
-        controls=(Bounded(name="thrust", unit="N", lower=0.0, upper=193.044 * POUND),),
+        controls=(ScalarControl(name="thrust", unit="N", lower=0.0, upper=193.044 * POUND),),
         dynamics=lambda x, u, p, xp: (
             x.v,
             (u.thrust - p.drag * x.v * x.v * xp.exp(-x.h / p.scale_height)) / x.m - p.g,
@@ -36,21 +36,21 @@ def goddard() -> Problem:
         duration="t_f",
         end=lambda x, p, xp: (x.m - p.dry_mass,),
         end_conditions=(Variable(name="dry", unit="kg"),),
-        typical_end=lambda p, xp: (p.scale_height, 0 * p.c, p.dry_mass),
+        end_guess=lambda p, xp: (p.scale_height, 0 * p.c, p.dry_mass),
     )
     return Problem(
         name="goddard",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, p.mass),
         given={
-            "g": Given(value=32.174 * FOOT, unit="m/s^2"),
-            "c": Given(value=1580.9425279876559 * FOOT, unit="m/s"),
-            "drag": Given(value=5.49153484923381010e-5 * SLUG / FOOT, unit="kg/m"),
-            "scale_height": Given(value=23800.0 * FOOT, unit="m"),
-            "mass": Given(value=3.0 * SLUG, unit="kg"),
-            "dry_mass": Given(value=1.0 * SLUG, unit="kg"),
+            "g": Parameter(value=32.174 * FOOT, unit="m/s^2"),
+            "c": Parameter(value=1580.9425279876559 * FOOT, unit="m/s"),
+            "drag": Parameter(value=5.49153484923381010e-5 * SLUG / FOOT, unit="kg/m"),
+            "scale_height": Parameter(value=23800.0 * FOOT, unit="m"),
+            "mass": Parameter(value=3.0 * SLUG, unit="kg"),
+            "dry_mass": Parameter(value=1.0 * SLUG, unit="kg"),
         },
-        free=(Free(name="t_f", unit="s", lower=0.0, upper=200.0, typical=40.0),),
+        free=(FreeParameter(name="t_f", unit="s", lower=0.0, upper=200.0, guess=40.0),),
         objective=lambda x, p, xp: -x.h,
         objective_unit="m",
         scales=Scales(length=23800.0 * FOOT, time=25.0, mass=3.0 * SLUG),

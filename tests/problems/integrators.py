@@ -7,10 +7,10 @@ from functools import partial
 
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from problems.answered import Answered
 
 
@@ -26,18 +26,18 @@ def least_energy(ceiling: float = math.inf) -> Problem:
             Variable(name="v", unit="m/s"),
             Variable(name="cost", unit="m^2/s^3"),
         ),
-        controls=(Bounded(name="u", unit="m/s^2"),),
+        controls=(ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.x, x.v + p.v0),
         end_conditions=(Variable(name="place", unit="m"), Variable(name="speed", unit="m/s")),
-        typical_end=lambda p, xp: (0 * p.v0 * p.T, -p.v0, p.v0 * p.v0 / p.T),
+        end_guess=lambda p, xp: (0 * p.v0 * p.T, -p.v0, p.v0 * p.v0 / p.T),
     )
     return Problem(
         name="least_energy",
         phases=(phase,),
         start=lambda p, xp: (0.0, p.v0, 0.0),
-        given={"T": Given(value=1.0, unit="s"), "v0": Given(value=1.0, unit="m/s")},
+        given={"T": Parameter(value=1.0, unit="s"), "v0": Parameter(value=1.0, unit="m/s")},
         objective=lambda x, p, xp: x.cost,
         objective_unit="m^2/s^3",
     )
@@ -48,19 +48,19 @@ def least_time() -> Problem:
     phase = Phase(
         name="move",
         states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
-        controls=(Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
+        controls=(ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u),
         duration="t_f",
         end=lambda x, p, xp: (x.x - p.distance, x.v),
         end_conditions=(Variable(name="place", unit="m"), Variable(name="speed", unit="m/s")),
-        typical_end=lambda p, xp: (p.distance, 0 * p.distance),
+        end_guess=lambda p, xp: (p.distance, 0 * p.distance),
     )
     return Problem(
         name="least_time",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0),
-        given={"distance": Given(value=1.0, unit="m")},
-        free=(Free(name="t_f", unit="s", lower=0.0, typical=1.0),),
+        given={"distance": Parameter(value=1.0, unit="m")},
+        free=(FreeParameter(name="t_f", unit="s", lower=0.0, guess=1.0),),
         objective=lambda x, p, xp: p.t_f,
         objective_unit="s",
     )

@@ -6,10 +6,10 @@ import math
 from functools import partial
 
 from cho import cho_landing
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from problems.answered import Answered
 from problems.peng import peng
 
@@ -24,25 +24,25 @@ def meditch() -> Problem:
             Variable(name="m", unit="kg", lower=0.1),
             Variable(name="effort", unit="N*s"),
         ),
-        controls=(Bounded(name="thrust", unit="N", lower=0.0, upper=1.227),),
+        controls=(ScalarControl(name="thrust", unit="N", lower=0.0, upper=1.227),),
         dynamics=lambda x, u, p, xp: (x.v, -p.g + u.thrust / x.m, -u.thrust / p.c, u.thrust),
         duration="t_f",
         end=lambda x, p, xp: (x.h, x.v),
         end_conditions=(Variable(name="touchdown", unit="m"), Variable(name="touchdown_speed", unit="m/s")),
-        typical_end=lambda p, xp: (0 * p.h, 0 * p.v, 0.6 * p.m, 0.4 * p.m * p.c),
+        end_guess=lambda p, xp: (0 * p.h, 0 * p.v, 0.6 * p.m, 0.4 * p.m * p.c),
     )
     return Problem(
         name="meditch",
         phases=(phase,),
         start=lambda p, xp: (p.h, p.v, p.m, 0.0),
         given={
-            "g": Given(value=1.0, unit="m/s^2"),
-            "c": Given(value=2.349, unit="m/s"),
-            "h": Given(value=1.0, unit="m"),
-            "v": Given(value=-0.783, unit="m/s"),
-            "m": Given(value=1.0, unit="kg"),
+            "g": Parameter(value=1.0, unit="m/s^2"),
+            "c": Parameter(value=2.349, unit="m/s"),
+            "h": Parameter(value=1.0, unit="m"),
+            "v": Parameter(value=-0.783, unit="m/s"),
+            "m": Parameter(value=1.0, unit="kg"),
         },
-        free=(Free(name="t_f", unit="s", lower=0.0, upper=10.0, typical=1.5),),
+        free=(FreeParameter(name="t_f", unit="s", lower=0.0, upper=10.0, guess=1.5),),
         objective=lambda x, p, xp: x.effort,
         objective_unit="N*s",
     )
@@ -53,20 +53,20 @@ def constant_mass(gravity: float, height: float, speed: float, most: float) -> P
     phase = Phase(
         name="descent",
         states=(Variable(name="h", unit="m"), Variable(name="v", unit="m/s"), Variable(name="effort", unit="m/s")),
-        controls=(Bounded(name="push", unit="m/s^2", lower=0.0, upper=most),),
+        controls=(ScalarControl(name="push", unit="m/s^2", lower=0.0, upper=most),),
         dynamics=lambda x, u, p, xp: (x.v, u.push - p.g, u.push),
         duration="t_f",
         end=lambda x, p, xp: (x.h, x.v),
         end_conditions=(Variable(name="touchdown", unit="m"), Variable(name="touchdown_speed", unit="m/s")),
-        typical_end=lambda p, xp: (0 * p.h, 0 * p.v, 1.5 * p.g * p.t_f),
+        end_guess=lambda p, xp: (0 * p.h, 0 * p.v, 1.5 * p.g * p.t_f),
     )
     given = {"g": (gravity, "m/s^2"), "h": (height, "m"), "v": (speed, "m/s")}
     return Problem(
         name="constant_mass",
         phases=(phase,),
         start=lambda p, xp: (p.h, p.v, 0.0),
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        free=(Free(name="t_f", unit="s", lower=0.0, upper=50.0, typical=5.0),),
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(FreeParameter(name="t_f", unit="s", lower=0.0, upper=50.0, guess=5.0),),
         objective=lambda x, p, xp: x.effort,
         objective_unit="m/s",
     )

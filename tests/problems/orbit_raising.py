@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from perilune.problem.controls import Direction
+from perilune.problem.controls import UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from problems.answered import Answered
 
 
@@ -21,7 +21,7 @@ def orbit_raising() -> Problem:
             Variable(name="v", unit="m/s", description="tangential velocity"),
             Variable(name="m", unit="kg", lower=0.0),
         ),
-        controls=(Direction(names=("radial", "tangential")),),
+        controls=(UnitVectorControl(names=("radial", "tangential")),),
         dynamics=lambda x, u, p, xp: (
             x.u,
             x.v * x.v / x.r - p.mu / (x.r * x.r) + p.thrust / x.m * u.radial,
@@ -31,19 +31,19 @@ def orbit_raising() -> Problem:
         duration="t_f",
         end=lambda x, p, xp: (x.u, x.v * x.v * x.r / p.mu - 1),
         end_conditions=(Variable(name="radial_speed", unit="m/s"), Variable(name="circular")),
-        typical_end=lambda p, xp: (1.5 * p.r0, 0 * p.r0 / p.t_f, 0.8 * xp.sqrt(p.mu / p.r0), p.m0 - p.flow * p.t_f),
+        end_guess=lambda p, xp: (1.5 * p.r0, 0 * p.r0 / p.t_f, 0.8 * xp.sqrt(p.mu / p.r0), p.m0 - p.flow * p.t_f),
     )
     return Problem(
         name="orbit_raising",
         phases=(phase,),
         start=lambda p, xp: (p.r0, 0.0, xp.sqrt(p.mu / p.r0), p.m0),
         given={
-            "mu": Given(value=1.0, unit="m^3/s^2"),
-            "r0": Given(value=1.0, unit="m"),
-            "m0": Given(value=1.0, unit="kg"),
-            "thrust": Given(value=0.1405, unit="N"),
-            "flow": Given(value=0.0749, unit="kg/s"),
-            "t_f": Given(value=3.32, unit="s"),
+            "mu": Parameter(value=1.0, unit="m^3/s^2"),
+            "r0": Parameter(value=1.0, unit="m"),
+            "m0": Parameter(value=1.0, unit="kg"),
+            "thrust": Parameter(value=0.1405, unit="N"),
+            "flow": Parameter(value=0.0749, unit="kg/s"),
+            "t_f": Parameter(value=3.32, unit="s"),
         },
         objective=lambda x, p, xp: -x.r,
         objective_unit="m",

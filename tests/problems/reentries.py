@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import perilune as pl
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from problems.answered import Answered
 
 FOOT, SLUG = 0.3048, 14.593902937206
@@ -19,8 +19,8 @@ def _variables(**units: str) -> tuple[Variable, ...]:
     return tuple(Variable(name=name, unit=unit) for name, unit in units.items())
 
 
-def _given(**values: tuple[float, str]) -> dict[str, Given]:
-    return {name: Given(value=value, unit=unit) for name, (value, unit) in values.items()}
+def _given(**values: tuple[float, str]) -> dict[str, Parameter]:
+    return {name: Parameter(value=value, unit=unit) for name, (value, unit) in values.items()}
 
 
 def apollo() -> pl.Problem:
@@ -44,12 +44,12 @@ def apollo() -> pl.Problem:
     phase = pl.Phase(
         name="entry",
         states=_variables(v="m/s", gamma="rad", xi="1", heat="1"),
-        controls=(pl.Direction(names=("c", "s")),),
+        controls=(pl.UnitVectorControl(names=("c", "s")),),
         dynamics=rates,
         duration="time",
         end=lambda x, p, xp: (x.v - p.last_speed, x.gamma, x.xi - p.last_height),
         end_conditions=_variables(speed="m/s", angle="rad", height="1"),
-        typical_end=lambda p, xp: (p.last_speed, 0.0 * p.height, p.last_height, 0.03 + 0.0 * p.height),
+        end_guess=lambda p, xp: (p.last_speed, 0.0 * p.height, p.last_height, 0.03 + 0.0 * p.height),
     )
     return pl.Problem(
         name="apollo",
@@ -61,7 +61,7 @@ def apollo() -> pl.Problem:
             angle=(-8.1 * DEGREE, "rad"), height=(4 / 209, "1"), last_speed=(0.27, "m/s"),
             last_height=(2.5 / 209, "1"),
         ),
-        free=(pl.Free(name="time", unit="s", lower=0.0, upper=1000.0, typical=230.0),),
+        free=(pl.FreeParameter(name="time", unit="s", lower=0.0, upper=1000.0, guess=230.0),),
         objective=lambda x, p, xp: x.heat,
         scales=pl.Scales(length=20.0, time=60.0, mass=1.0),
     )  # fmt: skip
@@ -102,14 +102,14 @@ def shuttle(hottest: float | None = None) -> pl.Problem:
             *_variables(latitude="rad", v="m/s", gamma="rad", heading="rad"),
         ),
         controls=(
-            pl.Bounded(name="attack", unit="rad", lower=-90 * DEGREE, upper=90 * DEGREE),
-            pl.Bounded(name="bank", unit="rad", lower=-89 * DEGREE, upper=1 * DEGREE),
+            pl.ScalarControl(name="attack", unit="rad", lower=-90 * DEGREE, upper=90 * DEGREE),
+            pl.ScalarControl(name="bank", unit="rad", lower=-89 * DEGREE, upper=1 * DEGREE),
         ),
         dynamics=rates,
         duration="time",
         end=lambda x, p, xp: (x.h - p.last_height, x.v - p.last_speed, x.gamma - p.last_angle),
         end_conditions=_variables(height="m", speed="m/s", angle="rad"),
-        typical_end=lambda p, xp: (p.last_height, 0.5 - 0.0 * p.angle, p.last_speed, p.last_angle, 0.0 * p.angle),
+        end_guess=lambda p, xp: (p.last_height, 0.5 - 0.0 * p.angle, p.last_speed, p.last_angle, 0.0 * p.angle),
         **limited,
     )
     given = _given(
@@ -130,7 +130,7 @@ def shuttle(hottest: float | None = None) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (p.height, 0.0 * p.angle, p.speed, p.angle, p.heading),
         given=given,
-        free=(pl.Free(name="time", unit="s", lower=100.0, upper=5000.0, typical=2000.0),),
+        free=(pl.FreeParameter(name="time", unit="s", lower=100.0, upper=5000.0, guess=2000.0),),
         objective=lambda x, p, xp: -x.latitude,
         objective_unit="rad",
         scales=pl.Scales(length=20902900 * FOOT, time=20902900 / 25600, mass=9e4),

@@ -20,7 +20,7 @@ from numpy.polynomial import Polynomial
 
 import perilune as pl
 from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from problems.by_hand import Formula, Piece, by_hand, parted, polynomial
 from problems.constrained import bryson_denham, parked
 
@@ -31,8 +31,8 @@ def _variables(**units: str) -> tuple[Variable, ...]:
     return tuple(Variable(name=name, unit=unit) for name, unit in units.items())
 
 
-def _given(**values: tuple[float, str]) -> dict[str, Given]:
-    return {name: Given(value=value, unit=unit) for name, (value, unit) in values.items()}
+def _given(**values: tuple[float, str]) -> dict[str, Parameter]:
+    return {name: Parameter(value=value, unit=unit) for name, (value, unit) in values.items()}
 
 
 def string(
@@ -62,8 +62,8 @@ def string(
                      cost=(0.0 if bent is None else 0.5 * (k * l) ** 2, "m^2/s^2"), bent=(bent or 0.0, "m^2/s^3"),
                      T0=(total, "s"), **({} if start_is_free else {"x0": (x0, "m")}),
                      **({} if bent is not None else {"T": (total, "s")})),
-        free=(*((pl.Free(name="x0", unit="m", lower=-5.0, upper=5.0, typical=1.0),) if start_is_free else ()),
-              *(() if bent is None else (pl.Free(name="T", unit="s", lower=0.0, upper=99.0, typical=total),))),
+        free=(*((pl.FreeParameter(name="x0", unit="m", lower=-5.0, upper=5.0, guess=1.0),) if start_is_free else ()),
+              *(() if bent is None else (pl.FreeParameter(name="T", unit="s", lower=0.0, upper=99.0, guess=total),))),
         objective=lambda x, p, xp: x.c + p.push * x.x + p.bait * p.x0 + p.cost * p.T + 0.5 * p.bent * (p.T - p.T0) ** 2,
         objective_unit="m^2/s",
     )  # fmt: skip
@@ -92,7 +92,7 @@ def _string_phase(name: str, duration: str, end: bool = True) -> pl.Phase:
     return pl.Phase(
         name=name,
         states=_variables(x="m", c="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
         duration=duration,
         end=(lambda x, p, xp: (x.x - p.x1,)) if end else None,
@@ -131,7 +131,7 @@ def two_strings(first: tuple[float, ...], second: tuple[float, ...]) -> Solution
     phase = pl.Phase(
         name="strings",
         states=_variables(x="m", y="m", c="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s"), pl.Bounded(name="w", unit="m/s")),
+        controls=(pl.ScalarControl(name="u", unit="m/s"), pl.ScalarControl(name="w", unit="m/s")),
         dynamics=lambda x, u, p, xp: (
             u.u, u.w, 0.5 * (u.u * u.u + u.w * u.w - p.k * p.k * x.x * x.x - p.h * p.h * x.y * x.y),
         ),
@@ -230,7 +230,7 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6, level: float 
     phase = pl.Phase(
         name="beam",
         states=_variables(x="m", v="m/s", c="m^2/s^3"),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * (u.u * u.u - p.k**4 * (x.x - p.level) ** 2)),
         duration="T",
         end=lambda x, p, xp: (x.x - p.x0, x.v + p.v0),
@@ -300,7 +300,7 @@ def floor(depth: float) -> Solution:
     phase = pl.Phase(
         name="floor",
         states=_variables(x="m", s="s", c="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (
             u.u,
             p.T / p.T,
@@ -342,7 +342,7 @@ def ditch(deep: float, wide: float, *, load: tuple[float, float] = (1.0, 0.0), p
     phase = pl.Phase(
         name="ditch",
         states=_variables(x="m", s="s", c="m*s"),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (u.u, p.T / p.T, (p.q + p.dip * x.s * x.s) * x.x),
         duration="T",
         path=lambda x, u, p, xp: (x.x - p.l,),

@@ -8,7 +8,7 @@ from functools import lru_cache
 from numpy.polynomial import Polynomial
 
 import perilune as pl
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from problems.answered import Answered
 from problems.goddard import goddard
 
@@ -25,7 +25,7 @@ def nearest_to_zero(end: float = 0.5, most: float = 1.0, way: float = 1.0) -> pl
     phase = pl.Phase(
         name="go",
         states=_variables(x="m", c="m^2*s"),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=most),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=most),),
         dynamics=lambda x, u, p, xp: (u.u, way * x.x * x.x),
         duration="T",
         end=lambda x, p, xp: (x.x - p.end,),
@@ -35,7 +35,11 @@ def nearest_to_zero(end: float = 0.5, most: float = 1.0, way: float = 1.0) -> pl
         name="nearest_to_zero",
         phases=(phase,),
         start=lambda p, xp: (p.start, 0.0),
-        given={"T": Given(value=2.0, unit="s"), "start": Given(value=1.0, unit="m"), "end": Given(value=end, unit="m")},
+        given={
+            "T": Parameter(value=2.0, unit="s"),
+            "start": Parameter(value=1.0, unit="m"),
+            "end": Parameter(value=end, unit="m"),
+        },
         objective=lambda x, p, xp: x.c,
         objective_unit="m^2*s",
     )
@@ -49,7 +53,7 @@ def aly(duration: float = 5.0) -> pl.Problem:
     phase = pl.Phase(
         name="go",
         states=_variables(x="m", v="m/s", c="m^2*s"),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * (x.x * x.x + p.k * p.k * x.v * x.v)),
         duration="T",
     )
@@ -58,9 +62,9 @@ def aly(duration: float = 5.0) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (0.0, p.speed, 0.0),
         given={
-            "T": Given(value=duration, unit="s"),
-            "k": Given(value=1.0, unit="s"),
-            "speed": Given(value=1.0, unit="m/s"),
+            "T": Parameter(value=duration, unit="s"),
+            "k": Parameter(value=1.0, unit="s"),
+            "speed": Parameter(value=1.0, unit="m/s"),
         },
         objective=lambda x, p, xp: x.c,
         objective_unit="m^2*s",
@@ -95,7 +99,7 @@ def fuller() -> pl.Problem:
     phase = pl.Phase(
         name="go",
         states=_variables(x="m", v="m/s", c="m^2*s"),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, x.x * x.x),
         duration="T",
         end=lambda x, p, xp: (x.x, x.v),
@@ -105,7 +109,7 @@ def fuller() -> pl.Problem:
         name="fuller",
         phases=(phase,),
         start=lambda p, xp: (p.start, 0 * p.start / p.T, 0.0),
-        given={"T": Given(value=8.0, unit="s"), "start": Given(value=1.0, unit="m")},
+        given={"T": Parameter(value=8.0, unit="s"), "start": Parameter(value=1.0, unit="m")},
         objective=lambda x, p, xp: x.c,
         objective_unit="m^2*s",
     )
@@ -128,7 +132,7 @@ def swinging(duration: float, end: float | None = None, bent: float = 0.0) -> pl
     phase = pl.Phase(
         name="go",
         states=_variables(s="m", x="m/s", c="m^2/s"),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-4.0, upper=4.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-4.0, upper=4.0),),
         dynamics=dynamics,
         duration="T",
         end=lambda x, p, xp: (x.x - p.slow, *(() if end is None else (place(x, p) - p.end,))),
@@ -139,12 +143,12 @@ def swinging(duration: float, end: float | None = None, bent: float = 0.0) -> pl
         phases=(phase,),
         start=lambda p, xp: (p.bent * p.fast * p.fast, p.fast, 0.0),
         given={
-            "T": Given(value=duration, unit="s"),
-            "k": Given(value=1.0, unit="s"),
-            "bent": Given(value=bent, unit="s^2/m"),
-            "fast": Given(value=1.0, unit="m/s"),
-            "slow": Given(value=0.3, unit="m/s"),
-            "end": Given(value=0.0 if end is None else end, unit="m"),
+            "T": Parameter(value=duration, unit="s"),
+            "k": Parameter(value=1.0, unit="s"),
+            "bent": Parameter(value=bent, unit="s^2/m"),
+            "fast": Parameter(value=1.0, unit="m/s"),
+            "slow": Parameter(value=0.3, unit="m/s"),
+            "end": Parameter(value=0.0 if end is None else end, unit="m"),
         },
         objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s",
@@ -170,7 +174,7 @@ def following() -> pl.Problem:
     phase = pl.Phase(
         name="go",
         states=_variables(x="m", phi="1", c="m^2*s"),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (u.u, p.w, (x.x - p.a * xp.sin(x.phi)) ** 2),
         duration="T",
         end=lambda x, p, xp: (x.x - p.end,),
@@ -181,11 +185,11 @@ def following() -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (p.start, 0 * p.w * p.T, 0.0),
         given={
-            "T": Given(value=6.0, unit="s"),
-            "a": Given(value=1.0, unit="m"),
-            "w": Given(value=1.3, unit="1/s"),
-            "start": Given(value=0.8, unit="m"),
-            "end": Given(value=1.2, unit="m"),
+            "T": Parameter(value=6.0, unit="s"),
+            "a": Parameter(value=1.0, unit="m"),
+            "w": Parameter(value=1.3, unit="1/s"),
+            "start": Parameter(value=0.8, unit="m"),
+            "end": Parameter(value=1.2, unit="m"),
         },
         objective=lambda x, p, xp: x.c,
         objective_unit="m^2*s",
@@ -212,12 +216,12 @@ def planar_goddard(down: float = 2500.0) -> pl.Problem:
     phase = pl.Phase(
         name="ascent",
         states=_variables(s="m", h="m", across="m/s", up="m/s", m="kg"),
-        controls=(*upright.phases[0].controls, pl.Direction(names=("sideways", "upwards"))),
+        controls=(*upright.phases[0].controls, pl.UnitVectorControl(names=("sideways", "upwards"))),
         dynamics=dynamics,
         duration="t_f",
         end=lambda x, p, xp: (x.s - p.down, x.across - p.across, x.m - p.dry_mass),
         end_conditions=_variables(down="m", as_before="m/s", dry="kg"),
-        typical_end=lambda p, xp: (p.down, p.scale_height, 0 * p.c, 0 * p.c, p.dry_mass),
+        end_guess=lambda p, xp: (p.down, p.scale_height, 0 * p.c, 0 * p.c, p.dry_mass),
     )
     return pl.Problem(
         name="planar_goddard",
@@ -225,9 +229,9 @@ def planar_goddard(down: float = 2500.0) -> pl.Problem:
         start=lambda p, xp: (0.0, 0.0, p.across, p.up, p.mass),
         given={
             **upright.given,
-            "down": Given(value=down, unit="m"),
-            "across": Given(value=5.0, unit="m/s"),
-            "up": Given(value=40.0, unit="m/s"),
+            "down": Parameter(value=down, unit="m"),
+            "across": Parameter(value=5.0, unit="m/s"),
+            "up": Parameter(value=40.0, unit="m/s"),
         },
         free=upright.free,
         objective=lambda x, p, xp: -x.h,

@@ -9,7 +9,7 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from problems.answered import Answered
 
 
@@ -22,7 +22,7 @@ def staged_burns() -> Problem:
             states=(Variable(name="v", unit="m/s"), Variable(name="m", unit="kg", lower=floor)),
             dynamics=lambda x, u, p, xp: (getattr(p, thrust) / x.m, -getattr(p, thrust) / p.c),
             duration=duration,
-            typical_end=lambda p, xp: (p.c, 0.5 * p.mass),
+            end_guess=lambda p, xp: (p.c, 0.5 * p.mass),
         )
 
     return Problem(
@@ -31,15 +31,15 @@ def staged_burns() -> Problem:
         start=lambda p, xp: (0.0, p.mass),
         links=(lambda x, p, xp: (x.v, p.second_mass),),
         given={
-            "c": Given(value=3000.0, unit="m/s"),
-            "F_1": Given(value=2000.0, unit="N"),
-            "F_2": Given(value=500.0, unit="N"),
-            "mass": Given(value=100.0, unit="kg"),
-            "second_mass": Given(value=40.0, unit="kg"),
+            "c": Parameter(value=3000.0, unit="m/s"),
+            "F_1": Parameter(value=2000.0, unit="N"),
+            "F_2": Parameter(value=500.0, unit="N"),
+            "mass": Parameter(value=100.0, unit="kg"),
+            "second_mass": Parameter(value=40.0, unit="kg"),
         },
         free=(
-            Free(name="t_1", unit="s", lower=0.0, upper=1000.0, typical=40.0),
-            Free(name="t_2", unit="s", lower=0.0, upper=1000.0, typical=100.0),
+            FreeParameter(name="t_1", unit="s", lower=0.0, upper=1000.0, guess=40.0),
+            FreeParameter(name="t_2", unit="s", lower=0.0, upper=1000.0, guess=100.0),
         ),
         objective=lambda x, p, xp: -x.v,
         objective_unit="m/s",

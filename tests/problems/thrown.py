@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import perilune as pl
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 
 LATE = 1.0  # m^2/s^4: what a second in the air is worth
 
@@ -23,7 +23,7 @@ def thrown(ceiling: float) -> pl.Problem:
     push = pl.Phase(
         name="push",
         states=states,
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
     )
@@ -44,8 +44,8 @@ def thrown(ceiling: float) -> pl.Problem:
         phases=(push, throw),
         links=(lambda x, p, xp: (x.h, x.v, x.c),),
         start=lambda p, xp: (0.0, 0.0, 0.0),
-        given={name: Given(value=value, unit=unit) for name, (value, unit) in given.items()},
-        free=(pl.Free(name="air_time", unit="s", typical=3.0),),
+        given={name: Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
+        free=(pl.FreeParameter(name="air_time", unit="s", guess=3.0),),
         objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s^3",
     )

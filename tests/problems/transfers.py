@@ -37,14 +37,14 @@ def dionysus() -> pl.Problem:
         name="cruise",
         states=tuple(pl.Variable(name=name, unit=unit) for name, unit in {**units, "m": "kg"}.items()),
         controls=(
-            pl.Direction(names=("r", "t", "n")),
-            pl.Bounded(name="thrust", unit="N", lower=0.0, upper=0.32),
+            pl.UnitVectorControl(names=("r", "t", "n")),
+            pl.ScalarControl(name="thrust", unit="N", lower=0.0, upper=0.32),
         ),
         dynamics=rates,
         duration="flight_time",
         end=lambda x, p, xp: (x.p - p.p_end, *(getattr(x, name) - DIONYSUS[i + 1] for i, name in enumerate("fghkL"))),
         end_conditions=tuple(pl.Variable(name=f"{name}_end", unit=unit) for name, unit in units.items()),
-        typical_end=lambda p, xp: (p.p_end, *DIONYSUS[1:], 0.7 * p.mass),
+        end_guess=lambda p, xp: (p.p_end, *DIONYSUS[1:], 0.7 * p.mass),
     )
     given = {
         "mu": (GRAVITY, "m^3/s^2"), "p_start": (EARTH[0] * UNIT, "m"), "p_end": (DIONYSUS[0] * UNIT, "m"),
@@ -54,7 +54,7 @@ def dionysus() -> pl.Problem:
         name="dionysus",
         phases=(cruise,),
         start=lambda p, xp: (p.p_start, *EARTH[1:], p.mass),
-        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in given.items()},
+        given={name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in given.items()},
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         scales=pl.Scales(length=UNIT, time=math.sqrt(UNIT**3 / GRAVITY), mass=4000.0),

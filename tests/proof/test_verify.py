@@ -14,12 +14,12 @@ from landing_by_scipy import cho_problem, resolve, shoot, solution_of
 from perilune.core.errors import Outcome, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.landing.problem import Retro, mass_consistency_checks
-from perilune.problem.controls import Bounded, Direction
+from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.problem.verification import Verification
 from perilune.proof.sufficient.sensitivities import check_neighbours
 from perilune.verify import verify
@@ -138,7 +138,7 @@ def test_a_retro_burn_of_zero_is_not_stationary_inside_its_range(scipy_ordinary:
     free = tuple(replace(f, lower=-100.0) if f.name == "retro_delta_v" else f for f in problem.free)
     inside = replace(
         scipy_ordinary,
-        problem=replace(problem, ranges=None, free=free),
+        problem=replace(problem, parameter_bounds=None, free=free),
         free={**scipy_ordinary.free, "retro_delta_v": 0.0},
     )
     assert failed(verify(inside, level=2).verification) == {"stationary_retro_delta_v"}
@@ -151,7 +151,7 @@ def test_at_a_bound_the_objective_must_not_fall_into_the_range(bounds: tuple[flo
     found = solution_of(fixed, shoot(fixed, np.array(GUESSES["hybrid"])))
     hybrid, (lower, upper) = cho_problem(HYBRID), bounds
     free = tuple(replace(f, lower=lower, upper=upper) if f.name == "retro_delta_v" else f for f in hybrid.free)
-    problem = replace(hybrid, ranges=None, free=free)
+    problem = replace(hybrid, parameter_bounds=None, free=free)
     claimed = replace(found, problem=problem, free={**found.free, "retro_delta_v": 1000.0})
     assert failed(verify(claimed, level=2).verification) == (set() if passes else {"stationary_retro_delta_v"})
 
@@ -308,7 +308,7 @@ def oscillator(duration: float) -> Solution:
     phase = Phase(
         name="arc",
         states=(Variable(name="x"), Variable(name="action")),
-        controls=(Bounded(name="rate"),),
+        controls=(ScalarControl(name="rate"),),
         dynamics=lambda x, u, p, xp: (u.rate / p.second, (u.rate * u.rate - x.x * x.x) / (2 * p.second)),
         duration="duration",
         end=lambda x, p, xp: (x.x,),
@@ -319,8 +319,8 @@ def oscillator(duration: float) -> Solution:
         phases=(phase,),
         start=lambda p, xp: (p.x0, 0.0),
         given={
-            "duration": Given(value=duration, unit="s"), "x0": Given(value=1.0),
-            "second": Given(value=1.0, unit="s"),
+            "duration": Parameter(value=duration, unit="s"), "x0": Parameter(value=1.0),
+            "second": Parameter(value=1.0, unit="s"),
         },
         objective=lambda x, p, xp: x.action,
     )  # fmt: skip
@@ -356,7 +356,7 @@ def test_two_oscillators_have_a_double_conjugate_point() -> None:
     phase = Phase(
         name="arc",
         states=(Variable(name="x"), Variable(name="y"), Variable(name="action")),
-        controls=(Bounded(name="a"), Bounded(name="b")),
+        controls=(ScalarControl(name="a"), ScalarControl(name="b")),
         dynamics=lambda x, u, p, xp: (
             u.a / p.second, u.b / p.second, (u.a * u.a + u.b * u.b - x.x * x.x - x.y * x.y) / (2 * p.second),
         ),
@@ -368,7 +368,7 @@ def test_two_oscillators_have_a_double_conjugate_point() -> None:
         problem = Problem(
             name="two", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0),
             objective=lambda x, p, xp: x.action,
-            given={"duration": Given(value=duration, unit="s"), "second": Given(value=1.0, unit="s")},
+            given={"duration": Parameter(value=duration, unit="s"), "second": Parameter(value=1.0, unit="s")},
         )  # fmt: skip
         rest = curves(np.linspace(0, duration, 11), (0, 0, 0), (0, 0, 0), (0, 0, 1), (0, 0, 0), (0, 0), (0, 0))
         solution = Solution(
@@ -396,7 +396,7 @@ def double_integrator(sign: float = 1.0) -> Solution:
         return Phase(
             name=name,
             states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s")),
-            controls=(Bounded(name="a", unit="m/s^2", lower=-1.0, upper=1.0),),
+            controls=(ScalarControl(name="a", unit="m/s^2", lower=-1.0, upper=1.0),),
             dynamics=lambda x, u, p, xp: (x.v, u.a),
             duration=f"{name}_time",
             end=(lambda x, p, xp: (x.x, x.v)) if end else None,
@@ -408,10 +408,10 @@ def double_integrator(sign: float = 1.0) -> Solution:
         phases=(phase("speeding", False), phase("braking", True)),
         start=lambda p, xp: (p.x0, p.v0),
         links=(lambda x, p, xp: (x.x, x.v),),
-        given={"x0": Given(value=1.0, unit="m"), "v0": Given(value=0.0, unit="m/s")},
+        given={"x0": Parameter(value=1.0, unit="m"), "v0": Parameter(value=0.0, unit="m/s")},
         free=(
-            Free(name="speeding_time", unit="s", lower=0.0),
-            Free(name="braking_time", unit="s", lower=0.0),
+            FreeParameter(name="speeding_time", unit="s", lower=0.0),
+            FreeParameter(name="braking_time", unit="s", lower=0.0),
         ),
         objective=lambda x, p, xp: p.speeding_time + p.braking_time,
         objective_unit="s",
@@ -462,7 +462,7 @@ def linear_tangent(bend: float = 0.0) -> Solution:
     phase = Phase(
         name="arc",
         states=tuple(Variable(name=n, unit=u) for n, u in (("y", "m"), ("vx", "m/s"), ("vy", "m/s"))),
-        controls=(Direction(names=("along", "up")),),
+        controls=(UnitVectorControl(names=("along", "up")),),
         dynamics=lambda x, u, p, xp: (x.vy, p.thrust * u.along, p.thrust * u.up),
         duration="duration",
         end=lambda x, p, xp: (x.y - p.height,),
@@ -483,9 +483,9 @@ def linear_tangent(bend: float = 0.0) -> Solution:
         phases=(phase,),
         start=lambda p, xp: (p.y0, p.v0, p.v0),
         given={
-            "thrust": Given(value=1.0, unit="m/s^2"), "height": Given(value=float(y[-1]), unit="m"),
-            "duration": Given(value=duration, unit="s"), "y0": Given(value=0.0, unit="m"),
-            "v0": Given(value=0.0, unit="m/s"),
+            "thrust": Parameter(value=1.0, unit="m/s^2"), "height": Parameter(value=float(y[-1]), unit="m"),
+            "duration": Parameter(value=duration, unit="s"), "y0": Parameter(value=0.0, unit="m"),
+            "v0": Parameter(value=0.0, unit="m/s"),
         },
         objective=lambda x, p, xp: -x.vx,
         objective_unit="m/s",
@@ -573,7 +573,7 @@ def sailing(along: float, space: int) -> Solution:
     phase = Phase(
         name="sail",
         states=(Variable(name="x", unit="m"),),
-        controls=(Direction(names=names),),
+        controls=(UnitVectorControl(names=names),),
         dynamics=lambda x, u, p, xp: (p.v * (u.a * u.a + 0.3 * u.a),),
         duration="T",
     )
@@ -581,7 +581,7 @@ def sailing(along: float, space: int) -> Solution:
         name="sailing",
         phases=(phase,),
         start=lambda p, xp: (0.0 * p.v * p.T,),
-        given={"v": Given(value=1.0, unit="m/s"), "T": Given(value=1.0, unit="s")},
+        given={"v": Parameter(value=1.0, unit="m/s"), "T": Parameter(value=1.0, unit="s")},
         objective=lambda x, p, xp: -x.x,
         objective_unit="m",
     )

@@ -16,12 +16,12 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import fsolve
 
 from perilune.core.errors import Outcome
-from perilune.problem.controls import Bounded, Direction
+from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.problem.verification import Check, Verification
 from perilune.verify import verify
 
@@ -122,7 +122,7 @@ def cone_problem(aside: float, lift: float, tilt: float, *, chosen: bool = False
         name="arc",
         states=tuple(Variable(name=n, unit=u) for n, u in
                      (("z", "m"), ("y", "m"), ("vx", "m/s"), ("vz", "m/s"), ("vy", "m/s"))),
-        controls=(Direction(names=("along", "aside", "up")),),
+        controls=(UnitVectorControl(names=("along", "aside", "up")),),
         dynamics=lambda x, u, p, xp: (x.vz, x.vy, p.thrust * u.along, p.thrust * u.aside, p.thrust * u.up),
         duration="duration",
         end=lambda x, p, xp: (x.z - p.side, x.y - p.height),
@@ -134,15 +134,15 @@ def cone_problem(aside: float, lift: float, tilt: float, *, chosen: bool = False
     metres = {"side": side, "height": height, "depth": 1.0, "z0": 0.0, "y0": 0.0}
     speeds = {"vx0": 0.0, "vz0": 0.0, "vy0": 0.0, "price": push_back(aside, lift, tilt) if chosen else 0.0}
     given = {
-        **{name: Given(value=value, unit="m") for name, value in metres.items()},
-        **{name: Given(value=value, unit="m/s") for name, value in speeds.items()},
-        "thrust": Given(value=1.0, unit="m/s^2"), "duration": Given(value=TIME, unit="s"),
+        **{name: Parameter(value=value, unit="m") for name, value in metres.items()},
+        **{name: Parameter(value=value, unit="m/s") for name, value in speeds.items()},
+        "thrust": Parameter(value=1.0, unit="m/s^2"), "duration": Parameter(value=TIME, unit="s"),
     }  # fmt: skip
     if not chosen:
-        given["tilt"] = Given(value=tilt, unit="rad")
+        given["tilt"] = Parameter(value=tilt, unit="rad")
     return Problem(
         name="cone", phases=(phase,), start=lambda p, xp: (p.z0, p.y0, p.vx0, p.vz0, p.vy0),
-        given=given, free=(Free(name="tilt", unit="rad", lower=0.1, upper=1.5),) if chosen else (),
+        given=given, free=(FreeParameter(name="tilt", unit="rad", lower=0.1, upper=1.5),) if chosen else (),
         objective=lambda x, p, xp: p.price * p.tilt - x.vx, objective_unit="m/s",
     )  # fmt: skip
 
@@ -293,7 +293,7 @@ def with_engine(share: float = 1.0) -> Solution:
     solution = cone()
     (phase,) = solution.problem.phases
     engine = replace(
-        phase, controls=(*phase.controls, Bounded(name="share", lower=0.0, upper=1.0)),
+        phase, controls=(*phase.controls, ScalarControl(name="share", lower=0.0, upper=1.0)),
         dynamics=lambda x, u, p, xp: (
             x.vz, x.vy, p.thrust * u.share * u.along, p.thrust * u.share * u.aside, p.thrust * u.share * u.up,
         ),
@@ -337,7 +337,7 @@ def limited_problem() -> Problem:
     phase = Phase(
         name="arc",
         states=tuple(Variable(name=n, unit=u) for n, u in (("y", "m"), ("vx", "m/s"), ("vy", "m/s"))),
-        controls=(Direction(names=("along", "up")),),
+        controls=(UnitVectorControl(names=("along", "up")),),
         dynamics=lambda x, u, p, xp: (x.vy, p.thrust * u.along, p.thrust * u.up),
         duration="duration",
         end=lambda x, p, xp: (x.y - p.height,),
@@ -349,9 +349,9 @@ def limited_problem() -> Problem:
     return Problem(
         name="limited", phases=(phase,), start=lambda p, xp: (p.y0, p.v0, p.v0),
         given={
-            **{name: Given(value=value, unit="m") for name, value in metres.items()},
-            "thrust": Given(value=1.0, unit="m/s^2"), "duration": Given(value=TIME, unit="s"),
-            "v0": Given(value=0.0, unit="m/s"), "low": Given(value=LOW), "rise": Given(value=RISE),
+            **{name: Parameter(value=value, unit="m") for name, value in metres.items()},
+            "thrust": Parameter(value=1.0, unit="m/s^2"), "duration": Parameter(value=TIME, unit="s"),
+            "v0": Parameter(value=0.0, unit="m/s"), "low": Parameter(value=LOW), "rise": Parameter(value=RISE),
         },
         objective=lambda x, p, xp: -x.vx, objective_unit="m/s",
     )  # fmt: skip
@@ -553,7 +553,7 @@ def leash_problem(
     phase = Phase(
         name="arc",
         states=(Variable(name="x"), Variable(name="action")),
-        controls=(Bounded(name="a"), Bounded(name="b")),
+        controls=(ScalarControl(name="a"), ScalarControl(name="b")),
         dynamics=lambda x, u, p, xp: (
             u.a / p.second, (u.a * u.a - x.x * x.x + (u.b + p.q) ** 2) / (2 * p.second),
         ),
@@ -570,10 +570,10 @@ def leash_problem(
     return Problem(
         name="leash", phases=(phase,), start=lambda p, xp: (p.x0, 0.0),
         given={
-            **{name: Given(value=value) for name, value in numbers.items()},
-            **{name: Given(value=value, unit="s") for name, value in seconds.items()},
+            **{name: Parameter(value=value) for name, value in numbers.items()},
+            **{name: Parameter(value=value, unit="s") for name, value in seconds.items()},
         },
-        free=(Free(name="s", lower=-1.0, upper=1.0),) if w is not None else (),
+        free=(FreeParameter(name="s", lower=-1.0, upper=1.0),) if w is not None else (),
         objective=lambda x, p, xp: x.action + p.price * p.s + 0.5 * p.w * p.s * p.s,
     )  # fmt: skip
 

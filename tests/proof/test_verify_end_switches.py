@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from perilune.core.errors import Outcome
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune.proof.sufficient import second_variation as variations
 from perilune.solve import solve
 from perilune.verify import verify
@@ -35,7 +35,7 @@ def tugged(where: str, pull: float, power: int = 1, weight: float = 1.0) -> Prob
     phase = Phase(
         name="arc",
         states=tuple(Variable(name=n) for n in ("clock", "y", "cost")),
-        controls=(Bounded(name="u", lower=-1.0, upper=1.0),),
+        controls=(ScalarControl(name="u", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (
             1 / p.second, u.u / p.second, p.weight * (x.clock - p.at) ** power * u.u / p.second
         ),
@@ -46,12 +46,15 @@ def tugged(where: str, pull: float, power: int = 1, weight: float = 1.0) -> Prob
         phases=(phase,),
         start=lambda p, xp: (0.0, p.begun, 0.0),
         given={
-            "duration": Given(value=LENGTH, unit="s"), "second": Given(value=1.0, unit="s"), "pull": Given(value=pull),
-            "weight": Given(value=weight), "at": Given(value=ENDS[where]),
-            "begun": Given(value=LENGTH if where == "begin" else -LENGTH),
+            "duration": Parameter(value=LENGTH, unit="s"),
+            "second": Parameter(value=1.0, unit="s"),
+            "pull": Parameter(value=pull),
+            "weight": Parameter(value=weight),
+            "at": Parameter(value=ENDS[where]),
+            "begun": Parameter(value=LENGTH if where == "begin" else -LENGTH),
         },
         objective=lambda x, p, xp: x.cost - 0.5 * p.pull * x.y * x.y,
-    )  # fmt: skip
+    )
 
 
 def flown(where: str, pull: float, power: int = 1, weight: float = 1.0, u: float | None = None) -> Solution:
@@ -167,7 +170,7 @@ def test_one_that_is_well_above_zero_at_the_end_is_no_switch() -> None:
 def beside_the_end(pull: float, off: float) -> Solution:
     """Return the flight of `flown` to y(2) = off, where S = -pull off."""
     solution = flown("end", pull)
-    given = {**solution.problem.given, "begun": Given(value=-LENGTH + off)}
+    given = {**solution.problem.given, "begun": Parameter(value=-LENGTH + off)}
     path = solution.trajectories[0]
     assert path.costate is not None
     values = path.state.values + np.array([0.0, off, 0.0])

@@ -46,12 +46,12 @@ def push(slope: Any, **numbers: tuple[float, str]) -> pl.Problem:
     phase = pl.Phase(
         name="push",
         states=variables(x="m", v="m/s", e="m^2/s^3"),
-        controls=(pl.Bounded(name="a", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="a", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.a - slope(x, p, xp), u.a**2 / 2),
         duration="T",
         end=lambda x, p, xp: (x.x - p.L, x.v),
         end_conditions=variables(place="m", stop="m/s"),
-        typical_end=lambda p, xp: (p.L, 0.0, 1.0),
+        end_guess=lambda p, xp: (p.L, 0.0, 1.0),
     )
     return pl.Problem(
         name="push", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0),
@@ -288,7 +288,7 @@ def lens(radius: float) -> Solution:
     phase = pl.Phase(
         name="ray",
         states=variables(x="m", y="m"),
-        controls=(pl.Direction(names=("cx", "cy")),),
+        controls=(pl.UnitVectorControl(names=("cx", "cy")),),
         dynamics=lambda x, u, p, xp: tuple(
             xp.where(x.x > 0.5 * x.y * x.y / p.R, p.slow, p.fast) * c for c in (u.cx, u.cy)
         ),
@@ -299,7 +299,7 @@ def lens(radius: float) -> Solution:
     problem = pl.Problem(
         name="lens", phases=(phase,), start=lambda p, xp: (-p.far, 0.0),
         given=given(fast=(1.0, "m/s"), slow=(0.5, "m/s"), far=(1.0, "m"), R=(radius, "m")),
-        free=(pl.Free(name="T", unit="s", lower=0.0, upper=20.0, typical=3.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.0, upper=20.0, guess=3.0),),
         objective=lambda x, p, xp: p.T, objective_unit="s",
     )  # fmt: skip
     t = np.array([0.0, 0.5, 1.0, 1.0, 2.0, 3.0])
@@ -358,7 +358,7 @@ def crossing_two(
     """A flight of x and y by hand, its tables given at times t, and a constant control where there is one."""
     phase = pl.Phase(
         name="go", states=variables(x="m", y="m"), duration="T", dynamics=rates,
-        controls=() if control is None else (pl.Bounded(name="a", unit="m"),),
+        controls=() if control is None else (pl.ScalarControl(name="a", unit="m"),),
     )  # fmt: skip
     problem = pl.Problem(
         name="go", phases=(phase,), start=lambda p, xp: (p.x0, p.y0), objective=lambda x, p, xp: x.x,

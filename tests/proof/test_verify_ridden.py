@@ -137,7 +137,7 @@ def test_a_condition_may_hold_the_duration_that_is_free() -> None:
     phase = replace(
         fixed.phases[0], path=lambda x, u, p, xp: (p.slope * x.x + p.offset + p.falls * (p.T - p.T0) - x.y,)
     )
-    falls = {"falls": pl.Given(value=0.01, unit="m/s"), "T0": pl.Given(value=1.8, unit="s")}
+    falls = {"falls": pl.Parameter(value=0.01, unit="m/s"), "T0": pl.Parameter(value=1.8, unit="s")}
     problem = pl.Problem(
         name="falling", phases=(phase,), start=fixed.start, given={**fixed.given, **falls}, free=fixed.free,
         objective=lambda x, p, xp: p.T, objective_unit="s",

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 import perilune as pl
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune.problem.verification import Check, Verification
 from problems.goddard import goddard
 from problems.singular import aly, nearest_to_zero, swinging
@@ -79,7 +79,7 @@ def standing(sign: float) -> Solution:
     phase = pl.Phase(
         name="stand",
         states=(Variable(name="x", unit="m"), Variable(name="c", unit="m^2*s")),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (u.u, sign * x.x * x.x),
         duration="T",
         end=lambda x, p, xp: (x.x,),
@@ -87,7 +87,7 @@ def standing(sign: float) -> Solution:
     )
     problem = pl.Problem(
         name="standing", phases=(phase,), start=lambda p, xp: (0 * p.far, 0 * p.far * p.far * p.T),
-        given={"T": Given(value=1.0, unit="s"), "far": Given(value=1.0, unit="m")},
+        given={"T": Parameter(value=1.0, unit="s"), "far": Parameter(value=1.0, unit="m")},
         objective=lambda x, p, xp: x.c, objective_unit="m^2*s",
     )  # fmt: skip
     time = np.array([0.0, 1.0])

@@ -37,7 +37,7 @@ def runaway(rate: float) -> pl.Problem:
     phase = pl.Phase(
         name="hold",
         states=(pl.Variable(name="x", unit="m"), pl.Variable(name="e", unit="m^2/s")),
-        controls=(pl.Bounded(name="u", unit="m/s"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (p.rate * x.x + u.u, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.x,),
@@ -48,9 +48,9 @@ def runaway(rate: float) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (p.x0, 0.0),
         given={
-            "rate": pl.Given(value=rate, unit="1/s"),
-            "x0": pl.Given(value=1.0, unit="m"),
-            "T": pl.Given(value=1.0, unit="s"),
+            "rate": pl.Parameter(value=rate, unit="1/s"),
+            "x0": pl.Parameter(value=1.0, unit="m"),
+            "T": pl.Parameter(value=1.0, unit="s"),
         },
         free=(),
         objective=lambda x, p, xp: x.e,
@@ -74,7 +74,7 @@ def test_a_phase_inherits_the_growth_of_those_before() -> None:
         whole,
         phases=(first, replace(whole.phases[0], name="second")),
         links=(lambda x, p, xp: (x.x, x.e),),
-        given={**whole.given, "T": pl.Given(value=0.5, unit="s")},
+        given={**whole.given, "T": pl.Parameter(value=0.5, unit="s")},
     )
     (_, early), (_, late) = reintegrate(pl.solve(problem, verify=0))
     assert early.growth == pytest.approx([np.exp(1.5), 1.0], rel=1e-6)
@@ -115,7 +115,7 @@ def arrival(clock: float) -> pl.Problem:
         states=tuple(
             pl.Variable(name=name, unit=unit) for name, unit in (("x", "m"), ("v", "m/s"), ("t", "s"), ("e", "m^2/s^3"))
         ),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 1.0, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.x - p.distance, x.v),
@@ -126,11 +126,11 @@ def arrival(clock: float) -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, p.clock, 0.0),
         given={
-            "distance": pl.Given(value=10.0, unit="m"),
-            "clock": pl.Given(value=clock, unit="s"),
-            "worth": pl.Given(value=1.0, unit="s^4/m^2"),
+            "distance": pl.Parameter(value=10.0, unit="m"),
+            "clock": pl.Parameter(value=clock, unit="s"),
+            "worth": pl.Parameter(value=1.0, unit="s^4/m^2"),
         },
-        free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=5.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.1, upper=100.0, guess=5.0),),
         objective=lambda x, p, xp: x.t + p.worth * x.e,
         objective_unit="s",
         scales=pl.Scales(length=10.0, time=5.0),
@@ -183,7 +183,7 @@ def far(origin: float, length: float, gravity: float = 0.0) -> pl.Problem:
     phase = pl.Phase(
         name="rise",
         states=tuple(pl.Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("e", "m^2/s^3"))),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u - p.g * (p.x0 + p.R) ** 2 / (x.x + p.R) ** 2, 0.5 * u.u * u.u),
         duration="T",
         end=lambda x, p, xp: (x.x - p.x1, x.v),
@@ -195,7 +195,7 @@ def far(origin: float, length: float, gravity: float = 0.0) -> pl.Problem:
         name="far",
         phases=(phase,),
         start=lambda p, xp: (p.x0, 0.0, 0.0),
-        given={name: pl.Given(value=value, unit=unit) for name, (value, unit) in numbers.items()},
+        given={name: pl.Parameter(value=value, unit=unit) for name, (value, unit) in numbers.items()},
         objective=lambda x, p, xp: x.e,
         objective_unit="m^2/s^3",
         scales=pl.Scales(length=length, time=5.0),
@@ -217,7 +217,7 @@ def fall_after_an_instant() -> pl.Problem:
     """Pushed for 1 s, left alone for 1 us, then for 5 s on a saddle with rates 1/s and -2/s, to x = 0: least effort."""
     states = tuple(pl.Variable(name=n, unit=unit) for n, unit in (("x", "m"), ("v", "m/s"), ("e", "m^2/s^3")))
     push = pl.Phase(
-        name="push", states=states, controls=(pl.Bounded(name="u", unit="m/s^2"),), duration="T",
+        name="push", states=states, controls=(pl.ScalarControl(name="u", unit="m/s^2"),), duration="T",
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
     )  # fmt: skip
     instant = replace(push, name="instant", controls=(), duration="moment", dynamics=lambda x, u, p, xp: (x.v, 0, 0))
@@ -235,7 +235,7 @@ def fall_after_an_instant() -> pl.Problem:
         phases=(push, instant, fall),
         links=(link, link),
         start=lambda p, xp: (p.far, 0.0, 0.0),
-        given={n: pl.Given(value=v, unit=unit) for n, (v, unit) in given.items()},
+        given={n: pl.Parameter(value=v, unit=unit) for n, (v, unit) in given.items()},
         objective=lambda x, p, xp: x.e,
         objective_unit="m^2/s^3",
     )

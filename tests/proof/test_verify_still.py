@@ -15,15 +15,15 @@ import perilune as pl
 from perilune.core.arrays import Physics
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 
 DRIFTS = [1e-6, 1e-9, 1e-12, 1e-13, 1e-15, 1e-17, -1e-13]
 GIVEN = {
-    "T": Given(value=1.0, unit="s"),
-    "a": Given(value=1.0, unit="m/s"),
-    "g": Given(value=1.0, unit="m/s^2"),
-    "k": Given(value=1.0, unit="m^2/s^2"),
-    "L": Given(value=1.0, unit="m"),
+    "T": Parameter(value=1.0, unit="s"),
+    "a": Parameter(value=1.0, unit="m/s"),
+    "g": Parameter(value=1.0, unit="m/s^2"),
+    "k": Parameter(value=1.0, unit="m^2/s^2"),
+    "L": Parameter(value=1.0, unit="m"),
 }
 
 
@@ -46,11 +46,16 @@ def claimed(problem: pl.Problem, state: Curve, control: Curve, costate: Curve, *
 
 
 def for_a_second(
-    name: str, states: tuple[Variable, ...], dynamics: Physics, *, bound: float = np.inf, free: tuple[pl.Free, ...] = ()
+    name: str,
+    states: tuple[Variable, ...],
+    dynamics: Physics,
+    *,
+    bound: float = np.inf,
+    free: tuple[pl.FreeParameter, ...] = (),
 ) -> pl.Problem:
     """One phase from 0, whose last state counts J."""
     phase = pl.Phase(
-        name="go", states=states, controls=(pl.Bounded(name="u", unit="m/s", lower=-bound, upper=bound),),
+        name="go", states=states, controls=(pl.ScalarControl(name="u", unit="m/s", lower=-bound, upper=bound),),
         dynamics=dynamics, duration="T",
     )  # fmt: skip
     return pl.Problem(
@@ -80,7 +85,7 @@ def chosen() -> pl.Problem:
     return for_a_second(
         "chosen", variables(c="m^2/s"),
         lambda x, u, p, xp: (0.5 * p.q * p.q - p.a * p.q + p.k + 0.5 * (u.u - p.a) ** 2,),
-        free=(pl.Free(name="q", unit="m/s", typical=1.0),),
+        free=(pl.FreeParameter(name="q", unit="m/s", guess=1.0),),
     )  # fmt: skip
 
 
@@ -205,7 +210,7 @@ def late_stop(turns: float) -> pl.Problem:
         name="wait", states=states, dynamics=lambda x, u, p, xp: (x.v, -p.stiff * x.x, 0.0), duration="waits"
     )
     stop = pl.Phase(
-        name="stop", states=states, controls=(pl.Bounded(name="u", unit="m/s^2"),), duration="T",
+        name="stop", states=states, controls=(pl.ScalarControl(name="u", unit="m/s^2"),), duration="T",
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         end=lambda x, p, xp: (x.x, x.v), end_conditions=variables(there="m", still="m/s"),
     )  # fmt: skip
@@ -214,8 +219,8 @@ def late_stop(turns: float) -> pl.Problem:
         phases=(wait, stop),
         links=(lambda x, p, xp: (x.x, x.v, x.c),),
         start=lambda p, xp: (p.L, 0.0, 0.0),
-        given={n: GIVEN[n] for n in "TL"} | {"stiff": Given(value=1, unit="1/s^2")},
-        free=(pl.Free(name="waits", unit="s", lower=0.0, typical=turns),),
+        given={n: GIVEN[n] for n in "TL"} | {"stiff": Parameter(value=1, unit="1/s^2")},
+        free=(pl.FreeParameter(name="waits", unit="s", lower=0.0, guess=turns),),
         objective=lambda x, p, xp: x.c,
         objective_unit="m^2/s^3",
     )
@@ -233,13 +238,18 @@ def two_ways(mass: float, aside: float) -> pl.Problem:
     phase = pl.Phase(
         name="go",
         states=variables(x="m", y="m", vx="m/s", vy="m/s", c="m^2/s^3"),
-        controls=(pl.Bounded(name="force", unit="N"), pl.Bounded(name="w", unit="m/s^2")),
+        controls=(pl.ScalarControl(name="force", unit="N"), pl.ScalarControl(name="w", unit="m/s^2")),
         dynamics=lambda x, u, p, xp: (x.vx, x.vy, u.force / p.m, u.w, 0.5 * ((u.force / p.m) ** 2 + u.w * u.w)),
         duration="T",
         end=lambda x, p, xp: (x.x - p.L, x.y - p.aside, x.vx, x.vy),
         end_conditions=variables(ahead="m", beside="m", still="m/s", steady="m/s"),
     )
-    given = {"T": GIVEN["T"], "L": GIVEN["L"], "m": Given(value=mass, unit="kg"), "aside": Given(value=aside, unit="m")}
+    given = {
+        "T": GIVEN["T"],
+        "L": GIVEN["L"],
+        "m": Parameter(value=mass, unit="kg"),
+        "aside": Parameter(value=aside, unit="m"),
+    }
     return pl.Problem(
         name="two_ways",
         phases=(phase,),

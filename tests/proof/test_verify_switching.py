@@ -12,12 +12,12 @@ import pytest
 from perilune.core.errors import Outcome
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.precision.problem import Corridor
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.problem.verification import Check, Verification
 from perilune.solve import solve
 from perilune.verify import verify
@@ -50,7 +50,7 @@ def tug(pull: float, power: int = 1, switch: float = MIDDLE, swing: float = 1.0)
     phase = Phase(
         name="arc",
         states=tuple(Variable(name=n) for n in ("clock", "y", "cost", "x")),
-        controls=(Bounded(name="u", lower=-1.0, upper=1.0), Bounded(name="w")),
+        controls=(ScalarControl(name="u", lower=-1.0, upper=1.0), ScalarControl(name="w")),
         dynamics=lambda x, u, p, xp: (
             1 / p.second,
             u.u / p.second,
@@ -66,11 +66,13 @@ def tug(pull: float, power: int = 1, switch: float = MIDDLE, swing: float = 1.0)
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0, p.swing),
         given={
-            "duration": Given(value=END, unit="s"), "second": Given(value=1.0, unit="s"), "pull": Given(value=pull),
-            "swing": Given(value=swing),
+            "duration": Parameter(value=END, unit="s"),
+            "second": Parameter(value=1.0, unit="s"),
+            "pull": Parameter(value=pull),
+            "swing": Parameter(value=swing),
         },
         objective=lambda x, p, xp: x.cost - 0.5 * p.pull * x.y * x.y,
-    )  # fmt: skip
+    )
     pieces = [_tug_piece(np.linspace(a, b, 1201), u, pull, power, switch, swing) for a, b, u in
               ((0.0, switch, 1.0), (switch, END, -1.0)) if b > a]  # fmt: skip
     time = np.concatenate([piece[0] for piece in pieces])
@@ -325,16 +327,23 @@ def test_where_a_bound_holds_the_end_free_parameters_have_the_ranges_that_they_h
     """Least integral of u^2/2, less x(1), and (q - 2)^2 with q up to 1, which a hook says; in a wider range it is 2."""
     phase = Phase(
         name="go", states=(Variable(name="x", unit="m", upper=ceiling), Variable(name="c", unit="m^2/s")),
-        controls=(Bounded(name="u", unit="m/s"),), duration="T",
+        controls=(ScalarControl(name="u", unit="m/s"),), duration="T",
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
     )  # fmt: skip
     problem = Problem(
-        name="ranged", phases=(phase,), start=lambda p, xp: (0.0, 0.0), objective_unit="m^2/s",
+        name="ranged",
+        phases=(phase,),
+        start=lambda p, xp: (0.0, 0.0),
+        objective_unit="m^2/s",
         objective=lambda x, p, xp: x.c - p.k * x.x + p.k * (p.q - 2 * p.l) ** 2 / p.l,
-        given={"T": Given(value=1.0, unit="s"), "k": Given(value=1.0, unit="m/s"), "l": Given(value=1.0, unit="m")},
-        free=(Free(name="q", unit="m", lower=-1.0, upper=1.0, typical=0.5),),
-        ranges=lambda p, xp: {"q": (-p.l, p.l, 0.5)},
-    )  # fmt: skip
+        given={
+            "T": Parameter(value=1.0, unit="s"),
+            "k": Parameter(value=1.0, unit="m/s"),
+            "l": Parameter(value=1.0, unit="m"),
+        },
+        free=(FreeParameter(name="q", unit="m", lower=-1.0, upper=1.0, guess=0.5),),
+        parameter_bounds=lambda p, xp: {"q": (-p.l, p.l, 0.5)},
+    )
     solution = Pseudospectral(nlp_tolerance=1e-13).run(problem)
     assert verify(solution).verification.level == 3
     wide = problem.changed(free=(replace(problem.free[0], upper=5.0),))
@@ -357,7 +366,7 @@ def test_no_control_is_compared_with_one_of_which_nothing_is_known(lander: Solut
         nothing = xp.sqrt((u.thrust - p.gap) ** 2 - (0.1 * p.gap) ** 2)
         return (*phase.dynamics(x, u, p, xp)[:3], u.thrust + 0.0 * nothing)
 
-    given = {**problem.given, "gap": Given(value=0.5, unit="N")}
+    given = {**problem.given, "gap": Parameter(value=0.5, unit="N")}
     stated = replace(problem, phases=(replace(phase, dynamics=blind),), given=given)
     proof = verify(replace(lander, problem=stated), level=2).verification
     assert math.isnan(check(proof, "minimum_of_hamiltonian").value)

@@ -14,12 +14,12 @@ from scipy.interpolate import CubicHermiteSpline
 
 from perilune.core.errors import Outcome
 from perilune.models.precision.problem import Corridor
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune.proof.feasible.deviations import state_deviation
 from perilune.proof.feasible.feasibility import STATE_LIMIT
 from perilune.proof.feasible.phase_data import PhaseData
@@ -208,14 +208,14 @@ def test_an_impulse_in_a_piece_of_a_picosecond_fails(way: float) -> None:
     phase = Phase(
         name="push", states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s"),
                              Variable(name="e", unit="m^2/s^3")),
-        controls=(Bounded(name="a", unit="m/s^2"),), dynamics=lambda x, u, p, xp: (x.v, u.a, 0.5 * u.a * u.a),
+        controls=(ScalarControl(name="a", unit="m/s^2"),), dynamics=lambda x, u, p, xp: (x.v, u.a, 0.5 * u.a * u.a),
         duration="T", end=lambda x, p, xp: (x.x - p.far, x.v),
         end_conditions=(Variable(name="place", unit="m"), Variable(name="rest", unit="m/s")),
     )  # fmt: skip
     problem = Problem(
         name="push", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0), objective=lambda x, p, xp: x.e,
         objective_unit="m^2/s^3",
-        given={"T": Given(value=1.0, unit="s"), "far": Given(value=1.0, unit="m")},
+        given={"T": Parameter(value=1.0, unit="s"), "far": Parameter(value=1.0, unit="m")},
     )  # fmt: skip
     solution = solve(problem, verify=3)
     assert solution.outcome is Outcome.PROVED
@@ -355,8 +355,8 @@ def test_a_dip_below_the_ground_between_the_points_is_found() -> None:
     )  # fmt: skip
     for c in np.linspace(0.11, 0.87, 14):
         depth = 1e-7
-        given = {"g": Given(value=2.0, unit="m/s^2"), "T": Given(value=1.0, unit="s"),
-                 "y0": Given(value=c * c - depth, unit="m"), "w0": Given(value=-2 * c, unit="m/s")}  # fmt: skip
+        given = {"g": Parameter(value=2.0, unit="m/s^2"), "T": Parameter(value=1.0, unit="s"),
+                 "y0": Parameter(value=c * c - depth, unit="m"), "w0": Parameter(value=-2 * c, unit="m/s")}  # fmt: skip
         problem = Problem(
             name="dive", phases=(phase,), start=lambda p, xp: (p.y0, p.w0), objective=lambda x, p, xp: x.y,
             objective_unit="m", given=given,
@@ -384,7 +384,7 @@ def drift(rate: Any, cost: float) -> Solution:
     )  # fmt: skip
     problem = Problem(
         name="drift", phases=(phase,), start=lambda p, xp: (0.0, 0.0), objective=lambda x, p, xp: x.y,
-        given={"T": Given(value=1.0, unit="s"), "second": Given(value=1.0, unit="s")},
+        given={"T": Parameter(value=1.0, unit="s"), "second": Parameter(value=1.0, unit="s")},
     )  # fmt: skip
     t = np.array([0.0, 1.0])
     state = Curve(time=t, values=np.column_stack([t, 0 * t]), rates=np.array([[1.0, 0.0], [1.0, 0.0]]))

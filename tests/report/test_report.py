@@ -138,7 +138,7 @@ def test_columns_satisfy_the_optimality_conditions(hybrid: Solution) -> None:
     assert found["thrust_angle"].unit == "deg"
     assert found["thrust_angle"].values[0] == pytest.approx(180.0, abs=1e-8)
     assert found["thrust_acceleration"].values == pytest.approx(440.0 / found["m"].values)
-    _, u = hybrid.flown(0, t)
+    _, u = hybrid.evaluate(0, t)
     assert np.linalg.norm(u, axis=0) == pytest.approx(np.ones(200), abs=1e-15)
     for turn in (-0.1, 0.1, 3.0):
         c, s = math.cos(turn), math.sin(turn)
@@ -171,7 +171,7 @@ def test_a_saved_solution_comes_back_exactly_but_unproved(hybrid: Solution, tmp_
     assert dict(back.free) == dict(hybrid.free)
     assert back.objective == hybrid.objective
     assert dict(back.multipliers) == dict(hybrid.multipliers)
-    assert back.extremals == () and back.listed == hybrid.extremals
+    assert back.extremals == () and back.unverified_extremals == hybrid.extremals
     assert back.unknowns is not None and (back.unknowns == hybrid.unknowns).all()
     assert back.statistics.rung == "test" and math.isnan(back.statistics.wall_time)
     old, new = hybrid.trajectories[0], back.trajectories[0]

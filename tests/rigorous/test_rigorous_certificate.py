@@ -19,7 +19,7 @@ pytest.importorskip("flint")
 from flint import arb, arb_series, ctx
 
 import prover_checks
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune.problem.verification import Verification
 from perilune.rigorous.verified import add_theorem_checks
 from perilune_checker.check import checked_sentence, confirm
@@ -39,15 +39,15 @@ def rolled() -> pl.Problem:
     """Half a metre in a second by two controls that no formula gives: H is -0.27 (u + v) - cos u - cos v + 0.1 u v."""
     phase = pl.Phase(
         name="roll", states=(Variable(name="x", unit="m"), Variable(name="cost", unit="s")),
-        controls=tuple(pl.Bounded(name=name, lower=-2.0, upper=2.0) for name in "uv"), duration="T",
+        controls=tuple(pl.ScalarControl(name=name, lower=-2.0, upper=2.0) for name in "uv"), duration="T",
         dynamics=lambda x, u, p, xp: (p.speed * (u.u + u.v), 2 - xp.cos(u.u) - xp.cos(u.v) + 0.1 * u.u * u.v),
         end=lambda x, p, xp: (x.x - p.distance,), end_conditions=(Variable(name="place", unit="m"),),
-        typical_end=lambda p, xp: (p.distance, p.T),
+        end_guess=lambda p, xp: (p.distance, p.T),
     )  # fmt: skip
-    given = {"T": Given(value=1.0, unit="s"), "speed": Given(value=1.0, unit="m/s")}
+    given = {"T": Parameter(value=1.0, unit="s"), "speed": Parameter(value=1.0, unit="m/s")}
     return pl.Problem(
         name="rolled", phases=(phase,), start=lambda p, xp: (0.0 * p.distance, 0.0 * p.T), objective_unit="s",
-        objective=lambda x, p, xp: x.cost, given={**given, "distance": Given(value=0.5, unit="m")},
+        objective=lambda x, p, xp: x.cost, given={**given, "distance": Parameter(value=0.5, unit="m")},
     )  # fmt: skip
 
 
@@ -402,11 +402,16 @@ def fastest() -> pl.Problem:
     """x(1) as large as it can be with x' = u, 0 < u < 1/2."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"),), duration="T",
-        controls=(pl.Bounded(name="u", unit="m/s", lower=0.0, upper=0.5),), dynamics=lambda x, u, p, xp: (u.u,),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=0.0, upper=0.5),), dynamics=lambda x, u, p, xp: (u.u,),
     )  # fmt: skip
-    return pl.Problem(name="fastest", phases=(phase,), start=lambda p, xp: (0.0 * p.T * p.half,),
-                      objective=lambda x, p, xp: -x.x, objective_unit="m",
-                      given={"T": pl.Given(value=1.0, unit="s"), "half": pl.Given(value=0.5, unit="m/s")})  # fmt: skip
+    return pl.Problem(
+        name="fastest",
+        phases=(phase,),
+        start=lambda p, xp: (0.0 * p.T * p.half,),
+        objective=lambda x, p, xp: -x.x,
+        objective_unit="m",
+        given={"T": pl.Parameter(value=1.0, unit="s"), "half": pl.Parameter(value=0.5, unit="m/s")},
+    )
 
 
 def test_a_control_keeps_both_its_bounds_wherever_it_is() -> None:

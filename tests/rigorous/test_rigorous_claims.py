@@ -27,7 +27,7 @@ def problem(
 ) -> pl.Problem:
     return pl.Problem(
         name="claimed", phases=(phase,), start=lambda p, xp: (0.0,) * len(phase.states),
-        given={name: pl.Given(value=value, unit=own) for name, (value, own) in given.items()},
+        given={name: pl.Parameter(value=value, unit=own) for name, (value, own) in given.items()},
         objective=objective, objective_unit=unit, **options,
     )  # fmt: skip
 
@@ -52,7 +52,7 @@ def test_a_corner_that_each_control_alone_would_keep_is_no_minimum() -> None:
     """H = -u - v - 3 u v is -1 at (-1, -1), where both slopes are positive, and -5 at (1, 1)."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"),),
-        controls=tuple(pl.Bounded(name=name, lower=-1.0, upper=1.0) for name in "uv"),
+        controls=tuple(pl.ScalarControl(name=name, lower=-1.0, upper=1.0) for name in "uv"),
         dynamics=lambda x, u, p, xp: (p.w * (-u.u - u.v - 3 * u.u * u.v),), duration="T",
     )  # fmt: skip
     stated = problem(phase, lambda x, p, xp: x.x, {"T": (1.0, "s"), "w": (1.0, "m/s")})
@@ -65,18 +65,18 @@ def test_controls_without_a_formula_are_states_and_the_only_minimum() -> None:
     """Straight to (3 m, 4 m) at 1 m/s by an angle: 5 s; and x' = u + v at a cost of u^2 + v^2 + u v: u = v = 1/2."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="y", unit="m")),
-        controls=(pl.Bounded(name="a", unit="rad", lower=-1.5, upper=1.5),),
+        controls=(pl.ScalarControl(name="a", unit="rad", lower=-1.5, upper=1.5),),
         dynamics=lambda x, u, p, xp: (p.w * xp.cos(u.a), p.w * xp.sin(u.a)), duration="T",
         end=lambda x, p, xp: (x.x - 3 * p.l, x.y - 4 * p.l),
         end_conditions=(pl.Variable(name="along", unit="m"), pl.Variable(name="up", unit="m")),
     )  # fmt: skip
-    free = (pl.Free(name="T", unit="s", lower=0.0, upper=50.0, typical=5.0),)
+    free = (pl.FreeParameter(name="T", unit="s", lower=0.0, upper=50.0, guess=5.0),)
     stated = problem(phase, lambda x, p, xp: p.w * p.T, {"w": (1.0, "m/s"), "l": (1.0, "m")}, free=free)
     root, missing = proved(stated, {"a": "interior"}, [-0.6, -0.8, 5.0, -0.6, -0.8, 0.9])
     assert not missing and root.y[2].overlaps(arb(5)) and root.y[5].overlaps(arb.atan2(arb(4), arb(3)))
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
-        controls=tuple(pl.Bounded(name=name, unit="m/s", lower=-9.0, upper=9.0) for name in "uv"),
+        controls=tuple(pl.ScalarControl(name=name, unit="m/s", lower=-9.0, upper=9.0) for name in "uv"),
         dynamics=lambda x, u, p, xp: (u.u + u.v, u.u * u.u + u.v * u.v + u.u * u.v), duration="T",
         end=lambda x, p, xp: (x.x - p.l,), end_conditions=(pl.Variable(name="along", unit="m"),),
     )  # fmt: skip
@@ -98,7 +98,7 @@ def test_another_minimum_of_h_that_is_lower_at_any_time_is_seen(
     """H = (u^2 - 1)^2 + (tilt + drift t) u is least near -1 while the factor is positive; there is a minimum near 1."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="s"), pl.Variable(name="c")),
-        controls=(pl.Bounded(name="u", lower=-2.0, upper=2.5),), duration="T",
+        controls=(pl.ScalarControl(name="u", lower=-2.0, upper=2.5),), duration="T",
         dynamics=lambda x, u, p, xp: (1 / p.T, ((u.u**2 - 1) ** 2 + (p.tilt + p.drift * x.s) * u.u) / p.T),
     )  # fmt: skip
     given = {"T": (1.0, "s"), "tilt": (tilt, "1"), "drift": (drift, "1")}
@@ -112,7 +112,7 @@ def test_an_arc_begins_with_no_control_of_the_one_before_but_by_a_formula() -> N
     """Where a comes to its bound 1, b does not, though it stands behind the costate then where a stood before."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="s"), pl.Variable(name="c")),
-        controls=tuple(pl.Bounded(name=name, lower=-1.0, upper=1.0) for name in "ab"), duration="T",
+        controls=tuple(pl.ScalarControl(name=name, lower=-1.0, upper=1.0) for name in "ab"), duration="T",
         dynamics=lambda x, u, p, xp: (1 / p.T, ((u.a - x.s) ** 2 + u.a**4 * u.b**4 + u.b**2) / p.T),
     )  # fmt: skip
     stated, one = (
@@ -136,10 +136,10 @@ def test_a_parameter_that_is_a_bound_is_chosen_for_what_it_bounds() -> None:
     """x' = u <= q, least q^2/2 - x(1): q = 1."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"),),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-10.0, upper="q"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-10.0, upper="q"),),
         dynamics=lambda x, u, p, xp: (u.u,), duration="T",
     )  # fmt: skip
-    free = (pl.Free(name="q", unit="m/s", lower=-5.0, upper=5.0, typical=1.0),)
+    free = (pl.FreeParameter(name="q", unit="m/s", lower=-5.0, upper=5.0, guess=1.0),)
     stated = problem(phase, lambda x, p, xp: (p.q * p.T) ** 2 / (2 * p.l) - x.x, {"T": (1.0, "s"), "l": (1.0, "m")},
                      free=free)  # fmt: skip
     root, missing = proved(stated, {"u": "upper"}, [-1.0, 0.0, 0.5])
@@ -151,7 +151,7 @@ def test_a_control_on_the_wrong_bound_is_seen_however_small_its_effect(scale: fl
     """dH/du grows through 0 at 0.7 s, where u has to leave its upper bound."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="v", unit="m/s")),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u), duration="T",
     )  # fmt: skip
     stated = problem(phase, lambda x, p, xp: p.s * (0.3 * p.T * x.v - x.x), {"T": (1.0, "s"), "s": (scale, "1")})
@@ -176,16 +176,16 @@ def test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond(
     def missing(range_: tuple[float, float], bound: float | None) -> list[str]:
         phase = pl.Phase(
             name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
-            controls=(pl.Bounded(name="u", unit="m/s"),), dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
+            controls=(pl.ScalarControl(name="u", unit="m/s"),), dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
             duration="T", end=lambda x, p, xp: (x.x,),
             end_conditions=(pl.Variable(name="place", unit="m", lower=range_[0], upper=range_[1]),),
         )  # fmt: skip
         at = {} if bound is None else {side: bound}
         stated = pl.Problem(
             name="ranged", phases=(phase,), start=lambda p, xp: (p.q, 0.0), objective_unit="m",
-            given={"T": pl.Given(value=1.0, unit="s"), "w": pl.Given(value=1.0, unit="s/m")},
+            given={"T": pl.Parameter(value=1.0, unit="s"), "w": pl.Parameter(value=1.0, unit="s/m")},
             objective=lambda x, p, xp: p.w * (x.c + (p.q - p.T / p.w) ** 2 / p.T),
-            free=(pl.Free(name="q", unit="m", typical=1.0, **{"lower": -5.0, "upper": 5.0, **at}),),
+            free=(pl.FreeParameter(name="q", unit="m", guess=1.0, **{"lower": -5.0, "upper": 5.0, **at}),),
         )  # fmt: skip
         sides = room("boundary_value_problem").Sides(
             free={"q": side} if at else {}, ranges={("go", "place"): side if holds else "inside"}
@@ -205,7 +205,7 @@ def approaching(side: str, gain: float, named: bool) -> pl.Problem:
         dynamics=lambda x, u, p, xp: (sign * p.w,),
     )  # fmt: skip
     return problem(phase, lambda x, p, xp: -gain * p.w * p.T, {"w": (1.0, "m/s"), "end": (sign, "m")},
-                   free=(pl.Free(name="T", unit="s", lower=0.0, upper=9.0, typical=1.0),))  # fmt: skip
+                   free=(pl.FreeParameter(name="T", unit="s", lower=0.0, upper=9.0, guess=1.0),))  # fmt: skip
 
 
 @pytest.mark.parametrize("side", ["lower", "upper"])
@@ -235,7 +235,7 @@ def test_a_bound_that_holds_an_end_keeps_a_local_optimum(gain: float, J: float, 
     """Least integral of u^2/2, less gain x(1), x <= 1/2: x = t/2, or gain t where that is less."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m", upper=0.5), pl.Variable(name="c", unit="m^2/s")),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-9.0, upper=9.0),), duration="T",
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-9.0, upper=9.0),), duration="T",
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
     )  # fmt: skip
     stated = problem(phase, lambda x, p, xp: x.c - p.k * x.x, {"T": (1.0, "s"), "k": (gain, "m/s")}, unit="m^2/s")
@@ -252,8 +252,8 @@ def test_a_bound_that_is_touched_and_not_crossed_is_not_seen_to_be_kept() -> Non
     )  # fmt: skip
     stated = pl.Problem(
         name="touching", phases=(phase,), start=lambda p, xp: (p.q, 0.0), objective=lambda x, p, xp: p.q,
-        given={"T": pl.Given(value=1.0, unit="s"), "a": pl.Given(value=1.0, unit="m/s^2")}, objective_unit="m",
-        free=(pl.Free(name="q", unit="m", lower=-9.0, upper=9.0, typical=1.0),),
+        given={"T": pl.Parameter(value=1.0, unit="s"), "a": pl.Parameter(value=1.0, unit="m/s^2")}, objective_unit="m",
+        free=(pl.FreeParameter(name="q", unit="m", lower=-9.0, upper=9.0, guess=1.0),),
     )  # fmt: skip
     sides = room("boundary_value_problem").Sides(states={("go", "x"): "lower"})
     root, missing = proved(stated, {}, [-1.0, 0.0, 0.9, -1.0], sides)
@@ -283,13 +283,13 @@ def test_a_limit_that_is_touched_at_the_end_is_not_broken_before() -> None:
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="v", unit="m/s"),
                            pl.Variable(name="cost", unit="m^2/s^3")),
-        controls=(pl.Bounded(name="u", unit="m/s^2"),), dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),), dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T", end=lambda x, p, xp: (xp.sin(x.x / p.l), x.v - 3 * p.l / p.T),
         end_conditions=(pl.Variable(name="place"), pl.Variable(name="speed", unit="m/s")),
     )  # fmt: skip
     stated = pl.Problem(
         name="dipping", phases=(phase,), start=lambda p, xp: (p.l, -6 * p.l / p.T, 0.0), objective_unit="m^2/s^3",
-        given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")},
+        given={"T": pl.Parameter(value=1.0, unit="s"), "l": pl.Parameter(value=1.0, unit="m")},
         objective=lambda x, p, xp: x.cost,
     )  # fmt: skip
     _, missing = proved(stated, {"u": "interior"}, [-6.0, -12.0, 1.0, -6.0, -6.0])
@@ -301,12 +301,12 @@ def test_a_limit_that_is_missed_at_the_end_is_named(by: float, missing: list[str
     """x = 1 - (1 + by) t."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="c", unit="m^2/s")),
-        controls=(pl.Bounded(name="u", unit="m/s"),), dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
+        controls=(pl.ScalarControl(name="u", unit="m/s"),), dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T", end=lambda x, p, xp: (xp.sin(x.x / p.l + by),), end_conditions=(pl.Variable(name="place"),),
     )  # fmt: skip
     stated = pl.Problem(
         name="falling", phases=(phase,), start=lambda p, xp: (p.l, 0.0), objective=lambda x, p, xp: x.c,
-        given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")}, objective_unit="m^2/s",
+        given={"T": pl.Parameter(value=1.0, unit="s"), "l": pl.Parameter(value=1.0, unit="m")}, objective_unit="m^2/s",
     )  # fmt: skip
     assert proved(stated, {"u": "interior"}, [1.0, 1.0, 1.0])[1] == missing
 
@@ -315,13 +315,13 @@ def test_every_limit_that_is_broken_is_named_and_no_other() -> None:
     """x = t, u = 1 is where -u^2/2 is stationary: the greatest, not the least; and q = 2."""
     states = (pl.Variable(name="x", unit="m", lower=0.2, upper=0.8), pl.Variable(name="c", unit="m^2/s", lower=-3.0))
     phase = pl.Phase(
-        name="go", states=states, controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=0.5),),
+        name="go", states=states, controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=0.5),),
         dynamics=lambda x, u, p, xp: (u.u, -0.5 * u.u * u.u), duration="T",
         end=lambda x, p, xp: (x.x - p.l,), end_conditions=(pl.Variable(name="place", unit="m"),),
         path=lambda x, u, p, xp: (x.x - 0.9 * p.l, 2 * p.l - x.x),
         path_conditions=(pl.Variable(name="high", unit="m"), pl.Variable(name="low", unit="m")),
     )  # fmt: skip
-    free = (pl.Free(name="q", unit="m", lower=-5.0, upper=1.0, typical=1.0),)
+    free = (pl.FreeParameter(name="q", unit="m", lower=-5.0, upper=1.0, guess=1.0),)
     stated = problem(phase, lambda x, p, xp: x.c / (p.l / p.T) + (p.q - 2 * p.l) ** 2 / p.l,
                      {"T": (1.0, "s"), "l": (1.0, "m")}, free=free)  # fmt: skip
     _, missing = proved(stated, {"u": "interior"}, [1.0, 1.0, 2.0, 1.0])
@@ -333,13 +333,13 @@ def test_an_arc_of_negative_length_is_seen() -> None:
     """x'' = 1 for -1/4 s, then x'' = -1 for 3/4 s."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="v", unit="m/s")),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v + p.w, u.u), duration="t_f",
         end=lambda x, p, xp: (x.x - p.d, x.v + p.w),
         end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="speed", unit="m/s")),
     )  # fmt: skip
     stated = problem(phase, lambda x, p, xp: p.w * p.t_f, {"w": (1.0, "m/s"), "d": (0.0625, "m")},
-                     free=(pl.Free(name="t_f", unit="s", lower=0.0, upper=10.0, typical=1.0),))  # fmt: skip
+                     free=(pl.FreeParameter(name="t_f", unit="s", lower=0.0, upper=10.0, guess=1.0),))  # fmt: skip
     one = room("boundary_value_problem").ArcPiece
     pieces = [one(phase=0, regimes={"u": "upper"}, switched="u"), one(phase=0, regimes={"u": "lower"})]
     _, missing = proved(stated, pieces, [-4 / 3, 1 / 3, 0.5, -4 / 3, 1.0, -0.25])
@@ -353,7 +353,7 @@ def test_a_control_on_a_bound_is_the_least_where_h_is_convex_in_it(
     """Least integral of sign u^2/2, less a multiple of x(1), u <= 1."""
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
-        controls=(pl.Bounded(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (u.u, sign * 0.5 * u.u * u.u), duration="T",
     )  # fmt: skip
     stated = problem(phase, lambda x, p, xp: p.k * x.c - weight * x.x, {"T": (1.0, "s"), "k": (1.0, "s/m")})
@@ -373,7 +373,7 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
 
     phase = pl.Phase(
         name="go", states=tuple(pl.Variable(name=n, unit=u) for n, u in (("x", "m"), ("y", "m"), ("c", "m^2/s"))),
-        controls=(pl.Bounded(name="u", unit="m/s"), pl.Bounded(name="v", unit="m/s")),
+        controls=(pl.ScalarControl(name="u", unit="m/s"), pl.ScalarControl(name="v", unit="m/s")),
         dynamics=lambda x, u, p, xp: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v + p.x * p.x)), duration="T",
         end=(lambda x, p, xp: (x.x - inside(p)[0], x.y)) if at_start else (
             lambda x, p, xp: ((x.x * x.x + x.y * x.y) / p.l - p.l,)),
@@ -382,8 +382,8 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
     stated = pl.Problem(
         name="circle", phases=(phase,), objective=lambda x, p, xp: x.c, objective_unit="m^2/s",
         start=lambda p, xp: (p.l * xp.cos(p.q), p.l * xp.sin(p.q), 0.0) if at_start else (*inside(p), 0.0),
-        given={"T": pl.Given(value=1.0, unit="s"), "l": pl.Given(value=1.0, unit="m")},
-        free=(pl.Free(name="x", unit="m/s"), *([pl.Free(name="q", typical=1.0)] if at_start else [])),
+        given={"T": pl.Parameter(value=1.0, unit="s"), "l": pl.Parameter(value=1.0, unit="m")},
+        free=(pl.FreeParameter(name="x", unit="m/s"), *([pl.FreeParameter(name="q", guess=1.0)] if at_start else [])),
     )  # fmt: skip
     side = 1 - 2 * half_turns
     speed = (0.5 - side) * (1 if at_start else -1)
@@ -403,13 +403,13 @@ def test_conditions_that_are_called_alike_do_not_hide_one_another() -> None:
     """x and y at most 1, both called the same; beyond the first J is less, and the flight was a theorem."""
     phase = pl.Phase(
         name="go", states=tuple(pl.Variable(name=name) for name in "xyc"), duration="T",
-        controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
+        controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v")),
         dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u * u.u + u.v * u.v) / p.T),
         end=lambda x, p, xp: (x.x, x.y), end_conditions=2 * (pl.Variable(name="same", upper=1.0),),
     )  # fmt: skip
     stated = pl.Problem(
         name="alike", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0), objective=lambda x, p, xp: x.c - 3 * x.y,
-        given={"T": pl.Given(value=1.0, unit="s")},
+        given={"T": pl.Parameter(value=1.0, unit="s")},
     )  # fmt: skip
     sides = room("boundary_value_problem").Sides(ranges={("go", "same"): "upper"})
     with pytest.raises(pl.PeriluneError, match="two conditions have the same name: go: same would cost less"):
@@ -421,14 +421,14 @@ def test_a_free_parameter_that_is_called_as_another_unknown_is_not_taken_for_it(
     name = "go.nu_there"
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x"), pl.Variable(name="c")), duration="T",
-        controls=(pl.Bounded(name="u"),), dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u * u.u / p.T),
+        controls=(pl.ScalarControl(name="u"),), dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u * u.u / p.T),
         end=lambda x, p, xp: (x.x - p.e,), end_conditions=(pl.Variable(name="there"),),
     )  # fmt: skip
     stated = pl.Problem(
         name="named", phases=(phase,), start=lambda p, xp: (0.0, 0.0),
         objective=lambda x, p, xp: x.c + getattr(p, name) ** 3 - 3 * getattr(p, name),
-        given={"T": pl.Given(value=1.0, unit="s"), "e": pl.Given(value=-1.0)},
-        free=(pl.Free(name=name, lower=-0.5, upper=2.0),),
+        given={"T": pl.Parameter(value=1.0, unit="s"), "e": pl.Parameter(value=-1.0)},
+        free=(pl.FreeParameter(name=name, lower=-0.5, upper=2.0),),
     )  # fmt: skip
     with pytest.raises(pl.PeriluneError, match=f"{name} is the name of another unknown too"):
         proved(stated, {"u": "interior"}, [1.0, 1.0, -1.0, 1.0])

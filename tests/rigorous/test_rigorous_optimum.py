@@ -16,7 +16,7 @@ import perilune as pl
 pytest.importorskip("flint")
 from flint import arb, ctx
 
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune_checker.check import checked_sentence, confirm
 from perilune_checker.expressions import Failed
 from prover_checks import room, settings
@@ -71,12 +71,12 @@ def variables(*names: str) -> tuple[Variable, ...]:
     return tuple(Variable(name=name) for name in names)
 
 
-def given(**values: float) -> dict[str, Given]:
+def given(**values: float) -> dict[str, Parameter]:
     """Numbers, and a second."""
-    return {"T": Given(value=1.0, unit="s")} | {n: Given(value=v, unit="1") for n, v in values.items()}
+    return {"T": Parameter(value=1.0, unit="s")} | {n: Parameter(value=v, unit="1") for n, v in values.items()}
 
 
-def phases(name: str, *phase: pl.Phase, links: Sequence[Any] = (), free: Sequence[pl.Free] = (), start: Any,
+def phases(name: str, *phase: pl.Phase, links: Sequence[Any] = (), free: Sequence[pl.FreeParameter] = (), start: Any,
            objective: Any = lambda x, p, xp: x.c, **numbers: float) -> pl.Problem:  # fmt: skip
     return pl.Problem(name=name, phases=phase, links=tuple(links), start=start, objective=objective, free=tuple(free),
                       given=given(**numbers))  # fmt: skip
@@ -107,7 +107,7 @@ def swung(angle: float, stretch: float = 0.0, end: str = "held", joint: bool = F
         place = Variable(name="place", lower=-1.0, upper=1.0) if end == "range" else Variable(name="place")
         return pl.Phase(
             name=f"go{k}", states=variables("x", "c"), duration="T", dynamics=rates,
-            controls=tuple(pl.Bounded(name=name, lower=-9.0, upper=9.0) for name in ("uv" if joint else "u")),
+            controls=tuple(pl.ScalarControl(name=name, lower=-9.0, upper=9.0) for name in ("uv" if joint else "u")),
             end=(lambda x, p, xp: ((x.x / p.stretch if k else x.x) - p.e,)) if last and end != "free" else None,
             end_conditions=(place,) if last and end != "free" else (),
         )  # fmt: skip
@@ -159,7 +159,7 @@ def pulled(stiffness: float) -> Any:
     """Least integral of (s^2 - k (y - x/1000)^2)/2 in 1 s from 0 to x = 1 with x' = s d: minima up to k = pi^2."""
     phase = pl.Phase(
         name="go", states=variables("x", "y", "c"), duration="T",
-        controls=(pl.Direction(names=("a", "b")), pl.Bounded(name="s", lower=0.0, upper=3.0)),
+        controls=(pl.UnitVectorControl(names=("a", "b")), pl.ScalarControl(name="s", lower=0.0, upper=3.0)),
         dynamics=lambda x, u, p, xp: (
             u.s * u.a / p.T, u.s * u.b / p.T, (u.s**2 - p.k * (x.y - 0.001 * x.x) ** 2) / 2 / p.T,
         ),
@@ -183,7 +183,7 @@ def spun(angle: float, turn: float, skew: float) -> Any:
 
     phase = pl.Phase(
         name="go", states=variables("x", "y", "c"), duration="T", dynamics=rates,
-        controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
+        controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v")),
         end=lambda x, p, xp: (x.x - p.e, x.y), end_conditions=variables("there", "too"),
     )  # fmt: skip
     stated = phases("spun", phase, start=lambda p, xp: (0.0, 0.0, 0.0), e=1.0)
@@ -207,12 +207,12 @@ def turned(weight: float) -> Any:
     Not to turn costs least for a weight of more than 1/2, though half a circle further is nearer.
     """
     turn = pl.Phase(
-        name="turn", states=variables("angle", "c"), duration="T", controls=(pl.Bounded(name="u"),),
+        name="turn", states=variables("angle", "c"), duration="T", controls=(pl.ScalarControl(name="u"),),
         dynamics=lambda x, u, p, xp: (u.u / p.T, p.weight * 0.5 * u.u**2 / p.T),
     )  # fmt: skip
     go = pl.Phase(
         name="go", states=variables("x", "y", "c"), duration="T",
-        controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
+        controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v")),
         dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
         end=lambda x, p, xp: (x.x - p.half, x.y), end_conditions=variables("there", "too"),
     )  # fmt: skip
@@ -237,13 +237,13 @@ def passed_by(side: int, dropped: bool) -> Any:
     """
     go = pl.Phase(
         name="go", states=variables("x", "y", "c"), duration="T",
-        controls=(pl.Bounded(name="u"), pl.Bounded(name="v")),
+        controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v")),
         dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
         end=lambda x, p, xp: (x.x**2 + x.y**2 - 1,), end_conditions=variables("circle"),
     )  # fmt: skip
     more = pl.Phase(
         name="more", states=variables("c") if dropped else variables("x", "y", "c"), duration="T",
-        controls=(pl.Bounded(name="u"),),
+        controls=(pl.ScalarControl(name="u"),),
         dynamics=lambda x, u, p, xp: (0.5 * u.u**2 / p.T,) if dropped else (u.u / p.T, 0 * p.half / p.T,
                                                                              0.5 * u.u**2 / p.T),
     )  # fmt: skip
@@ -269,7 +269,7 @@ def test_end_conditions_that_are_called_alike_have_multipliers_of_their_own() ->
     """The nearest and the farthest point of the circle again, and beside it to z = -1, whose multiplier is 1."""
     go = pl.Phase(
         name="go", states=variables("x", "y", "z", "c"), duration="T",
-        controls=(pl.Bounded(name="u"), pl.Bounded(name="v"), pl.Bounded(name="w")),
+        controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v"), pl.ScalarControl(name="w")),
         dynamics=lambda x, u, p, xp: (*(own / p.T for own in u), sum(0.5 * own**2 / p.T for own in u)),
         end=lambda x, p, xp: (x.x**2 + x.y**2 - 1, x.z + 1), end_conditions=variables("same", "same"),
     )  # fmt: skip
@@ -293,7 +293,7 @@ def switched(curve: float, gain: float, split: float = 0.0) -> Any:
     def phase(k: int, part: float) -> pl.Phase:
         return pl.Phase(
             name=f"go{k}", states=variables("x", "s", "c"), duration="T",
-            controls=(pl.Bounded(name="v", lower=-1.0, upper=1.0), pl.Bounded(name="u")),
+            controls=(pl.ScalarControl(name="v", lower=-1.0, upper=1.0), pl.ScalarControl(name="u")),
             dynamics=lambda x, u, p, xp: (part / p.T * (p.gain * u.u + u.v), part / p.T,
                                          part / p.T * (0.5 * u.u**2 + x.s * u.v)),
         )  # fmt: skip
@@ -325,7 +325,7 @@ def twice(curve: float) -> Any:
     """
     phase = pl.Phase(
         name="one", states=variables("x", "v", "s", "c"), duration="T",
-        controls=(pl.Bounded(name="u", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v / p.T, (u.u - p.drag * x.v**2) / p.T, 1 / p.T,
                                      (3 * (x.s - p.a) * (x.s - p.b) * u.u + 0.1 * x.x**2) / p.T),
     )  # fmt: skip
@@ -349,7 +349,7 @@ def crossing(power: int) -> Any:
     """x' = u, back to 0 with the least integral of s^power u, s from -1 to 1: dH/du = s^power, |u| <= 1."""
     phase = pl.Phase(
         name="go", states=variables("x", "s", "c"), duration="T",
-        controls=(pl.Bounded(name="u", lower=-1.0, upper=1.0),),
+        controls=(pl.ScalarControl(name="u", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (2 * u.u / p.T, 2 / p.T, 2 * x.s**power * u.u / p.T),
         end=lambda x, p, xp: (x.x,), end_conditions=variables("back"),
     )  # fmt: skip
@@ -365,12 +365,16 @@ def test_a_switch_has_a_slope() -> None:
 def ending(at: float) -> Any:
     """Least integral of s u, |u| <= 1, s from -1 to `at` in any time: dH/du = s."""
     phase = pl.Phase(
-        name="go", states=variables("s", "c"), duration="t", controls=(pl.Bounded(name="u", lower=-1.0, upper=1.0),),
-        dynamics=lambda x, u, p, xp: (1 / p.T, x.s * u.u / p.T), end=lambda x, p, xp: (x.s - p.at,),
+        name="go",
+        states=variables("s", "c"),
+        duration="t",
+        controls=(pl.ScalarControl(name="u", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, xp: (1 / p.T, x.s * u.u / p.T),
+        end=lambda x, p, xp: (x.s - p.at,),
         end_conditions=variables("there"),
-    )  # fmt: skip
+    )
     stated = phases("ending", phase, start=lambda p, xp: (-1.0, 0.0), at=at,
-                    free=[pl.Free(name="t", unit="s", lower=0.0, upper=9.0, typical=1.0)])  # fmt: skip
+                    free=[pl.FreeParameter(name="t", unit="s", lower=0.0, upper=9.0, guess=1.0)])  # fmt: skip
     return optimum(stated, [(0, {"u": "upper"}, "")], [1.0, 1.0, 1.0 + at, -at])
 
 
@@ -382,7 +386,7 @@ def test_a_control_on_a_bound_is_so_strictly_up_to_the_end() -> None:
 def test_what_is_not_covered_is_named() -> None:
     """A control that comes to its bound; two that switch at once; a direction that nothing multiplies."""
     phase = pl.Phase(
-        name="go", states=variables("s", "c"), duration="T", controls=(pl.Bounded(name="u", upper=1.0),),
+        name="go", states=variables("s", "c"), duration="T", controls=(pl.ScalarControl(name="u", upper=1.0),),
         dynamics=lambda x, u, p, xp: (2 / p.T, (u.u - x.s) ** 2 / p.T),
     )  # fmt: skip
     stated = phases("rising", phase, start=lambda p, xp: (0.0, 0.0))
@@ -390,8 +394,8 @@ def test_what_is_not_covered_is_named() -> None:
     assert "not affine in u" in found.where
     phase = pl.Phase(
         name="go", states=variables("s", "c"), duration="T",
-        controls=(pl.Direction(names=("a", "b")), pl.Bounded(name="u", lower=0.0, upper=1.0),
-                  pl.Bounded(name="v", lower=-1.0, upper=1.0)),
+        controls=(pl.UnitVectorControl(names=("a", "b")), pl.ScalarControl(name="u", lower=0.0, upper=1.0),
+                  pl.ScalarControl(name="v", lower=-1.0, upper=1.0)),
         dynamics=lambda x, u, p, xp: (u.u * u.a / p.T, (u.u * u.b + x.s * u.v) / p.T),
     )  # fmt: skip
     stated = phases("idle", phase, start=lambda p, xp: (0.0, 0.0))
@@ -412,12 +416,12 @@ def test_what_is_not_covered_is_named() -> None:
 def test_a_parameter_on_its_bound_is_not_moved() -> None:
     """J = c - q^2 with q <= 1 is least at q = 1, though it is curved the other way; at q = 0 it is no minimum."""
     phase = pl.Phase(
-        name="go", states=variables("x", "c"), duration="T", controls=(pl.Bounded(name="u"),),
+        name="go", states=variables("x", "c"), duration="T", controls=(pl.ScalarControl(name="u"),),
         dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u**2 / p.T), end=lambda x, p, xp: (x.x - p.e,),
         end_conditions=variables("there"),
     )  # fmt: skip
     stated = phases("bounded", phase, start=lambda p, xp: (0.0, 0.0), objective=lambda x, p, xp: x.c - p.q**2, e=1.0,
-                    free=[pl.Free(name="q", lower=-2.0, upper=1.0)])  # fmt: skip
+                    free=[pl.FreeParameter(name="q", lower=-2.0, upper=1.0)])  # fmt: skip
     assert optimum(
         stated, [(0, FREE, "")], [-1.0, 1.0, 1.0, 1.0], room("boundary_value_problem").Sides(free={"q": "upper"})
     ).proved
@@ -428,7 +432,7 @@ def test_a_state_that_its_bound_holds_at_the_end_is_not_moved() -> None:
     """J = c - 2 x(1)^2 with x <= 1 is least at x = 1, though it is curved the other way; to stay at 0 is no minimum."""
     phase = pl.Phase(
         name="go", states=(Variable(name="x", upper=1.0), Variable(name="c")), duration="T",
-        controls=(pl.Bounded(name="u"),), dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u**2 / p.T),
+        controls=(pl.ScalarControl(name="u"),), dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u**2 / p.T),
     )  # fmt: skip
     stated = phases("bounded", phase, start=lambda p, xp: (0.0, 0.0), objective=lambda x, p, xp: x.c - 2 * x.x**2)
     held = room("boundary_value_problem").Sides(states={("go", "x"): "upper"})

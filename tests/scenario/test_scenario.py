@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st
 from perilune.core.errors import InfeasibleError, PeriluneError
 from perilune.models.physics.bodies import MOON
 from perilune.problem.presolve import is_possible, preflight, refuse_impossible
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 from perilune.scenario import KINDS, load_file, load_text, quantities_of, template, values_of
 from perilune.scenario.reader import names_of
 from perilune.scenario.reference import reference
@@ -133,7 +133,9 @@ def test_a_value_keeps_the_text_it_was_stated_in() -> None:
     assert changed.given["vehicle_mass"].stated == ""
     assert changed.given["vehicle_thrust"].stated == "0.5 kN"
     assert copy.deepcopy(changed).given["vehicle_thrust"].stated == "0.5 kN"
-    assert pickle.loads(pickle.dumps(changed)).given["vehicle_thrust"] == Given(value=500.0, unit="N", stated="0.5 kN")
+    assert pickle.loads(pickle.dumps(changed)).given["vehicle_thrust"] == Parameter(
+        value=500.0, unit="N", stated="0.5 kN"
+    )
     assert all(type(g.value) is float for g in problem.given.values())
     assert load_file(HYBRID, ["retro.delta_v=1.2 km/s"]).problem.given["retro_delta_v"].stated == "1.2 km/s"
 

@@ -32,7 +32,7 @@ def cart(
     phase = pl.Phase(
         name="run",
         states=(*variables(s="m", v="m/s"), used),
-        controls=(pl.Bounded(name="u", unit="m/s^2", lower=-most, upper=most),),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-most, upper=most),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, rate(u.u)),
         duration="T",
         end=lambda x, p, xp: (x.s - p.L, x.v),
@@ -44,7 +44,7 @@ def cart(
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0, 0.0),
         given=given(L=(10.0, "m"), **({"budget": (limit, unit)} if stated == "path" else {})),
-        free=(pl.Free(name="T", unit="s", lower=0.1, upper=100.0, typical=8.0),),
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.1, upper=100.0, guess=8.0),),
         objective=lambda x, p, xp: p.T,
         objective_unit="s",
         scales=pl.Scales(length=1.0, time=1.0, mass=1.0),
@@ -60,7 +60,7 @@ def thrusters(budget: float, stated: str) -> pl.Problem:
     phase = pl.Phase(
         name="run",
         states=(*variables(s="m", v="m/s"), used),
-        controls=tuple(pl.Bounded(name=name, unit="m/s^2", lower=0.0, upper=1.1) for name in ("ahead", "astern")),
+        controls=tuple(pl.ScalarControl(name=name, unit="m/s^2", lower=0.0, upper=1.1) for name in ("ahead", "astern")),
         dynamics=lambda x, u, p, xp: (x.v, u.ahead - u.astern, u.ahead + u.astern),
         duration="T",
         end=lambda x, p, xp: (x.s - p.L, x.v),
@@ -159,7 +159,7 @@ def stages(first: float, last: float, *, anew: bool = False, coast: bool = False
         )  # fmt: skip
 
     steered: Any = {
-        "controls": (pl.Bounded(name="u", unit="m/s^2"),),
+        "controls": (pl.ScalarControl(name="u", unit="m/s^2"),),
         "dynamics": lambda x, u, p, xp: (x.v, u.u, u.u * u.u),
     }
     half: Any = {"end": lambda x, p, xp: (x.s - 0.5 * p.L,), "end_conditions": variables(place="m"), **steered}
@@ -173,7 +173,7 @@ def stages(first: float, last: float, *, anew: bool = False, coast: bool = False
         name="stages", phases=(one, two), form=None,
         links=(lambda x, p, xp: (x.s, x.v, 0 * x.E if anew else x.E),),
         given=given(**own, **({"T_two": (3.0, "s"), "a": (1.0, "m/s^2")} if coast else {})),
-        free=tuple(pl.Free(name=name, unit="s", lower=0.1, upper=100.0, typical=4.0) for name in names),
+        free=tuple(pl.FreeParameter(name=name, unit="s", lower=0.1, upper=100.0, guess=4.0) for name in names),
         objective=lambda x, p, xp: (p.T_one if coast else p.T_one + p.T_two) / size,
     )  # fmt: skip
 

@@ -197,7 +197,7 @@ def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path:
     assert solution_document(solution)["claimed"] == ["method", "statistics", "structure"]
     assert solution.results["time"].value == solution.free["flight_time"]
     t = np.linspace(0.0, solution.free["flight_time"], 2001)
-    assert problem.phases[0].evaluate("path", *solution.flown(0, t), solution.parameters)[0].min() > -1e-6
+    assert problem.phases[0].evaluate("path", *solution.evaluate(0, t), solution.parameters)[0].min() > -1e-6
 
 
 def test_a_return_touches_its_shell_in_a_leg_of_a_shared_duration() -> None:

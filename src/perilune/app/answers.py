@@ -17,7 +17,7 @@ from perilune.core.errors import CANNOT_BE_FLOWN, InfeasibleError, NotConvergedE
 from perilune.methods import Curves, solution_violations
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 from perilune.shooting import Shooting
 from perilune.solve import solve
 
@@ -250,7 +250,7 @@ class Answering:
             last = found
         return self._stepped(problem, last, watch, end - time.thread_time()), steps + 1
 
-    def _between(self, begin: Mapping[str, Given], problem: Problem, share: float) -> Problem:
+    def _between(self, begin: Mapping[str, Parameter], problem: Problem, share: float) -> Problem:
         if share == 1.0:
             return problem
         ways = {name: (begin[name].value, given.value) for name, given in problem.given.items()}

@@ -92,7 +92,7 @@ def compare_with_cold_start(followed: Solution, watch: Watch) -> ColdStartCompar
     saved = not followed.extremals  # of which nobody has looked yet what it is: what it was found to be
     best = (*(best[:1] if same and saved else [own]), *(best[1:] if same else _mark_dominated(best)))
     words = f"best of {len(best)} found" + ("" if same else ", the others without an initial guess")
-    shown = replace(followed, extremals=best, listed=())
+    shown = replace(followed, extremals=best, unverified_extremals=())
     return ColdStartComparison(
         solution=shown, jumped=False, words=words, family=cost_along_free_parameter(found) if same and saved else None
     )

@@ -196,7 +196,7 @@ def _path_message(solution: Solution, k: int, t: Vector, plane: Matrix | None) -
             "thrust": thrust,
         }
     if phase.track is not None:
-        x, u = solution.flown(k, t)
+        x, u = solution.evaluate(k, t)
         rows = [full(value, t) for value in phase.evaluate("track", x, u, solution.parameters)]
         named = zip(("along", "across", "height", "floor"), rows, strict=False)
         return {"kind": "flat", **{name: round_to_digits(row) for name, row in named}}

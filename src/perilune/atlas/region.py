@@ -265,7 +265,7 @@ def refuse_moving_ranges(problem: Problem, kept: Problem, region: Region) -> Non
     PeriluneError
         If a range differs somewhere.
     """
-    if problem.ranges is None:
+    if problem.parameter_bounds is None:
         return
     for at in region.looks:
         values = {n: v for n, v in at.items() if n in problem.given}

@@ -37,7 +37,7 @@ from perilune.problem.casadi_trace import (
     state_scales,
     trace_sides,
 )
-from perilune.problem.controls import Bounded, Regime, scalars
+from perilune.problem.controls import Regime, ScalarControl, scalars
 from perilune.problem.perturbed import start_offsets, without_start_offsets
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -103,7 +103,7 @@ def extremal_parameters(problem: Problem) -> Vector:
     return np.concatenate([canonical_given(without_start_offsets(problem)), limits, moved])
 
 
-def _plain_limits(problem: Problem) -> list[tuple[int, Bounded, str]]:
+def _plain_limits(problem: Problem) -> list[tuple[int, ScalarControl, str]]:
     """Return (phase, scalar control, side) of every limit that is a finite number and not a parameter's name."""
     return [
         (k, control, side)
@@ -127,7 +127,7 @@ def limit_symbols(problem: Problem, p: Parameters) -> tuple[ca.SX, list[dict[str
     place = {(k, control.name, side): i for i, (k, control, side) in enumerate(_plain_limits(problem))}
     symbols = ca.SX.sym("limit", len(place))
 
-    def limit(k: int, control: Bounded, side: str) -> ca.SX:
+    def limit(k: int, control: ScalarControl, side: str) -> ca.SX:
         stated = getattr(control, side)
         if isinstance(stated, str):
             return ca.SX(getattr(p.record, stated))

@@ -1,7 +1,7 @@
 """Control law: minimises the Hamiltonian regime by regime, from the Hamiltonian's own derivatives.
 
-A `Direction` d enters H linearly, H = a + g . d, so its minimum on the circle or sphere is d = -g/|g|; for planar
-thrust that is Cho et al. 2015 (15) with both signs right, beta = atan2(-lambda_v, -lambda_u). The rest is a
+A `UnitVectorControl` d enters H linearly, H = a + g . d, so its minimum on the circle or sphere is d = -g/|g|; for
+planar thrust that is Cho et al. 2015 (15) with both signs right, beta = atan2(-lambda_v, -lambda_u). The rest is a
 function of the scalars only, whose slopes S = dH/du are the same with d in place (envelope theorem). A scalar in
 which H is linear sits at a bound, at the upper one where S < 0. One in which H bends sits at a bound, or between them
 where S = 0: in closed form where H is quadratic, else by Newton's method.

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.core.errors import PeriluneError
-from perilune.problem.controls import Bounded, Regime, Settled, scalars
+from perilune.problem.controls import Regime, ScalarControl, Settled, scalars
 from perilune.problem.phase import Phase
 
 _WIDEST = 5.0  # an open range is searched at sinh of -5 to 5, canonical
@@ -69,7 +69,7 @@ class Scalar:
     """
 
     def __init__(
-        self, phase: Phase, at: int, control: Bounded, H: ca.SX, u: ca.SX, limits: tuple[ca.SX, ca.SX],
+        self, phase: Phase, at: int, control: ScalarControl, H: ca.SX, u: ca.SX, limits: tuple[ca.SX, ca.SX],
         *, acts: bool, positive: ca.SX = _NO_COSTATES, periodic: bool = False,
     ) -> None:  # fmt: skip
         self.at, self.control, self.limits, self.symbol, self.periodic = at, control, limits, u[at], periodic
@@ -122,7 +122,7 @@ class Scalar:
         return ca.fmin(ca.fmax(lower + np.pi, 0.0), upper - np.pi), ca.SX(np.pi)
 
 
-def is_periodic(control: Bounded, u: ca.SX, expressions: ca.SX) -> bool:
+def is_periodic(control: ScalarControl, u: ca.SX, expressions: ca.SX) -> bool:
     """Return True if no expression of a scalar u distinguishes values a whole turn apart.
 
     Parameters

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
+from dataclasses import fields, is_dataclass
 from functools import wraps
 from importlib import import_module
 from typing import Any, TypeVar, cast
@@ -50,16 +51,20 @@ def renamed_names(module: str, new: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 def renamed_keywords(**new: str) -> Callable[[Renamed], Renamed]:
-    """Let a function, method or class take keywords by their old names too (``old="new"``)."""
+    """Let a function, method or class take keywords by their old names too (``old="new"``).
+
+    Where a dataclass is given all of its fields besides an old name, as by `dataclasses.replace`, the old name counts.
+    """
 
     def of(asked: Renamed) -> Renamed:
         given: Any = asked
         function = given.__init__ if isinstance(given, type) else given
+        whole = {f.name for f in fields(given) if f.init} if is_dataclass(given) else set[str]()
 
         @wraps(function)
         def call(*args: Any, **keywords: Any) -> Any:
             if not new.keys().isdisjoint(keywords):
-                keywords = _with_new_keywords(given.__name__, new, keywords)
+                keywords = _with_new_keywords(given.__name__, new, keywords, whole)
             return function(*args, **keywords)
 
         if not isinstance(given, type):
@@ -70,17 +75,19 @@ def renamed_keywords(**new: str) -> Callable[[Renamed], Renamed]:
     return of
 
 
-def _with_new_keywords(name: str, new: Mapping[str, str], keywords: Mapping[str, Any]) -> dict[str, Any]:
-    found = dict(keywords)
-    for old in new.keys() & keywords.keys():
-        if new[old] in keywords:
+def _with_new_keywords(
+    name: str, new: Mapping[str, str], keywords: Mapping[str, Any], whole: Set[str]
+) -> dict[str, Any]:
+    found, replaced = dict(keywords), bool(whole) and whole <= keywords.keys()
+    for old in [old for old in new if old in keywords]:
+        if new[old] in keywords and not replaced:
             raise PeriluneError(
                 f"{name} takes a value by one name only",
                 got=f"{old}=..., {new[old]}=...",
                 expected=f"{new[old]}=...",
                 advice=f"leave {old} out; it is the old name of the same",
             )
-        warn_renamed(f"{old}= of {name}", f"{new[old]}=", 2)
+        warn_renamed(f"{old}= of {name}", f"{new[old]}=", 3 if replaced else 2)
         found[new[old]] = found.pop(old)
     return found
 

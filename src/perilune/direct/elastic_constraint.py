@@ -22,7 +22,7 @@ from typing import Any
 from perilune.problem.controls import scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 
 _SLACK = "relaxation"
 _STATED = "relaxed_bound"  # a given parameter, as a number in the text of a condition has no unit and is not scaled
@@ -69,12 +69,12 @@ class ElasticLimit:
         size, slacks = problem.size_of(self.bounded), self.slack_names
         phases, free = tuple(_relaxed_phase(phase, self, at_end) for phase in problem.phases), problem.free
         bound, unit = getattr(self.bounded, self.side) if self.side else None, self.bounded.unit
-        stated = {} if bound is None or isinstance(bound, str) else {_STATED: Given(value=bound, unit=unit)}
+        stated = {} if bound is None or isinstance(bound, str) else {_STATED: Parameter(value=bound, unit=unit)}
         if self.kind == "free":
             none = {self.side: -math.inf if self.side == "lower" else math.inf}
             free = tuple(replace(f, **none) if f.name in self.names else f for f in free)
             phases = (*phases[:-1], _with_end(phases[-1], self))
-        new = (Free(name=name, unit=unit, lower=0.0, typical=size) for name in slacks)
+        new = (FreeParameter(name=name, unit=unit, lower=0.0, guess=size) for name in slacks)
 
         def least(x: Any, p: Any, xp: Any) -> Any:
             return sum(getattr(p, name) for name in slacks)
@@ -82,7 +82,8 @@ class ElasticLimit:
         return problem.changed(
             phases=phases, free=(*free, *new), given={**problem.given, **stated}, objective=least,
             objective_unit=unit, objective_scale=size, results=None, result_variables=(),
-            maximised="", minimised="", ranges=None, preflight=None, bookkeeping=None, declared=(), form=None,
+            maximised="", minimised="", parameter_bounds=None, preflight=None, consistency_checks=None,
+            declared=(), form=None,
         )  # fmt: skip
 
     def relaxations(self, free: Mapping[str, float]) -> dict[str, float]:

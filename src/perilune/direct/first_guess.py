@@ -1,6 +1,6 @@
 """First guess of a direct method: straight lines, or the trajectories of any solution.
 
-The straight line runs from the start to `Phase.typical_end`, or along the `Problem.rough_flight`; its control is the
+The straight line runs from the start to `Phase.end_guess`, or along the `Problem.initial_guess`; its control is the
 one whose rates come nearest to its slope in the least-squares sense, with the dynamics linearised in u (exact for a
 thrust direction).
 """
@@ -56,7 +56,7 @@ def first_guesses(problem: Problem, guess: Solution | None) -> Iterator[tuple[Ve
     problem = without_misleading_ends(problem)
     for stretch in STRETCHES if set(problem.duration_names) & set(problem.free_names) else (1.0,):
         free = {
-            f.name: float(np.clip(f.typical * (stretch if f.name in problem.duration_names else 1.0), f.lower, f.upper))
+            f.name: float(np.clip(f.guess * (stretch if f.name in problem.duration_names else 1.0), f.lower, f.upper))
             for f in problem.free
         }
         yield (
@@ -76,17 +76,17 @@ def without_misleading_ends(problem: Problem) -> Problem:
     PeriluneError
         If a rough end is not a number.
     """
-    if all(phase.typical_end is None for phase in problem.phases):
+    if all(phase.end_guess is None for phase in problem.phases):
         return problem
     if _ends_missed(problem, _end_guess) <= _ends_missed(problem, lambda phase, begin, p: begin):
         return problem
-    bare = tuple(replace(phase, typical_end=None) for phase in problem.phases)
+    bare = tuple(replace(phase, end_guess=None) for phase in problem.phases)
     return problem.changed(phases=bare, form=None)
 
 
 def _ends_missed(problem: Problem, end_of: Callable[[Phase, Vector, Any], Vector]) -> float:
     """Return by how much rough ends of the phases miss end conditions and bounds, in canonical units."""
-    p = problem.parameters({f.name: f.typical for f in problem.free})
+    p = problem.parameters({f.name: f.guess for f in problem.free})
     missed, before = 0.0, None
     for k, phase in enumerate(problem.phases):
         before = end_of(phase, phase_start(problem, k, before, p), p)
@@ -102,15 +102,15 @@ def _ends_missed(problem: Problem, end_of: Callable[[Phase, Vector, Any], Vector
 
 def _end_guess(phase: Phase, begin: Vector, p: Any) -> Vector:
     """Return the guess of the state at the end of a phase [SI]; its begin, if none is stated."""
-    if phase.typical_end is None:
+    if phase.end_guess is None:
         return begin
-    end = np.array(phase.typical_end(p, NUMERIC), dtype=float)
+    end = np.array(phase.end_guess(p, NUMERIC), dtype=float)
     if not np.isfinite(end).all():
         raise PeriluneError(
-            f"typical_end of {phase.name} is not a number",
+            f"end_guess of {phase.name} is not a number",
             got=", ".join(f"{name} {value:g}" for name, value in zip(phase.state_names, end, strict=True)),
             expected="a rough end state in SI",
-            advice="leave typical_end out if it is not known",
+            advice="leave end_guess out if it is not known",
         )
     return end
 
@@ -128,7 +128,7 @@ def _from_solution(problem: Problem, guess: Solution) -> tuple[Vector, list[Samp
                 advice="give a solution of a problem with the same phases, or none",
             )
     # A parameter that is free now may have been given there.
-    free = {f.name: float(getattr(guess.parameters, f.name, f.typical)) for f in problem.free}
+    free = {f.name: float(getattr(guess.parameters, f.name, f.guess)) for f in problem.free}
     return (
         canonical_free(problem, free),
         [_trajectory_sampler(t) for t in guess.trajectories],
@@ -164,8 +164,8 @@ def phase_start(problem: Problem, k: int, before: Vector | None, p: Any) -> Vect
 
 def _straight_lines(problem: Problem, free: dict[str, float]) -> list[Sampler]:
     p = problem.parameters(free)
-    if problem.rough_flight is not None:
-        pictures = problem.rough_flight(p)
+    if problem.initial_guess is not None:
+        pictures = problem.initial_guess(p)
         return [
             _interpolating_sampler(problem, k, np.asarray(states, dtype=float), free)
             for k, states in enumerate(pictures)

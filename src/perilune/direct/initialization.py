@@ -205,7 +205,7 @@ class FirstMesh:
         """Return True if a phase has shrunk to nothing: then its miss says nothing of flights with a length."""
         values = answer.free_si(self.problem)
         durations = [f for f in self.problem.free if f.name in self.problem.duration_names]
-        return any(values[f.name] < VANISHED * f.typical for f in durations)
+        return any(values[f.name] < VANISHED * f.guess for f in durations)
 
     def raise_least_violation(self, program: TranscribedProgram, best: ProgramSolution, count: int) -> None:
         """Raise not converged with what the best of so many misses, if that is more than the error of the mesh.

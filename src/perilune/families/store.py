@@ -125,7 +125,7 @@ class FamilyStore:
         name, given, free, bounds, scales = problem.numbers
         fixed = tuple(pair for pair in given if pair[0] not in members.names)
         # Where the ranges follow from the parameters, those of the problem's own values are nobody's.
-        own = (name, fixed, free if problem.ranges is None else (), bounds, scales)
+        own = (name, fixed, free if problem.parameter_bounds is None else (), bounds, scales)
         return {
             "problem": {"name": name, "digest": problem.form.digest, "numbers": repr(own)},
             "members": {"names": list(members.names), "values": [list(v) for v in members.values]},

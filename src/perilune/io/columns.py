@@ -1,6 +1,6 @@
 """A solution as named columns over time, of which tables and figures are made.
 
-States, outputs, controls and costates are read from the solution's own curves, a `Direction` control
+States, outputs, controls and costates are read from the solution's own curves, a `UnitVectorControl` control
 normalised again after interpolation, and the Hamiltonian ``H = lam . f(x, u)`` is evaluated with the
 problem's own dynamics (a running cost is a state, so H has no other term). Angles leave in degrees,
 everything else in SI. An output that is an angle goes on where its range ends: a flight to the east passes from
@@ -68,7 +68,7 @@ def hamiltonian_terms(solution: Solution, k: int, t: Vector, control: Matrix | N
     """
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
     assert trajectory.costate is not None
-    x, u = solution.flown(k, t)
+    x, u = solution.evaluate(k, t)
     rates = phase.rates(x, u if control is None else control, solution.parameters)
     return [lam * rate for lam, rate in zip(trajectory.costate(t).T, rates, strict=True)]
 
@@ -108,7 +108,7 @@ def phase_columns(solution: Solution, k: int = 0, t: Vector | None = None) -> di
     """
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
     told, t = (trajectory.time, node_times(trajectory)) if t is None else (t, t)
-    state, control = solution.flown(k, t)
+    state, control = solution.evaluate(k, t)
     outputs = _unwrapped(solution, k, t, phase.evaluate("outputs", state, control, solution.parameters))
     table = [Column(name="time", unit="s", values=told)]
     table += [_display_column(v.name, v.unit, y, t) for v, y in zip(phase.output_variables, outputs, strict=True)]
@@ -150,7 +150,7 @@ def _unwrapped_outputs_before(solution: Solution, last: int, names: Sequence[str
             continue
         trajectory = solution.trajectories[k]
         t = np.union1d(display_times(trajectory), trajectory.time)
-        outputs = phase.evaluate("outputs", *solution.flown(k, t), solution.parameters)
+        outputs = phase.evaluate("outputs", *solution.evaluate(k, t), solution.parameters)
         for i in here:
             name, values = phase.output_variables[i].name, full(outputs[i], t)
             known = np.isfinite(values)

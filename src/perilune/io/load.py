@@ -49,7 +49,7 @@ from perilune.problem.results.extremal import Extremal, Nature
 from perilune.problem.results.solution import Solution, Statistics
 from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.tolerance import Tolerance, unit_of
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 from perilune.problem.verification import LEVEL_NAMES, Verification, format_failed_checks
 
 MOST_NODES = 100_000
@@ -73,8 +73,9 @@ def load(directory: str | Path, problem_from_scenario: Callable[[str], Problem] 
         Unverified: a file's own claims are told and not taken over; the tolerance that was stated for its proof is, for
         the next. Its problem is that of the scenario or the model where the file has one (the model's own functions and
         checks), else that of the expressions in the file; `problem.text` says which. The extremals that the file lists
-        stand in `listed`, for `perilune.verify` to find again; `statistics` are `claimed`. Results are computed again
-        from the curves; those in the file, and derived files in the directory, are not evidence and are not read.
+        are `unverified_extremals`, for `perilune.verify` to find again; `statistics` are `from_file`. Results are
+        computed again from the curves; those in the file, and derived files in the directory, are not evidence and are
+        not read.
 
     Raises
     ------
@@ -162,7 +163,7 @@ def read_answer(document: Mapping[str, Any], problem: Problem, trajectories: Seq
         free=free,
         trajectories=trajectories,
         multipliers=multipliers,
-        listed=_read_extremals(document, free),
+        unverified_extremals=_read_extremals(document, free),
         unknowns=None if document.get("unknowns") is None else array(document["unknowns"], "unknowns", (None,)),
         statistics=_statistics(part(document, "statistics", dict)),
         verification=Verification(
@@ -237,7 +238,7 @@ def read_problem(document: Mapping[str, Any], problem_from_scenario: Callable[[s
         _check_saved_given(document, stated)
         return stated
     entries, values = part(document, "given", dict), valued_numbers(document, "given")
-    given = {name: Given(value=value, unit=short_text(entries[name], "unit")) for name, value in values.items()}
+    given = {name: Parameter(value=value, unit=short_text(entries[name], "unit")) for name, value in values.items()}
     source = "scenario"
     if stated is not None:
         _check_saved_given(document, stated)
@@ -427,5 +428,5 @@ def _statistics(entry: Mapping[str, Any]) -> Statistics:
         arcs=count("arcs"),
         residual=known("residual"),
         wall_time=known("wall_time"),
-        claimed=True,
+        from_file=True,
     )

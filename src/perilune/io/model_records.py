@@ -17,7 +17,7 @@ from perilune.models.catalogue import KINDS, kind_named, kind_names, unknown_kin
 from perilune.models.kind import Section
 from perilune.models.physics.bodies import Body, recognise_body
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 
 
 def model_document(problem: Problem) -> dict[str, Any] | None:
@@ -36,7 +36,7 @@ def model_document(problem: Problem) -> dict[str, Any] | None:
     return document if same else None
 
 
-def read_model(document: Mapping[str, Any], given: Mapping[str, Given]) -> Problem:
+def read_model(document: Mapping[str, Any], given: Mapping[str, Parameter]) -> Problem:
     """Make the problem by its model, with the given values of the solution.
 
     Parameters

@@ -1,8 +1,9 @@
 """Problem as a tree for JSON and back: its formulas as expressions, so that no code is needed to prove it again.
 
 What was read is a `Problem` like any other: its structure and its units are checked, and its digest must be the one
-that the file names. Functions that are no formulas stay behind (`ranges`, `preflight`, `bookkeeping`), unless a model
-makes the problem again (`perilune.io.model_records`): the ranges of the free parameters are those that were saved.
+that the file names. Functions that are no formulas stay behind (`parameter_bounds`, `preflight`,
+`consistency_checks`), unless a model makes the problem again (`perilune.io.model_records`): the ranges of the free
+parameters are those that were saved.
 """
 
 from __future__ import annotations
@@ -24,21 +25,20 @@ from perilune.io.json_checks import (
     short_text,
 )
 from perilune.io.tape_json import tape_of
-from perilune.problem.controls import Bounded, Direction
+from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.display.views import Views
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.tape import Expression
-from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS, roles_of
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS, roles_of, written_key
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 
-_CONTROLS = {kind.kind: kind for kind in (Direction, Bounded)}
+_CONTROLS = {kind.kind: kind for kind in (UnitVectorControl, ScalarControl)}
 # Of a phase and of a problem, the fields that are tuples of variables.
 _VARIABLES = [f.name for f in fields(Phase) if f.name == "states" or f.name.endswith(("_conditions", "_variables"))]
-_ALWAYS = set(_VARIABLES) - {
-    "held_conditions",
-    "mark_variables",
-}  # that every file names; what came later is left out where it is empty
+# That every file names; what came later is left out where it is empty.
+_ALWAYS = set(_VARIABLES) - {"held_conditions", "end_output_variables"}
+_WRITTEN = {"end_output_variables": "mark_variables", "guess": "typical"}  # names in files, which stay
 _NAME = re.compile(r"[A-Za-z_][\w-]{0,80}", re.ASCII)  # what becomes part of a file's name
 _SPEC = re.compile(r"(\.\d{1,2})?[efg]?", re.ASCII)
 
@@ -51,7 +51,7 @@ def physics_document(problem: Problem) -> dict[str, Any]:
         "title": problem.title,
         "digest": problem.form.digest,
         "scales": record_tree(problem.scales),
-        "free": record_tree(problem.free),
+        "free": [{_WRITTEN.get(name, name): value for name, value in record_tree(f).items()} for f in problem.free],
         "objective_unit": problem.objective_unit,
         "objective_scale": problem.objective_scale,
         "result_variables": record_tree(problem.result_variables),
@@ -65,16 +65,20 @@ def physics_document(problem: Problem) -> dict[str, Any]:
 
 def _function_key(key: Any) -> str:
     """Return the key of a function as a text: ``start``, ``0.dynamics``, ``links.0``."""
-    return key if isinstance(key, str) else ".".join(str(k) for k in key)
+    return key if isinstance(key, str) else ".".join(str(k) for k in written_key(key))
 
 
 def _phase_physics_document(phase: Phase) -> dict[str, Any]:
-    variables = {name: record_tree(rows) for name in _VARIABLES if (rows := getattr(phase, name)) or name in _ALWAYS}
+    variables = {
+        _WRITTEN.get(name, name): record_tree(rows)
+        for name in _VARIABLES
+        if (rows := getattr(phase, name)) or name in _ALWAYS
+    }
     controls = [{"kind": c.kind, **record_tree(c)} for c in phase.controls]
     return {"name": phase.name, "duration": phase.duration, "controls": controls, **variables}
 
 
-def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Problem:
+def read_physics(document: Mapping[str, Any], given: Mapping[str, Parameter]) -> Problem:
     """Build the problem of a document, with expressions for its functions.
 
     Parameters
@@ -89,7 +93,7 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Pro
     PeriluneError
         If anything in it is not what `physics_document` writes, or its digest is another.
     """
-    free = _read_rows(document, "free", Free)
+    free = _read_free(document)
     entries = part(document, "phases", list)
     if not 0 < len(entries) <= MOST_ENTRIES:
         refuse_entry("phases", str(len(entries)), "at least one")
@@ -121,6 +125,14 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Given]) -> Pro
     return problem
 
 
+def _read_free(document: Mapping[str, Any]) -> tuple[FreeParameter, ...]:
+    """Read the free parameters by the names that their fields have in files."""
+    entries = part(document, "free", list)
+    own = {_WRITTEN[name]: name for name in ("guess",)}
+    renamed = [{own.get(k, k): v for k, v in e.items()} if isinstance(e, dict) else e for e in entries]
+    return _read_rows({"free": renamed}, "free", FreeParameter)
+
+
 def _scale(document: Mapping[str, Any]) -> float | None:
     """Return the scale of the objective; None in files of earlier versions."""
     return None if document.get("objective_scale") is None else finite_number(document, "objective_scale", "problem")
@@ -148,8 +160,10 @@ def _read_phase(entry: Any, where: str) -> Phase:
         controls.append(
             checked_record(kind, {k: v for k, v in control.items() if k != "kind"}, f"{where}.controls[{i}]")
         )
-    named = [field for field in _VARIABLES if field in entry or field in _ALWAYS]
-    variables: dict[str, Any] = {field: _read_rows(entry, field, Variable) for field in named}
+    written = {field: _WRITTEN.get(field, field) for field in _VARIABLES}
+    variables: dict[str, Any] = {
+        field: _read_rows(entry, name, Variable) for field, name in written.items() if name in entry or field in _ALWAYS
+    }
     return Phase(
         name=name,
         duration=short_text(entry, "duration"),

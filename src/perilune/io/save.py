@@ -26,7 +26,7 @@ from perilune.io.atomic_files import finite, fresh_directory, json_text, refuse_
 from perilune.io.columns import per_unit, phase_columns, round_degrees
 from perilune.io.format import FORMAT_NAME, FORMAT_VERSION, SOLUTION_FILE, hash_of
 from perilune.io.problem_json import physics_document
-from perilune.problem.controls import Bounded, Direction
+from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, results_between
@@ -37,7 +37,7 @@ from perilune.problem.verification import Check, Verification
 INTERPOLATION = {
     "state": "cubic Hermite",
     "costate": "cubic Hermite",
-    **{f"control of kind {control.kind}": control.rule for control in (Direction, Bounded)},
+    **{f"control of kind {control.kind}": control.rule for control in (UnitVectorControl, ScalarControl)},
 }
 
 _FIELDS = {
@@ -80,7 +80,7 @@ def solution_document(solution: Solution) -> dict[str, Any]:
     For a loaded solution ``claimed`` names the unverified claims of its file.
     """
     statistics = solution.statistics
-    claims = {"claimed": ["method", "statistics", *_structure_document(solution)]} if statistics.claimed else {}
+    claims = {"claimed": ["method", "statistics", *_structure_document(solution)]} if statistics.from_file else {}
     inputs = {"inputs": list(solution.problem.inputs_read)} if solution.problem.inputs_read else {}
     document = {
         "problem": solution.problem.name,

@@ -154,7 +154,7 @@ def _limited_values(problem: Problem, limit: ElasticLimit, flight: Solution, p: 
     """Yield values [SI] of a state or a condition of the path along each phase that has it, at any parameters."""
     for k, phase in enumerate(problem.phases):
         t = np.linspace(0.0, flight.trajectories[k].duration, _LOOKS)
-        x, u = flight.flown(k, t)
+        x, u = flight.evaluate(k, t)
         if limit.kind == "state" and limit.names[0] in phase.state_names:
             yield x[phase.state_names.index(limit.names[0])]
         elif limit.kind == "path":

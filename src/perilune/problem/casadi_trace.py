@@ -23,7 +23,7 @@ from perilune.core.errors import PeriluneError
 from perilune.core.maths import NUMPY_NAMES, Table
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free
+from perilune.problem.variables import FreeParameter
 
 
 def _read_table(table: Table, value: Any) -> Any:
@@ -290,7 +290,7 @@ def canonical_free(problem: Problem, free: Mapping[str, float]) -> Vector:
     return np.array([free[f.name] / problem.scales.of(f.unit) for f in problem.free])
 
 
-def free_scales(parameters: tuple[Free, ...], problem: Problem) -> Vector:
+def free_scales(parameters: tuple[FreeParameter, ...], problem: Problem) -> Vector:
     """Return the SI size of the canonical unit of each free parameter.
 
     Parameters

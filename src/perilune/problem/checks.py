@@ -22,19 +22,20 @@ from perilune.problem.names import check_names
 from perilune.problem.phase import Phase
 from perilune.problem.tracing.dimensions import Clash, clash, mixed_comparison
 from perilune.problem.tracing.traced_problem import StatedFunction, stated_functions
-from perilune.problem.variables import Free, Given, Variable
+from perilune.problem.variables import FreeParameter, Parameter, Variable
 
-HOOKS = ("ranges", "preflight", "bookkeeping", "rough_flight", "switching_guesses")  # functions that are not formulas
+# Functions that are not formulas.
+HOOKS = ("parameter_bounds", "preflight", "consistency_checks", "initial_guess", "switching_guesses")
 
 
 def check_parts(problem: Any) -> None:
     """Refuse parts of types that a problem does not have."""
     require_row(problem.phases, "phases", Phase)
     require_row(problem.links, "links", Callable)
-    require_row(problem.free, "free parameters", Free)
+    require_row(problem.free, "free parameters", FreeParameter)
     require_row(problem.result_variables, "result variables", Variable)
     for name, kind, advice in (
-        ("given", Mapping, 'given={"mass": pl.Given(value=300.0, unit="kg")}'),
+        ("given", Mapping, 'given={"mass": pl.Parameter(value=300.0, unit="kg")}'),
         ("declared", Sequence, ""),
         ("views", Views, "pl.Views(...), or omit it"),
         ("scales", Scales, "pl.Scales(length=1e3, time=60.0, mass=300.0), or omit it"),
@@ -48,8 +49,8 @@ def check_parts(problem: Any) -> None:
     for name, value in problem.given.items():
         require_type(name, str, "the name of a given parameter")
         shown = value if isinstance(value, float | int) else 3000.0
-        advice = f'write pl.Given(value={shown}, unit="m/s"), with its own SI unit'
-        require_type(value, Given, f"a given value of {name}", advice)
+        advice = f'write pl.Parameter(value={shown}, unit="m/s"), with its own SI unit'
+        require_type(value, Parameter, f"a given value of {name}", advice)
 
 
 def check_structure(problem: Any) -> None:
@@ -81,7 +82,7 @@ def check_structure(problem: Any) -> None:
     results = [v.name for v in problem.result_variables]
     if problem.maximised and problem.maximised not in results:
         raise unknown_name("result", problem.maximised, results)
-    also = [v.name for phase in problem.phases for v in (*phase.integral_variables, *phase.mark_variables)]
+    also = [v.name for phase in problem.phases for v in (*phase.integral_variables, *phase.end_output_variables)]
     if problem.minimised and problem.minimised not in (*results, *also):
         raise unknown_name("result", problem.minimised, [*results, *also])
     if problem.minimised and problem.maximised:
@@ -142,7 +143,7 @@ def _demand_unit(problem: Any, name: str, wanted: str, what: str) -> None:
 def _check_scales(problem: Any) -> None:
     """Refuse scales of what no method computes with; they would be without effect."""
     told = [v for phase in problem.phases for v in
-            (*phase.output_variables, *phase.integral_variables, *phase.mark_variables)]  # fmt: skip
+            (*phase.output_variables, *phase.integral_variables, *phase.end_output_variables)]  # fmt: skip
     for variable in (*told, *problem.result_variables):
         if variable.scale is not None:
             raise PeriluneError(
@@ -177,7 +178,7 @@ def _sample(problem: Any, scales: Scales, place: int) -> tuple[SimpleNamespace, 
     fractions = iter((0.618034 * k) % 1.0 for k in range(1 + 1000 * place, 1_000_000))
     si = problem.scales
     inside = {
-        f.name: f.lower + 0.3 * (f.upper - f.lower) if math.isfinite(f.upper - f.lower) else f.typical
+        f.name: f.lower + 0.3 * (f.upper - f.lower) if math.isfinite(f.upper - f.lower) else f.guess
         for f in problem.free
     }
     known = problem.parameters(inside)

@@ -1,8 +1,8 @@
 """Kinds of controls: components, limits, admissible sets, and the regimes of the minimum of H on each.
 
-A control has components, a unit, limits and a set of admissible values. A `Direction` lives on the circle or sphere, a
-`Bounded` scalar on an interval. Arrays of controls have their components first, (components, ...), and may be complex,
-as the proof differentiates by complex steps.
+A control has components, a unit, limits and a set of admissible values. A `UnitVectorControl` lives on the circle or
+sphere, a `ScalarControl` on an interval. Arrays of controls have their components first, (components, ...), and may be
+complex, as the proof differentiates by complex steps.
 
 The minimum of H on each set is defined here too, by *regimes*: a direction is free on its sphere; a scalar is at
 its lower or at its upper bound, or between them. `perilune.conditions.control_law` makes formulas of it.
@@ -64,7 +64,7 @@ def demand_limits(bounded: Any) -> None:
 @check_call
 @_computing
 @dataclass(frozen=True, kw_only=True)
-class Direction:
+class UnitVectorControl:
     """A control that is a unit vector of two or three components, free on the circle or sphere."""
 
     names: tuple[str, ...]
@@ -197,7 +197,7 @@ class Direction:
 @check_call
 @_computing
 @dataclass(frozen=True, kw_only=True)
-class Bounded:
+class ScalarControl:
     """A scalar control between bounds, such as a throttle or an angle.
 
     `lower` and `upper` are numbers in SI, infinite ones allowed, or names of parameters that hold them, so that they
@@ -366,7 +366,7 @@ class Bounded:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settled(Bounded):
+class Settled(ScalarControl):
     """A scalar control whose regime is known along its whole phase (`perilune.structures`).
 
     On its lower or its upper bound; or ``"singular"``, where H is linear in it and its slope dH/du vanishes all along.
@@ -385,7 +385,7 @@ class Settled(Bounded):
         return {"lower": (lower, lower), "upper": (upper, upper), "singular": (lower, upper)}[self.regime]
 
 
-Control = Direction | Bounded
+Control = UnitVectorControl | ScalarControl
 
 
 def control_slices(controls: Sequence[Control]) -> Iterator[tuple[slice, Control]]:
@@ -396,10 +396,10 @@ def control_slices(controls: Sequence[Control]) -> Iterator[tuple[slice, Control
         at += len(control.names)
 
 
-def scalars(controls: Sequence[Control]) -> Iterator[tuple[int, Bounded]]:
+def scalars(controls: Sequence[Control]) -> Iterator[tuple[int, ScalarControl]]:
     """Yield each scalar with the place of its component."""
     for here, control in control_slices(controls):
-        if isinstance(control, Bounded):
+        if isinstance(control, ScalarControl):
             yield here.start, control
 
 

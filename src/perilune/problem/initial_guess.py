@@ -50,7 +50,7 @@ def guess(problem: Problem, times: Any, states: Any, controls: Any = None, **fre
     for name in free:
         if name not in problem.free_names:
             raise unknown_name("free parameter", name, sorted(problem.free_names))
-    values = {f.name: f.typical for f in problem.free} | {
+    values = {f.name: f.guess for f in problem.free} | {
         name: float(_check_guess_array(value, (), name)) for name, value in free.items()
     }
     count, flown = len(problem.phases), list[Trajectory]()
@@ -115,7 +115,7 @@ def _check_guess_array(given: Any, shape: tuple[int | None, ...], what: str) -> 
 
 def _middle_controls(problem: Problem, phase: Phase, count: int) -> Matrix:
     """Return controls in the middle of their ranges; a direction has none, and takes its first axis."""
-    p, columns = problem.parameters({f.name: f.typical for f in problem.free}), list[float]()
+    p, columns = problem.parameters({f.name: f.guess for f in problem.free}), list[float]()
     for control in phase.controls:
         middle = control.middle(p)[0]
         columns += [middle] if control.scalar else [1.0] + [0.0] * (len(control.names) - 1)

@@ -8,10 +8,10 @@ from typing import Any
 
 from perilune.core.errors import Named
 from perilune.core.fields import Quantity, record_keys, record_values, section_of
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 
 
-def given_of(*records: Any) -> dict[str, Given]:
+def given_of(*records: Any) -> dict[str, Parameter]:
     """Return given parameters ``section_key`` of records, with the text in which a value was stated; none of None."""
     found = {}
     for record in records:
@@ -19,10 +19,10 @@ def given_of(*records: Any) -> dict[str, Given]:
         for name, value in record_values(record).items():
             declared = keys[name].declared
             if isinstance(declared, Quantity) and value is not None:
-                found[f"{section}_{name}"] = Given(value=value, unit=declared.unit)
+                found[f"{section}_{name}"] = Parameter(value=value, unit=declared.unit)
     return found
 
 
-def read_only_given(values: Mapping[str, Given]) -> Mapping[str, Given]:
+def read_only_given(values: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
     """Return a read-only mapping of given parameters, which names what it lacks."""
     return MappingProxyType(Named("given parameter", values))

@@ -17,7 +17,7 @@ from perilune.problem.controls import scalars
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import run_expression
 from perilune.problem.tracing.tape import Expression, Recorder
-from perilune.problem.variables import Free, Given
+from perilune.problem.variables import FreeParameter, Parameter
 
 _FAR = 1e4  # canonical: a range that is so much wider or narrower than 1 has a size of its own
 
@@ -35,17 +35,19 @@ def parametric_problem(problem: Problem, names: Sequence[str], sizes: Mapping[st
     given = {name: g for name, g in problem.given.items() if name not in names}
     units = {name: problem.unit_of(name) for name in names}
     new = tuple(
-        Free(name=n, unit="1", typical=g.value / sizes[n]) if n in sizes else Free(name=n, unit=g.unit, typical=g.value)
+        FreeParameter(name=n, unit="1", guess=g.value / sizes[n])
+        if n in sizes
+        else FreeParameter(name=n, unit=g.unit, guess=g.value)
         for n in names
         if (g := problem.given.get(n)) is not None
     )
     free = tuple(replace(f, lower=-math.inf, upper=math.inf) if f.name in names else f for f in problem.free)
     if not sizes:
-        return problem.changed(given=MappingProxyType(given), free=(*free, *new), ranges=None, form=None)
-    given |= {_size_name(name): Given(value=size, unit=units[name]) for name, size in sizes.items()}
+        return problem.changed(given=MappingProxyType(given), free=(*free, *new), parameter_bounds=None, form=None)
+    given |= {_size_name(name): Parameter(value=size, unit=units[name]) for name, size in sizes.items()}
     shares = {key: _with_shares(e, sizes) for key, e in problem.form.expressions.items()}
     stated = problem.stated_by(shares)
-    return stated.changed(given=MappingProxyType(given), free=(*free, *new), ranges=None, form=None)
+    return stated.changed(given=MappingProxyType(given), free=(*free, *new), parameter_bounds=None, form=None)
 
 
 def sizes_of(problem: Problem, names: Sequence[str], widths: Sequence[float]) -> dict[str, float]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from perilune.core.arrays import Vector
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given
+from perilune.problem.variables import FreeParameter, Parameter
 
 
 def offset_of(state: str) -> str:
@@ -43,7 +43,7 @@ class MovedStart:
 
 def with_start_offsets(problem: Problem) -> Problem:
     """Return the problem with a given parameter ``offset_<state>``, 0, for each component of its initial state."""
-    offsets = {offset_of(s.name): Given(value=0.0, unit=s.unit) for s in problem.phases[0].states}
+    offsets = {offset_of(s.name): Parameter(value=0.0, unit=s.unit) for s in problem.phases[0].states}
     given = MappingProxyType({**problem.given, **offsets})
     return problem.changed(start=MovedStart(problem), given=given, form=None)
 
@@ -71,7 +71,7 @@ def start_offsets(problem: Problem) -> Vector:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FixedFree(Free):
+class FixedFree(FreeParameter):
     """A free parameter that a neighbour fixes at its value in an answer; a user's range may be one value as well."""
 
 
@@ -82,12 +82,12 @@ def fix_free_parameters(problem: Problem, **values: float) -> Problem:
 
 def narrow_free_parameters(problem: Problem, **values: float) -> Problem:
     """Return the problem, to be solved as any other, with free parameters that take only these values [SI]."""
-    return _with_fixed_free(problem, values, Free)
+    return _with_fixed_free(problem, values, FreeParameter)
 
 
-def _with_fixed_free(problem: Problem, values: Mapping[str, float], kind: type[Free]) -> Problem:
+def _with_fixed_free(problem: Problem, values: Mapping[str, float], kind: type[FreeParameter]) -> Problem:
     free = tuple(
-        kind(name=f.name, unit=f.unit, lower=v, upper=v, typical=v) if (v := values.get(f.name)) is not None else f
+        kind(name=f.name, unit=f.unit, lower=v, upper=v, guess=v) if (v := values.get(f.name)) is not None else f
         for f in problem.free
     )
     return _with_free(problem, free)
@@ -107,7 +107,7 @@ def release_free_parameters(problem: Problem, names: Collection[str]) -> Problem
     return _with_free(problem, free)
 
 
-def _with_free(problem: Problem, free: tuple[Free, ...]) -> Problem:
+def _with_free(problem: Problem, free: tuple[FreeParameter, ...]) -> Problem:
     """Return the same problem with other ranges, which do not enter its structure."""
     same = {"structure": problem.structure} if "structure" in problem.__dict__ else {}
     return problem.changed(free=free, **same)
@@ -134,7 +134,7 @@ def with_given_unchecked(problem: Problem, values: Mapping[str, float]) -> Probl
 
 def _with_values(problem: Problem, values: Mapping[str, float]) -> Problem:
     """Return the problem with other values [SI] of given parameters, which do not enter its structure."""
-    given = {name: Given(value=value, unit=problem.given[name].unit) for name, value in values.items()}
+    given = {name: Parameter(value=value, unit=problem.given[name].unit) for name, value in values.items()}
     return problem.changed(given=MappingProxyType({**problem.given, **given}), structure=problem.structure)
 
 

@@ -11,6 +11,7 @@ from typing import Any, get_args
 import numpy as np
 
 from perilune.core.arrays import Physics, Vector
+from perilune.core.deprecation import RenamedAttribute, renamed_keywords
 from perilune.core.maths import NUMERIC
 from perilune.core.validation import check_call, require_row
 from perilune.problem.controls import Control
@@ -19,10 +20,11 @@ from perilune.problem.variables import Variable
 
 _ROWS = (
     "states", "end_conditions", "path_conditions", "held_conditions",
-    "output_variables", "integral_variables", "mark_variables",
+    "output_variables", "integral_variables", "end_output_variables",
 )  # fmt: skip
 
 
+@renamed_keywords(marks="end_outputs", mark_variables="end_output_variables", typical_end="end_guess")
 @check_call
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Phase(ShownPhase):
@@ -51,16 +53,16 @@ class Phase(ShownPhase):
     integrals, integral_variables
         ``integrals(x, u, p, xp)`` returns rates; their integrals along the flight are results, named with the unit of
         the integral (delta-v spent, gravity loss). Phases that name the same one add to it.
-    marks, mark_variables
-        ``marks(x, p, xp)`` of the end state of the phase returns further results (speed where the air begins).
+    end_outputs, end_output_variables
+        ``end_outputs(x, p, xp)`` of the end state of the phase returns further results (speed where the air begins).
     inertial
         ``inertial(x, u, t, p, xp)`` returns nine values in inertial axes with the body at their origin, t seconds after
         the begin of the flight: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
     track
         ``track(x, p, xp)`` returns how far the flight has come along its way, how far to the left of it, how high, and
         where `Views.floor` names one, the least height there [m].
-    typical_end
-        ``typical_end(p, xp)`` returns a rough end state; only its order matters (a direct method starts there).
+    end_guess
+        ``end_guess(p, xp)`` returns a rough end state; only its order matters (a direct method starts there).
     """
 
     name: str
@@ -78,11 +80,14 @@ class Phase(ShownPhase):
     output_variables: tuple[Variable, ...] = ()
     integrals: Physics | None = None
     integral_variables: tuple[Variable, ...] = ()
-    marks: Physics | None = None
-    mark_variables: tuple[Variable, ...] = ()
+    end_outputs: Physics | None = None
+    end_output_variables: tuple[Variable, ...] = ()
     inertial: Physics | None = None
     track: Physics | None = None
-    typical_end: Physics | None = None
+    end_guess: Physics | None = None
+    marks = RenamedAttribute("end_outputs")
+    mark_variables = RenamedAttribute("end_output_variables")
+    typical_end = RenamedAttribute("end_guess")
 
     def __post_init__(self) -> None:
         require_row(self.controls, "controls", *get_args(Control))
@@ -130,7 +135,7 @@ class Phase(ShownPhase):
         return self.dynamics(self.state_record(*x), self.control_record(*u), p, xp)
 
     def evaluate(self, function: str, x: Any, u: Any, p: Any, xp: Any = NUMERIC) -> Sequence[Any]:
-        """Evaluate ``path``, ``held``, ``outputs``, ``integrals``; without control ``end``, ``marks``, ``track``.
+        """Evaluate ``path``, ``held``, ``outputs``, ``integrals``; without control ``end``, ``end_outputs``, ``track``.
 
         Empty where the phase has none.
 
@@ -146,7 +151,7 @@ class Phase(ShownPhase):
         physics = getattr(self, function)
         if physics is None:
             return ()
-        control = () if function in ("end", "marks", "track") else (self.control_record(*u),)
+        control = () if function in ("end", "end_outputs", "track") else (self.control_record(*u),)
         return physics(self.state_record(*x), *control, p, xp)
 
     def path_along(self, x: Any, u: Any, p: Any) -> Iterator[tuple[Variable, Vector]]:

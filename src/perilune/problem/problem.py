@@ -29,6 +29,7 @@ from typing import Any, get_args
 import numpy as np
 
 from perilune.core.arrays import Matrix, Physics
+from perilune.core.deprecation import RenamedAttribute, renamed_keywords
 from perilune.core.errors import unknown_name
 from perilune.core.maths import NUMERIC
 from perilune.core.units import Scales
@@ -55,22 +56,25 @@ from perilune.problem.tracing.traced_problem import (
     canonical_expressions,
     trace,
 )
-from perilune.problem.variables import Free, Given, Variable, given_as, positive_scale
+from perilune.problem.variables import FreeParameter, Parameter, Variable, given_as, positive_scale
 from perilune.problem.verification import Check
 
 _TRACED = ("form", "structure")  # properties found once for a problem, and possibly known
-_SIZED, _BOUNDED = (Variable, Free, *get_args(Control)), (Variable, *get_args(Control))
+_SIZED, _BOUNDED = (Variable, FreeParameter, *get_args(Control)), (Variable, *get_args(Control))
+
+_OLD_NAMES = {"ranges": "parameter_bounds", "bookkeeping": "consistency_checks", "rough_flight": "initial_guess"}
 
 
+@renamed_keywords(**_OLD_NAMES)
 @check_call
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Problem(ShownProblem, SimulatedProblem):
     """Phases, links, parameters and the objective.
 
     Problems are equal when their forms (`perilune.problem.tracing.traced_problem`) and all their numbers are. A copy in
-    another process (pickle) carries its formulas as expressions; `ranges`, `preflight`, `bookkeeping`, `rough_flight`
-    and `switching_guesses` go along where they are found by name, as functions of a module are, and are left behind
-    otherwise.
+    another process (pickle) carries its formulas as expressions; `parameter_bounds`, `preflight`, `consistency_checks`,
+    `initial_guess` and `switching_guesses` go along where they are found by name, as functions of a module are, and are
+    left behind otherwise.
 
     Parameters
     ----------
@@ -96,9 +100,9 @@ class Problem(ShownProblem, SimulatedProblem):
         Name of the result that J is the negative of, or "".
     minimised
         Name of the result that J is but for a constant, or "": in its words the objective is shown.
-    ranges
-        ``ranges(p, xp)`` of the given parameters returns ``{name: (lower, upper, typical)}`` for free parameters whose
-        range depends on what is given; it replaces what `free` says. What is typical may be a function
+    parameter_bounds
+        ``parameter_bounds(p, xp)`` of the given parameters returns ``{name: (lower, upper, guess)}`` for free
+        parameters whose range depends on what is given; it replaces what `free` says. The guess may be a function
         without arguments, where that takes long: an atlas asks for bounds only, at thousands of values. It raises
         `PeriluneError` for given values that make no sense together.
     declared
@@ -108,12 +112,12 @@ class Problem(ShownProblem, SimulatedProblem):
         ``preflight(p, xp)`` of the given parameters returns what physics says before anything is solved, as
         `perilune.problem.presolve.Finding`. Which comparisons there are may depend on which parameters `p` has,
         but not on their values, which may be arrays or symbols; ``inf`` is no limit.
-    bookkeeping
-        ``bookkeeping(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).
-    rough_flight
-        ``rough_flight(p)`` of all parameters, durations included, returns a picture of the flight where straight lines
+    consistency_checks
+        ``consistency_checks(solution)`` returns checks of level 1 in the model's own terms (the rocket equation).
+    initial_guess
+        ``initial_guess(p)`` of all parameters, durations included, returns a picture of the flight where straight lines
         are none: for each phase rough states in SI at times evenly apart, shape (times, states). A direct method starts
-        there in place of `Phase.typical_end`.
+        there in place of `Phase.end_guess`.
     switching_guesses
         ``switching_guesses(problem)`` returns rough flights whose arcs are known, each with its
         `perilune.structures.structure.Structure`: the indirect method looks for their extremals in addition to those
@@ -130,8 +134,8 @@ class Problem(ShownProblem, SimulatedProblem):
     phases: tuple[Phase, ...]
     start: Physics
     links: tuple[Physics, ...] = ()
-    given: Mapping[str, Given] = field(default_factory=dict)
-    free: tuple[Free, ...] = ()
+    given: Mapping[str, Parameter] = field(default_factory=dict)
+    free: tuple[FreeParameter, ...] = ()
     objective: Physics
     objective_unit: str = "1"
     objective_scale: float | None = None
@@ -140,14 +144,17 @@ class Problem(ShownProblem, SimulatedProblem):
     maximised: str = ""
     minimised: str = ""
     declared: tuple[Any, ...] = ()
-    ranges: Physics | None = None
+    parameter_bounds: Physics | None = None
     preflight: Callable[[Any, Any], Sequence[Any]] | None = None
-    bookkeeping: Callable[[Any], Sequence[Check]] | None = None
-    rough_flight: Callable[[Any], Sequence[Matrix]] | None = None
+    consistency_checks: Callable[[Any], Sequence[Check]] | None = None
+    initial_guess: Callable[[Any], Sequence[Matrix]] | None = None
     switching_guesses: Callable[[Any], Sequence[tuple[Any, Any]]] | None = None
     views: Views = field(default_factory=Views)
     scales: Scales = field(default_factory=Scales)
     title: str = ""
+    ranges = RenamedAttribute("parameter_bounds")
+    bookkeeping = RenamedAttribute("consistency_checks")
+    rough_flight = RenamedAttribute("initial_guess")
 
     def __post_init__(self) -> None:
         check_parts(self)
@@ -161,12 +168,12 @@ class Problem(ShownProblem, SimulatedProblem):
 
     def take_ranges(self) -> None:
         """Let the free parameters have the ranges that follow from the given ones; of one that is being made."""
-        if self.ranges is None:
+        if self.parameter_bounds is None:
             return
         with np.errstate(all="ignore"):  # what is no number is refused by name, where the free parameter is made
-            found = self.ranges(self.parameters({}), NUMERIC)
+            found = self.parameter_bounds(self.parameters({}), NUMERIC)
             free = (
-                replace(f, lower=r[0], upper=r[1], typical=r[2]() if callable(r[2]) else r[2])
+                replace(f, lower=r[0], upper=r[1], guess=r[2]() if callable(r[2]) else r[2])
                 for f in self.free
                 if (r := found.get(f.name, _free_range(f)))
             )
@@ -237,6 +244,7 @@ class Problem(ShownProblem, SimulatedProblem):
         new.__dict__["expressed"] = new
         return new
 
+    @renamed_keywords(**_OLD_NAMES)
     @check_call
     def changed(self, **changes: Any) -> Problem:
         """Return a changed problem, not checked again; of the same form, or traced on demand with `form=None`.
@@ -305,7 +313,7 @@ class Problem(ShownProblem, SimulatedProblem):
         return tuple((place, unit, scale) for place, (unit, scale) in enumerate(sized) if scale is not None)
 
     @check_call
-    def size_of(self, named: Variable | Free | Control) -> float:
+    def size_of(self, named: Variable | FreeParameter | Control) -> float:
         """Return the SI size of the canonical unit of a state, condition, control or free parameter.
 
         It is its own `scale`, else the size of its unit in `scales`.
@@ -338,7 +346,7 @@ class Problem(ShownProblem, SimulatedProblem):
         """
         if not isinstance(parameter, str):
             raise wrong_type_error(parameter, "a text", "the name of a parameter")
-        known: dict[str, Given | Free] = {**{f.name: f for f in self.free}, **self.given}
+        known: dict[str, Parameter | FreeParameter] = {**{f.name: f for f in self.free}, **self.given}
         if parameter not in known:
             raise unknown_name("parameter", parameter, sorted(known))
         return known[parameter].unit
@@ -396,5 +404,5 @@ class Problem(ShownProblem, SimulatedProblem):
         return new
 
 
-def _free_range(f: Free) -> tuple[float, float, float]:
-    return f.lower, f.upper, f.typical
+def _free_range(f: FreeParameter) -> tuple[float, float, float]:
+    return f.lower, f.upper, f.guess

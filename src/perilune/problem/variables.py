@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from perilune.core.deprecation import RenamedAttribute, renamed_keywords
 from perilune.core.errors import PeriluneError
 from perilune.core.maths import NUMERIC
 from perilune.core.stated_number import stated_text
@@ -101,7 +102,7 @@ class Variable:
 
 @check_call
 @dataclass(frozen=True, kw_only=True)
-class Given:
+class Parameter:
     """A parameter with a value in SI and its SI unit.
 
     `stated` is the decimal text and unit in which a person stated it; a Python float is itself, and has none.
@@ -119,7 +120,7 @@ class Given:
         object.__setattr__(self, "value", float(self.value))
 
 
-def given_as(name: str, value: Any, unit: str) -> Given:
+def given_as(name: str, value: Any, unit: str) -> Parameter:
     """Return a given parameter of this value in SI; `name` is named in a refusal.
 
     Parameters
@@ -132,15 +133,16 @@ def given_as(name: str, value: Any, unit: str) -> Given:
         Its SI unit.
     """
     require_si_number(value, f"a value of {name}")
-    return Given(value=value, unit=unit)
+    return Parameter(value=value, unit=unit)
 
 
+@renamed_keywords(typical="guess")
 @check_call
 @dataclass(frozen=True, kw_only=True)
-class Free:
+class FreeParameter:
     """A parameter that the optimiser chooses, in SI.
 
-    `typical` is its order of magnitude (a first value for methods that need one); a bound that is reached is reported
+    `guess` is its order of magnitude (a first value for methods that need one); a bound that is reached is reported
     as an extremal of its own.
     """
 
@@ -148,11 +150,12 @@ class Free:
     unit: str = "1"
     lower: float = -math.inf
     upper: float = math.inf
-    typical: float = 1.0
+    guess: float = 1.0
+    typical = RenamedAttribute("guess")
 
     def __post_init__(self) -> None:
         require_type(self.name, str, "the name of a free parameter")
         require_si_unit(self.unit, self.name)
         for side in ("lower", "upper"):
             require_si_number(getattr(self, side), f"the {side} bound of {self.name}", f"omit {side} for no bound")
-        require_si_number(self.typical, f"the typical value of {self.name}")
+        require_si_number(self.guess, f"the guess of {self.name}")

@@ -98,7 +98,7 @@ def _default_other_method(solution: Solution) -> Method:
     from perilune.methods import Indirect, Pseudospectral
 
     # What a file says of its method is not known here; level 3 has asked the indirect one about the neighbours.
-    direct = solution.method == "pseudospectral" and not solution.statistics.claimed
+    direct = solution.method == "pseudospectral" and not solution.statistics.from_file
     return Indirect() if direct else Pseudospectral()
 
 
@@ -158,7 +158,7 @@ def _failed_conditions(rival: Solution) -> list[str]:
 
 def _mesh_error(*solutions: Solution) -> float:
     """The largest mesh error that the methods report; what a file says of it opens no limit."""
-    return float(np.fmax.reduce([FINEST, *(s.statistics.residual for s in solutions if not s.statistics.claimed)]))
+    return float(np.fmax.reduce([FINEST, *(s.statistics.residual for s in solutions if not s.statistics.from_file)]))
 
 
 def _explained_difference(size: float, value: float, error: float) -> float:
@@ -186,7 +186,7 @@ def _both_values(solution: Solution, rival: Solution, here: float, there: float)
 
 def _method_name(solution: Solution) -> str:
     """Return the method that found a solution; it is unknown for one from a file."""
-    return "the file" if solution.statistics.claimed else solution.method
+    return "the file" if solution.statistics.from_file else solution.method
 
 
 def _check_best_extremal(solution: Solution, rivals: Sequence[Solution], error: float) -> Check:

@@ -212,7 +212,7 @@ def _notes_on_loaded_problem(problem: Problem) -> tuple[str, ...]:
     missing = [
         what
         for what, stated in (
-            ("the model's consistency checks (rocket equation)", problem.bookkeeping),
+            ("the model's consistency checks (rocket equation)", problem.consistency_checks),
             ("the physical bounds before solving (preflight)", problem.preflight),
         )
         if stated is None

@@ -26,7 +26,7 @@ _BEST = {Nature.LOCAL_OPTIMUM: Nature.BEST, Nature.LOCAL_OPTIMUM_AT_BOUND: Natur
 
 
 def confirm_listed_extremals(solution: Solution, resolve: Resolve) -> tuple[tuple[Extremal, ...], tuple[str, ...]]:
-    """The extremals of `Solution.listed` that are confirmed, this solution the first, and what is to be said of them.
+    """Return the `Solution.unverified_extremals` that are confirmed, this solution the first, with notes on them.
 
     Parameters
     ----------
@@ -35,10 +35,10 @@ def confirm_listed_extremals(solution: Solution, resolve: Resolve) -> tuple[tupl
     resolve
         ``resolve(problem, guess)`` returns the extremal next to a guess.
     """
-    listed = solution.listed[:MOST_LISTED]
+    claims, listed = len(solution.unverified_extremals), solution.unverified_extremals[:MOST_LISTED]
     own = _find_again(solution, solution, listed[0], resolve)
     if own is None:
-        return (), (f"none of the {len(solution.listed)} extremals listed in the file is confirmed; they are left out",)
+        return (), (f"none of the {claims} extremals listed in the file is confirmed; they are left out",)
     itself = replace(own, free=solution.free, objective=solution.objective)
     others: list[Extremal] = []
     for entry in listed[1:]:
@@ -49,8 +49,8 @@ def confirm_listed_extremals(solution: Solution, resolve: Resolve) -> tuple[tupl
             others.append(found)
     others.sort(key=lambda e: (e.nature is Nature.WORST, e.objective))
     notes = []
-    if left := len(solution.listed) - 1 - len(others):
-        total = len(solution.listed)
+    if left := len(solution.unverified_extremals) - 1 - len(others):
+        total = len(solution.unverified_extremals)
         notes.append(f"{left} of the {total} extremals listed in the file {_are(left)} not confirmed, and left out")
     if any(e.objective < itself.objective for e in others):
         notes.append("a better extremal than this solution is known; it is listed below it")

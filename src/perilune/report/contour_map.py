@@ -51,7 +51,7 @@ def map_names(problem: Problem, parameters: tuple[str, ...]) -> list[str]:
     """
     variables = [*problem.result_variables]
     for phase in problem.phases:
-        variables += [*phase.mark_variables, *phase.integral_variables]
+        variables += [*phase.end_output_variables, *phase.integral_variables]
     own = {v.name for v in variables} or {"flight_time", "objective"}
     peaks = {f"peak_{name}{more}" for name in problem.views.peaks for more in ("", "_time")}
     weight = {OVER_WEIGHT} if _weighs({*problem.given, *parameters}) else set()

@@ -69,7 +69,7 @@ def corridor_figure(solution: Solution, shown: Corridor) -> Figure:
 def _outputs_on_grid(solution: Solution, k: int, shown: Corridor, height: Any, speed: Any) -> dict[str, Matrix]:
     """Evaluate outputs of phase k over its heights and speeds."""
     phase, trajectory = solution.problem.phases[k], solution.trajectories[k]
-    x, u = solution.flown(k, np.array([0.5 * trajectory.duration]))
+    x, u = solution.evaluate(k, np.array([0.5 * trajectory.duration]))
     state = {name: float(value[0]) for name, value in zip(phase.state_names, x, strict=True)}
     distance = math.hypot(*(state[name] for name in shown.position))
     quick = math.hypot(*(state[name] for name in shown.velocity))

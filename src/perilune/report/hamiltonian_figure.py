@@ -52,7 +52,7 @@ def optimality_figure(solution: Solution) -> Figure:
 
 def _draw_turned_thrust(axes: Any, solution: Solution, k: int, begin: float, t: Vector) -> None:
     """Draw the increase of H by turned thrusts in the plane over phase k, which begins at time `begin` [s]."""
-    H, (along, up) = hamiltonian(solution, k, t), solution.flown(k, t)[1]
+    H, (along, up) = hamiltonian(solution, k, t), solution.evaluate(k, t)[1]
     for degrees, colour, dash in ((180, VERMILION, "--"), (45, BLUE, "-"), (5, GREEN, "-.")):
         a = np.radians(degrees)
         turned = np.array([along * np.cos(a) - up * np.sin(a), along * np.sin(a) + up * np.cos(a)])

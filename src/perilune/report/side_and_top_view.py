@@ -44,7 +44,7 @@ def track_path(solution: Solution) -> tuple[Vector, Matrix]:
     times, parts, begin = [], [], 0.0
     for k, (phase, trajectory) in enumerate(zip(solution.problem.phases, solution.trajectories, strict=True)):
         t = display_times(trajectory)
-        x, u = solution.flown(k, t)
+        x, u = solution.evaluate(k, t)
         times.append(begin + t)
         parts.append(np.array([full(value, t) for value in phase.evaluate("track", x, u, solution.parameters)]))
         begin += trajectory.duration

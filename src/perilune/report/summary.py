@@ -46,18 +46,18 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
     width = max([16, *(len(told) for told, *_ in found)])
     lines += [f"  {told:{width}}{value:>16} {unit}".rstrip() for told, value, unit in found]
     lines += ["", *(f"warning: {warning}" for warning in solution.warnings)] if solution.warnings else []
-    if solution.structure and not solution.statistics.claimed:
+    if solution.structure and not solution.statistics.from_file:
         lines += ["", "structure", *(f"  {arc.text}" for arc in solution.structure)]
     rows = _extremal_rows(solution)
     if len(rows) > 1:
         head = "extremals, best first" if len(rows) > 2 else "extremal"
-        lines += ["", head + (f" ({_AGAIN})" if solution.statistics.claimed else "")]
+        lines += ["", head + (f" ({_AGAIN})" if solution.statistics.from_file else "")]
         lines += ["  " + "  ".join(f"{cell:>{width}}" for cell, width in _padded(rows, row)) for row in rows]
     if solution.problem.inputs_read:
         lines += ["", *(f"read: {text}" for text in solution.problem.inputs_read)]
     verification = solution.verification
     lines += ["", f"verification: {verification.headline}"]
-    if solution.statistics.claimed and verification.text:
+    if solution.statistics.from_file and verification.text:
         lines.append(f"  flown: {verification.text}")
     if not every_check:
         lines += _check_counts(verification)
@@ -68,7 +68,7 @@ def solution_summary(solution: Solution, *, every_check: bool = True) -> str:
             lines.append(f"         {c.meaning}")
     lines += ["", *(f"note: {note}" for note in verification.notes)] if verification.notes else []
     # How it was found is of a file only its word.
-    return "\n".join(lines if solution.statistics.claimed else [*lines, "", _method_lines(solution)])
+    return "\n".join(lines if solution.statistics.from_file else [*lines, "", _method_lines(solution)])
 
 
 def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_text: str = "") -> str:
@@ -102,13 +102,13 @@ def solution_markdown(solution: Solution, figures: Iterable[str] = (), scenario_
         parts += [
             "## Extremals",
             "Every extremal found, best first; the first is this solution"
-            + (f" ({_AGAIN})." if solution.statistics.claimed else "."),
+            + (f" ({_AGAIN})." if solution.statistics.from_file else "."),
             markdown_table(rows[0], rows[1:]),
         ]
     if solution.problem.inputs_read:
         parts += ["## Files read", "\n".join(f"- {text}" for text in solution.problem.inputs_read)]
     parts += ["## Proof", _proof_markdown(solution)]
-    parts += [] if solution.statistics.claimed else ["## How it was found", _method_lines(solution)]
+    parts += [] if solution.statistics.from_file else ["## How it was found", _method_lines(solution)]
     names = list(figures)
     if names:
         captions = _CAPTIONS | {h.name: h.caption for h in solution.problem.views.histories}

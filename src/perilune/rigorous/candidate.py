@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from flint import arb
 
-from perilune.problem.controls import Bounded, scalars
+from perilune.problem.controls import ScalarControl, scalars
 from perilune.problem.results.solution import Solution
 from perilune.proof import PhaseData, end_bound_multipliers
 from perilune.rigorous.boundary_value_problem import ArcPiece, BoundaryProblem, Sides
@@ -40,7 +40,7 @@ def suggested_pieces(solution: Solution) -> tuple[list[ArcPiece], list[float]]:
         for begin, end in pairwise(np.unique([0.0, *breaks, trajectory.duration]).tolist()):
             if end - begin <= 1e-9 * trajectory.duration:
                 continue
-            u = solution.flown(k, np.linspace(begin, end, 9)[1:-1])[1]
+            u = solution.evaluate(k, np.linspace(begin, end, 9)[1:-1])[1]
             regimes = {control.name: _regime(control, u[at], solution) for at, control in own}
             if found and found[-1][0] == regimes:
                 found[-1] = (regimes, found[-1][1], end)
@@ -85,7 +85,7 @@ def sides_of(solution: Solution) -> Sides:
     return Sides(free=free, ranges=ranges, states=states)
 
 
-def _regime(control: Bounded, u: np.ndarray, solution: Solution) -> str:
+def _regime(control: ScalarControl, u: np.ndarray, solution: Solution) -> str:
     lower, upper = control.limits(solution.parameters)
     near = _ON_BOUND * (upper - lower if np.isfinite(upper - lower) else 1.0)
     for name, on in zip(("lower", "upper"), control.on_bounds(u, near, solution.parameters), strict=True):
@@ -126,7 +126,7 @@ def unknowns_of(solution: Solution, boundary: BoundaryProblem, lengths: Sequence
     for i, (piece, arc) in enumerate(zip(boundary.pieces, boundary.arcs, strict=True)):
         if arc.implicit:
             before = sum(own for own, p in zip(lengths[:i], boundary.pieces, strict=False) if p.phase == piece.phase)
-            u = solution.flown(piece.phase, np.array([before + _INSIDE * lengths[i]]))[1]
+            u = solution.evaluate(piece.phase, np.array([before + _INSIDE * lengths[i]]))[1]
             at = dict(zip(arc.phase.control_names, u[:, 0], strict=True))
             found += [float(at[name]) for name in arc.implicit]
     return [arb(value) for value in found]

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from perilune.problem.controls import Bounded, Direction, Settled, scalars
+from perilune.problem.controls import ScalarControl, Settled, UnitVectorControl, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.rigorous.exact_tape import Unsupported, exact_value, read_tape
@@ -44,7 +44,7 @@ class ArcScalar:
         dH/du and d2H/du2 on the extremal.
     """
 
-    control: Bounded
+    control: ScalarControl
     regime: str
     value: GraphExpression
     limits: tuple[GraphExpression | None, GraphExpression | None]
@@ -255,7 +255,7 @@ class ProblemReader:
         return {i for i in range(len(f)) if ("z", i) not in read}
 
     def _limits(
-        self, control: Bounded, free: Mapping[str, GraphExpression]
+        self, control: ScalarControl, free: Mapping[str, GraphExpression]
     ) -> tuple[GraphExpression | None, GraphExpression | None]:
         if isinstance(control, Settled):
             raise Unsupported(f"the control {control.name} is determined on an arc of its own")
@@ -297,7 +297,7 @@ def _control_by_regime(
     found: dict[Any, GraphExpression] = {}
     strengths = []
     for direction in phase.controls:
-        if isinstance(direction, Direction):
+        if isinstance(direction, UnitVectorControl):
             pull = _direction_vector(graph, phase, H, direction, limits)
             strength = graph.do("sqrt", sum((g * g for g in pull), graph.constant(0)))
             found |= {("u", name): -g / strength for name, g in zip(direction.names, pull, strict=True)}
@@ -329,7 +329,7 @@ def _control_by_regime(
 
 
 def _direction_vector(
-    graph: Graph, phase: Phase, H: GraphExpression, direction: Direction, limits: Limits
+    graph: Graph, phase: Phase, H: GraphExpression, direction: UnitVectorControl, limits: Limits
 ) -> list[GraphExpression]:
     """The vector g of H = a + g . d, or w where that is u w . d with a scalar u that is never negative."""
     pull = graph.gradient(H, [("u", name) for name in direction.names])
@@ -351,7 +351,7 @@ def _direction_vector(
 
 
 def _formula(
-    graph: Graph, phase: Phase, H: GraphExpression, control: Bounded
+    graph: Graph, phase: Phase, H: GraphExpression, control: ScalarControl
 ) -> tuple[GraphExpression, GraphExpression] | None:
     """dH/du and d2H/du2 of a scalar, if H is quadratic in it and its minimum over it is that over all together."""
     key, free = ("u", control.name), {("u", name) for name in phase.control_names}

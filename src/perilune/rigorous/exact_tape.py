@@ -16,7 +16,7 @@ from flint import arb, fmpq
 from perilune.core.errors import PeriluneError
 from perilune.core.units import exact_quantity, parse_quantity
 from perilune.problem.tracing.tape import ROLES, Expression as Taped
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 from perilune.rigorous.graph import Graph, GraphExpression
 from perilune.rigorous.taylor import Ball
 
@@ -130,7 +130,7 @@ class ExactValue:
         return fmpq(self.rational.numerator, self.rational.denominator)
 
 
-def exact_value(given: Given) -> ExactValue:
+def exact_value(given: Parameter) -> ExactValue:
     """Return the exact number of a given value, of which a theorem is proved.
 
     A text that does not give the value in its unit is none: the solver would have flown something else.

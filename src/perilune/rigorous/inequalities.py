@@ -14,7 +14,7 @@ from typing import Any
 
 from flint import arb
 
-from perilune.problem.controls import Direction
+from perilune.problem.controls import UnitVectorControl
 from perilune.rigorous.boundary_value_problem import BoundaryProblem
 from perilune.rigorous.enclosure_step import EnclosedStep
 from perilune.rigorous.equations import ArcScalar, CanonicalArc, Key
@@ -65,7 +65,7 @@ class FlightLimits:
             where = arc.phase.name + (f", arc {i + 1}" if len(self.boundary.arcs) > 1 else "")
             yield from self._path(i, where)
             for direction, strength in zip(
-                (c for c in arc.phase.controls if isinstance(c, Direction)), arc.strengths, strict=True
+                (c for c in arc.phase.controls if isinstance(c, UnitVectorControl)), arc.strengths, strict=True
             ):
                 told = f"the direction ({', '.join(direction.names)}) is the only one that minimises H ({where})"
                 yield self._along(i, told, strength)

@@ -54,7 +54,7 @@ def _control_arcs_in_words(solution: Solution, k: int, singular: Sequence[Stay])
     """Yield the arcs on which each bounded scalar is at a bound, between its bounds, or singular."""
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     edges = np.unique(flown.control.time)
-    values = solution.flown(k, 0.5 * (edges[1:] + edges[:-1]))[1]
+    values = solution.evaluate(k, 0.5 * (edges[1:] + edges[:-1]))[1]
     for at, control in scalars(phase.controls):
         lower, upper = control.limits(solution.parameters)
         if not np.isfinite([lower, upper]).any():
@@ -75,7 +75,7 @@ def _held_at_once(solution: Solution, k: int) -> Iterator[NamedArc]:
     """Yield the arcs on which path conditions with a control in them are at their limit."""
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     edges = np.unique(flown.control.time)
-    x, u = solution.flown(k, 0.5 * (edges[1:] + edges[:-1]))
+    x, u = solution.evaluate(k, 0.5 * (edges[1:] + edges[:-1]))
     known = margins(solution.problem, k)
     for variable, room in phase.path_along(x, u, solution.parameters):
         if depends_on_control(known[variable.name][1]):

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from perilune.core.arrays import Vector
-from perilune.problem.controls import Bounded, Settled, scalars
+from perilune.problem.controls import ScalarControl, Settled, scalars
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.tracing.costate_signs import priced_rates
@@ -50,7 +50,7 @@ class Stay:
     end: float
 
 
-def linear_scalars(problem: Problem, k: int) -> list[tuple[int, Bounded]]:
+def linear_scalars(problem: Problem, k: int) -> list[tuple[int, ScalarControl]]:
     """Return scalars of phase k with two bounds that enter the dynamics linearly and no condition of the path.
 
     In rates of states whose costates vanish identically they may stand in any way.
@@ -101,7 +101,7 @@ def leaves_bounds(solution: Solution, k: int) -> bool:
         Index of the phase.
     """
     t, known = np.linspace(0.0, solution.trajectories[k].duration, POINTS), linear_scalars(solution.problem, k)
-    shares = [control.share(solution.flown(k, t)[1][at], solution.parameters) for at, control in known]
+    shares = [control.share(solution.evaluate(k, t)[1][at], solution.parameters) for at, control in known]
     return any(bool((np.minimum(np.abs(share), np.abs(share - 1.0)) > WRONG).any()) for share in shares)
 
 
@@ -193,11 +193,11 @@ def seen_stays(solution: Solution, k: int) -> list[Stay]:
     if len(known) != 1:
         return []
     (at, control), t = known[0], np.linspace(0.0, solution.trajectories[k].duration, POINTS)
-    upper = control.share(solution.flown(k, t)[1][at], solution.parameters) > 0.5
+    upper = control.share(solution.evaluate(k, t)[1][at], solution.parameters) > 0.5
     return _bang_bang_stays(control.name, t, upper, 0.0, float(t[-1]))
 
 
-def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[Vector, Vector, Vector]:
+def gain_along(solution: Solution, k: int, at: int, control: ScalarControl) -> tuple[Vector, Vector, Vector]:
     """Return times of phase k, H at the upper less H at the lower bound [J/s], and the place in the range, 0 to 1.
 
     Parameters
@@ -214,7 +214,7 @@ def gain_along(solution: Solution, k: int, at: int, control: Bounded) -> tuple[V
     phase, flown = solution.problem.phases[k], solution.trajectories[k]
     assert flown.costate is not None, "asked for where there is one"
     t = np.linspace(0.0, flown.duration, POINTS)
-    x, u = solution.flown(k, t)
+    x, u = solution.evaluate(k, t)
     lam, p = flown.costate(t).T, solution.parameters
     sides = []
     for limit in control.limits(p):
@@ -368,7 +368,7 @@ def regimes_at(stays: Sequence[Stay], t: float, held: Collection[str] = ()) -> R
     return tuple((name, "held" if name in held else regime) for name, regime in free.items())
 
 
-def settle_scalar(control: Bounded, regime: str) -> Settled:
+def settle_scalar(control: ScalarControl, regime: str) -> Settled:
     """Return a scalar that stays in a regime.
 
     Parameters

@@ -21,13 +21,13 @@ from typing import Any
 
 from perilune.core.errors import PeriluneError
 from perilune.core.units import format_value_range
-from perilune.problem.controls import Bounded, Control
+from perilune.problem.controls import Control, ScalarControl
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import MOST_ORDER, component, gather_expressions, run_expression
 from perilune.problem.tracing.tape import Expression, Recorder
 from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS, roles_of
-from perilune.problem.variables import Free, Variable
+from perilune.problem.variables import FreeParameter, Variable
 from perilune.structures.detect_regimes import settle_scalar
 from perilune.structures.part_durations import (
     part_durations,
@@ -72,7 +72,7 @@ def restate(problem: Problem, structure: Structure, *, repeated: bool = True, va
     -------
     Problem
         With phases ``descent-1``, ``descent-2``, ... in place of ``descent``, whose durations are free parameters of
-        the same endings. Its `bookkeeping` is left out, as it is of the user's phases.
+        the same endings. Its `consistency_checks` are left out, as they are of the user's phases.
 
     Raises
     ------
@@ -190,8 +190,8 @@ class _Restated:
             given=MappingProxyType({**user.given, **bounds}),
             free=tuple(self.free()),
             views=replace(user.views, dispersion=None),  # which names phases
-            bookkeeping=None,
-            rough_flight=None,
+            consistency_checks=None,
+            initial_guess=None,
             switching_guesses=None,
             form=None,
         )
@@ -207,7 +207,7 @@ class _Restated:
     def _conditions(self, k: int) -> dict[str, Condition]:
         return conditions_of(self.user, k, self.structure.named(k))
 
-    def free(self) -> Iterator[Free]:
+    def free(self) -> Iterator[FreeParameter]:
         """Yield free parameters: the user's, but for durations that are sums, and those of the arcs."""
         yield from (f for f in self.user.free if f.name not in self.sums)
         known = {f.name: f for f in self.user.free}
@@ -215,14 +215,14 @@ class _Restated:
             if len(arcs) == 1:
                 continue
             of = known.get(phase.duration)
-            whole = self.user.given[phase.duration].value if of is None else of.typical
+            whole = self.user.given[phase.duration].value if of is None else of.guess
             longest = whole if of is None else min(of.upper, _ENDLESS * self.user.scales.time)
             whole = arcs[-1].until if math.isfinite(arcs[-1].until) else whole
             ends = self.structure.ends(k, whole)
             for name, begin, end in zip(
                 part_durations(self.user, self.structure, k), [0.0, *ends[:-1]], ends, strict=True
             ):
-                yield Free(name=name, unit="s", lower=0.0, upper=longest, typical=end - begin)
+                yield FreeParameter(name=name, unit="s", lower=0.0, upper=longest, guess=end - begin)
 
     def _parts(self, k: int) -> Iterator[Phase]:
         """Yield the phases that a phase becomes."""
@@ -246,8 +246,8 @@ class _Restated:
                 "duration": durations[j],
                 "controls": _arc_controls(phase, arc),
                 "states": without_bounds(phase, [c.bound for c in conditions.values() if c.bound is not None]),
-                "typical_end": rough[j],
-                **({} if j + 1 == count else {"marks": None, "mark_variables": ()}),
+                "end_guess": rough[j],
+                **({} if j + 1 == count else {"end_outputs": None, "end_output_variables": ()}),
                 **_gathered_function("end", "end_conditions", ends),
                 **_gathered_function("path", "path_conditions", self._inequalities(k, arc, conditions)),
                 **_gathered_function("held", "held_conditions", held + self._user_held(k)),
@@ -329,20 +329,20 @@ class _Restated:
     def _rough(self, k: int) -> list[Expression | None]:
         """Return rough end states of the parts, on a straight line through the rough end of the phase."""
         arcs, user = self.structure.phases[k], self.expressions
-        if (k, "typical_end") not in user:
+        if (k, "end_guess") not in user:
             return [None] * len(arcs)
         recorder = Recorder()
         begin, names = run_expression(user["start"], recorder), self.user.phases[0].state_names
         for before in range(k):
-            end = run_expression(user[before, "typical_end"], recorder) if (before, "typical_end") in user else begin
+            end = run_expression(user[before, "end_guess"], recorder) if (before, "end_guess") in user else begin
             begin = run_expression(
                 user["links", before], recorder, {("x", n): v for n, v in zip(names, end, strict=True)}
             )
             names = self.user.phases[before + 1].state_names
-        end, shares = run_expression(user[k, "typical_end"], recorder), self.structure.ends(k, 1.0)
+        end, shares = run_expression(user[k, "end_guess"], recorder), self.structure.ends(k, 1.0)
         inner = [recorder.tape([a + share * (b - a) for a, b in zip(begin, end, strict=True)]) for share in shares[:-1]]
-        roles = roles_of((k, "typical_end"))
-        return [*(Expression(tape, roles, origin="a straight line") for tape in inner), user[k, "typical_end"]]
+        roles = roles_of((k, "end_guess"))
+        return [*(Expression(tape, roles, origin="a straight line") for tape in inner), user[k, "end_guess"]]
 
 
 def _gathered_function(function: str, names: str, rows: Sequence[tuple[Variable, Expression]]) -> dict[str, Any]:
@@ -358,7 +358,8 @@ def _arc_controls(phase: Phase, arc: Arc) -> tuple[Control, ...]:
     """Return the controls of an arc: those that stay in a regime along it say so."""
     regimes = {name: regime for name, regime in arc.regimes if regime != "held"}
     return tuple(
-        settle_scalar(c, regimes[c.name]) if isinstance(c, Bounded) and c.name in regimes else c for c in phase.controls
+        settle_scalar(c, regimes[c.name]) if isinstance(c, ScalarControl) and c.name in regimes else c
+        for c in phase.controls
     )
 
 

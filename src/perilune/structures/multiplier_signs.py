@@ -20,7 +20,7 @@ from numpy.polynomial import Chebyshev
 from numpy.polynomial.chebyshev import chebpts1
 
 from perilune.core.arrays import Matrix, Vector
-from perilune.problem.controls import Bounded, control_scales, control_slices, normalised, tangents
+from perilune.problem.controls import ScalarControl, control_scales, control_slices, normalised, tangents
 from perilune.problem.results.solution import Solution, full
 from perilune.structures.detect_regimes import runs_by_kind
 from perilune.structures.structure import Condition
@@ -71,7 +71,7 @@ def _multiplier(solved: Solution, index: int, rate: str, t: Vector) -> Vector:
     """Return eta of the held condition of that name at times of a phase, J/s per unit; NaN where unknown."""
     phase, costate, p = solved.problem.phases[index], solved.trajectories[index].costate, solved.parameters
     assert costate is not None, "asked for where there is one"
-    x, u = solved.flown(index, t)
+    x, u = solved.evaluate(index, t)
     lam, scales = costate(t).T, control_scales(phase.controls, solved.problem.scales)
 
     def at(u: Matrix) -> Matrix:
@@ -103,7 +103,7 @@ def _movable_components(solved: Solution, index: int, u: Matrix) -> Matrix:
     """Return 1 for each component of the control that can move both ways, 0 for scalars on a bound."""
     phase, p, moving = solved.problem.phases[index], solved.parameters, np.ones(u.shape)
     for here, control in control_slices(phase.controls):
-        if isinstance(control, Bounded):
+        if isinstance(control, ScalarControl):
             low, high = control.on_bounds(u[here], _ON * solved.problem.scales.of(control.unit), p)
             moving[here] = ~(low | high)
     return moving

@@ -9,11 +9,11 @@ from typing import Any
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import run_expression
 from perilune.problem.tracing.tape import Expression, Recorder
-from perilune.problem.variables import Free
+from perilune.problem.variables import FreeParameter
 from perilune.structures.structure import Structure
 
 
-def range_of_sum(of: Free) -> tuple[float, float]:
+def range_of_sum(of: FreeParameter) -> tuple[float, float]:
     """Return the range of a sum of durations that stands in place of a free one [s]."""
     return (of.lower if of.lower > 0 else -math.inf), of.upper  # none of the durations is negative
 

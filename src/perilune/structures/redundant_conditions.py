@@ -46,7 +46,7 @@ def repeated_ends(
     if not ridden or not phase.end_conditions:
         return frozenset()
     rng = np.random.default_rng(0)
-    moving = {f.name: f.typical for f in problem.free}
+    moving = {f.name: f.guess for f in problem.free}
     moving |= {name: problem.given[name].value for name in varied if name in problem.given}
     for name, value in moving.items():
         moving[name] = value + problem.scales.of(problem.unit_of(name)) * rng.uniform(0.05, 0.15)

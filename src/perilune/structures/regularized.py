@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 
 from perilune.core.arrays import Matrix
-from perilune.problem.controls import Bounded, Control, Direction, limit_value
+from perilune.problem.controls import Control, ScalarControl, UnitVectorControl, limit_value
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import run_expression
 from perilune.problem.tracing.tape import Expression, Recorder
 from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 from perilune.structures.detect_regimes import linear_scalars
 
 RATE = "smoothing_rate"  # the given parameter that goes to zero
@@ -57,15 +57,15 @@ def smooth_problem(problem: Problem, share: float) -> Problem | None:
     if not any(turned):
         return None
     own, unit = problem.form.expressions, problem.objective_unit
-    p = problem.parameters({f.name: f.typical for f in problem.free})
+    p = problem.parameters({f.name: f.guess for f in problem.free})
     whole = sum(float(getattr(p, phase.duration)) for phase in problem.phases)
     given = {
-        name: Given(value=float(limit_value(limit, p)), unit=c.unit)
+        name: Parameter(value=float(limit_value(limit, p)), unit=c.unit)
         for k, scalars in enumerate(turned)
         for c in scalars
         for name, limit in zip(_limit_parameters(k, c), (c.lower, c.upper), strict=True)
     }
-    given[RATE] = Given(value=share * problem.objective_size / whole, unit=f"{unit}/s")
+    given[RATE] = Parameter(value=share * problem.objective_size / whole, unit=f"{unit}/s")
     return problem.changed(
         phases=tuple(_smoothed_phase(problem, k, scalars) for k, scalars in enumerate(turned)),
         start=_extend_expression(own["start"], lambda recorder: 0.0),
@@ -76,49 +76,62 @@ def smooth_problem(problem: Problem, share: float) -> Problem | None:
         objective=_objective_less_gain(own["objective"]),
         given=MappingProxyType({**problem.given, **given}),
         switching_guesses=None,
-        rough_flight=None if problem.rough_flight is None else partial(_guess_without_gain, problem.rough_flight),
-        results=None, result_variables=(), maximised="", minimised="", preflight=None, bookkeeping=None, form=None,
-    )  # fmt: skip
+        initial_guess=None if problem.initial_guess is None else partial(_guess_without_gain, problem.initial_guess),
+        results=None,
+        result_variables=(),
+        maximised="",
+        minimised="",
+        preflight=None,
+        consistency_checks=None,
+        form=None,
+    )
 
 
-def _guess_without_gain(rough_flight: Callable[[Any], Sequence[Matrix]], p: Any) -> list[Matrix]:
+def _guess_without_gain(initial_guess: Callable[[Any], Sequence[Matrix]], p: Any) -> list[Matrix]:
     """Return the user's picture of the flight with a state more."""
-    return [np.column_stack([states, np.zeros(len(states))]) for states in rough_flight(p)]
+    return [np.column_stack([states, np.zeros(len(states))]) for states in initial_guess(p)]
 
 
-def _switched_scalars(problem: Problem, k: int) -> list[Bounded]:
+def _switched_scalars(problem: Problem, k: int) -> list[ScalarControl]:
     """Return the scalars of phase k that are switched: those whose limits are numbers or given."""
     return [
         control
         for _, control in linear_scalars(problem, k)
-        if type(control) is Bounded and not {control.lower, control.upper} & {*problem.free_names}
+        if type(control) is ScalarControl and not {control.lower, control.upper} & {*problem.free_names}
     ]
 
 
-def _limit_parameters(k: int, control: Bounded) -> tuple[str, str]:
+def _limit_parameters(k: int, control: ScalarControl) -> tuple[str, str]:
     """Return the names of the given parameters that hold the limits of a scalar."""
     return f"least_{control.name}_{k}", f"greatest_{control.name}_{k}"
 
 
-def _circle_axes(control: Bounded) -> tuple[str, str]:
+def _circle_axes(control: ScalarControl) -> tuple[str, str]:
     """Return the names of s and c. Where nothing is known its first component is 1: the middle of the range."""
     return f"{control.name}_smooth", f"{control.name}_height"
 
 
-def _smoothed_phase(problem: Problem, k: int, scalars: list[Bounded]) -> Phase:
+def _smoothed_phase(problem: Problem, k: int, scalars: list[ScalarControl]) -> Phase:
     phase, own = problem.phases[k], problem.form.expressions
-    controls: list[Control] = [Direction(names=_circle_axes(c)) if c in scalars else c for c in phase.controls]
+    controls: list[Control] = [UnitVectorControl(names=_circle_axes(c)) if c in scalars else c for c in phase.controls]
     functions: dict[str, Any] = {name: None for name in PHASE_FUNCTIONS}
-    for name in ("dynamics", "end", "path", "held", "typical_end"):
+    for name in ("dynamics", "end", "path", "held", "end_guess"):
         if (k, name) in own:
             functions[name] = _smoothed_function(own[k, name], k, scalars, name, phase.duration)
     return replace(
-        phase, controls=tuple(controls), output_variables=(), integral_variables=(), mark_variables=(), **functions,
+        phase,
+        controls=tuple(controls),
+        output_variables=(),
+        integral_variables=(),
+        end_output_variables=(),
+        **functions,
         states=(*phase.states, Variable(name=_GAINED, unit=problem.objective_unit, scale=problem.objective_scale)),
-    )  # fmt: skip
+    )
 
 
-def _smoothed_function(expression: Expression, k: int, scalars: list[Bounded], name: str, duration: str) -> Expression:
+def _smoothed_function(
+    expression: Expression, k: int, scalars: list[ScalarControl], name: str, duration: str
+) -> Expression:
     """Return a function of a phase with the scalars on their circles, and with a rate or a value of what is gained."""
     recorder = Recorder()
     inputs = dict(_circle_heights(recorder, k, scalars)) if "u" in expression.roles else {}
@@ -128,13 +141,13 @@ def _smoothed_function(expression: Expression, k: int, scalars: list[Bounded], n
         for control in scalars:
             gained = gained + recorder.input("u", _circle_axes(control)[0])
         values.append(recorder.input("p", RATE) * gained)
-    if name == "typical_end":  # so that a straight line leads through the middle of the ranges
+    if name == "end_guess":  # so that a straight line leads through the middle of the ranges
         rate: Any = recorder.input("p", RATE)
         values.append(rate * recorder.input("p", duration) * float(len(scalars)))
     return Expression(recorder.tape(values), expression.roles, origin=expression.origin)
 
 
-def _circle_heights(recorder: Any, k: int, scalars: list[Bounded]) -> Iterator[tuple[tuple[str, str], Any]]:
+def _circle_heights(recorder: Any, k: int, scalars: list[ScalarControl]) -> Iterator[tuple[tuple[str, str], Any]]:
     for control in scalars:
         least, greatest = (recorder.input("p", name) for name in _limit_parameters(k, control))
         height = recorder.input("u", _circle_axes(control)[1])

@@ -75,12 +75,12 @@ def split_solution(solution: Solution, structure: Structure, restated: Problem |
     return replace(
         solution,
         problem=restated,
-        free={f.name: free.get(f.name, f.typical) for f in restated.free},
+        free={f.name: free.get(f.name, f.guess) for f in restated.free},
         trajectories=tuple(pieces),
         multipliers=multipliers,
         outcome=_without_proof(solution.outcome),
         extremals=(),
-        listed=(),
+        unverified_extremals=(),
         unknowns=None,
         verification=Verification(),
         structure=(),
@@ -147,7 +147,7 @@ def join_solution(problem: Problem, restated: Solution, structure: Structure, *,
             Extremal(free=_user_free_values(problem, structure, e.free), objective=e.objective, nature=e.nature)
             for e in restated.extremals
         ),
-        listed=(),
+        unverified_extremals=(),
         unknowns=None,
         verification=Verification(),
     )

@@ -24,7 +24,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import component, depends_on_control, derivatives_to_control
 from perilune.problem.tracing.tape import Expression, Recorder
-from perilune.problem.variables import Given, Variable
+from perilune.problem.variables import Parameter, Variable
 
 SIDES = ("lower", "upper")
 Regimes = tuple[tuple[str, str], ...]  # scalar controls with "lower", "upper", "singular" or "held"
@@ -262,10 +262,10 @@ def plain_bound(phase: str, state: Variable, side: str) -> str:
     return f"{phase}.{state.name}.{side}"
 
 
-def plain_bounds(problem: Problem) -> dict[str, Given]:
+def plain_bounds(problem: Problem) -> dict[str, Parameter]:
     """Return the parameters, of all states, that hold a bound which is a number."""
     return {
-        plain_bound(phase.name, state, side): Given(value=limit, unit=state.unit)
+        plain_bound(phase.name, state, side): Parameter(value=limit, unit=state.unit)
         for phase in problem.phases
         for state in phase.states
         for side in SIDES

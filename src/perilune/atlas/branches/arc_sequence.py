@@ -17,7 +17,7 @@ import numpy as np
 from perilune.conditions import Held, attainable_conditions, derive
 from perilune.core.errors import PeriluneError
 from perilune.methods import Curves
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal
 from perilune.problem.results.solution import Solution
@@ -160,7 +160,7 @@ def _controls_moved_by_arc(problem: Problem, k: int, arc: Arc) -> set[str]:
 
 
 def _regimes(
-    solution: Solution, k: int, at: int, control: Bounded, arcs: Sequence[Arc], keeps: Sequence[bool]
+    solution: Solution, k: int, at: int, control: ScalarControl, arcs: Sequence[Arc], keeps: Sequence[bool]
 ) -> list[str | None]:
     """Return the regime of a scalar on each arc; None where it is not on one bound throughout."""
     t, _, share = gain_along(solution, k, at, control)

@@ -59,15 +59,15 @@ class Borders:
         self._numbers = np.array([list(self._given.values())]).reshape(1, -1)
         sums = {} if chart.course.structure is None else sums_of(chart.user, chart.course.structure)
         part_of = {part: name for name, parts in sums.items() for part in parts}
-        chosen = [  # what `Problem.ranges` may say of it, or of what it is a part of
+        chosen = [  # what `Problem.parameter_bounds` may say of it, or of what it is a part of
             (i, part_of.get(f.name, f.name), self._free_sizes[i], f.name not in part_of and bool(np.isfinite(lower[i])))
             for i, f in enumerate(problem.free) if f.name not in chart.names
         ] + [
             (i, c.name, problem.size_of(c), bool(np.isfinite(lower[i])))
             for i, c in enumerate(self._ranged, plan.free) if c.name in sums
         ]  # fmt: skip
-        self._chosen = chosen if problem.ranges is not None else []
-        self._vary = problem.ranges is not None or any(
+        self._chosen = chosen if problem.parameter_bounds is not None else []
+        self._vary = problem.parameter_bounds is not None or any(
             isinstance(x, str) for c in self._ranged for x in (c.lower, c.upper)
         )
         unknowns = [name for name, _ in chart.conditions.unknowns]
@@ -138,9 +138,9 @@ class Borders:
 
     def _ranges(self, p: Any, xp: Any = NUMERIC) -> list[tuple[int, Any, Any]]:
         """Return bounds of free parameters that follow from given ones, canonical; None for an absent one."""
-        if (problem := self.chart.problem).ranges is None:
+        if (problem := self.chart.problem).parameter_bounds is None:
             return []
-        found = problem.ranges(p, xp)
+        found = problem.parameter_bounds(p, xp)
         told = ((i, *found[name][:2], size, bounded) for i, name, size, bounded in self._chosen if name in found)
         return [(i, low / size if bounded else None, high / size) for i, low, high, size, bounded in told]
 

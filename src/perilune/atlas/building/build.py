@@ -114,7 +114,7 @@ def build(
     document = stated_problem_document(problem)
     refuse_moving_ranges(problem, as_kept := reread_problem(document), region)
     header = {**header_axes(region), "tolerance": tolerance, "versions": program_versions(), **document}
-    if problem.ranges is not None and as_kept.ranges is None:
+    if problem.parameter_bounds is not None and as_kept.parameter_bounds is None:
         header[RANGES] = "as they are within the axes; the function that they follow from is not kept"
     if not same_comparisons(problem, as_kept, looks := region.looks):
         header[COMPARISONS] = comparisons_document(problem, looks)

@@ -22,7 +22,7 @@ from perilune.atlas.evaluate import midpoint_march as singular
 from perilune.atlas.evaluate.multiplier_signs import NOTHING, ChartBoundaryArcs
 from perilune.conditions import Conditions, PhaseExtremal, hamiltonian_at, limit_symbols
 from perilune.problem.casadi_trace import SYMBOLIC, column, elements, trace_parameters
-from perilune.problem.controls import Bounded, Settled, control_slices, scalars
+from perilune.problem.controls import ScalarControl, Settled, control_slices, scalars
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.shooting import settling_equations
@@ -324,7 +324,7 @@ def _admissible_controls(phase: Phase, control: ca.SX, limits: ca.SX) -> Iterato
     choices, at = list[list[ca.SX]](), 0
     for here, kind in control_slices(phase.controls):
         flown = control[here.start : here.stop]
-        if isinstance(kind, Bounded):
+        if isinstance(kind, ScalarControl):
             low, high = limits[2 * at], limits[2 * at + 1]
             at += 1
             if all(isinstance(limit, str) or math.isfinite(limit) for limit in (kind.lower, kind.upper)):

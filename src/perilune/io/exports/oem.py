@@ -118,7 +118,7 @@ def _mass_and_thrust(solution: Solution, name: str) -> list[str]:
         return []
     trajectory = solution.trajectories[k]
     t = node_times(trajectory)
-    mass = solution.flown(k, t)[0][masses[0]]
+    mass = solution.evaluate(k, t)[0][masses[0]]
     thrust = mass * np.linalg.norm(solution.inertial(k, t)[2], axis=0)
     pushed = f"thrust from {thrust.min():.6g} to {thrust.max():.6g} N" if thrust.any() else "no thrust"
     text = f"mass {mass[0]:.6f} kg at the start and {mass[-1]:.6f} kg at the end of the phase, {pushed}"

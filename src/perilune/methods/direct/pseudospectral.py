@@ -1,7 +1,7 @@
 """Direct method: collocate, solve the NLP, measure the mesh by simulation, refine it, map the covectors.
 
 Peng, Li, Shen, Tang 2012, (5)-(16); Garg et al. 2010 for Radau. From no guess the first mesh holds a straight
-line from the start to `Phase.typical_end`, under the control that fits the line best
+line from the start to `Phase.end_guess`, under the control that fits the line best
 (`perilune.direct.initialization`).
 
 The answer is a local minimum of the transcribed problem. It carries the costates of the covector mapping, so

@@ -54,15 +54,15 @@ PRICE = 10.0
 def free_box(problem: Problem) -> tuple[Vector, Vector]:
     """Return bounds of the free parameters, canonical; an open one lies within four times the typical value."""
     scale = free_scales(problem.free, problem)
-    typical = [abs(f.typical) for f in problem.free]
-    lower = [f.lower if np.isfinite(f.lower) else 0.25 * t if f.typical > 0 else -4 * t
+    typical = [abs(f.guess) for f in problem.free]
+    lower = [f.lower if np.isfinite(f.lower) else 0.25 * t if f.guess > 0 else -4 * t
              for f, t in zip(problem.free, typical, strict=True)]  # fmt: skip
     upper = [f.upper if np.isfinite(f.upper) else max(4 * t, 2 * low)
              for f, t, low in zip(problem.free, typical, lower, strict=True)]  # fmt: skip
     for i, f in enumerate(problem.free):
         if f.name in problem.duration_names:  # no phase is infinitely short
-            lower[i] = max(lower[i], 0.25 * f.typical)
-            upper[i] = min(upper[i], 4 * f.typical)
+            lower[i] = max(lower[i], 0.25 * f.guess)
+            upper[i] = min(upper[i], 4 * f.guess)
     return np.array(lower) / scale, np.array(upper) / scale
 
 

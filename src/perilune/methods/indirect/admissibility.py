@@ -75,8 +75,8 @@ class AdmissibilityTest:
             # A flight does not end before it begins, whatever the bounds say.
             lower = max(free.lower, 0.0) if free.name in self.problem.duration_names else free.lower
             yield from bound_violations(self.problem, free, np.array([values[free.name]]), (lower, free.upper), _SLACK)
-            if self.problem.duration_names == (free.name,) and 0.0 <= values[free.name] < _NO_FLIGHT * free.typical:
-                text, much = f"{free.name} vanishes, and a flight needs a positive duration", free.typical
+            if self.problem.duration_names == (free.name,) and 0.0 <= values[free.name] < _NO_FLIGHT * free.guess:
+                text, much = f"{free.name} vanishes, and a flight needs a positive duration", free.guess
                 canonical = much / self.problem.size_of(free)
                 yield ConstraintViolation(name=free.name, text=text, miss=much, unit=free.unit, canonical=canonical)
         settings = {"rtol": _ACCURACY, "atol": _ACCURACY}

@@ -49,7 +49,7 @@ def detect_chattering(flight: Solution) -> ChatteringControl | None:
     """
     for k, phase in enumerate(flight.problem.phases):
         t = np.linspace(0.0, flight.trajectories[k].duration, _LOOKS)
-        _, u = flight.flown(k, t)
+        _, u = flight.evaluate(k, t)
         for i, name in enumerate(phase.control_names):
             jumps = _jump_samples(u[i])
             if len(jumps) >= _OFTEN:

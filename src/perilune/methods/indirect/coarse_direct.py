@@ -51,7 +51,7 @@ def path_condition_values(problem: Problem, flight: Solution, ends: float = 0.0)
     for k, (phase, flown) in enumerate(zip(problem.phases, flight.trajectories, strict=True)):
         if flown.duration < least:
             continue
-        x, u = flight.flown(k, np.linspace(ends, 1.0 - ends, _LOOKS) * flown.duration)
+        x, u = flight.evaluate(k, np.linspace(ends, 1.0 - ends, _LOOKS) * flown.duration)
         yield from phase.path_along(x, u, flight.parameters)
 
 
@@ -94,7 +94,7 @@ class Coarse:
         if self.solution is not None or self.refusal is not None:
             return self.solution
         # Phases are segments already: of several the mesh of one would be too fine to be found from straight lines.
-        lines = self.settings.transcription is None and self.problem.rough_flight is None
+        lines = self.settings.transcription is None and self.problem.initial_guess is None
         few = max(2, _SEGMENTS // len(self.problem.phases)) if lines else _SEGMENTS
         for segments in dict.fromkeys((few, _SEGMENTS)):
             try:

@@ -347,7 +347,7 @@ def undetermined_controls(flight: Solution) -> tuple[str, ...]:
         if flown.costate is None:
             return ()
         t = np.linspace(0.0, flown.duration, _LOOKS)
-        x, u = flight.flown(k, t)
+        x, u = flight.evaluate(k, t)
         costate, p = flown.costate(t).T, flight.parameters
         rates = np.array(np.broadcast_arrays(*phase.rates(x, u, p), t)[:-1])
         size = max(size, float(np.abs(costate * rates).sum(axis=0).max()))

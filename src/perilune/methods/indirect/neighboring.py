@@ -113,7 +113,7 @@ class Nearby:
 
     def _limits(self, values: Mapping[str, ArrayLike], lanes: int) -> list[ActiveSetBounds]:
         """Return the limits of each lane: ranges of free parameters may follow from the given ones."""
-        if self.solution.problem.ranges is None:
+        if self.solution.problem.parameter_bounds is None:
             return [self.limits] * lanes
         columns = [np.broadcast_to(np.asarray(value, dtype=float), lanes).tolist() for value in values.values()]
         rows = zip(*columns, strict=True) if columns else [()] * lanes
@@ -121,9 +121,9 @@ class Nearby:
 
     def _limits_at(self, values: Mapping[str, float]) -> ActiveSetBounds:
         known, found = self.solution.problem, dict[str, tuple[Any, ...]]()
-        assert known.ranges is not None, "they were asked for"
+        assert known.parameter_bounds is not None, "they were asked for"
         with suppress(PeriluneError):  # nothing is said where the values make no sense
-            found = known.ranges(SimpleNamespace(**{**vars(known.parameters({})), **values}), NUMERIC)
+            found = known.parameter_bounds(SimpleNamespace(**{**vars(known.parameters({})), **values}), NUMERIC)
         if all(found.get(f.name, (f.lower, f.upper))[:2] == (f.lower, f.upper) for f in known.free):
             return self.limits
         return ActiveSetBounds.of(self._own(with_given_unchecked(known, values)), self.shooting.conditions)

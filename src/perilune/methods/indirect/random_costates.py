@@ -48,7 +48,7 @@ def random_costate_unknowns(trials: Trials, count: int, seed: int) -> Matrix:
     Y = np.zeros((count, len(c.unknowns)))
     directions = rng.normal(size=(count, c.free_at.start))
     Y[:, : c.free_at.start] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    typical = canonical_free(problem, {f.name: f.typical for f in problem.free})
+    typical = canonical_free(problem, {f.name: f.guess for f in problem.free})
     Y[:, c.free_at] = typical * np.exp(rng.uniform(-0.4, 0.4, size=(count, len(typical))))
     return Y
 

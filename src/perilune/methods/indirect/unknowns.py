@@ -101,7 +101,7 @@ def unknowns_from_solution(problem: Problem, conditions: Conditions, guess: Solu
         _initial_costate(problem, phase, extremal.half, flown.costate)
         for phase, extremal, flown in zip(problem.phases, conditions.phases, guess.trajectories, strict=True)
     ]
-    values = {f.name: guess.free.get(f.name, _given_value(guess.problem, f.name, f.typical)) for f in problem.free}
+    values = {f.name: guess.free.get(f.name, _given_value(guess.problem, f.name, f.guess)) for f in problem.free}
     names = [f"{phase.name}.{c.name}" for phase in problem.phases for c in phase.end_conditions]
     nu = np.array([guess.multipliers.get(n, 0.0) for n in names]) * _end_scales(problem) / problem.objective_size
     return np.concatenate([*lam0, canonical_free(problem, values), nu])
@@ -149,7 +149,7 @@ def unreachable_by_shooting(rough: Solution, conditions: Conditions) -> tuple[st
     tuple or None
         Two sentences for a message: the reason, and the advice.
     """
-    typical = {f.name: f.typical for f in rough.problem.free}
+    typical = {f.name: f.guess for f in rough.problem.free}
     for phase, flown, extremal in zip(rough.problem.phases, rough.trajectories, conditions.phases, strict=True):
         if flown.duration <= _NO_TIME * typical.get(phase.duration, 0.0):
             return (

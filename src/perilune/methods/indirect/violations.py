@@ -10,12 +10,12 @@ import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.units import format_bound, format_quantity
-from perilune.problem.controls import Bounded, scalars
+from perilune.problem.controls import ScalarControl, scalars
 from perilune.problem.display.quantity_names import limit_name, quantity_name
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Free, Variable
+from perilune.problem.variables import FreeParameter, Variable
 from perilune.structures.state_margins import state_conditions
 from perilune.structures.structure import Structure, conditions_of, margins, steering_controls
 
@@ -92,7 +92,7 @@ def solution_violations(solution: Solution, slack: float) -> Iterator[Constraint
     for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
         nodes = (flown.state.time, flown.control.time)
         t = np.unique(np.concatenate([*nodes, np.linspace(0.0, flown.duration, _LOOKS)]))
-        x, u = solution.flown(k, t)
+        x, u = solution.evaluate(k, t)
         yield from violations_along(problem, phase, x, u, p, slack)
         for at, control in scalars(phase.controls):
             yield from bound_violations(problem, control, u[at], control.limits(p), slack)
@@ -129,7 +129,11 @@ def violations_along(
 
 
 def bound_violations(
-    problem: Problem, named: Variable | Free | Bounded, values: Vector, limits: tuple[float, float], slack: float
+    problem: Problem,
+    named: Variable | FreeParameter | ScalarControl,
+    values: Vector,
+    limits: tuple[float, float],
+    slack: float,
 ) -> Iterator[ConstraintViolation]:
     """Yield values beyond their bounds. What is no number lies within none, not even where there are none.
 

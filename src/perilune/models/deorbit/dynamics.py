@@ -17,14 +17,14 @@ from perilune.models.deorbit.records import engine_exhaust_speed, is_something_l
 from perilune.models.physics import aerodynamics, ellipsoid
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.rotating_frame import Triple, combine, free_acceleration, local_axes, scalar_product
-from perilune.problem.controls import Bounded, Direction
+from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.variables import Variable
 
-STEERING = Direction(names=("toward_x", "toward_y", "toward_z"))
-BANKS: dict[str, Direction | Bounded] = {
-    "free": Direction(names=("lift_up", "lift_right")),
+STEERING = UnitVectorControl(names=("toward_x", "toward_y", "toward_z"))
+BANKS: dict[str, UnitVectorControl | ScalarControl] = {
+    "free": UnitVectorControl(names=("lift_up", "lift_right")),
     # Bank reversals cancel its lateral part.
-    "reversed": Bounded(name="lift_up", lower=-1.0, upper=1.0),
+    "reversed": ScalarControl(name="lift_up", lower=-1.0, upper=1.0),
 }
 STATES = (
     *(Variable(name=name, unit="m") for name in ("x", "y", "z")),

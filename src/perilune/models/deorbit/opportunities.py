@@ -124,7 +124,7 @@ def refuse_no_opportunity(found: Sequence[Opportunity], days: float) -> None:
 
 
 def _refuse_unfit(problem: Problem, days: float) -> None:
-    if problem.name != "deorbit_entry" or problem.rough_flight is None:
+    if problem.name != "deorbit_entry" or problem.initial_guess is None:
         raise PeriluneError(
             "only a return from orbit has opportunities", got=f"a problem called {problem.name}"[:80],
             expected='a scenario of kind = "deorbit_entry"',
@@ -148,9 +148,9 @@ def _refuse_unfit(problem: Problem, days: float) -> None:
 
 def _typical_entry(problem: Problem, p: Any) -> tuple[float, float]:
     """Time [s] of a typical fall through the air, and the angle swept [rad] in inertial axes."""
-    assert problem.ranges is not None and problem.rough_flight is not None
-    times = {name: typical() for name, (_, _, typical) in problem.ranges(p, NUMERIC).items()}
-    rows = problem.rough_flight(problem.parameters(times))[problem.duration_names.index("entry_time")]
+    assert problem.parameter_bounds is not None and problem.initial_guess is not None
+    times = {name: typical() for name, (_, _, typical) in problem.parameter_bounds(p, NUMERIC).items()}
+    rows = problem.initial_guess(problem.parameters(times))[problem.duration_names.index("entry_time")]
     place = rows[:, :3] / np.linalg.norm(rows[:, :3], axis=1)[:, None]
     first, last, turned = place[0], place[-1], p.body_rotation_rate * times["entry_time"]
     carried = [

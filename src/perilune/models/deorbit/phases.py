@@ -108,8 +108,8 @@ def vacuum_phase(name: str, *, last: bool, interface: Interface, left: str | Non
         output_variables=outputs,
         integrals=told.burn_loss_rates if burns else None,
         integral_variables=SPENT if burns else (),
-        marks=told.interface_outputs if last else None,
-        mark_variables=told.AT_INTERFACE if last else (),
+        end_outputs=told.interface_outputs if last else None,
+        end_output_variables=told.AT_INTERFACE if last else (),
         inertial=told.inertial_burn if burns else told.inertial_without_thrust,
     )
 
@@ -150,8 +150,8 @@ def entry_phase(
             *(Variable(name=name, unit="m") for name in ends),
             Variable(name="opening_speed" if opens else "landing_speed", unit="m/s", upper="site_speed_upper"),
         ),
-        marks=told.opening_outputs if opens else None,
-        mark_variables=told.AT_OPENING if opens else (),
+        end_outputs=told.opening_outputs if opens else None,
+        end_output_variables=told.AT_OPENING if opens else (),
         path=partial(flight.entry_path_margins, air=air) if limited else flight.depth_below_interface,
         path_conditions=(
             _IN_THE_AIR,

@@ -49,7 +49,7 @@ from perilune.models.physics.bodies import EARTH, Planet, catalogue_name
 from perilune.models.physics.vehicle import Throttle
 from perilune.problem.parameters import given_of
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given
+from perilune.problem.variables import FreeParameter, Parameter
 
 
 def _total_time(x: Any, p: Any, xp: Any) -> Any:
@@ -163,7 +163,7 @@ def deorbit_entry(
     stated = tuple(record for record in (*stated, throttle, site, named) if record is not None)
     # Of air in a table nothing but the table is left to be changed.
     numbers = (record for record in stated if not isinstance(record, Atmosphere) or record.model == "exponential")
-    given = {**given_of(*numbers), "standard_gravity": Given(value=STANDARD_GRAVITY, unit="m/s^2")}
+    given = {**given_of(*numbers), "standard_gravity": Parameter(value=STANDARD_GRAVITY, unit="m/s^2")}
     angles = orbit.angles_of_node if manoeuvre is None else orbit.angles_of_place(manoeuvre.going)
     names = ("coast",) * (orbit_.longest_coast is not None) + ("burn",)
     names += ("drift",) * (transition.longest_coast is not None) + ("entry",) * (flown is not None)
@@ -204,7 +204,7 @@ def deorbit_entry(
         links=tuple(links),
         start=partial(_return_start, angles=angles),
         given=given,
-        free=tuple(Free(name=DURATION_NAMES[name], unit="s") for name in names),
+        free=tuple(FreeParameter(name=DURATION_NAMES[name], unit="s") for name in names),
         objective=objective,
         objective_unit=objective_unit,
         objective_scale=_objective_size_for_time(objective_unit, time),
@@ -218,8 +218,8 @@ def deorbit_entry(
         preflight=partial(
             compare_return, angles=angles, air=flown, drifts="drift" in names, standard=_is_the_earth(body)
         ),
-        ranges=partial(return_time_ranges, angles=angles, air=flown, names=names),
-        rough_flight=partial(times.rough_trajectory, angles=angles, air=flown, names=names, heat=heat),
+        parameter_bounds=partial(return_time_ranges, angles=angles, air=flown, names=names),
+        initial_guess=partial(times.rough_trajectory, angles=angles, air=flown, names=names, heat=heat),
         scales=Scales(length=float(body.radius), time=time, mass=float(vehicle.mass)),
     )
 

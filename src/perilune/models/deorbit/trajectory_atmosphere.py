@@ -20,7 +20,7 @@ from perilune.models.deorbit.initial_guess import rough_trajectory, typical_time
 from perilune.models.deorbit.records import Atmosphere
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.atmosphere import Air, TrajectoryProfile, standard, thermosphere
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 
 NEAR = 1e-3  # of a density: a table that changes by less stays
 _ROUNDS = 4
@@ -47,7 +47,7 @@ def profile_of_states(rows: Matrix, time: Vector, p: Any) -> TrajectoryProfile:
 
 
 def rough_air(
-    stated: Atmosphere, epoch: datetime, given: Mapping[str, Given], angles: Physics, names: Sequence[str]
+    stated: Atmosphere, epoch: datetime, given: Mapping[str, Parameter], angles: Physics, names: Sequence[str]
 ) -> Air:
     """Air of a day along the rough flight of a return.
 

@@ -120,7 +120,7 @@ def _cartesian_track(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     return descent_track(combine((1 / r, (x.x, x.y, x.z))), r, p, xp)
 
 
-def _cartesian_typical_end(p: Any, xp: Any) -> Sequence[Any]:
+def _cartesian_end_guess(p: Any, xp: Any) -> Sequence[Any]:
     return (*likely_landing_point(p, xp), 0.0, 0.0, 0.0, 0.6 * p.vehicle_mass)
 
 
@@ -151,5 +151,5 @@ CARTESIAN = Coordinates(
     spent=_cartesian_spent,
     inertial=_cartesian_inertial,
     track=_cartesian_track,
-    typical_end=_cartesian_typical_end,
+    end_guess=_cartesian_end_guess,
 )

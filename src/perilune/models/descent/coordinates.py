@@ -2,7 +2,7 @@
 
 Both turn with the body, and velocities are relative to it (Peng, Li, Shen, Tang 2012, section 4):
 
-*Cartesian*: position and velocity along fixed axes, z the axis of rotation; thrust a free `Direction`. No
+*Cartesian*: position and velocity along fixed axes, z the axis of rotation; thrust a free `UnitVectorControl`. No
 point is singular, so a start over the pole can be flown and shot from.
 
 *Spherical*, the paper's: r, longitude theta, latitude phi; velocity u along oy, v along oz, w radially up,
@@ -264,4 +264,4 @@ class Coordinates:
     spent: Physics
     inertial: Physics
     track: Physics
-    typical_end: Physics
+    end_guess: Physics

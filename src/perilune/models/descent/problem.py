@@ -50,13 +50,13 @@ from perilune.models.physics.delta_v_budget import FLIGHT_TIME, LANDED_MASS, LAN
 from perilune.models.physics.one_burn import one_burn_wastes
 from perilune.models.physics.rotating_frame import INERTIAL_AXES, local_axes, scalar_product
 from perilune.models.physics.vehicle import THROTTLE, Throttle, Vehicle
-from perilune.problem.controls import Bounded, Control, Direction
+from perilune.problem.controls import Control, ScalarControl, UnitVectorControl
 from perilune.problem.display.views import History, Space, Views
 from perilune.problem.parameters import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.presolve import Finding
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Given
+from perilune.problem.variables import FreeParameter, Parameter
 
 _FRAMES = {"cartesian": CARTESIAN, "spherical": SPHERICAL}
 
@@ -261,10 +261,10 @@ def _descent_ranges(p: Any, xp: Any) -> dict[str, tuple[float, float, float]]:
 
 
 def _descent_controls(coordinates: str, throttled: bool) -> tuple[Control, ...]:
-    controls: tuple[Control, ...] = (Direction(names=("toward_x", "toward_y", "toward_z")),)
+    controls: tuple[Control, ...] = (UnitVectorControl(names=("toward_x", "toward_y", "toward_z")),)
     if coordinates == "spherical":
         controls = tuple(
-            Bounded(name=name, unit="rad", lower=f"steering_{angle}_lower", upper=f"steering_{angle}_upper")
+            ScalarControl(name=name, unit="rad", lower=f"steering_{angle}_lower", upper=f"steering_{angle}_upper")
             for name, angle in (("alpha", "elevation"), ("beta", "azimuth"))
         )
     return (*controls, THROTTLE) if throttled else controls
@@ -296,7 +296,7 @@ def _descent_phase(
         integral_variables=SPENT,
         inertial=frame.inertial,
         track=frame.track,
-        typical_end=frame.typical_end,
+        end_guess=frame.end_guess,
     )
 
 
@@ -313,7 +313,7 @@ def with_dry_mass(vehicle: Vehicle, dry_mass: float | None) -> Vehicle:
     return vehicle if dry_mass is None else replace(vehicle, dry_mass=dry_mass)
 
 
-def _ranges_of_given(given: Mapping[str, Given], ranges: Physics) -> Any:
+def _ranges_of_given(given: Mapping[str, Parameter], ranges: Physics) -> Any:
     return ranges(SimpleNamespace(**{name: g.value for name, g in given.items()}), NUMERIC)
 
 
@@ -397,7 +397,7 @@ def powered_descent(
         links=(at_ignition,) if coasts else (),
         start=_FRAMES[coordinates].start,
         given=given,
-        free=(Free(name="flight_time", unit="s"), *((FREE,) if coasts else ())),
+        free=(FreeParameter(name="flight_time", unit="s"), *((FREE,) if coasts else ())),
         objective=_propellant_objective if minimise == "propellant" else _time_objective,
         objective_unit="kg" if minimise == "propellant" else "s",
         results=landing_results,
@@ -407,7 +407,7 @@ def powered_descent(
         views=replace(_VIEWS, space=replace(_SPACE, body=catalogue_name(body))),
         declared=(choices, *stated),
         switching_guesses=rough_landing if waits else None,
-        ranges=_descent_ranges,
+        parameter_bounds=_descent_ranges,
         preflight=partial(_compare_descent, to_site=target == "site", waits=waits, burns_once=burns_once, body=body),
         scales=_scales(start, vehicle, _ranges_of_given(given, _descent_ranges)),
     )

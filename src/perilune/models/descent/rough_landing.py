@@ -50,7 +50,7 @@ def rough_landing(problem: Problem) -> list[tuple[Solution, Structure]]:
     from perilune.models.descent.burn_search import add_brief_burn, advance_second_burn, two_burns  # and with it CasADi
     from perilune.models.descent.two_burns import Burning
 
-    p = problem.parameters({f.name: f.typical for f in problem.free})
+    p = problem.parameters({f.name: f.guess for f in problem.free})
     start = np.array(problem.start(p, NUMERIC), dtype=float)
     if p.throttle_lower > 0.0:
         return []

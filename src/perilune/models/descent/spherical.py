@@ -109,7 +109,7 @@ def _spherical_track(x: Any, p: Any, xp: Any) -> Sequence[Any]:
     return descent_track(local_axes(x.theta, x.phi, xp)[0], x.r, p, xp)
 
 
-def _spherical_typical_end(p: Any, xp: Any) -> Sequence[Any]:
+def _spherical_end_guess(p: Any, xp: Any) -> Sequence[Any]:
     r, longitude, latitude = p.body_radius + p.site_altitude, *_likely_landing_place(p, xp)
     return (r, longitude, latitude, 0.0, 0.0, 0.0, 0.6 * p.vehicle_mass)
 
@@ -158,5 +158,5 @@ SPHERICAL = Coordinates(
     spent=_spherical_spent,
     inertial=_spherical_inertial,
     track=_spherical_track,
-    typical_end=_spherical_typical_end,
+    end_guess=_spherical_end_guess,
 )

@@ -29,13 +29,13 @@ from perilune.models.physics.bodies import MOON, Body, catalogue_name
 from perilune.models.physics.delta_v_bounds import braking_distance_and_time, exhaust_speed
 from perilune.models.physics.delta_v_budget import FLIGHT_TIME, LANDED_MASS, PROPELLANT, SPENT, velocity_loss_rates
 from perilune.models.physics.vehicle import Retro, Vehicle
-from perilune.problem.controls import Direction
+from perilune.problem.controls import UnitVectorControl
 from perilune.problem.display.views import Beside, History, Space, Views
 from perilune.problem.parameters import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Free, Variable
+from perilune.problem.variables import FreeParameter, Variable
 from perilune.problem.verification import Check
 
 
@@ -164,7 +164,7 @@ def mass_state(dry: bool) -> Variable:
     return Variable(name="m", unit="kg", lower=lower, description="mass", label="mass")
 
 
-def _hybrid_typical_end(p: Any, xp: Any) -> Sequence[Any]:
+def _hybrid_end_guess(p: Any, xp: Any) -> Sequence[Any]:
     r_ground = p.body_radius + p.landing_altitude
     return (r_ground, math.pi + 0.3, r_ground * p.body_rotation_rate, 0.0, 0.5 * p.vehicle_mass)
 
@@ -199,7 +199,7 @@ def _planar_descent(dry: bool) -> Phase:
             Variable(name="v", unit="m/s", description="radial velocity", label="vertical velocity"),
             mass_state(dry),
         ),
-        controls=(Direction(names=("transverse", "radial")),),
+        controls=(UnitVectorControl(names=("transverse", "radial")),),
         dynamics=_planar_dynamics,
         duration="flight_time",
         end=_planar_touchdown,
@@ -224,7 +224,7 @@ def _planar_descent(dry: bool) -> Phase:
         integrals=_planar_loss_rates,
         integral_variables=SPENT,
         inertial=_planar_inertial,
-        typical_end=_hybrid_typical_end,
+        end_guess=_hybrid_end_guess,
     )
 
 
@@ -261,7 +261,7 @@ def hybrid_landing(
         phases=(_planar_descent("vehicle_dry_mass" in given),),
         start=_perilune_state,
         given=given,
-        free=(Free(name="retro_delta_v", unit="m/s"), Free(name="flight_time", unit="s")),
+        free=(FreeParameter(name="retro_delta_v", unit="m/s"), FreeParameter(name="flight_time", unit="s")),
         objective=_hybrid_objective,
         objective_unit="kg",
         results=_hybrid_results,
@@ -274,9 +274,9 @@ def hybrid_landing(
         ),
         maximised=LANDED_MASS.name,
         declared=stated,
-        ranges=_hybrid_ranges,
+        parameter_bounds=_hybrid_ranges,
         preflight=partial(compare_landing, body=body),
-        bookkeeping=mass_consistency_checks,
+        consistency_checks=mass_consistency_checks,
         views=replace(_VIEWS, space=replace(_SPACE, body=catalogue_name(body))),
         scales=Scales(length=speed * time, time=time, mass=float(vehicle.mass)),
     )

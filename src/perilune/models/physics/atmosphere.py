@@ -28,7 +28,7 @@ from perilune.core.maths import MOST_KNOTS, Table
 from perilune.core.untrusted_text import one_line
 from perilune.models.physics import standard_atmosphere
 from perilune.models.physics.air_table import read_air_table
-from perilune.problem.variables import Given
+from perilune.problem.variables import Parameter
 
 STANDARD_NEAR = 1e-3  # of the density
 NEAR, ROUGHEST = 1e-3, 1e-2  # of the density: aimed at, and refused
@@ -61,7 +61,7 @@ class Air:
     """
 
     name: str
-    given: Mapping[str, Given]
+    given: Mapping[str, Parameter]
     table: Table | None = None
     bottom: float = float("-inf")
     top: float = float("inf")
@@ -258,8 +258,10 @@ def tabulated(
     return Air(name=name, given=given, table=table, bottom=low, top=high, near=float(away[worst]))
 
 
-def _air_parameters(name: str, density: float, height_name: str, height: float) -> Mapping[str, Given]:
-    return MappingProxyType({name: Given(value=density, unit="kg/m^3"), height_name: Given(value=height, unit="m")})
+def _air_parameters(name: str, density: float, height_name: str, height: float) -> Mapping[str, Parameter]:
+    return MappingProxyType(
+        {name: Parameter(value=density, unit="kg/m^3"), height_name: Parameter(value=height, unit="m")}
+    )
 
 
 def _check_samples(altitude: Vector, density: Vector, name: str, places: Sequence[str]) -> tuple[Vector, Vector]:

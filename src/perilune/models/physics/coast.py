@@ -15,7 +15,7 @@ from typing import Any
 from perilune.core.arrays import Physics
 from perilune.core.fields import quantity
 from perilune.problem.phase import Phase
-from perilune.problem.variables import Free, Variable
+from perilune.problem.variables import FreeParameter, Variable
 
 SHORTEST = 1e-3  # s: a curve has a length; the landed mass does not feel it
 LONGEST: Any = quantity(
@@ -23,7 +23,7 @@ LONGEST: Any = quantity(
     about="longest free fall before ignition, whose length is then optimised; default: ignition at the start",
 )  # fmt: skip
 COAST_TIME = Variable(name="coast_time", unit="s", description="free fall before ignition")
-FREE = Free(name="coast_time", unit="s")
+FREE = FreeParameter(name="coast_time", unit="s")
 
 
 def coast_range(longest: float) -> tuple[float, float, float]:
@@ -66,7 +66,7 @@ def with_coast(burn: Phase, path: Physics, kept: Mapping[str, tuple[str, ...]]) 
         output_variables=outputs,
         integrals=off(burn.integrals),
         inertial=off(burn.inertial),
-        typical_end=None,
+        end_guess=None,
     )
     return fall, burn
 

@@ -7,7 +7,7 @@ from typing import Any
 from perilune.core.errors import PeriluneError
 from perilune.core.fields import quantity, record
 from perilune.core.units import STANDARD_GRAVITY
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 
 # Cold gas has about 60 s and hydrogen with oxygen 465 s; exhaust velocities in m/s begin at several hundred.
 _SPECIFIC_IMPULSE: dict[str, Any] = {
@@ -93,4 +93,4 @@ class Throttle:
             )
 
 
-THROTTLE = Bounded(name="throttle", lower="throttle_lower", upper="throttle_upper")  # share of full thrust
+THROTTLE = ScalarControl(name="throttle", lower="throttle_lower", upper="throttle_upper")  # share of full thrust

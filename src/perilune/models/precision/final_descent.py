@@ -25,7 +25,7 @@ from perilune.models.descent.coordinates import variables_of_unit
 from perilune.models.physics.delta_v_bounds import gravity_at
 from perilune.models.precision.path_constraints import Corridor, corridor_conditions
 from perilune.problem.phase import Phase
-from perilune.problem.variables import Free, Variable
+from perilune.problem.variables import FreeParameter, Variable
 
 
 @record("final")
@@ -43,7 +43,7 @@ class FinalDescent:
 
 
 # In place of the time from ignition to touchdown, which is their sum.
-GATE_TIME, FINAL_TIME = Free(name="gate_time", unit="s"), Free(name="final_time", unit="s")
+GATE_TIME, FINAL_TIME = FreeParameter(name="gate_time", unit="s"), FreeParameter(name="final_time", unit="s")
 TIMES = (
     Variable(name=GATE_TIME.name, unit="s", description="from ignition to the gate"),
     Variable(name=FINAL_TIME.name, unit="s", description="from the gate to touchdown"),
@@ -69,7 +69,7 @@ def with_final_descent(burn: Phase, corridor: Corridor) -> tuple[Phase, Phase]:
             *variables_of_unit("m/s", "gate_east_speed", "gate_north_speed"),
         ),
         path_conditions=corridor_conditions(corridor, to_gate=True),
-        typical_end=_typical_gate,
+        end_guess=_typical_gate,
     )
     kept = [burn.state_names.index(name) for name in _STATES]
 
@@ -91,7 +91,7 @@ def with_final_descent(burn: Phase, corridor: Corridor) -> tuple[Phase, Phase]:
         integrals=seen(burn.integrals),
         inertial=seen(burn.inertial),
         track=burn.track and partial(_vertical_track, function=burn.track),
-        typical_end=_typical_touchdown,
+        end_guess=_typical_touchdown,
     )
     return to_gate, descent
 

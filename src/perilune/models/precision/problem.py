@@ -49,12 +49,12 @@ from perilune.models.precision.path_constraints import (
     height_margins,
 )
 from perilune.models.precision.presolve import compare_precision
-from perilune.problem.controls import Direction
+from perilune.problem.controls import UnitVectorControl
 from perilune.problem.display.views import History, Space, ValidRange, Views
 from perilune.problem.parameters import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Free, Variable
+from perilune.problem.variables import FreeParameter, Variable
 
 
 @record("approach")
@@ -133,7 +133,7 @@ def _precision_objective(x: Any, p: Any, xp: Any) -> Any:
     return -x.m
 
 
-def _precision_typical_end(p: Any, xp: Any) -> Sequence[Any]:
+def _precision_end_guess(p: Any, xp: Any) -> Sequence[Any]:
     return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.8 * p.vehicle_mass
 
 
@@ -147,7 +147,7 @@ def _precision_ranges(p: Any, xp: Any) -> dict[str, tuple[float, float, float]]:
     return ranges
 
 
-_FLIGHT_TIME = Free(name="flight_time", unit="s")
+_FLIGHT_TIME = FreeParameter(name="flight_time", unit="s")
 
 
 def _approach_burn(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
@@ -161,7 +161,7 @@ def _approach_burn(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
             Variable(name="v_up", unit="m/s", label="up"),
             mass_state(dry),
         ),
-        controls=(Direction(names=("toward_east", "toward_north", "toward_up")), THROTTLE),
+        controls=(UnitVectorControl(names=("toward_east", "toward_north", "toward_up")), THROTTLE),
         dynamics=_precision_dynamics,
         duration=_FLIGHT_TIME.name,
         end=_site_touchdown,
@@ -180,7 +180,7 @@ def _approach_burn(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
         integral_variables=SPENT,
         inertial=None if flat else inertial_over_round_body,
         track=_approach_track,
-        typical_end=_precision_typical_end,
+        end_guess=_precision_end_guess,
     )
 
 
@@ -263,7 +263,7 @@ def precision_landing(
         result_variables=(*LANDING, *(v for v in (COAST_TIME, *TIMES) if v.name in {f.name for f in free})),
         maximised=LANDED_MASS.name,
         declared=stated,
-        ranges=_precision_ranges,
+        parameter_bounds=_precision_ranges,
         preflight=partial(compare_precision, body=body),
         views=views if corridor.slope is None else replace(views, floor="glide slope"),
         scales=Scales(length=way or 1.0, time=ranges[free[0].name][2], mass=float(vehicle.mass)),

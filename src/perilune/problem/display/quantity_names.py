@@ -14,7 +14,7 @@ from perilune.core.fields import record_keys, section_of
 from perilune.core.units import format_quantity
 from perilune.problem.problem import Problem
 
-_SHOWN = ("outputs", "integrals", "marks", "inertial", "track", "typical_end")  # functions that decide no optimum
+_SHOWN = ("outputs", "integrals", "end_outputs", "inertial", "track", "end_guess")  # functions that decide no optimum
 
 
 def quantity_name(named: Any) -> str:

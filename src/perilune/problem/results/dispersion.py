@@ -87,7 +87,7 @@ def _phase_begin(problem: Any, k: int, before: Any, p: Any) -> Any:
 def _shift_to_end_condition(solution: Any, k: int, moved: Matrix, disturbed: list[SimpleNamespace]) -> Matrix:
     """Return the changes where the first end condition of a phase is met, from those at its time."""
     phase, p = solution.problem.phases[k], solution.parameters
-    x, u = (row[:, 0] for row in solution.flown(k, np.array([solution.trajectories[k].duration])))
+    x, u = (row[:, 0] for row in solution.evaluate(k, np.array([solution.trajectories[k].duration])))
     rates = np.array([float(v) for v in phase.rates(x, u, p)])
 
     def condition(z: Any, q: Any) -> Any:
@@ -113,7 +113,7 @@ def _push_forward(function: Any, x: Vector, moved: Matrix, disturbed: list[Simpl
 def _delay_change(solution: Any, k: int, p: Any, asked: Dispersion) -> Matrix:
     """Return the change of the state for each second by which a phase begins later, (states, disturbances)."""
     phase, t = solution.problem.phases[k], np.zeros(1)
-    x, u = solution.flown(k, t)
+    x, u = solution.evaluate(k, t)
     found = np.zeros((len(x), len(asked.disturbances)))
     for i, by in enumerate(asked.disturbances):
         if by.begins == phase.name:
@@ -136,7 +136,7 @@ def _transition(solution: Any, k: int, nodes: Vector, disturbed: list[SimpleName
     """Return the transition matrix over the nodes, of changes of the state and the disturbances that push them."""
     phase, h, count = solution.problem.phases[k], np.diff(nodes)[:, None, None], len(nodes)
     t = np.concatenate([nodes, 0.5 * (nodes[:-1] + nodes[1:])])
-    x, u = solution.flown(k, t)
+    x, u = solution.evaluate(k, t)
     size = len(x)
 
     def rates(z: Any, p: Any) -> Any:

@@ -17,7 +17,7 @@ import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Iteration
-from perilune.core.deprecation import warn_renamed
+from perilune.core.deprecation import RenamedAttribute, renamed_keywords, warn_renamed
 from perilune.core.equality import equal_fields
 from perilune.core.errors import Named, Outcome, PeriluneError
 from perilune.core.maths import NUMERIC
@@ -51,10 +51,11 @@ class Result:
     label: str = ""
 
 
+@renamed_keywords(claimed="from_file")
 @check_call
 @dataclass(frozen=True, kw_only=True)
 class Statistics:
-    """A record of how the answer was found; `claimed` where only a file says so.
+    """A record of how the answer was found; `from_file` where only a file says so.
 
     `rung` is the kind of start that led to it, `tried` what was done for all starts. `iterations` and `arcs` count
     all that was done for it, in all starts together; `history` has the iterations of starts that were solved singly.
@@ -67,9 +68,11 @@ class Statistics:
     residual: float = float("nan")
     wall_time: float = float("nan")
     history: tuple[Iteration, ...] = field(default=(), repr=False)
-    claimed: bool = False
+    from_file: bool = False
+    claimed = RenamedAttribute("from_file")
 
 
+@renamed_keywords(listed="unverified_extremals")
 @check_call
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Solution(ShownSolution):
@@ -93,7 +96,7 @@ class Solution(ShownSolution):
         nu of the end conditions, by phase and condition name (``"descent.touchdown_altitude"``), in J per unit.
     extremals
         Every extremal found, best first; this solution is the first.
-    listed
+    unverified_extremals
         The same of a loaded solution, as its file states them. They were not found here, and are no `extremals`
         until `perilune.verify` has found each again.
     unknowns
@@ -110,7 +113,7 @@ class Solution(ShownSolution):
     trajectories: Sequence[Trajectory]
     multipliers: Mapping[str, float] = field(default_factory=dict)
     extremals: tuple[Extremal, ...] = ()
-    listed: tuple[Extremal, ...] = ()
+    unverified_extremals: tuple[Extremal, ...] = ()
     unknowns: Vector | None = None
     statistics: Statistics = field(default_factory=Statistics)
     verification: Verification = field(default_factory=Verification)
@@ -158,9 +161,10 @@ class Solution(ShownSolution):
 
     @property
     def results(self) -> dict[str, Result]:
-        """Return the results that the problem defines, by name: `results`, `marks`, `integrals` of phases, `views`.
+        """Return the results that the problem defines, by name.
 
-        For a problem that defines none, the flight time and the objective. NaN where they cannot be computed.
+        They are its `results`, the `end_outputs` and `integrals` of its phases, and what its `views` ask for; for a
+        problem that defines no `results`, the flight time and the objective. NaN where they cannot be computed.
         """
         return Named("result", self._results)  # the caller's own copy
 
@@ -178,7 +182,8 @@ class Solution(ShownSolution):
         for k, phase in enumerate(problem.phases):
             with np.errstate(all="ignore"):
                 found |= _results_by_name(
-                    phase.mark_variables, phase.evaluate("marks", self.trajectories[k].state.values[-1], (), p)
+                    phase.end_output_variables,
+                    phase.evaluate("end_outputs", self.trajectories[k].state.values[-1], (), p),
                 )
             for name, part in _results_by_name(phase.integral_variables, self._integrals(k)).items():
                 so_far = found[name].value if name in found else 0.0
@@ -194,10 +199,10 @@ class Solution(ShownSolution):
         return warnings_of(self)
 
     @check_call
-    def flown(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
+    def evaluate(self, phase: int, t: Vector) -> tuple[Matrix, Matrix]:
         """Return the state (states, n) and control (components, n) at times t [s], as the physics receives them.
 
-        Cubic Hermite between nodes, then each `Direction` normalised.
+        Cubic Hermite between nodes, then each `UnitVectorControl` normalised.
 
         Parameters
         ----------
@@ -211,6 +216,9 @@ class Solution(ShownSolution):
         control = normalised(self.problem.phases[phase].controls, np.asarray(trajectory.control(t), dtype=float).T)
         return np.asarray(trajectory.state(t), dtype=float).T, control
 
+    flown = RenamedAttribute("evaluate")
+    listed = RenamedAttribute("unverified_extremals")
+
     @check_call
     def outputs(self, phase: int, t: Vector) -> dict[str, Vector]:
         """Return the phase's named outputs at times t, in SI.
@@ -222,7 +230,7 @@ class Solution(ShownSolution):
         t
             Times from the begin of the phase [s], (n,).
         """
-        flown = self.flown(phase, t)
+        flown = self.evaluate(phase, t)
         definition = self.problem.phases[phase]
         values = definition.evaluate("outputs", *flown, self.parameters)
         return {v.name: full(value, t) for v, value in zip(definition.output_variables, values, strict=True)}
@@ -243,7 +251,7 @@ class Solution(ShownSolution):
         PeriluneError
             If the problem states no inertial view of that phase.
         """
-        flown, t = self.flown(phase, t), np.asarray(t, dtype=float)
+        flown, t = self.evaluate(phase, t), np.asarray(t, dtype=float)
         definition = self.problem.phases[phase]
         since = sum(trajectory.duration for trajectory in self.trajectories[:phase])
         values = definition.seen_inertially(*flown, since + t, self.parameters)
@@ -264,7 +272,7 @@ class Solution(ShownSolution):
         point, weight = np.polynomial.legendre.leggauss(5)
         half = 0.5 * np.diff(nodes)[:, None]
         t = (nodes[:-1, None] + half * (1 + point)).ravel()
-        rates = definition.evaluate("integrals", *self.flown(phase, t), self.parameters)
+        rates = definition.evaluate("integrals", *self.evaluate(phase, t), self.parameters)
         return [float((half * weight).ravel() @ full(rate, t)) for rate in rates]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
+from perilune.core.deprecation import RenamedAttribute
 from perilune.core.equality import equal_fields
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import check_call, require_numbers
@@ -68,10 +69,10 @@ class Curve(ShownCurve):
                 expected=f"{first:.9g} to {last:.9g} s",
                 advice="each phase has its own time, which begins at 0 with the phase",
             )
-        return self.extended(t)
+        return self.extrapolate(t)
 
     @check_call
-    def extended(self, t: float | Vector) -> Any:
+    def extrapolate(self, t: float | Vector) -> Any:
         """Return the extrapolated value: before the first and after the last node their cubics continue.
 
         For a proof, which has to look at tables that end where they should not.
@@ -95,6 +96,8 @@ class Curve(ShownCurve):
         )
         return out if np.ndim(t) else out[0]
 
+    extended = RenamedAttribute("extrapolate")
+
 
 @check_call
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -106,7 +109,7 @@ class Trajectory(ShownTrajectory):
     phase
         Name of the phase.
     state, control, costate
-        Curves with as many components as the phase has states, control components and states. A `Direction` control
+        Curves with as many components as the phase has states, control components and states. A `UnitVectorControl`
         is normalised again after interpolation. `costate` is None where a method gives none.
     """
 

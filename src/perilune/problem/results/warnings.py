@@ -74,7 +74,7 @@ def _warn_of_better_flight(solution: Any) -> Iterator[str]:
 
 def _held_parameters(solution: Any) -> Iterator[str]:
     for free in solution.problem.free:
-        value, size = solution.free[free.name], max(abs(free.typical), 1e-9)
+        value, size = solution.free[free.name], max(abs(free.guess), 1e-9)
         both = free.upper - free.lower
         for side, bound in (("lower", free.lower), ("upper", free.upper)):
             near = _AT_BOUND * (both if math.isfinite(both) else max(abs(bound), size))
@@ -129,7 +129,7 @@ def _height_along(solution: Any) -> tuple[str, Callable[[int, Vector], Vector], 
         phase = problem.phases[k]
         if name in (v.name for v in phase.output_variables):
             return solution.outputs(k, t)[name]
-        x, u = solution.flown(k, t)
+        x, u = solution.evaluate(k, t)
         if name in (*phase.state_names, *phase.control_names):
             return np.vstack([x, u])[[*phase.state_names, *phase.control_names].index(name)]
         if phase.inertial is None:
@@ -149,7 +149,7 @@ def _guessed_heights(solution: Any) -> tuple[str, Callable[[int, Vector], Vector
     radius = problem.given[radii[0]].value
 
     def of(k: int, t: Vector) -> Vector:
-        return solution.flown(k, t)[0][problem.phases[k].state_names.index(names[0])] - radius
+        return solution.evaluate(k, t)[0][problem.phases[k].state_names.index(names[0])] - radius
 
     return f"if {radii[0]} is the radius of the body, the flight goes", of, radius
 
@@ -169,7 +169,9 @@ def _warn_of_valid_ranges(solution: Any) -> Iterator[str]:
 
             def of(t: Vector, sign: float, k: int = k, name: str = name) -> Vector:
                 names = problem.phases[k].state_names
-                values = solution.flown(k, t)[0][names.index(name)] if name in names else solution.outputs(k, t)[name]
+                values = (
+                    solution.evaluate(k, t)[0][names.index(name)] if name in names else solution.outputs(k, t)[name]
+                )
                 return sign * values
 
             unit, duration = known[name].unit, solution.trajectories[k].duration
@@ -188,7 +190,7 @@ def _warn_of_reached_limits(solution: Any) -> Iterator[str]:
     problem, p, since = solution.problem, solution.parameters, 0.0
     for k, (phase, flown) in enumerate(zip(problem.phases, solution.trajectories, strict=True)):
         t = np.linspace(_ENDS, 1.0 - _ENDS, _POINTS) * flown.duration
-        x, u = solution.flown(k, t)
+        x, u = solution.evaluate(k, t)
         rows = [(quantity_name(c), v, _room_of(solution, k, i)) for i, (c, v) in enumerate(phase.path_along(x, u, p))]
         for name, values, of in rows:
             yield from _warn_of_contact(name, t, values, of, since)
@@ -216,7 +218,7 @@ def _room_of(solution: Any, k: int, i: int) -> Callable[[Vector], Vector]:
     """Return a condition of the path at any times of a phase."""
 
     def of(t: Vector) -> Vector:
-        x, u = solution.flown(k, t)
+        x, u = solution.evaluate(k, t)
         return [v for _, v in solution.problem.phases[k].path_along(x, u, solution.parameters)][i]
 
     return of

@@ -36,7 +36,7 @@ class SimulatedProblem:
             State in SI, in the order of ``phase.states``: shape (states,), or (states, n) for n of them at once.
         u
             Control in SI, in the order of ``phase.control_names``: shape (components,), or (components, n). A
-            `Direction` is a unit vector, and taken as it is; a throttle is not cut at its bounds.
+            `UnitVectorControl` is a unit vector, and taken as it is; a throttle is not cut at its bounds.
         t
             Time [s]. Dynamics depend on it only through x and u: it is there so that a simulator may pass its own.
         phase

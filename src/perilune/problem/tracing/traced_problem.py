@@ -34,11 +34,12 @@ PHASE_FUNCTIONS: dict[str, tuple[tuple[str, ...], str]] = {
     "held": (("x", "u", "p"), "held_conditions"),
     "outputs": (("x", "u", "p"), "output_variables"),
     "integrals": (("x", "u", "p"), "integral_variables"),
-    "marks": (("x", "p"), "mark_variables"),
+    "end_outputs": (("x", "p"), "end_output_variables"),
     "inertial": (("x", "u", "t", "p"), ""),
     "track": (("x", "p"), ""),
-    "typical_end": (("p",), "states"),
+    "end_guess": (("p",), "states"),
 }
+_WRITTEN = {"end_outputs": "marks", "end_guess": "typical_end"}  # names in digests and files, which stay
 _RATES = ("dynamics", "integrals")
 _INERTIAL = tuple((f"{what} {axis}", unit) for what, unit in
                   (("position", "m"), ("velocity", "m/s"), ("thrust", "m/s^2")) for axis in "xyz")  # fmt: skip
@@ -191,6 +192,11 @@ class StatedFunction:
         return self._failing(error)
 
 
+def written_key(key: Any) -> Any:
+    """Return the `StatedFunction.key` of a function as it stands in digests and files."""
+    return key if isinstance(key, str) else (key[0], _WRITTEN.get(key[1], key[1]))
+
+
 def roles_of(key: Any) -> tuple[str, ...]:
     """Return the records that a function takes before `xp`, by its `StatedFunction.key`."""
     name = key if isinstance(key, str) else key[0]
@@ -204,7 +210,7 @@ def stated_functions(problem: Any) -> Iterator[StatedFunction]:
 
     def one(key: Any, what: str, function: Any, k: int, results: Any) -> StatedFunction:
         of = {"x": phases[k].state_record, "u": phases[k].control_record, **shared}
-        records, rough = {role: of[role] for role in roles_of(key)}, what.startswith("typical_end")
+        records, rough = {role: of[role] for role in roles_of(key)}, what.startswith("end_guess")
         return StatedFunction(
             key=key, what=what, function=function, phase=k, records=records, results=results, rough=rough
         )
@@ -314,7 +320,7 @@ def trace(problem: Any) -> TracedProblem:
             ]
             for phase in problem.phases
         ],
-        "functions": [[str(s.key), list(s.records), s.results] for s in functions],
+        "functions": [[str(written_key(s.key)), list(s.records), s.results] for s in functions],
     }
     return TracedProblem(structure, {s.key: s.traced(parameters) for s in functions})
 

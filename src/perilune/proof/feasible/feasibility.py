@@ -220,7 +220,7 @@ def _check_objective(solution: Solution, arc: PhaseData, flight: Reintegration) 
 def _consistency_checks(solution: Solution) -> Sequence[Check]:
     """The model's own checks; one that fails where they cannot be made."""
     try:
-        return () if solution.problem.bookkeeping is None else solution.problem.bookkeeping(solution)
+        return () if solution.problem.consistency_checks is None else solution.problem.consistency_checks(solution)
     except PeriluneError as error:
         meaning = f"evaluation of the model's own checks: {error.what} ({error.got})"
         return [Check(name="bookkeeping", level=1, value=float("nan"), limit=0.0, unit="1", meaning=meaning)]

@@ -23,7 +23,7 @@ import numpy as np
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.complex_step import COMPLEX, STEP, complex_step_jacobian, stack_broadcast
 from perilune.core.maths import NUMERIC
-from perilune.problem.controls import Bounded, admissible, control_slices, normalised, tangents
+from perilune.problem.controls import ScalarControl, admissible, control_slices, normalised, tangents
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable
 
@@ -216,7 +216,7 @@ class MixedConstraints:
         rows = []
         for here, control in control_slices(self.phase.controls):
             held = np.zeros(u.shape[1], dtype=bool)
-            if isinstance(control, Bounded):
+            if isinstance(control, ScalarControl):
                 near = ON_BOUND * float(self.control_scale[here.start])
                 held = np.logical_or(*control.on_bounds(u[here.start], near, self.p))
             rows += [~held] * control.freedom

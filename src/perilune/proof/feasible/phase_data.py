@@ -18,7 +18,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.magnitudes import BEYOND, ROUNDS, STILL, reached_sizes, supported_scale, supported_unit
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
-from perilune.problem.variables import Free, Variable
+from perilune.problem.variables import FreeParameter, Variable
 from perilune.proof.feasible.mixed_constraints import ON_BOUND, MixedConstraints
 from perilune.proof.feasible.piece_refinement import halve_until_settled
 from perilune.proof.feasible.sample_points import (
@@ -234,16 +234,16 @@ class PhaseData:
 
     def state(self, t: Vector) -> Matrix:
         """Exported states."""
-        return self.trajectory.state.extended(t).T
+        return self.trajectory.state.extrapolate(t).T
 
     def control(self, t: Vector) -> Matrix:
         """Exported control, directions normalised."""
-        return normalised(self.phase.controls, self.trajectory.control.extended(t).T)
+        return normalised(self.phase.controls, self.trajectory.control.extrapolate(t).T)
 
     def costate(self, t: Vector) -> Matrix:
         """Exported costates [J per state]; NaN where the method gave none."""
         curve = self.trajectory.costate
-        return np.full((len(self.phase.states), len(t)), np.nan) if curve is None else curve.extended(t).T
+        return np.full((len(self.phase.states), len(t)), np.nan) if curve is None else curve.extrapolate(t).T
 
     def rates(self, x: Any, u: Any, p: Any = None) -> Any:
         """Dynamics, complex-safe, (n, ...) for x (n, ...) and u (k, ...).
@@ -371,7 +371,7 @@ def objective_size(solution: Solution) -> float:
     return max(reached, supported_scale(problem.objective_scale, unit, reached))
 
 
-def free_size(solution: Solution, free: Free) -> float:
+def free_size(solution: Solution, free: FreeParameter) -> float:
     """Size of a free parameter [SI]: its canonical unit, as far as its value and bounds bear it out.
 
     Parameters

@@ -113,11 +113,11 @@ class Guarded:
 
     def state(self, t: Vector) -> Matrix:
         """States (n, times)."""
-        return self.trajectory.state.extended(t).T
+        return self.trajectory.state.extrapolate(t).T
 
     def control(self, t: Vector) -> Matrix:
         """Controls (components, times)."""
-        return normalised(self.phase.controls, self.trajectory.control.extended(t).T)
+        return normalised(self.phase.controls, self.trajectory.control.extrapolate(t).T)
 
     def guards(self, x: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
         """Values and answers of all guards, (guards, ...).

@@ -20,7 +20,7 @@ from numpy.polynomial import Chebyshev
 
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.complex_step import COMPLEX, complex_step_jacobian, stack_broadcast
-from perilune.problem.controls import Bounded
+from perilune.problem.controls import ScalarControl
 from perilune.problem.tracing.costate_signs import unpriced_states
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.structures.structure import Condition
@@ -113,7 +113,7 @@ class BoundaryArc:
         States that only count are left out: without them the flight is the same.
         """
         part, controls = self.part, self.part.phase.controls
-        if self.condition.order != 1 or len(controls) != 1 or not isinstance(controls[0], Bounded):
+        if self.condition.order != 1 or len(controls) != 1 or not isinstance(controls[0], ScalarControl):
             return False
         inside, size = part.sampled, float(part.control_scale[0])
         ends = [

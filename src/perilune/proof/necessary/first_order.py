@@ -29,7 +29,7 @@ import numpy as np
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.complex_step import COMPLEX, STEP
 from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Free
+from perilune.problem.variables import FreeParameter
 from perilune.problem.verification import Check
 from perilune.proof.feasible.branch_guards import watched_rates
 from perilune.proof.feasible.deviations import MOST_GROWTH, Deviation, costate_deviation
@@ -321,7 +321,7 @@ def _guard_multipliers(arc: PhaseData, p: Any) -> Iterator[tuple[float, Any]]:
         yield nu, watched_rates(arc.phase, x, u, p, crossing.before)[1][crossing.guard][0]
 
 
-def is_at_bounds(solution: Solution, free: Free) -> tuple[bool, bool]:
+def is_at_bounds(solution: Solution, free: FreeParameter) -> tuple[bool, bool]:
     """Return True for the lower and for the upper bound of a free parameter if its value lies on it.
 
     Parameters
@@ -356,7 +356,7 @@ def unbounded_parameters(solution: Solution, arcs: Sequence[PhaseData]) -> list[
     ]
 
 
-def _check_stationarity(arc: PhaseData, free: Free, parts: Sequence[Any]) -> Check:
+def _check_stationarity(arc: PhaseData, free: FreeParameter, parts: Sequence[Any]) -> Check:
     solution, problem = arc.solution, arc.problem
     timed, size = free.name in problem.duration_names, free_size(solution, free)
     gradient, most = (float(sum(np.sum(function(part)) for part in parts)) for function in (np.asarray, np.abs))

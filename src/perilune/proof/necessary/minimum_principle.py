@@ -16,7 +16,15 @@ import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.complex_step import STEP
-from perilune.problem.controls import Bounded, Direction, control_scales, control_slices, normalised, scalars, tangents
+from perilune.problem.controls import (
+    ScalarControl,
+    UnitVectorControl,
+    control_scales,
+    control_slices,
+    normalised,
+    scalars,
+    tangents,
+)
 from perilune.problem.verification import Check
 from perilune.proof.feasible.mixed_constraints import KEPT, ON_BOUND, MixedConstraints, Multipliers
 from perilune.proof.feasible.numerics import significant_size
@@ -43,7 +51,7 @@ def check_minimality(arc: PhaseData) -> Iterator[Check]:
     for here, control in control_slices(arc.phase.controls):
         rows, name = slice(row, row + control.freedom), "_".join(control.names)
         row = rows.stop
-        if isinstance(control, Direction):
+        if isinstance(control, UnitVectorControl):
             value, name = np.abs(gradient[rows]), f"stationary_direction_{name}"
             meaning = "largest derivative of the Hamiltonian as the direction turns (scaled)"
         else:
@@ -73,7 +81,7 @@ def _check_multiplier_signs(arc: PhaseData, allowed: MixedConstraints, found: Mu
         )  # fmt: skip
 
 
-def on_bounds(arc: PhaseData, at: int, control: Bounded, u: Matrix) -> tuple[Vector, Vector]:
+def on_bounds(arc: PhaseData, at: int, control: ScalarControl, u: Matrix) -> tuple[Vector, Vector]:
     """Return True where a scalar lies on its lower, and where on its upper bound.
 
     Parameters
@@ -135,7 +143,7 @@ def _check_switching_function(arc: PhaseData) -> Iterator[Check]:
 
 
 def hamiltonian_chords(
-    arc: PhaseData, at: int, control: Bounded, x: Matrix, sides: tuple[Matrix, Matrix], lam: Matrix
+    arc: PhaseData, at: int, control: ScalarControl, x: Matrix, sides: tuple[Matrix, Matrix], lam: Matrix
 ) -> Vector:
     """Return the change of H from one control to another over that of one scalar, scaled as `control_gradient` is.
 
@@ -152,7 +160,7 @@ def hamiltonian_chords(
     return found * arc.control_scale[at] * _size_factors(arc)[row_of(arc, control)] / arc.rate_scale
 
 
-def row_of(arc: PhaseData, control: Bounded) -> int:
+def row_of(arc: PhaseData, control: ScalarControl) -> int:
     """Place of a scalar in `tangents`.
 
     Parameters

@@ -17,7 +17,7 @@ import numpy as np
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import sign_of_life
 from perilune.core.complex_step import complex_step_jacobian
-from perilune.problem.controls import Bounded, control_slices, normalised, tangents
+from perilune.problem.controls import ScalarControl, control_slices, normalised, tangents
 from perilune.proof.feasible.numerics import hessian
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.minimum_principle import control_rates, limit_derivatives, on_bounds, varied_sizes
@@ -327,7 +327,7 @@ def _free_moves(arc: PhaseData, x: Matrix, u: Matrix) -> tuple[Any, bool]:
     for here, control in control_slices(arc.phase.controls):
         rows = range(row, row + control.freedom)
         row = rows.stop
-        if isinstance(control, Bounded):
+        if isinstance(control, ScalarControl):
             lower, upper = on_bounds(arc, here.start, control, u)
             always = bool(lower.all() or upper.all())
             partly |= not always and bool((lower | upper).any())

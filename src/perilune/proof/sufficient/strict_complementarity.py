@@ -35,7 +35,7 @@ import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.complex_step import complex_step_jacobian
-from perilune.problem.controls import Bounded, scalars
+from perilune.problem.controls import ScalarControl, scalars
 from perilune.problem.verification import Check
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.feasible.sample_points import time_just_before
@@ -108,7 +108,7 @@ def _vanishing_switches(arc: PhaseData, time: float) -> Iterator[EndSwitch]:
             )
 
 
-def _switch_threshold(arc: PhaseData, at: int, control: Bounded, time: float) -> float:
+def _switch_threshold(arc: PhaseData, at: int, control: ScalarControl, time: float) -> float:
     """Return the |S| at an end below which `check_strictness` would take it for 0; negative next to a switch.
 
     Parameters
@@ -157,7 +157,7 @@ def check_strictness(arc: PhaseData) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _steepness(arc: PhaseData, at: int, control: Bounded, t: Vector, S: Vector) -> Vector:
+def _steepness(arc: PhaseData, at: int, control: ScalarControl, t: Vector, S: Vector) -> Vector:
     """Return |dH/du| of a scalar at times, or by how much H rises to its other bound over the range where that is less.
 
     Parameters
