@@ -179,7 +179,7 @@ def test_a_store_gives_back_what_was_put_there(fixed: Problem, grid: Family, tmp
     ("changes", "words"),
     [
         ({"over": {"vehicle.thrust": [440.0]}}, "members"),
-        ({"level": 2}, "level"),
+        ({"verify": 2}, "level"),
         ({"method": Pseudospectral(nodes=20)}, "method"),
         ({"given": {"orbit_perilune_altitude": 14e3}}, "problem"),
     ],
@@ -189,7 +189,7 @@ def test_a_store_of_another_sweep_is_refused(
 ) -> None:
     sweep(fixed, {"vehicle.thrust": [440.0, 450.0]}, store=tmp_path)
     problem = fixed.with_given(**changes.get("given", {}))
-    options = {name: changes[name] for name in ("level", "method") if name in changes}
+    options = {name: changes[name] for name in ("verify", "method") if name in changes}
     with pytest.raises(PeriluneError, match=rf"cannot be used(.|\n)*sweep that differs in its {words}"):
         sweep(problem, changes.get("over", {"vehicle.thrust": [440.0, 450.0]}), store=tmp_path, **options)
 
