@@ -219,7 +219,7 @@ def test_given_fixes_a_free_parameter() -> None:
         (lambda: Variable(name="x", lower="least", upper=cast("Any", None)), "the upper bound of x"),
         (lambda: ScalarControl(name="u", upper=cast("Any", None)), "the upper bound of u"),
         (lambda: FreeParameter(name="t", unit="s", lower=cast("Any", None)), r"the lower bound of t\n *got: None"),
-        (lambda: FreeParameter(name="t", unit="s", guess=cast("Any", None)), "the typical value of t"),
+        (lambda: FreeParameter(name="t", unit="s", guess=cast("Any", None)), "the guess of t"),
         (lambda: UnitVectorControl(names=("a",)), "two or three"),
     ],
 )
