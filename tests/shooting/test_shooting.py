@@ -104,6 +104,15 @@ def test_several_pieces_find_what_one_finds(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS[:3], ids=lambda kind: kind.name)
+def test_later_segments_of_a_phase_begin_by_one_function(kind: Kind) -> None:
+    """It takes the start of the segment, and would else be compiled for each of them."""
+    made = plan(derive(kind.make()), 4)
+    for first in range(0, len(made.legs), 4):
+        assert len({leg.opening for leg in made.legs[first + 1 : first + 4]}) == 1
+        assert made.legs[first].opening != made.legs[first + 1].opening
+
+
+@pytest.mark.parametrize("kind", KINDS[:3], ids=lambda kind: kind.name)
 def test_the_step_compiled_is_the_step_of_lapack(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
     """For many lanes and for one."""
     shooting, guesses, p = kind.batch(3)

@@ -33,7 +33,8 @@ class Code:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self.openings = [compile_map(leg.opening) for leg in plan.legs]
+        maps = {leg.opening: compile_map(leg.opening) for leg in plan.legs}
+        self.openings = [maps[leg.opening] for leg in plan.legs]
         self.closing = compile_map(plan.closing)
 
 
@@ -110,7 +111,7 @@ class PlanIntegrator:
         self.plan, self.Y, self.inverse = code.plan, Y, inverse
         self.legs, ends, end = list[tuple[Any, BoundArcs | Split]](), list[Matrix](), list[Matrix]()
         for leg, opening in zip(code.plan.legs, code.openings, strict=True):
-            opened = opening.bind(Y, p, *(end if leg.follows else []))
+            opened = opening.bind(*(Y[:, part] for part in leg.parts), p, *(end if leg.follows else []))
             z0, duration, mode, slopes, numbers = opened.outputs
             seeds, nz = slopes if leg.seeds is None else np.tile(leg.seeds.ravel(), (len(Y), 1)), leg.arcs.system.nz
             asked = Request(

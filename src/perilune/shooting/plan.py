@@ -49,8 +49,10 @@ class PlanLeg:
     equations, arcs
         The equations, and the engine that integrates them with their columns.
     opening
-        (Y, p) or (Y, p, end of the leg before) -> z0, duration, mode, slopes of z0, and the numbers among p that the
-        arc knows. An end is z, rate and columns; behind them come the slopes of a leg with `seeds`.
+        (parts of Y, p) or (Y, p, end of the leg before) -> z0, duration, mode, slopes of z0, and the numbers among p
+        that the arc knows. An end is z, rate and columns; behind them come the slopes of a leg with `seeds`.
+    parts
+        Of Y: all of it, or a later segment's start and the free parameters, so that one opening serves all of a phase.
     follows
         Whether the opening takes the end of the leg before.
     seeds
@@ -63,6 +65,7 @@ class PlanLeg:
     equations: Equations
     arcs: Engine
     opening: ca.Function
+    parts: tuple[slice, ...]
     follows: bool
     seeds: Matrix | None
     most_steps: int
@@ -205,8 +208,8 @@ class _Tracing:
                 active += self.nodes[k, j]
                 size += 2 * phase.half
         self.size, self.active = size, active
-        self.Y = ca.SX.sym("Y", len(active))
-        self.whole = ca.SX.zeros(size, 1)
+        self.later: dict[int, ca.Function] = {}  # the opening of all segments of a phase but the first
+        self.Y, self.whole = ca.SX.sym("Y", len(active)), ca.SX.zeros(size, 1)
         self.whole[active] = self.Y
         self.y = self.whole[:count]
         self.p = ca.SX.sym("p", conditions.residual.size1_in(2))
@@ -266,9 +269,15 @@ class _Tracing:
         # Elsewhere not: where conditions are redundant, a product of rounded factors has another rank.
         by_start = settles is not None and len(moved) < len(moving)
         slopes = ca.densify(slope[moved, moving]) if by_start else slope[:, moving]
-        symbols = [self.Y, self.p, *(before.symbols if follows and before is not None else [])]
-        known = self.p[flown.numbers.tolist()]
-        results = [ca.densify(start), duration, extremal.mode(z0, self.p), ca.densify(slopes), known]
+        parts = self._parts(k, j)
+        opening = self.later.get(k) if j else None
+        if opening is None:
+            symbols = [*(self.Y[part] for part in parts), self.p, *(before.symbols if follows and before else [])]
+            known = self.p[flown.numbers.tolist()]
+            results = [ca.densify(start), duration, extremal.mode(z0, self.p), ca.densify(slopes), known]
+            opening = ca.Function("opening", symbols, ca.cse([ca.SX(r) for r in results]))
+        if j:
+            self.later[k] = opening
         seeds = np.eye(start.numel())[:, moved]
         pattern = np.array(seeds if by_start else ca.DM.ones(slopes.sparsity()).full(), dtype=bool)
         count = pattern.shape[1]
@@ -279,7 +288,8 @@ class _Tracing:
         leg = PlanLeg(
             equations=flown,
             arcs=arcs,
-            opening=ca.Function("opening", symbols, ca.cse([ca.SX(r) for r in results])),
+            opening=opening,
+            parts=parts,
             follows=follows,
             seeds=seeds if by_start else None,
             most_steps=MOST_STEPS if settles else Request.max_steps,
@@ -289,6 +299,12 @@ class _Tracing:
         if shared:
             changed = ca.horzcat(*[ca.DM(changed, 1.0)[:, 0]] * count).sparsity()
         return leg, self._end(flown, moving, changed, duration, slopes)
+
+    def _parts(self, k: int, j: int) -> tuple[slice, ...]:
+        """Return where the opening reads Y: everywhere, or at a later segment's start and the free parameters."""
+        free = self.conditions.free_at
+        read = [self.nodes[k, j], range(free.start, free.stop)] if j else [self.active]
+        return tuple(slice(i := self.active.index(at[0]), i + len(at)) for at in read if len(at))
 
     def _end(
         self, flown: Equations, moving: list[int], pattern: ca.Sparsity, duration: ca.SX, slopes: ca.SX | None
