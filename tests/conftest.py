@@ -1,9 +1,11 @@
-"""The paper's landing, solved once for all tests that look at it."""
+"""How the suite runs, and the paper's landing, solved once for all tests that look at it."""
 
 from __future__ import annotations
 
 import gc
 import os
+import shutil
+import tempfile
 
 import pytest
 
@@ -16,9 +18,13 @@ from perilune.solve import solve
 def pytest_configure(config: pytest.Config) -> None:
     """Give each of several processes one core: threads of linear algebra that wait for one take ten times as long.
 
-    As in the command line, what was made long ago and stays is not looked through for garbage again and again.
+    As in the command line, what was made long ago and stays is not looked through for garbage again and again. Where
+    no bytecode may be written beside the source, all processes of a run share it elsewhere: hundreds are started.
     """
     gc.set_threshold(50_000)
+    if os.environ.pop("PYTHONDONTWRITEBYTECODE", "") and "PYTHONPYCACHEPREFIX" not in os.environ:
+        os.environ["PYTHONPYCACHEPREFIX"] = folder = tempfile.mkdtemp(prefix="perilune-bytecode-")
+        config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
     if config.getoption("numprocesses", None):
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
