@@ -57,7 +57,24 @@ def ball_of_text(text: str) -> list[Any]:
 
 
 def bounded_step(rates: Any, z: list[Any], length: Any, most: float) -> list[Any]:
-    """z behind a step whose remainder is no larger than a part of it, or than what `certified_step` adds to nothing."""
+    """z behind a step whose remainder is no larger than a part of it, or than what `certified_step` adds to nothing.
+
+    Parameters
+    ----------
+    rates
+        Program of z' on the arc.
+    z
+        States, costates and w where the step begins, balls [SI].
+    length
+        Duration of the step, a ball [s].
+    most
+        Largest remainder allowed, as a share of the larger of z before and behind the step.
+
+    Raises
+    ------
+    StepTooLong
+        If the step is not enclosed, or with a larger remainder.
+    """
     end, _, c = certified_step(rates, z, arb_mat(len(z), 0), length)
     remainders = [(own[-1].rad() * ball_power(length, len(own) - 1)).abs_upper() for own in c]
     fine = [r <= most * (a.abs_upper() + b.abs_upper()) + LEAST for r, a, b in zip(remainders, z, end, strict=True)]
@@ -80,12 +97,28 @@ def middle_and_inverse(V: Any) -> tuple[Any, Any]:
 
 
 def intersect_enclosures(a: list[Any], b: list[Any]) -> list[Any]:
-    """Return the intersection of two enclosures of the same."""
+    """Return the intersection of two enclosures of the same.
+
+    Parameters
+    ----------
+    a, b
+        Balls, component by component.
+    """
     return [own.intersection(other) for own, other in zip(a, b, strict=True)]
 
 
 def move_along(z: list[Any], V: Any, by: Any) -> list[Any]:
-    """z + V by."""
+    """z + V by.
+
+    Parameters
+    ----------
+    z
+        Balls, n of them.
+    V
+        ``arb_mat`` of shape (n, m).
+    by
+        ``arb_mat`` of shape (m, 1).
+    """
     return [a + b for a, b in zip(z, (V * by).entries(), strict=True)]
 
 
@@ -224,6 +257,13 @@ class _Proof:
 
 def confirm(certificate: dict[str, Any], tell: Any = print) -> tuple[list[Any], Any]:
     """The unknowns and J of the one extremal of a certificate.
+
+    Parameters
+    ----------
+    certificate
+        The certificate as read from JSON.
+    tell
+        Called with each line on what was seen.
 
     Raises
     ------

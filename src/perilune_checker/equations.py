@@ -46,7 +46,13 @@ def parse_given(told: dict[str, Any]) -> Any:
 
 
 def exact_power(a: CertifiedExpression, b: CertifiedExpression) -> CertifiedExpression:
-    """A power; whole ones of numbers as products."""
+    """A power; whole ones of numbers as products.
+
+    Parameters
+    ----------
+    a, b
+        Base and exponent; for an exponent that is no integer, ``exp(b log(a))``.
+    """
     ball = b.parts[0] if b.word == "number" else None
     if ball is None or not ball.is_integer() or abs(ball) > 64 or ball == 0:
         return make_operation("exp", b * make_operation("log", a))
@@ -131,30 +137,76 @@ class CertifiedEquations:
         )
 
     def acts(self, k: int, name: str) -> bool:
-        """Return True if a free parameter moves a phase."""
+        """Return True if a free parameter moves a phase.
+
+        Parameters
+        ----------
+        k
+            Index of the phase.
+        name
+            Name of the free parameter.
+        """
         limits = [c.get(side) for c in self.phases[k]["controls"] for side in ("lower", "upper")]
         return ["p", name] in self.problem["tapes"][f"dynamics {k}"]["instructions"] or name in limits
 
     def control(self, k: int, name: str) -> dict[str, Any]:
-        """A scalar of a phase."""
+        """A scalar of a phase.
+
+        Parameters
+        ----------
+        k
+            Index of the phase.
+        name
+            Name of the scalar control.
+        """
         (found,) = (c for c in self.phases[k]["controls"] if c["kind"] != "direction" and c["name"] == name)
         return found
 
     def limit(self, stated: str, free: dict[str, Any]) -> CertifiedExpression:
-        """A bound: a number, or the name of one."""
+        """A bound: a number, or the name of one.
+
+        Parameters
+        ----------
+        stated
+            Exact number as text [SI], or name of a given or free parameter.
+        free
+            Expressions of the free parameters by name.
+        """
         known = {**self.given, **free}
         require_claim(stated in known or not stated.isidentifier(), f"{stated} is no number that is given")
         return known[stated] if stated in known else CertifiedExpression("number", exact_number(stated))
 
     def room(self, value: Any, told: dict[str, Any], free: dict[str, Any]) -> list[CertifiedExpression]:
-        """Return the distances of a value to its lower and its upper bound, where it has them, positive inside."""
+        """Return the distances of a value to its lower and its upper bound, where it has them, positive inside.
+
+        Parameters
+        ----------
+        value
+            Expression that is bounded.
+        told
+            Record of the certificate with the keys "lower" and "upper", None where there is no bound.
+        free
+            Expressions of the free parameters by name.
+        """
         signs = (("lower", 1), ("upper", -1))
         return [(value - self.limit(told[s], free)) * sign for s, sign in signs if told[s] is not None]
 
     def traced(
         self, name: str, k: int, x: Expressions, u: dict[str, Any], free: dict[str, Any]
     ) -> list[CertifiedExpression]:
-        """The outputs of a tape, with the states of phase k."""
+        """The outputs of a tape, with the states of phase k.
+
+        Parameters
+        ----------
+        name
+            Name of the tape; one that is not in the certificate has no outputs.
+        k
+            Index of the phase.
+        x
+            Expressions of its states, in order; more are ignored.
+        u, free
+            Expressions of the controls and of the free parameters by name.
+        """
         values = {("p", n): v for n, v in {**self.given, **free}.items()} | {("u", n): v for n, v in u.items()}
         values |= {("x", s["name"]): v for s, v in zip(self.phases[k]["states"], x, strict=False)}
         tape, found = self.problem["tapes"].get(name, {"instructions": (), "outputs": ()}), list[CertifiedExpression]()
@@ -227,7 +279,20 @@ class CertifiedEquations:
         return starts, F, asked
 
     def steered(self, i: int, z: list[CertifiedExpression]) -> dict[str, Any]:
-        """Return an arc's z', the u that minimises H, dH/du, H, limits, and signs by which that is the only minimum."""
+        """Return an arc's z', the u that minimises H, dH/du, H, limits, and signs by which that is the only minimum.
+
+        Parameters
+        ----------
+        i
+            Index of the arc.
+        z
+            Symbols of states, constant states and costates; those of w are appended.
+
+        Returns
+        -------
+        dict
+            Expressions by name, as the callers read them.
+        """
         k, regimes, half = self.arcs[i]["phase"], self.arcs[i]["regimes"], len(z) // 2  # w comes behind it
         phase, n = self.phases[k], len(self.phases[k]["states"])
         u = {name: symbol() for c in phase["controls"] for name in c["names"]}
@@ -290,13 +355,40 @@ class CertifiedEquations:
         }  # fmt: skip
 
     def bends(self, rate: CertifiedExpression, u: dict[str, Any], regimes: dict[str, str]) -> bool:
-        """Return True if a rate is not linear in the controls together, and all those in it are on their bounds."""
+        """Return True if a rate is not linear in the controls together, and all those in it are on their bounds.
+
+        Parameters
+        ----------
+        rate
+            Rate of a state, an expression of the controls.
+        u
+            Symbols of the controls by name.
+        regimes
+            Regime of each scalar control by name, "lower", "upper" or "interior".
+        """
         slopes = dict(zip(u, backward_gradient(rate, [*u.values()]), strict=True))
         held = all(slope is ZERO or regimes.get(name, "interior") != "interior" for name, slope in slopes.items())
         return held and any(d is not ZERO for slope in slopes.values() for d in backward_gradient(slope, [*u.values()]))
 
     def unpriced(self, k: int, f: Expressions, z: Expressions, u: dict[str, Any]) -> set[int]:
-        """States of a phase in no condition, no bound, nothing behind it, and no rate of a state that is in one."""
+        """States of a phase in no condition, no bound, nothing behind it, and no rate of a state that is in one.
+
+        Parameters
+        ----------
+        k
+            Index of the phase.
+        f
+            Expressions of its rates, one for each state.
+        z
+            Symbols of its states, and those behind them.
+        u
+            Symbols of the controls by name.
+
+        Returns
+        -------
+        set
+            Indices of these states.
+        """
         behind = f"links {k}" if k + 1 < len(self.phases) else "objective"
         asked = [e for name in (f"end {k}", behind) for e in self.traced(name, k, z, {}, self.q)]
         asked += self.traced(f"path {k}", k, z, u, self.q)
@@ -313,7 +405,20 @@ class CertifiedEquations:
         return {*range(len(f))} - priced
 
     def ranges(self, scalars: dict[str, Any], moved: dict[str, Any]) -> list[CertifiedExpression]:
-        """Both bounds of each scalar."""
+        """Both bounds of each scalar.
+
+        Parameters
+        ----------
+        scalars
+            Records of the scalar controls by name.
+        moved
+            Expressions of the free parameters by name.
+
+        Returns
+        -------
+        list
+            Lower and upper bound of the first scalar, then of the next.
+        """
         bounds = [(c["lower"], c["upper"]) for c in scalars.values()]
         require_claim(
             all(bound is not None for own in bounds for bound in own), "a control without a formula has no range"
@@ -323,7 +428,19 @@ class CertifiedEquations:
     def curved(
         self, H: CertifiedExpression, u: dict[str, Any], scalars: dict[str, Any], directions: list[Any]
     ) -> tuple[dict[str, Any], set[str], bool]:
-        """d2H/du2 of scalars, which of them multiply directions, and whether no formula gives them."""
+        """d2H/du2 of scalars, which of them multiply directions, and whether no formula gives them.
+
+        Parameters
+        ----------
+        H
+            The Hamiltonian as an expression of the controls.
+        u
+            Symbols of the controls by name.
+        scalars
+            Records of the scalar controls by name.
+        directions
+            Records of the directions.
+        """
         slopes = dict(zip(u, backward_gradient(H, [*u.values()]), strict=True))
         form = {(a, b): own for a in u for b, own in zip(u, backward_gradient(slopes[a], [*u.values()]), strict=True)}
         form, factors = {pair: own for pair, own in form.items() if own is not ZERO}, set[str]()

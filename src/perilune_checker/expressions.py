@@ -25,7 +25,17 @@ class StepTooLong(Failed):
 
 
 def require_claim(held: bool, told: str, kind: type[Failed] = Failed) -> None:
-    """Raise `kind` with a text unless a claim holds."""
+    """Raise `kind` with a text unless a claim holds.
+
+    Parameters
+    ----------
+    held
+        Whether the claim holds.
+    told
+        The text of the error.
+    kind
+        Class of the error.
+    """
     if not held:
         raise kind(told)
 
@@ -91,7 +101,13 @@ def make_operation(word: str, *parts: Any) -> CertifiedExpression:
 
 
 def sum_of_products(a: Iterable[Any], b: Iterable[Any]) -> Any:
-    """The sum of products."""
+    """The sum of products.
+
+    Parameters
+    ----------
+    a, b
+        Factors, as many of the one as of the other.
+    """
     return sum((x * y for x, y in zip(a, b, strict=True)), ZERO)
 
 
@@ -126,7 +142,15 @@ def all_parts(outputs: Iterable[CertifiedExpression]) -> list[CertifiedExpressio
 
 
 def backward_gradient(output: CertifiedExpression, by: Sequence[CertifiedExpression]) -> list[Any]:
-    """Return derivatives by symbols, backwards from the output."""
+    """Return derivatives by symbols, backwards from the output.
+
+    Parameters
+    ----------
+    output
+        Expression to differentiate.
+    by
+        Symbols; the derivatives are returned in this order.
+    """
     slopes: dict[int, Any] = {output.at: ONE}
     for e in reversed(all_parts([output])):
         if e.at in slopes and e.word in SLOPES:
@@ -136,7 +160,15 @@ def backward_gradient(output: CertifiedExpression, by: Sequence[CertifiedExpress
 
 
 def replace_symbols(outputs: Sequence[CertifiedExpression], values: Mapping[CertifiedExpression, Any]) -> list[Any]:
-    """Return expressions with symbols replaced by others."""
+    """Return expressions with symbols replaced by others.
+
+    Parameters
+    ----------
+    outputs
+        Expressions to rewrite.
+    values
+        Expressions, or numbers, by the symbol that they replace; other symbols stay.
+    """
     new: dict[int, Any] = {own.at: make_operation("add", value, ZERO) for own, value in values.items()}
     for e in all_parts(outputs):
         if e.at not in new:
@@ -146,7 +178,13 @@ def replace_symbols(outputs: Sequence[CertifiedExpression], values: Mapping[Cert
 
 
 def smooth_angle(y: Any, x: Any) -> Any:
-    """atan2 away from its jump."""
+    """atan2 away from its jump.
+
+    Parameters
+    ----------
+    y, x
+        Balls or power series; NaN unless one sign is seen that excludes the jump at y = 0, x < 0.
+    """
     if isinstance(y, arb_series) or isinstance(x, arb_series):
         y, x = arb_series(y), arb_series(x)
         turning = (x * y.derivative() - y * x.derivative()) / (x * x + y * y)

@@ -39,7 +39,15 @@ def diagonal_matrix(weights: list[Any]) -> Any:
 
 
 def upper_symmetric_matrix(W: Any, weights: list[Any]) -> Any:
-    """An exact symmetric matrix no less than W: what they differ by is diagonally dominant, in units of one size."""
+    """An exact symmetric matrix no less than W: what they differ by is diagonally dominant, in units of one size.
+
+    Parameters
+    ----------
+    W
+        Symmetric ``arb_mat`` of balls.
+    weights
+        Positive weights of its rows, by which they are scaled.
+    """
     size, found, units = W.nrows(), ((W.mid() + W.mid().transpose()) * arb(0.5)).mid(), [1 / w.sqrt() for w in weights]
     gap = found - W
     for i in range(size):
@@ -49,7 +57,17 @@ def upper_symmetric_matrix(W: Any, weights: list[Any]) -> Any:
 
 
 def is_regular_step(c: list[Any], size: int, length: Any) -> bool:
-    """Return True if X, given by its polynomials, is regular all along a step: |E|^k 1 < 1 with X C = 1 + E."""
+    """Return True if X, given by its polynomials, is regular all along a step: |E|^k 1 < 1 with X C = 1 + E.
+
+    Parameters
+    ----------
+    c
+        Taylor coefficients of the entries of X, row by row, the last with the remainder.
+    size
+        Number of rows of X.
+    length
+        Duration of the step, a ball, as a share of the arc's.
+    """
     C = arb_mat(size, size, [evaluate_polynomial(own, length / 2) for own in c]).mid().inv().mid()
     E = arb_mat(size, size, [polynomial_over_interval(own, arb(0).union(length)) for own in c]) * C - unit_matrix(size)
     sizes, sums = [[e.abs_upper() for e in row] for row in E.tolist()], [arb(1)] * size
@@ -128,7 +146,22 @@ class SecondVariation:
                 )
 
     def check(self, grid: list[list[Any]], nodes: list[Any], y: list[Any]) -> None:
-        """See that it is positive, for the flight that has these enclosures at the times of the grid."""
+        """See that it is positive, for the flight that has these enclosures at the times of the grid.
+
+        Parameters
+        ----------
+        grid
+            For each arc the times at which its steps begin [s].
+        nodes
+            For each arc z at these times and at its end, balls [SI].
+        y
+            Unknowns, balls [SI].
+
+        Raises
+        ------
+        Failed
+            If it is not seen to be positive.
+        """
         self.demand_order()
         equations, ends, W = self.equations, [own[-1] for own in nodes], None
         p = CertifiedProgram([equations.y], self.p)(y)
@@ -158,7 +191,30 @@ class SecondVariation:
     def carried(
         self, i: int, z: list[Any], W: Any, length: Any, y: list[Any], weights: list[Any], depth: int = 0
     ) -> Any:
-        """Return z behind a step, and no less than W there; the step is halved where X is not seen to be regular."""
+        """Return z behind a step, and no less than W there; the step is halved where X is not seen to be regular.
+
+        Parameters
+        ----------
+        i
+            Index of the arc.
+        z
+            States, constant states, costates and w where the step begins, balls [SI].
+        W
+            Matrix there, ``arb_mat``.
+        length
+            Duration of the step, as a share of the arc's.
+        y
+            Unknowns, balls [SI].
+        weights
+            Positive weights of the rows of W.
+        depth
+            Times that the step was halved already.
+
+        Raises
+        ------
+        Failed
+            If X is not seen to be regular even on the shortest steps.
+        """
         size, start = W.nrows(), unit_matrix(W.nrows()).tolist() + W.tolist()
         try:
             if z[2 * size :]:  # H_w stays 0

@@ -16,7 +16,15 @@ def unit_matrix(size: int) -> Any:
 
 
 def evaluate_polynomial(c: list[Any], t: Any) -> Any:
-    """A polynomial, lowest order first."""
+    """A polynomial, lowest order first.
+
+    Parameters
+    ----------
+    c
+        Coefficients, at least one.
+    t
+        Argument, a ball.
+    """
     total = c[-1]
     for own in c[-2::-1]:
         total = total * t + own
@@ -24,18 +32,47 @@ def evaluate_polynomial(c: list[Any], t: Any) -> Any:
 
 
 def ball_power(t: Any, n: int) -> Any:
-    """t^n, of balls about 0 too, of which FLINT's own is none."""
+    """t^n, of balls about 0 too, of which FLINT's own is none.
+
+    Parameters
+    ----------
+    t
+        The base, a ball.
+    n
+        The exponent, a whole number >= 0.
+    """
     return math.prod([t] * n, start=arb(1))
 
 
 def polynomial_over_interval(c: list[Any], t: Any) -> Any:
-    """A polynomial over an interval, by its slope there; its last coefficient is a ball that holds the remainder."""
+    """A polynomial over an interval, by its slope there; its last coefficient is a ball that holds the remainder.
+
+    Parameters
+    ----------
+    c
+        Coefficients, lowest order first.
+    t
+        The interval, as a ball.
+    """
     slope = evaluate_polynomial([k * own for k, own in enumerate(c[:-1])][1:], t)
     return evaluate_polynomial(c[:-1], t.mid()) + slope * (t - t.mid()) + c[-1] * ball_power(t, len(c) - 1)
 
 
 def series_coefficients(series: Any, count: int) -> list[Any]:
-    """Coefficients of a series that is known far enough, or of a constant."""
+    """Coefficients of a series that is known far enough, or of a constant.
+
+    Parameters
+    ----------
+    series
+        Power series of balls, or a number.
+    count
+        Number of coefficients wanted, from order 0 up.
+
+    Raises
+    ------
+    Failed
+        If the series is shorter.
+    """
     if not isinstance(series, arb_series):
         return [arb(series), *[arb(0)] * (count - 1)]
     require_claim(series.prec >= count, "a series is shorter than its use")  # it has cut something off
@@ -43,7 +80,26 @@ def series_coefficients(series: Any, count: int) -> list[Any]:
 
 
 def taylor_coefficients(rates: CertifiedProgram, z: list[Any], V: Any, orders: int, *others: Any) -> list[list[Any]]:
-    """The Taylor coefficients of z with z' = rates(z, others), and of the entries of the tangents V if it has any."""
+    """The Taylor coefficients of z with z' = rates(z, others), and of the entries of the tangents V if it has any.
+
+    Parameters
+    ----------
+    rates
+        Program of z', with its derivatives by z.
+    z
+        Balls where the series begin, n of them.
+    V
+        Tangents there, ``arb_mat`` of shape (n, m); m = 0 for none.
+    orders
+        Order of the last coefficient.
+    *others
+        Constant arguments of the rates.
+
+    Returns
+    -------
+    list
+        Coefficients of orders 0 to `orders` of each component of z, then of each entry of V, row by row.
+    """
     found, size = [[v] for v in z], len(z)
     for k in range(orders):
         ctx.cap = k + 1
@@ -63,7 +119,26 @@ def taylor_coefficients(rates: CertifiedProgram, z: list[Any], V: Any, orders: i
 def certified_step(
     rates: CertifiedProgram, z: list[Any], V: Any, length: Any, *others: Any
 ) -> tuple[list[Any], Any, list[list[Any]]]:
-    """z and V behind a step, and all their polynomials: what moves within `whole` of `ranges` cannot leave it."""
+    """z and V behind a step, and all their polynomials: what moves within `whole` of `ranges` cannot leave it.
+
+    Parameters
+    ----------
+    rates
+        Program of z', with its derivatives by z.
+    z
+        Balls where the step begins, n of them.
+    V
+        Tangents there, ``arb_mat`` of shape (n, m); m = 0 for none.
+    length
+        Duration of the step, a ball.
+    *others
+        Constant arguments of the rates.
+
+    Raises
+    ------
+    StepTooLong
+        If the step is not enclosed.
+    """
     n, size, span = ORDER, len(z), arb(0).union(length)
     c = taylor_coefficients(rates, z, V, n - 1, *others)
     ranges = [evaluate_polynomial(own, span) for own in c]

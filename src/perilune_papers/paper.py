@@ -19,7 +19,15 @@ Printed = MappingProxyType[str, tuple[float, str, str]]
 
 
 def numbers_section(printed: Printed, computed: Mapping[str, float]) -> str:
-    """Return the section with every printed number and ours, which has two more decimals than the paper prints."""
+    """Return the section with every printed number and ours, which has two more decimals than the paper prints.
+
+    Parameters
+    ----------
+    printed
+        By name the number as printed, its unit, and where it stands in the paper.
+    computed
+        Computed values by the same names, in the same units.
+    """
     rows = []
     for name, (value, unit, where) in printed.items():
         decimals, ours = len(str(value).partition(".")[2]), computed[name]
@@ -51,7 +59,15 @@ def worst_solution(*proved: Solution) -> Solution:
 
 
 def largest_value(solution: Solution, name: str) -> float:
-    """Largest value of a column along the flight."""
+    """Largest value of a column along the flight.
+
+    Parameters
+    ----------
+    solution
+        The flight.
+    name
+        Name of the column; the value has its unit.
+    """
     return max(float(column.values.max()) for _, column in flight_columns(solution, name))
 
 
@@ -66,7 +82,19 @@ def versions_line() -> str:
 
 
 def write_paper_report(directory: Path, text: str, figures: Mapping[str, Figure], data: Mapping[str, str]) -> None:
-    """Write ``report.md``, all figures into ``figures/``, and files of data by name, into a directory that exists."""
+    """Write ``report.md``, all figures into ``figures/``, and files of data by name, into a directory that exists.
+
+    Parameters
+    ----------
+    directory
+        Where to write.
+    text
+        The report in Markdown.
+    figures
+        Figures by the names of their files, without a suffix.
+    data
+        Texts by the names of their files.
+    """
     (directory / "figures").mkdir()
     for name, figure in figures.items():
         save_figure(figure, directory / "figures", name)

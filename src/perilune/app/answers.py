@@ -94,6 +94,15 @@ class Answering:
 
         `patient` replaces `watch` while the flight at the first values is found, from which all others are followed.
 
+        Parameters
+        ----------
+        values
+            Values of given parameters by name [SI].
+        watch
+            Called with each iteration and with lines of text.
+        patient
+            The same for the longer search of the flight at the first values.
+
         Raises
         ------
         NoneNear

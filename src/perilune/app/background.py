@@ -71,6 +71,13 @@ class TimedProof:
 def compare_with_cold_start(followed: Solution, watch: Watch) -> ColdStartComparison:
     """Solve the problem of a followed flight by a cold start, and take the better of both.
 
+    Parameters
+    ----------
+    followed
+        Flight that was followed from a neighbour.
+    watch
+        Called with each iteration and with lines of text.
+
     Raises
     ------
     PeriluneError
@@ -101,6 +108,13 @@ def compare_with_cold_start(followed: Solution, watch: Watch) -> ColdStartCompar
 def solve_without_guess(problem: Problem, watch: Watch) -> ColdStartComparison:
     """Solve by a cold start where no flight is near.
 
+    Parameters
+    ----------
+    problem
+        The problem at the values of the page.
+    watch
+        Called with each iteration and with lines of text.
+
     Raises
     ------
     PeriluneError
@@ -112,7 +126,15 @@ def solve_without_guess(problem: Problem, watch: Watch) -> ColdStartComparison:
 
 
 def prove_timed(solution: Solution, watch: Watch) -> TimedProof:
-    """Prove a solution, and take the time."""
+    """Prove a solution, and take the time.
+
+    Parameters
+    ----------
+    solution
+        The solution to prove, to level `LEVEL`.
+    watch
+        The last argument of all work of `WorkerProcess`.
+    """
     began = time.perf_counter()
     found = verify(solution, LEVEL)
     return TimedProof(outcome=found.outcome, verification=found.verification, took=time.perf_counter() - began)

@@ -308,6 +308,13 @@ def page_error(error: Exception) -> PeriluneError:
 def parse_request(text: str, subject: Subject) -> dict[str, Any]:
     """Parse and check a request of a page: finite numbers of ordinary size for existing knobs.
 
+    Parameters
+    ----------
+    text
+        JSON text from the page.
+    subject
+        Subject of the explorer, with its knobs.
+
     Raises
     ------
     PeriluneError

@@ -53,6 +53,15 @@ def flight_message(solution: Solution, points: int = POINTS, digits: int = _DIGI
     """Return the message of a flight with all that is drawn of it; numbers in the units given with them.
 
     It has about `points` points, and at least `digits` significant digits in its columns.
+
+    Parameters
+    ----------
+    solution
+        The flight.
+    points
+        Number of times in all phases together.
+    digits
+        Significant digits of the columns.
     """
     lasting = [trajectory.duration for trajectory in solution.trajectories]
     phases, begin = list[dict[str, Any]](), 0.0
@@ -153,7 +162,15 @@ def refusal_message(error: PeriluneError) -> dict[str, Any]:
 
 
 def round_to_digits(values: Vector | Sequence[float], digits: int = _DIGITS) -> list[float | None]:
-    """Round numbers to significant digits, None for those not finite; with all digits they stay as they are."""
+    """Round numbers to significant digits, None for those not finite; with all digits they stay as they are.
+
+    Parameters
+    ----------
+    values
+        Numbers, shape (n,).
+    digits
+        Number of significant digits.
+    """
     told = np.asarray(values, dtype=float)
     good = np.isfinite(told)
     if digits < ALL_DIGITS:
@@ -166,7 +183,15 @@ def round_to_digits(values: Vector | Sequence[float], digits: int = _DIGITS) -> 
 
 
 def round_curve(values: Vector, digits: int = _DIGITS) -> list[float | None]:
-    """Round a curve; one far from zero relative to its span needs more digits to show its shape."""
+    """Round a curve; one far from zero relative to its span needs more digits to show its shape.
+
+    Parameters
+    ----------
+    values
+        Values along the curve, shape (n,).
+    digits
+        Significant digits of a curve that begins at zero.
+    """
     seen = values[np.isfinite(values)]
     span, most = (np.ptp(seen), np.abs(seen).max()) if len(seen) else (0.0, 0.0)
     return round_to_digits(values, digits + (math.ceil(math.log10(most / span)) if span > most * _FLAT else 0))

@@ -31,6 +31,20 @@ class Slices:
         """Return J over one or two axes of the atlas, the others at their present values.
 
         None if the atlas is of other values, or the slice is wanted no longer.
+
+        Parameters
+        ----------
+        values
+            Present values of the parameters by name [SI].
+        axes
+            Names of one or two axes of the atlas; with none, its first two.
+        wanted
+            Returns False if the slice is wanted no longer; asked before each grid.
+
+        Returns
+        -------
+        dict or None
+            Message for the page.
         """
         atlas, knobs = self.subject.atlas, self.subject.knobs
         if atlas is None or any(not knob.mapped and values.get(knob.name, knob.value) != knob.value for knob in knobs):

@@ -60,6 +60,13 @@ def knobs(problem: Problem, atlas: Atlas | None = None) -> tuple[Knob, ...]:
     """Return every given parameter that can be moved, the axes of an atlas first, natural constants last.
 
     If some are keys of a scenario, the others follow from these, and are left out.
+
+    Parameters
+    ----------
+    problem
+        The problem that is explored.
+    atlas
+        Its atlas, whose axes give ranges; None for none.
     """
     axes = () if atlas is None else atlas.region.axes
     found = [_knob(problem, axis.name, float(axis.low), float(axis.high), mapped=True) for axis in axes]

@@ -75,7 +75,17 @@ class Subject:
 
 
 def exact_quantity_text(value: float, shown: str, unit: str) -> str:
-    """Format a value in SI in its display unit if that reads back to the last bit; else in SI."""
+    """Format a value in SI in its display unit if that reads back to the last bit; else in SI.
+
+    Parameters
+    ----------
+    value
+        The value [SI].
+    shown
+        Display unit; "1" for none.
+    unit
+        SI unit of the value.
+    """
     near = value / parse_quantity("1" if shown == "1" else f"1 {shown}", unit)
     below, above = math.nextafter(near, -math.inf), math.nextafter(near, math.inf)
     for number in (near, below, above, math.nextafter(below, -math.inf), math.nextafter(above, math.inf)):

@@ -67,6 +67,15 @@ class WorkerProcess:
 
         `begun` is called when it begins, as work for others may go before it.
 
+        Parameters
+        ----------
+        work
+            Function that can be pickled; the watch is its last argument.
+        *arguments
+            Its other arguments.
+        begun
+            Called without arguments.
+
         Raises
         ------
         Killed

@@ -153,7 +153,15 @@ def _add_explore_command(command: Callable[..., Any]) -> None:
 
 
 def add_other_commands(command: Callable[..., Any], kinds: str) -> None:
-    """Add reproduce, new and doctor; `kinds` is the help on the kinds of problems."""
+    """Add reproduce, new and doctor; `kinds` is the help on the kinds of problems.
+
+    Parameters
+    ----------
+    command
+        ``command(name, help, *options)`` adds a command to the parser.
+    kinds
+        Text that lists the kinds of problems.
+    """
     command(
         "reproduce",
         "Compute every number and figure of a paper and compare them with the printed ones.",

@@ -23,6 +23,13 @@ NAMES = tuple(SETTINGS)
 def method_of(name: str, settings: Mapping[str, Any] | None = None) -> Method:
     """Return the method of a name, with default settings for those that are None.
 
+    Parameters
+    ----------
+    name
+        One of `NAMES`.
+    settings
+        Values by the names of settings.
+
     Raises
     ------
     PeriluneError

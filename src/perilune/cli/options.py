@@ -11,7 +11,18 @@ from perilune.core.errors import PeriluneError
 
 
 def integer_in_range(least: int, most: int | None = None) -> Callable[[str], int]:
-    """Return a reader of whole numbers in a range."""
+    """Return a reader of whole numbers in a range.
+
+    Parameters
+    ----------
+    least, most
+        Bounds, both allowed; without `most` there is no upper one.
+
+    Returns
+    -------
+    callable
+        From the text on the command line to the number; raises argparse.ArgumentTypeError out of range.
+    """
 
     def read(text: str) -> int:
         number = int(text)
@@ -65,12 +76,30 @@ def option(*flags: str, **settings: Any) -> Option:
 
 
 def switch(flag: str, about: str, **settings: Any) -> Option:
-    """Return an option that is on or off."""
+    """Return an option that is on or off.
+
+    Parameters
+    ----------
+    flag
+        The flag as it is typed, with its dashes.
+    about
+        The help text.
+    **settings
+        As for ``ArgumentParser.add_argument``.
+    """
     return option(flag, action="store_true", help=about, **settings)
 
 
 def level_option(least: int, usual: int) -> Option:
-    """Return the option for the level of a proof."""
+    """Return the option for the level of a proof.
+
+    Parameters
+    ----------
+    least
+        Lowest level that the command accepts.
+    usual
+        The default.
+    """
     text = f"Verification level to reach, {_integer_range_text(least, THEOREM)}" + ("; 0 for none" if not least else "")
     read = integer_in_range(least, THEOREM)
     return option("--level", metavar="LEVEL", type=read, default=usual, help=f"{text}. Default: {usual}.")

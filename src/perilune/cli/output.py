@@ -30,6 +30,15 @@ class CommandAnswer:
 def emit_answer(as_json: bool, work: Callable[[], CommandAnswer], verbose: bool = False) -> int:
     """Do the work of a command and print its answer or refusal, if verbose with all attempts.
 
+    Parameters
+    ----------
+    as_json
+        True to print the answer as JSON.
+    work
+        The command, without arguments.
+    verbose
+        True to list all attempts of a failed command.
+
     Returns
     -------
     int
@@ -91,7 +100,15 @@ class WrittenFiles:
         return replace(answer, document=document, exit_code=answer.exit_code or self._code)
 
     def placed(self, answer: CommandAnswer, out: Path | None) -> CommandAnswer:
-        """Return the answer with the place of the files at the end of its text."""
+        """Return the answer with the place of the files at the end of its text.
+
+        Parameters
+        ----------
+        answer
+            The answer to complete.
+        out
+            Directory of the files; None if none were asked for.
+        """
         if out is not None and not self._code:
             but = f", except {len(self.failed)} of its files" if self.failed else ""
             answer = replace(answer, text=f"{answer.text}\n\nwritten to {out}{but}")
@@ -153,7 +170,15 @@ def interrupted_error(advice: str = "") -> PeriluneError:
 
 
 def refusal_answer(error: PeriluneError, code: int) -> CommandAnswer:
-    """Return the answer that reports an error."""
+    """Return the answer that reports an error.
+
+    Parameters
+    ----------
+    error
+        The error, with its message and what it keeps.
+    code
+        Exit code of the command.
+    """
     parts = _error_parts(error)
     document: dict[str, Any] = {"outcome": OUTCOME_OF_CODE.get(code, "REFUSED"), "error": parts}
     if isinstance(error, InfeasibleError):
@@ -169,6 +194,13 @@ def _error_parts(error: PeriluneError) -> dict[str, str]:
 
 def print_answer(answer: CommandAnswer, as_json: bool) -> int:
     """Print an answer on stdout; a refusal on stderr, and on stdout as well if JSON is wanted.
+
+    Parameters
+    ----------
+    answer
+        Text, document and exit code.
+    as_json
+        True to print the document as JSON.
 
     Returns
     -------
@@ -190,7 +222,15 @@ def print_answer(answer: CommandAnswer, as_json: bool) -> int:
 
 
 def print_text(text: str, code: int = 0) -> int:
-    """Print a text on stdout; returns the exit code, that of a fault if stdout cannot be written."""
+    """Print a text on stdout; returns the exit code, that of a fault if stdout cannot be written.
+
+    Parameters
+    ----------
+    text
+        The text, without its last newline.
+    code
+        Exit code of the command where the text is printed.
+    """
     try:
         print(text, flush=True)
     except OSError as error:

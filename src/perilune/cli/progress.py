@@ -42,6 +42,13 @@ def progress(verbose: bool, log: deque[str]) -> Iterator[Callable[[Iteration | s
 
     Work of more than two seconds shows its duration and present line: next to a spinner on a terminal, else in a line
     every few seconds.
+
+    Parameters
+    ----------
+    verbose
+        True to print every line on stderr.
+    log
+        Receives every line.
     """
     shown: AbstractContextManager[Any] = nullcontext()
     clock = WorkClock()
@@ -78,7 +85,15 @@ class WorkClock:
     count: str = ""
 
     def hear(self, line: str, *, printed: bool = False) -> None:
-        """Remember a line, and the time if it was printed."""
+        """Remember a line, and the time if it was printed.
+
+        Parameters
+        ----------
+        line
+            Line of progress.
+        printed
+            True if it is printed, so that the next line on the duration can wait.
+        """
         if line.startswith(_BEST_SO_FAR):
             self.best = f"; {line}"
         elif line:
@@ -128,7 +143,15 @@ class SpinnerText:
     count: str = ""
 
     def line(self, text: str, width: int) -> Text:
-        """Return one line that is not longer than the terminal is wide."""
+        """Return one line that is not longer than the terminal is wide.
+
+        Parameters
+        ----------
+        text
+            Duration and present line of the work.
+        width
+            Columns that the line may take.
+        """
         from rich.text import Text
 
         if found := _COUNT.findall(text):
@@ -151,7 +174,20 @@ def print_note(text: str) -> None:
 
 
 def refuse_unusable_target(out: Path | None, force: bool) -> None:
-    """Refuse an unusable target before the work, not after it."""
+    """Refuse an unusable target before the work, not after it.
+
+    Parameters
+    ----------
+    out
+        Directory to be written; None for none.
+    force
+        True if an existing one may be replaced.
+
+    Raises
+    ------
+    PeriluneError
+        If it exists and may not be replaced, or cannot be written.
+    """
     if out is not None:
         from perilune.io.atomic_files import fresh_directory
 
@@ -161,7 +197,19 @@ def refuse_unusable_target(out: Path | None, force: bool) -> None:
 
 @contextmanager
 def failure_kept(scenario: Scenario, out: Path | None, force: bool, log: deque[str]) -> Iterator[None]:
-    """Save what was computed before a failure or Ctrl-C as ``failure.json``; Ctrl-C replaces no earlier result."""
+    """Save what was computed before a failure or Ctrl-C as ``failure.json``; Ctrl-C replaces no earlier result.
+
+    Parameters
+    ----------
+    scenario
+        The scenario that is solved.
+    out
+        Directory of the file; None to save nothing.
+    force
+        True if an existing one may be replaced.
+    log
+        Lines of progress, which are saved as well.
+    """
     try:
         yield
     except (InfeasibleError, NotConvergedError, KeyboardInterrupt) as error:

@@ -138,7 +138,20 @@ def _initialize_sweep_worker() -> None:
 
 
 def ranges_of_keys(order: Namespace, read: Callable[[str, str, Mapping[str, Any]], Kind]) -> dict[str, Kind]:
-    """Return what `read` makes of the range of each key that is varied."""
+    """Return what `read` makes of the range of each key that is varied.
+
+    Parameters
+    ----------
+    order
+        Parsed command line, with `file`, `changes` and `vary`.
+    read
+        ``read(key, text, quantities)`` interprets the text of a range.
+
+    Raises
+    ------
+    PeriluneError
+        If a key is varied twice, or both varied and set.
+    """
     from perilune.scenario import quantities_of
 
     known, over = quantities_of(order.file, order.changes), dict[str, Kind]()
@@ -181,7 +194,22 @@ def _refuse_used_directory(order: Namespace) -> None:
 
 
 def scenario_with_ranges(file: Path, changes: Sequence[str], over: Mapping[str, Sequence[float]]) -> Scenario:
-    """Return the scenario with values of the keys; both ends of ranges and lists are checked as the file itself is."""
+    """Return the scenario with values of the keys; both ends of ranges and lists are checked as the file itself is.
+
+    Parameters
+    ----------
+    file
+        File of the scenario.
+    changes
+        Texts ``key=value`` that replace values of the file.
+    over
+        Values of each varied key [SI].
+
+    Raises
+    ------
+    PeriluneError
+        If the scenario cannot be read with one of the ends.
+    """
     from perilune.scenario import load_file, quantities_of
 
     known, found = quantities_of(file, changes), None

@@ -56,7 +56,15 @@ ACCELERATIONS = (
 
 
 def cho_landing(retro: Retro | None = None, *, thrust: float = CONSTANTS.thrust) -> Problem:
-    """State the paper's landing; without `retro`, the ordinary one."""
+    """State the paper's landing; without `retro`, the ordinary one.
+
+    Parameters
+    ----------
+    retro
+        Retro burn with its specific impulse [s]; None for a landing without one.
+    thrust
+        Thrust of the main engine [N].
+    """
     c = CONSTANTS
     return hybrid_landing(
         Vehicle(

@@ -93,6 +93,18 @@ def break_even_impulse(family: Family, watch: Watch) -> tuple[float, Solution]:
 
     There the best extremal jumps from a large retro burn to none. It is the root of the gain of the best
     extremal with a burn over that without, bracketed by the members of the family between which it jumps.
+
+    Parameters
+    ----------
+    family
+        Landings over the specific impulse of the retro burn [s].
+    watch
+        Called with each iteration and with lines of text.
+
+    Raises
+    ------
+    PeriluneError
+        If the retro burn pays everywhere in the family, or nowhere.
     """
     solved = [(point.value, point.solution) for point in family.points if point.solution is not None]
     pays = [value for value, solution in solved if solution.free["retro_delta_v"] > 0]

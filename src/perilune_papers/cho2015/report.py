@@ -68,7 +68,15 @@ _SLIPS = (
 
 
 def write_cho_report(made: ChoReproduction, directory: Path) -> None:
-    """Write ``report.md``, its data and its figures into a directory that exists."""
+    """Write ``report.md``, its data and its figures into a directory that exists.
+
+    Parameters
+    ----------
+    made
+        Everything that was computed.
+    directory
+        Where to write.
+    """
     families = {"fig8": made.by_retro_burn, "fig9_fig10": made.by_impulse}
     data = {f"{name}.csv": family_csv(family) for name, family in families.items()}
     data |= {f"{name}.json": json_text(family_document(family)) for name, family in families.items()}

@@ -74,7 +74,15 @@ def fixed_sweep() -> Problem:
 
 
 def as_printed(going: str, left: float) -> Problem:
-    """Return the problem to the printed site, with a mass [kg] that is to be left."""
+    """Return the problem to the printed site, with a mass [kg] that is to be left.
+
+    Parameters
+    ----------
+    going
+        Sense in which the orbit crosses the latitude of the manoeuvre point, "ascending" or "descending".
+    left
+        Mass to be left [kg].
+    """
     return _to_site(_vehicle(drag_area=0.6, dry_mass=left), PRINTED_SITE, going)
 
 
@@ -147,6 +155,25 @@ def paper_costates(solution: Solution, phase: int, t: float) -> Vector:
     """Costates of `paper_state` in the paper's units, at a time [s] of a phase.
 
     They are those of the Cartesian state, carried by the transposed derivatives of that state.
+
+    Parameters
+    ----------
+    solution
+        Extremal with costates, of the Cartesian state.
+    phase
+        Index of the phase.
+    t
+        Time from the start of the phase [s].
+
+    Returns
+    -------
+    Vector
+        Shape (7,), in the order of `paper_state`, dimensionless.
+
+    Raises
+    ------
+    ValueError
+        If the solution has no costates.
     """
     unit, trajectory = paper_units(), solution.trajectories[phase]
     if trajectory.costate is None:

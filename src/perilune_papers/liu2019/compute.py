@@ -200,7 +200,17 @@ def compare_off_plane(entry_time: float) -> OffPlane:
 
 
 def away_from_plane(longitude: float, latitude: float, going: str, at: Vector) -> Vector:
-    """Angle [rad] of the printed site from the plane of the orbit through a manoeuvre point [deg], at times [s]."""
+    """Angle [rad] of the printed site from the plane of the orbit through a manoeuvre point [deg], at times [s].
+
+    Parameters
+    ----------
+    longitude, latitude
+        Manoeuvre point [deg].
+    going
+        Sense in which the orbit crosses its latitude, "ascending" or "descending".
+    at
+        Times from the manoeuvre, shape (n,) [s].
+    """
     p = SimpleNamespace(
         body_radius=CASE.earth.radius, orbit_inclination=CASE.orbit.inclination,
         manoeuvre_longitude=math.radians(longitude), manoeuvre_latitude=math.radians(latitude),
@@ -217,6 +227,13 @@ def sideways_reach(burn_time: float, at: float) -> float:
 
     Out of the plane z'' + n^2 z = T/m, so that thrust whose sense changes with that of sin n(at - t) gives
     z/r = 1/V times the integral of T/m |sin n(at - t)|.
+
+    Parameters
+    ----------
+    burn_time
+        Longest time that the engine can burn [s].
+    at
+        Time from the beginning of the burn [s].
     """
     radius = CASE.orbit.radius or CASE.earth.radius
     speed = math.sqrt(CASE.earth.gravitational_parameter / radius)
@@ -244,7 +261,22 @@ def fly_printed(sign: float) -> PrintedFlight:
 
 
 def propagate_extremals(x: Matrix, costates: Matrix, times: Vector, sign: float) -> Matrix:
-    """States and costates, shape (14, n), after times, all dimensionless; from states and costates, (7, n) each."""
+    """States and costates, shape (14, n), after times, all dimensionless; from states and costates, (7, n) each.
+
+    Parameters
+    ----------
+    x, costates
+        States and costates at the start, shape (7, n) each.
+    times
+        Durations, shape (n,).
+    sign
+        1.0 for thrust along the costates of the velocity, -1.0 for thrust opposite to them.
+
+    Raises
+    ------
+    PeriluneError
+        If the integrator does not reach the end.
+    """
     size = x.shape[1]
 
     def rates(share: float, y: Vector) -> Vector:
@@ -280,14 +312,33 @@ def manoeuvre_state(row: GridPoint) -> Vector:
 
 
 def thrust_angles(x: Any, costates: Any, sign: float) -> tuple[Any, Any]:
-    """Angles of a thrust along (lambda_V, lambda_gamma/V, lambda_psi/(V cos gamma)), or opposite to it."""
+    """Angles of a thrust along (lambda_V, lambda_gamma/V, lambda_psi/(V cos gamma)), or opposite to it.
+
+    Parameters
+    ----------
+    x, costates
+        States and costates, shape (7, n) each, dimensionless.
+    sign
+        1.0 for thrust along the vector, -1.0 for thrust opposite to it.
+
+    Returns
+    -------
+    alpha, beta
+        Elevation and azimuth from the velocity, shape (n,) [rad].
+    """
     forward, upward, left = along_thrust(x, costates)
     level = np.hypot(forward, left)
     return np.arctan2(sign * upward, level), np.arctan2(sign * left, sign * forward)
 
 
 def along_thrust(x: Any, costates: Any) -> tuple[Any, Any, Any]:
-    """Return what a thrust along each of the path's axes adds to H, per acceleration."""
+    """Return what a thrust along each of the path's axes adds to H, per acceleration.
+
+    Parameters
+    ----------
+    x, costates
+        States and costates, shape (7, n) each, dimensionless.
+    """
     return costates[0], costates[1] / x[0], costates[2] / (x[0] * np.cos(x[1]))
 
 

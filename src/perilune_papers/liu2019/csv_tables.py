@@ -68,7 +68,15 @@ def table_3(made: LiuReproduction) -> str:
 
 
 def comma_separated(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return rows under a head as comma-separated values."""
+    """Return rows under a head as comma-separated values.
+
+    Parameters
+    ----------
+    head
+        Names of the columns.
+    rows
+        Cells of each row, in the order of the columns.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)

@@ -88,7 +88,15 @@ class Comparison:
 
 
 def compare(samples: int = SAMPLES, seed: int = 0) -> Comparison:
-    """Compare at states of a transition, with any course and any thrust direction."""
+    """Compare at states of a transition, with any course and any thrust direction.
+
+    Parameters
+    ----------
+    samples
+        Number of states.
+    seed
+        Seed of the random states and directions.
+    """
     x, alpha, beta = _sample_states(samples, seed)
     newton = _by_newton(x, alpha, beta)
     printed, right = np.array(printed_rates(x, alpha, beta)), np.array(corrected_rates(x, alpha, beta))
@@ -129,7 +137,15 @@ def _flight_path_of(x: Any) -> FlightPath:
 
 
 def corrected_rates(x: Any, alpha: Any, beta: Any) -> tuple[Any, ...]:
-    """(1) as it should be, with m'."""
+    """(1) as it should be, with m'.
+
+    Parameters
+    ----------
+    x
+        States (V, gamma, psi, r, Theta, Phi, m), shape (7, n), dimensionless.
+    alpha, beta
+        Elevation and azimuth of the thrust from the velocity, shape (n,) [rad].
+    """
     c = dimensionless_constants()
     push = c.thrust / x[6]
     pushed = (
@@ -139,7 +155,15 @@ def corrected_rates(x: Any, alpha: Any, beta: Any) -> tuple[Any, ...]:
 
 
 def printed_rates(x: Any, alpha: Any, beta: Any) -> tuple[Any, ...]:
-    """(1) as printed, with g_Phi where it prints g_theta, which it does not define."""
+    """(1) as printed, with g_Phi where it prints g_theta, which it does not define.
+
+    Parameters
+    ----------
+    x
+        States (V, gamma, psi, r, Theta, Phi, m), shape (7, n), dimensionless.
+    alpha, beta
+        Elevation and azimuth of the thrust from the velocity, shape (n,) [rad].
+    """
     c = dimensionless_constants()
     V, _, _, r, _, _, m = x
     sg, cg, sc, cc, sF, cF = _trigonometry(x)
@@ -219,7 +243,17 @@ def _complex_step(x: Any, i: int) -> Any:
 
 
 def costate_matrix(of: Rates, x: Any, alpha: Any, beta: Any) -> Any:
-    """Coefficients -df_j/dx_i of lambda_j in lambda_i', shape (7, 7, n)."""
+    """Coefficients -df_j/dx_i of lambda_j in lambda_i', shape (7, 7, n).
+
+    Parameters
+    ----------
+    of
+        Right-hand sides, ``of(x, alpha, beta)``, complex-safe.
+    x
+        States, shape (7, n), dimensionless.
+    alpha, beta
+        Elevation and azimuth of the thrust from the velocity, shape (n,) [rad].
+    """
     return np.array([-np.imag(of(_complex_step(x, i), alpha, beta)) / STEP for i in range(7)])
 
 
@@ -254,7 +288,15 @@ def _gravity_ratios(x: Matrix) -> dict[str, float]:
 
 
 def printed_costate_matrix(x: Any, alpha: Any, beta: Any) -> Any:
-    """Coefficients of (6) as printed, shape (7, 7, n); g_Phi's derivatives as in (7)."""
+    """Coefficients of (6) as printed, shape (7, 7, n); g_Phi's derivatives as in (7).
+
+    Parameters
+    ----------
+    x
+        States, shape (7, n), dimensionless.
+    alpha, beta
+        Elevation and azimuth of the thrust from the velocity, shape (n,) [rad].
+    """
     c, (V, _, _, r, _, _, m) = dimensionless_constants(), x
     sg, cg, sc, cc, sF, cF = _trigonometry(x)
     gr, gF = gravity_components(r, x[5], c, NUMERIC)

@@ -37,7 +37,17 @@ class ManoeuvreMember:
 
 
 def solve_members(first: Solution, points: Sequence[tuple[float, float]], watch: Watch) -> tuple[ManoeuvreMember, ...]:
-    """Solve at every manoeuvre point [deg], each from the nearest that is known; in the order of the points."""
+    """Solve at every manoeuvre point [deg], each from the nearest that is known; in the order of the points.
+
+    Parameters
+    ----------
+    first
+        Solution at the manoeuvre point of the paper.
+    points
+        Longitude and latitude of each manoeuvre point [deg].
+    watch
+        Called with a line for each point.
+    """
     known = {(math.degrees(CASE.place[0]), math.degrees(CASE.place[1])): first}
     made: dict[int, ManoeuvreMember] = {}
     begin = next(iter(known))
@@ -84,6 +94,20 @@ def predict_by_cubic(grid: Sequence[ManoeuvreMember], at: ManoeuvreMember, known
     """The paper's prediction (16) at one manoeuvre point of several quantities, known on the grid (quantities, points).
 
     Ten coefficients, found from the ten nearest points of the grid; the smallest where these leave them open.
+
+    Parameters
+    ----------
+    grid
+        Members at the points of the grid.
+    at
+        Member whose manoeuvre point is predicted.
+    known
+        Values on the grid, shape (quantities, points).
+
+    Returns
+    -------
+    Vector
+        Predicted values, shape (quantities,), in the units of `known`.
     """
     off = np.array([(m.longitude, m.latitude) for m in grid]) - (at.longitude, at.latitude)
     near = np.argsort((off**2).sum(axis=1))[:10]

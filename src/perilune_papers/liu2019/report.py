@@ -50,7 +50,15 @@ _CAPTIONS = {
 
 
 def write_liu_report(made: LiuReproduction, directory: Path) -> None:
-    """Write ``report.md``, its data and its figures into a directory that exists."""
+    """Write ``report.md``, its data and its figures into a directory that exists.
+
+    Parameters
+    ----------
+    made
+        Everything that was computed.
+    directory
+        Where to write.
+    """
     data = {
         "table2.csv": table_2(made),
         "table3.csv": table_3(made),

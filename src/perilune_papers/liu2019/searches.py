@@ -35,7 +35,15 @@ class Searches:
 
 
 def run_searches(seeds: int, watch: Watch) -> Searches:
-    """Neighbours from so many seeds, and ours as often."""
+    """Neighbours from so many seeds, and ours as often.
+
+    Parameters
+    ----------
+    seeds
+        Number of seeds; the slower searches run fewer.
+    watch
+        Called with lines of text.
+    """
     free = site_free("descending")
     began = time.process_time()
     solve(free, verify=0)
@@ -49,5 +57,13 @@ def run_searches(seeds: int, watch: Watch) -> Searches:
 
 
 def by_hybrid(problem: Problem, seed: int) -> float:
-    """Time of flight [s] by a genetic search over initial costates and t_a, and Newton from its three best."""
+    """Time of flight [s] by a genetic search over initial costates and t_a, and Newton from its three best.
+
+    Parameters
+    ----------
+    problem
+        The problem to solve.
+    seed
+        Seed of the genetic search.
+    """
     return Hybrid(Genetic(seed=seed, best=3), Indirect()).run(problem).results["flight_time"].value

@@ -46,13 +46,34 @@ def _triangles_between(place: Matrix) -> Triangulation:
 
 
 def fit_errors(grid: Sequence[ManoeuvreMember], at: Sequence[ManoeuvreMember]) -> dict[str, Vector]:
-    """Errors of (16) at the points `at`, each over the largest size of its quantity, by the text of the panel."""
+    """Errors of (16) at the points `at`, each over the largest size of its quantity, by the text of the panel.
+
+    Parameters
+    ----------
+    grid
+        Members that the cubics are fitted to.
+    at
+        Members that they are compared with.
+    """
     right = nine_quantities(at)
     return {text: prediction_error(grid, at, known, right[text]) for text, known in nine_quantities(grid).items()}
 
 
 def fit_table(grid: Sequence[ManoeuvreMember], at: Sequence[ManoeuvreMember]) -> str:
-    """Table of what the paper says of these errors and what they are, in the paper's units."""
+    """Table of what the paper says of these errors and what they are, in the paper's units.
+
+    Parameters
+    ----------
+    grid
+        Members that the cubics are fitted to.
+    at
+        Members that they are compared with.
+
+    Returns
+    -------
+    str
+        A table in Markdown.
+    """
     rows = []
     for (name, (printed, unit)), relative, known in zip(
         PRINTED_FITS.items(), fit_errors(grid, at).values(), nine_quantities(grid).values(), strict=True

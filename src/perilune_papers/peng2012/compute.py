@@ -144,7 +144,17 @@ def compute_peng(watch: Watch, level: int = 3, seeds: int = 3) -> PengReproducti
 
 
 def convergence_at(points: int, reference: Solution, watch: Watch) -> Convergence:
-    """Solve at N Gauss points from no guess and compare with the indirect method at these points."""
+    """Solve at N Gauss points from no guess and compare with the indirect method at these points.
+
+    Parameters
+    ----------
+    points
+        Number N of Gauss points, in one segment.
+    reference
+        Solution of the indirect method.
+    watch
+        Called with each iteration and with lines of text.
+    """
     began = time.process_time()
     # The tolerance that is usual would be the floor before the points are.
     method = Pseudospectral(nodes=points, refine=0, nlp_tolerance=1e-12)

@@ -89,7 +89,15 @@ the paper never noticed; shooting and re-integration need coordinates without th
 
 
 def write_peng_report(made: PengReproduction, directory: Path) -> None:
-    """Write ``report.md``, its data and its figures into a directory that exists."""
+    """Write ``report.md``, its data and its figures into a directory that exists.
+
+    Parameters
+    ----------
+    made
+        Everything that was computed.
+    directory
+        Where to write.
+    """
     write_paper_report(directory, peng_report(made), peng_figures(made), {"convergence.csv": convergence_csv(made)})
 
 
@@ -178,7 +186,15 @@ def peng_report(made: PengReproduction) -> str:
 
 
 def scaled_hamiltonian(solution: Solution, t: Sequence[float] | np.ndarray) -> np.ndarray:
-    """H less its required value at times t, in canonical units."""
+    """H less its required value at times t, in canonical units.
+
+    Parameters
+    ----------
+    solution
+        Extremal of one phase, with costates.
+    t
+        Times from the start of the flight, shape (n,) [s].
+    """
     scales = solution.problem.scales
     unit = scales.of(solution.problem.objective_unit) / scales.time
     return (hamiltonian(solution, 0, np.asarray(t)) - required_hamiltonian(solution, 0)) / unit
