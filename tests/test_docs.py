@@ -194,6 +194,14 @@ def test_no_page_or_source_has_a_banned_phrase() -> None:
     assert len(sources) > 300 and not found
 
 
+def test_pages_import_from_faces_only() -> None:
+    """Inner modules may move: a page that shows one teaches what will break."""
+    imports = re.compile(r"^ *from perilune\.([\w.]+) import", re.MULTILINE)
+    shown = {(page.name, room) for page in PAGES for room in imports.findall(page.read_text(encoding="utf-8"))}
+    assert len(shown) > 5
+    assert {one for one in shown if one[1] not in {"conditions", "models", "scenario"}} == set()
+
+
 def test_layers() -> None:
     """The table of rooms names every room, from the ground up."""
     shown = [cells[0].strip("`") for cells in rows(DOCS / "architecture.md", 2)]
