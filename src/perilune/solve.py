@@ -95,7 +95,22 @@ def solve(
 
 @contextmanager
 def ended_in_time(problem: Problem, watch: Watch | None, limit: float) -> Iterator[Progress]:
-    """Enter the search for a problem, which ends with `NotConvergedError` where its time [s] is over."""
+    """Enter the search for a problem, which ends with `NotConvergedError` where its time [s] is over.
+
+    Parameters
+    ----------
+    problem
+        The problem whose best flight the error reports.
+    watch
+        Called with each iteration and with lines of text; None for silence.
+    limit
+        Time that the search may take [s].
+
+    Raises
+    ------
+    NotConvergedError
+        If the time is over, with the best flight known.
+    """
     with enter_computation(watch, problem, limit) as work:
         try:
             yield work
@@ -123,7 +138,20 @@ def _solved_and_proved(
 
 
 def require_time_limit(stated: float | None, level: int) -> float:
-    """Return the time limit [s] that holds."""
+    """Return the time limit [s] that holds.
+
+    Parameters
+    ----------
+    stated
+        The limit that the caller gave [s]; None for the default: `TIME_LIMIT`, or none for a theorem.
+    level
+        Verification level that was asked for.
+
+    Raises
+    ------
+    PeriluneError
+        If the limit is not a positive number.
+    """
     if stated is None:
         return math.inf if level == THEOREM else TIME_LIMIT
     require_si_number(stated, "a time limit", 'time_limit=60.0; --time-limit "60 s" on the command line')

@@ -106,7 +106,15 @@ def level_option(least: int, usual: int) -> Option:
 
 
 def verify_options(what: str, otherwise: str = "") -> tuple[Option, Option]:
-    """Return the option for the level to which a command proves its solutions, by default none, and its old name."""
+    """Return the option for the level to which a command proves its solutions, by default none, and its old name.
+
+    Parameters
+    ----------
+    what
+        Beginning of the help text: the solutions that are proved.
+    otherwise
+        Its continuation behind the levels.
+    """
     help_ = f"{what}, to level 1 to {THEOREM}{otherwise}; 0 (default) for none."
     settings: dict[str, Any] = {"metavar": "LEVEL", "type": integer_in_range(0, THEOREM), "default": 0}
     named = option("--verify", help=help_, **settings)
