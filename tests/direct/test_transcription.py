@@ -58,6 +58,19 @@ def test_what_is_put_together_has_the_derivatives_of_the_whole(problem, scheme, 
         assert np.abs(np.array(one) - np.array(other)).max(initial=0.0) < 1e-14
 
 
+def test_the_gradient_of_J_is_no_work():
+    """It takes of the rates what J depends on, which is nothing."""
+    problem = staged_burns()
+    program = TranscribedProgram(problem=problem, scheme="gauss", meshes=(UNEVEN,) * len(problem.phases))
+    for nearest in (False, True):
+        made = nlp._assemble_blocks(Unnumbered(problem), program.layouts, nearest)
+        repeats = [
+            any("map" in str(one.instruction_MX(k)) for k in range(one.n_instructions()))
+            for one in (made.value, made.gradient)
+        ]
+        assert repeats == [True, False]
+
+
 @pytest.mark.parametrize("scheme", ["gauss", "radau"])
 def test_rows_vanish_on_the_closed_form(scheme):
     """x = t - t^2, v = 1 - 2 t, cost = 2 t under u = -2: a polynomial, which collocation holds exactly on any mesh."""

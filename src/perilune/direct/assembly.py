@@ -192,26 +192,29 @@ def _functions(parts: Sequence[RepeatedBlock], linear: Triplets, unknowns: int, 
     everything = ca.vertcat(w, 0, 1)
     weights = ca.vertcat(factors[1], factors[0])
     total, slopes, curvatures = _constant_matrix(linear, (rows + 1, unknowns)) @ w, list[ca.MX](), list[ca.MX]()
+    J = _constant_matrix(_of_row(linear, rows), (1, unknowns)) @ w
     for part in parts:
         block, times = part.block, len(part.takes)
         z = ca.reshape(everything[(part.takes % (unknowns + 2)).ravel().tolist()], block.unknowns, times)
         shared = ca.repmat(given, 1, times)
         adds = _constant_matrix(part.adds, (rows + 1, times * block.values))
-        total += adds @ ca.vec(block.value.map(times)(z, shared))
+        values = ca.vec(block.value.map(times)(z, shared))
+        total += adds @ values
+        # By itself, as J is asked for without the rows, and depends on little of what they do.
+        if len((of_objective := _of_row(part.adds, rows))[0]):
+            J += _constant_matrix(of_objective, (1, times * block.values)) @ values
         slopes.append(ca.vec(block.slopes.map(times)(z, shared)))
         own = ca.reshape(adds.T @ weights, block.values, times)
         curvatures.append(ca.vec(block.curvature.map(times)(z, shared, own)))
     pattern, constant, mixed = _first_derivatives(parts, linear, unknowns)
-    slope = ca.DM(constant) + _constant_matrix(mixed, (len(constant), sum(s.numel() for s in slopes))) @ ca.vertcat(
-        *slopes
-    )
     of_J = pattern[0] == rows
-    gradient = ca.densify(_sparse(pattern[::-1, of_J] * [[1], [0]], slope, of_J, (unknowns, 1)))
-    jacobian = _sparse(pattern[:, ~of_J], slope, ~of_J, (rows, unknowns))
+    gradient, jacobian = (_combine_slopes(slopes, constant, mixed, own) for own in (of_J, ~of_J))
+    gradient = ca.densify(_sparse(pattern[::-1, of_J] * [[1], [0]], gradient, (unknowns, 1)))
+    jacobian = _sparse(pattern[:, ~of_J], jacobian, (rows, unknowns))
     upper, summed = _second_derivatives(parts, unknowns)
     curvature = _constant_matrix(summed, (upper.shape[1], sum(c.numel() for c in curvatures))) @ ca.vertcat(*curvatures)
-    hessian = _sparse(upper, curvature, np.full(upper.shape[1], True), (unknowns, unknowns))
-    J, g = ca.densify(total[rows]), total[:rows]  # of no terms where nothing can be missed
+    hessian = _sparse(upper, curvature, (unknowns, unknowns))
+    J, g = ca.densify(J), total[:rows]  # of no terms where nothing can be missed
     return Assembled(
         value=ca.Function("nlp", [w, given], [J, g], ["x", "p"], ["f", "g"]),
         gradient=ca.Function("nlp_grad_f", [w, given], [J, gradient], ["x", "p"], ["f", "grad_f_x"]),
@@ -272,10 +275,30 @@ def _unique(rows: Vector, columns: Vector, unknowns: int) -> tuple[Matrix, Vecto
     return np.array([places % height, places // height]), which
 
 
-def _sparse(pattern: Matrix, values: ca.MX, of: Vector, shape: tuple[int, int]) -> ca.MX:
-    """Return the matrix with some of the values at the places of a pattern, which is in the order of nonzeros."""
-    sparsity = ca.Sparsity.triplet(*shape, *(part.tolist() for part in pattern))
-    return ca.MX(sparsity, values[np.nonzero(of)[0].tolist()])
+def _combine_slopes(slopes: Sequence[ca.MX], constant: Vector, mixed: Triplets, own: Vector) -> ca.MX:
+    """Return some of the nonzeros of dg/dw, which depend on those slopes only that add to them."""
+    ends: Vector = np.cumsum([0, *(slope.numel() for slope in slopes)])
+    here = own[mixed[0]]
+    place, source, factor = (values[here] for values in mixed)
+    used = np.unique(np.searchsorted(ends, source, side="right") - 1)
+    found = ca.MX(ca.DM(constant[own]))
+    if not len(used):
+        return found
+    kept = np.concatenate([np.arange(int(ends[k]), int(ends[k + 1])) for k in used])
+    entries = np.cumsum(own)[place] - 1, np.searchsorted(kept, source), factor
+    return found + _constant_matrix(entries, (found.numel(), len(kept))) @ ca.vertcat(*(slopes[k] for k in used))
+
+
+def _of_row(triplets: Triplets, row: int) -> Triplets:
+    """Return the entries of one row, as those of a matrix of one row."""
+    rows, columns, values = triplets
+    own = rows == row
+    return np.zeros(np.count_nonzero(own), dtype=int), columns[own], values[own]
+
+
+def _sparse(pattern: Matrix, values: ca.MX, shape: tuple[int, int]) -> ca.MX:
+    """Return the matrix with values at the places of a pattern, which is in the order of nonzeros."""
+    return ca.MX(ca.Sparsity.triplet(*shape, *(part.tolist() for part in pattern)), values)
 
 
 def _constant_matrix(triplets: Triplets, shape: tuple[int, int]) -> ca.MX:
