@@ -25,6 +25,7 @@ from perilune.cli.output import CommandAnswer, emit_answer
 from perilune.cli.progress import progress
 from perilune.core.errors import NotConvergedError
 from perilune.direct import nlp
+from perilune.direct.ipopt_events import IterationCallback, rewrite_interrupt_messages
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -88,7 +89,7 @@ def test_ctrl_c_in_the_direct_method_is_told_in_our_words_only(capsys: pytest.Ca
     x, many = ca.MX.sym("x"), ca.MX(ca.linspace(0, 1, 1_000_000))
     program = {"x": x, "f": ca.sumsqr(ca.sin(many * x) - 0.3 + 1e-3 * x * many), "p": ca.MX.sym("p", 0)}
     options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-300}
-    solver = nlp._Solver(ca.nlpsol("slow", "ipopt", program, options), nlp._IterationCallback(1, 0, 0), Lock())
+    solver = nlp._Solver(ca.nlpsol("slow", "ipopt", program, options), IterationCallback(1, 0, 0), Lock())
     none = np.empty(0)
     posed: Any = SimpleNamespace(given=none, lower=np.array([-9.0]), upper=np.array([9.0]), low=none, high=none)
     stop = Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGINT))
@@ -97,7 +98,7 @@ def test_ctrl_c_in_the_direct_method_is_told_in_our_words_only(capsys: pytest.Ca
         solver(posed, np.array([5.0]))
         time.sleep(1.0)
         pytest.fail("it was over before it was stopped")
-    with nlp._rewrite_interrupt_messages():
+    with rewrite_interrupt_messages():
         print("something else\nand a piece", end="", file=sys.stderr)
     assert capsys.readouterr().err == "something else\nand a piece"
 

@@ -17,25 +17,21 @@ time; what it does not find, the others, and the least misses are for IPOPT.
 
 from __future__ import annotations
 
-import io
 import math
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from threading import Lock, current_thread, main_thread
-from typing import Any, TextIO
+from threading import Lock
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
-from perilune.core.callbacks import sign_of_life
 from perilune.direct.assembly import Assembled, assemble_program
 from perilune.direct.blocks import phase_blocks
 from perilune.direct.collocation import Mesh, Scheme
 from perilune.direct.interior_point import Optimum, PosedProgram, find_local_optimum
+from perilune.direct.ipopt_events import IterationCallback, rewrite_interrupt_messages
 from perilune.direct.layout import (
     Layout,
     PhaseValues,
@@ -53,7 +49,7 @@ from perilune.problem.variables import Variable
 
 # State values up to which the dense search of our own is quicker than IPOPT, and iterations after which it is given up.
 MODERATE, PATIENCE = 160, 50
-SUCCESS = "Solve_Succeeded"
+SUCCESS, STALLED = "Solve_Succeeded", "Stalled"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +82,11 @@ class ProgramSolution:
     def infeasible(self) -> bool:
         """Return True if the least violation near this start is not zero."""
         return self.status == "Infeasible_Problem_Detected"
+
+    @property
+    def stalled(self) -> bool:
+        """Return True if a search for the least miss ended as it gained nothing."""
+        return self.status == STALLED
 
     @property
     def converged(self) -> bool:
@@ -258,79 +259,14 @@ def _control_bounds(problem: Problem, phase: Phase, mesh: Mesh, sign: float) -> 
     return np.array(rows).reshape(mesh.nodes, len(both))
 
 
-class _WholeLines(io.StringIO):
-    """Whole lines to a stream, which come in pieces; without CasADi's line for Ctrl-C, as there is one of ours."""
-
-    def __init__(self, stream: TextIO) -> None:
-        super().__init__()
-        self.stream = stream
-
-    def write(self, text: str) -> int:
-        *lines, rest = (self.getvalue() + text).splitlines(keepends=True) or [""]
-        if rest.endswith("\n"):
-            lines, rest = [*lines, rest], ""
-        self.stream.write("".join(line for line in lines if "KeyboardInterruptException" not in line))
-        self.seek(0)
-        self.truncate()
-        super().write(rest)
-        return len(text)
-
-
-@contextmanager
-def _rewrite_interrupt_messages() -> Iterator[None]:
-    """Rewrite the interrupt messages on standard error, in the main thread, the only one that Ctrl-C reaches."""
-    if current_thread() is not main_thread():
-        yield
-        return
-    lines = _WholeLines(sys.stderr)
-    try:
-        with redirect_stderr(lines):
-            yield
-    finally:
-        sys.stderr.write(lines.getvalue())
-
-
-class _IterationCallback(ca.Callback):
-    """A sign of life at each iteration of IPOPT; what it raises is raised again when IPOPT has ended."""
-
-    def __init__(self, unknowns: int, rows: int, given: int) -> None:
-        super().__init__()
-        self.sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": given}
-        self.raised: BaseException | None = None
-        self.count = 0
-        self.construct("alive", {})
-
-    def get_n_in(self) -> int:
-        return ca.nlpsol_n_out()
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return ca.nlpsol_out(i)
-
-    def get_name_out(self, i: int) -> str:
-        return "ret"
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self.sizes[ca.nlpsol_out(i)], 1)
-
-    def eval(self, arg: Any) -> list[int]:
-        self.count += 1
-        try:
-            sign_of_life(f"direct method: iteration {self.count} of the nonlinear program")
-        except BaseException as error:
-            self.raised = error
-        return [int(self.raised is not None)]
-
-
 @dataclass(frozen=True, eq=False)
 class _Solver:
     """A compiled program; what it reports of its last run holds as long as one thread at a time uses it."""
 
     function: ca.Function
-    alive: _IterationCallback
+    alive: IterationCallback
     lock: Lock
+    nearest: bool = False
 
     def __call__(self, posed: PosedProgram, first: Vector) -> tuple[Optimum, str]:
         """Return the point that IPOPT reaches from the first values, and its status.
@@ -340,19 +276,20 @@ class _Solver:
         KeyboardInterrupt
             If the user stopped it.
         """
-        with self.lock, _rewrite_interrupt_messages():
-            self.alive.raised, self.alive.count = None, 0
+        with self.lock, rewrite_interrupt_messages():
+            self.alive.begin((posed.low, posed.high) if self.nearest else None)
             out = self.function(
                 x0=first, p=posed.given, lbx=posed.lower, ubx=posed.upper, lbg=posed.low, ubg=posed.high
             )
             stats, raised = self.function.stats(), self.alive.raised
         if raised is not None:
             raise raised
+        status = STALLED if self.alive.stalled else str(stats["return_status"])
         # Ctrl-C inside a derivative reaches IPOPT as a foreign exception.
-        if stats["return_status"] in ("User_Requested_Stop", "NonIpopt_Exception_Thrown"):
+        if status in ("User_Requested_Stop", "NonIpopt_Exception_Thrown"):
             raise KeyboardInterrupt
         w, g, multipliers = (np.array(out[key]).ravel() for key in ("x", "g", "lam_g"))
-        return Optimum(w, float(out["f"]), g, multipliers, int(stats["iter_count"])), stats["return_status"]
+        return Optimum(w, float(out["f"]), g, multipliers, int(stats["iter_count"])), status
 
 
 @lru_cache(maxsize=64)
@@ -367,7 +304,7 @@ def _solver(
     """Compile the program: its cache is what makes the second solve of the same physics cheap."""
     program = _assemble_blocks(unnumbered, layouts, nearest)
     value = program.value
-    alive = _IterationCallback(value.size1_in("x"), value.size1_out("g"), value.size1_in("p"))
+    alive = IterationCallback(value.size1_in("x"), value.size1_out("g"), value.size1_in("p"))
     options = {
         "iteration_callback": alive,
         "print_time": False,
@@ -388,4 +325,4 @@ def _solver(
         "ipopt.honor_original_bounds": "yes",
         "ipopt.bound_relax_factor": 0.0,
     }
-    return _Solver(ca.nlpsol("transcription", "ipopt", program.value, options), alive, Lock())
+    return _Solver(ca.nlpsol("transcription", "ipopt", program.value, options), alive, Lock(), nearest)
