@@ -116,6 +116,55 @@ def _tug_piece(
     return t, values, rates
 
 
+def pulse(length: float) -> Solution:
+    """Least J = int [(t - 1)^2 - (length/2)^2] u dt, |u| <= 1: u = 1 while S < 0, about t = 1, and -1 beside that."""
+    phase = Phase(
+        name="arc",
+        states=(Variable(name="clock"), Variable(name="cost")),
+        controls=(Bounded(name="u", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, xp: (1 / p.second, ((x.clock - MIDDLE) ** 2 - 0.25 * length**2) * u.u / p.second),
+        duration="duration",
+    )
+    problem = Problem(
+        name="pulse",
+        phases=(phase,),
+        start=lambda p, xp: (0.0, 0.0),
+        given={"duration": Given(value=END, unit="s"), "second": Given(value=1.0, unit="s")},
+        objective=lambda x, p, xp: x.cost,
+    )
+    begin, until = MIDDLE - length / 2, MIDDLE + length / 2
+    # Backwards from the end, where the costate of the clock is 0; it is even about the middle, the cost odd.
+    rows = list[tuple[np.ndarray, ...]]()
+    cost = 0.0
+    for a, b, u in ((0.0, begin, -1.0), (begin, until, 1.0), (until, END, -1.0)):
+        t = np.linspace(a, b, 801)
+        late, S = t - MIDDLE, (t - MIDDLE) ** 2 - 0.25 * length**2
+        work = late**3 / 3 - 0.25 * length**2 * late
+        along = cost + u * (work - work[0])
+        cost = along[-1]
+        clock = (END - MIDDLE) ** 2 - late**2 if u < 0 else (END - MIDDLE) ** 2 + late**2 - 0.5 * length**2
+        rows.append((t, t, along, -clock, 1 + 0 * t, u + 0 * t, 1 + 0 * t, u * S, -2 * u * late, 0 * t, 0 * t))
+    table = np.concatenate([np.array(row) for row in rows], axis=1)
+    state, costate, control = (
+        Curve(time=table[0], values=table[1 + a : 1 + b].T, rates=table[6 + a : 6 + b].T)
+        for a, b in ((0, 2), (2, 4), (4, 5))
+    )
+    return Solution(
+        problem=problem, method="closed form", outcome=Outcome.SOLVED, free={}, objective=float(cost),
+        trajectories=(Trajectory(phase="arc", state=state, costate=costate, control=control),),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("length", "unit"), [(0.1, 1.0), (2e-3, 0.1), (4e-5, 0.01), (1e-7, 0.01)])
+def test_beside_an_arc_as_brief_as_an_impulse_the_slope_counts_over_its_length(length: float, unit: float) -> None:
+    """|dS/dt| = length at both switches, half of that to the middle; what is almost no arc is none."""
+    verification = verify(pulse(length), resolve=lambda problem, guess: guess, level=3)
+    assert {c.name for c in verification.failed if c.level < 3} == set()
+    strict = check(verification, "strict_u")
+    assert END * length * 0.49 < -strict.value * unit * (1 - 0.25 * length**2) < END * length * 1.001
+    assert strict.passed == (length > 1e-6)
+
+
 def tug_again(problem: Problem, guess: Solution) -> Solution:
     """J of the tug in closed form (n = 1) for a shifted start."""
     p = problem.parameters({})

@@ -111,7 +111,7 @@ def _paying(known: TwoBurns) -> tuple[int, BurnArc, int, float] | None:
     arcs = [k for k in range(0, 2 * known.brief + 1, 2) if known.lengths[k] > NO_TIME * known.lengths.sum()]
     falls = list(zip(arcs, (leg for leg in legs if not leg.burns), strict=False))  # but for that from the ground
     k, leg = max(falls, key=lambda one: float(one[1].worth()[1:].max()))
-    left = max(float(abs(leg.worth()[0])) for leg in legs[:-1] if leg.burns)
+    left = max((float(abs(leg.worth()[0])) for leg in legs[:-1] if leg.burns), default=0.0)
     if float(leg.worth()[1:].max()) > _PAYS * max(left, _LEAST):
         return k, leg, 1 + int(leg.worth()[1:-1].argmax()), _SHORT * known.lengths[-1]
     if known.early and min(float(leg.worth().min()) for leg in legs[-2:]) < -_LEAST:

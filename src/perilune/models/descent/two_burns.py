@@ -13,7 +13,7 @@ from perilune.models.descent.burn_programs import compile_burn
 from perilune.models.descent.two_impulses import LandingStart, propagate_kepler
 
 _DIFFERENCE = 1e-5  # of place or velocity: how far apart neighbouring falls begin
-NO_TIME = 1e-5  # of the flight: an arc that is shorter is none
+NO_TIME = 1e-6  # of the flight: an arc that is shorter is none
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,7 +46,6 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Check
 from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.first_order import unbounded_parameters
-from perilune.proof.necessary.minimum_principle import HAMILTONIAN_LIMIT
 from perilune.proof.sufficient.active_controls import check_strict_conditions
 from perilune.proof.sufficient.assemble_form import assemble_second_variation
 from perilune.proof.sufficient.quadratic_form import QuadraticForm, destabilising_eigenvalue, newton_gain
@@ -167,7 +166,7 @@ def _has_unsupported_switch(arc: PhaseData) -> bool:
     switches = jumps.any(axis=0) & ~(singular := Singular.of(arc).junctions)
     smooth = singular & ~jumps.any(axis=0)  # a junction without a jump is no end of an impulse
     bends = [*switch_slopes(arc)[switches], *(end.slope for end in end_switches(arc))]
-    return not alone or bool(smooth.any() or (np.array(bends) <= HAMILTONIAN_LIMIT).any())
+    return not alone or bool(smooth.any() or (np.array(bends) <= 0.0).any())
 
 
 def _check_legendre_clebsch(arc: PhaseData, pieces: Sequence[VariationPiece]) -> Check:

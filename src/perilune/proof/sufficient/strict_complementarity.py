@@ -21,6 +21,12 @@ which must be positive whatever the sign of tau: that is more than is needed, as
 other value between the bounds moves less at the same price. The same holds at the start, and where |S| is almost 0 at
 an end: what it adds to the price of tau is positive.
 
+**Brief arcs.** Between two switches a time tau apart S is a parabola that dS/dt leaves at its sides only, D = |S''| tau/2:
+as tau goes to 0 with a change of velocity that stays, as that of an impulse, D does too, and D/tau stays. It is D/tau,
+the curvature of the primer vector at an impulse, that has to be above 0 (Lawden 1963, chapter 5). So D counts in units
+of what it is at arcs of a hundredth of the flight where the arc is shorter, and a hundred times at most: a D that is
+that near to 0 is none.
+
 Source: Maurer and Osmolovskii (2004), Second order sufficient conditions for time-optimal bang-bang control;
 Osmolovskii and Maurer (2012), chapter 6, for the problem in switching times that this is.
 """
@@ -28,7 +34,7 @@ Osmolovskii and Maurer (2012), chapter 6, for the problem in switching times tha
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +59,7 @@ from perilune.proof.sufficient.singular_arcs import Singular, distance_slopes
 STRICT_LIMIT = -1e-4
 _BRIEF = 1e-6  # of the flight: as near to a switch as that |S| says nothing
 _LOOKS = 101  # times at which |S| is sized
+_SHORT, _LEAST_SHARE = 1e-2, 1e-2  # of the flight: arcs that are brief; the least unit in which slopes beside these count
 _CHORD_ROUNDING = 1e-6  # of the slope: where H is a straight line in u its chord differs by rounding
 
 
@@ -144,17 +151,43 @@ def check_strictness(arc: PhaseData) -> Iterator[Check]:
         steps = [np.abs(arc.jumps[at, jumps]), [_size_of_jump(arc, end) for end in own]]
         crossing = np.concatenate([switch_slopes(arc)[jumps], [end.slope for end in own]]) / np.concatenate(steps)
         crossing = crossing / arc.time_scale**2 * arc.objective_scale / arc.rate_scale
-        slopes = np.append(distance_slopes(arc, at, S, t, apart, held), crossing * arc.duration)
+        crossing /= _slope_units(arc, at, np.array([*arc.breaks[jumps], *(end.time for end in own)]), own)
+        slopes = distance_slopes(arc, at, S / _slope_units(arc, at, t, own), t, apart, held)
+        slopes = np.append(slopes, crossing * arc.duration)
         yield Check(
             name=f"{arc.prefix}strict_{control.name}", level=3, limit=STRICT_LIMIT, unit="1",
             value=float(-slopes.min() / S.max()),
             meaning=f"minus the least switching function of {control.name} on a bound, over the time to the nearest"
             f" switch, and its slope at each switch (in units of its largest value over the flight time): below 0 if"
             f" it vanishes only at switches and crosses zero there; next to a singular arc, over the square of that"
-            f" time"
+            f" time; next to an arc shorter than a hundredth of the flight between two switches, over that share"
             + "".join(f"; its zero where the flight {'ends' if end.time else 'begins'} counts as a switch"
                       for end in own),
         )  # fmt: skip
+
+
+def _slope_units(arc: PhaseData, at: int, t: Vector, ends: Sequence[EndSwitch]) -> Vector:
+    """Return the units in which slopes of S count: below 1 beside brief arcs between two switches (above).
+
+    Parameters
+    ----------
+    arc, at
+        The phase, and the place of a scalar.
+    t
+        Times [s], (N,).
+    ends
+        Its switches at ends of the flight.
+    """
+    inside = arc.breaks[(arc.jumps[at] != 0) & ~Singular.of(arc).junctions]
+    switches = np.sort([*inside, *(end.time for end in ends)])
+    if len(switches) < 2:
+        return np.ones(len(t))
+    between = np.diff(switches)
+    brief = np.minimum(np.append(between, np.inf), np.append(np.inf, between))
+    away = np.abs(t[:, None] - switches)
+    nearest = away.argmin(axis=1)
+    share = np.maximum(brief[nearest], away.min(axis=1)) / (_SHORT * arc.duration)
+    return np.clip(share, _LEAST_SHARE, 1.0)
 
 
 def _steepness(arc: PhaseData, at: int, control: ScalarControl, t: Vector, S: Vector) -> Vector:
@@ -209,7 +242,7 @@ def switch_slopes(arc: PhaseData) -> Vector:
 
 
 def _switch_slope_at(arc: PhaseData, times: Vector, u_before: Matrix, u_after: Matrix) -> Vector:
-    """D (above) at times, between two controls there."""
+    """D (above) at times, between two controls there; 0 where it is rounding of the terms that it is the sum of."""
     lam, x, scale = arc.costate(times), arc.state(times), arc.state_scale
 
     def side(u: Matrix) -> tuple[Matrix, Matrix]:
@@ -221,4 +254,6 @@ def _switch_slope_at(arc: PhaseData, times: Vector, u_before: Matrix, u_after: M
         return arc.rates(x, u).real, ((lam[:, None] * f_x).sum(axis=0) - pushed) / scale[:, None]
 
     (f_before, h_before), (f_after, h_after) = side(u_before), side(u_after)
-    return (f_after * h_before - f_before * h_after).sum(axis=0) * arc.time_scale**2 / arc.objective_scale
+    ahead, behind = f_after * h_before, f_before * h_after
+    slope, size = (ahead - behind).sum(axis=0), (np.abs(ahead) + np.abs(behind)).sum(axis=0)
+    return np.where(np.abs(slope) > HAMILTONIAN_LIMIT * size, slope, 0.0) * arc.time_scale**2 / arc.objective_scale
