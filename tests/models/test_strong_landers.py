@@ -426,6 +426,24 @@ def test_where_every_wait_is_about_as_good_neighbours_are_met() -> None:
     assert len(costates) == 7 and max(check.value for check in costates) < 1e-8
 
 
+def test_a_first_burn_of_a_hundred_thousandth_of_the_flight_is_one() -> None:
+    """From an ellipse over Mercury, 0.05 s of 5603 s; no flight is said to be better that is the answer itself."""
+    problem = powered_descent(
+        Vehicle(mass=56.2584413, thrust=979.565071, specific_impulse=238.492149),
+        Ignition(altitude=3500.77827, longitude=0.0, latitude=0.495426832, heading=1.50416135,
+                 forward_speed=3039.95906, sideways_speed=0.177451938, vertical_speed=-10.8493383),
+        Site(longitude=0.5, latitude=0.3),
+        MERCURY,
+        target="anywhere", throttle=(0.0, 1.0),
+    )  # fmt: skip
+    rough, structure = rough_landing(problem)[0]
+    landed = Indirect().run(problem)
+    first, then = (arc.until for arc in structure.phases[0][:2])
+    assert 0.04 < then - first < 0.06
+    assert landed.objective == pytest.approx(rough.objective, rel=3e-6)  # by the program of two burns
+    assert not [line for line in landed.warnings if "is known" in line]
+
+
 def test_steps_of_a_long_coast_make_no_conjugate_point() -> None:
     """From an ellipse over a still Europa: 1.021 on few steps, below 1 on more."""
     problem = powered_descent(

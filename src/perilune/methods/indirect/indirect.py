@@ -39,8 +39,10 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.results.warnings import KNOWN_BETTER
 from perilune.shooting import Member
 from perilune.structures.split_join import JoinedTrajectories
+from perilune.structures.structure import Structure
 
 _ROUGH = 1e-6  # relative: what flights of known arcs err in J
+_STEPS_OWE, _TIMES_OWE = 1e-5, 1e-2  # the same, and of the flight's times, where an extremal of the same arcs was found
 _ALIKE = 1e-9  # relative difference of J: extremals that differ by less are the same
 
 
@@ -212,12 +214,14 @@ class Indirect(SearchSettings):
         found = list[Solution]()
         try:
             for rough, structure in search.problem.switching_guesses(search.problem):
-                search.flown = min(search.flown, rough.objective)
                 polish = StructureRefinement(
                     settings=self, problem=search.problem, watch=search.watch, tried=search.tried, brief=True
                 )  # fmt: skip
-                found += filter(None, [polish.followed(rough, structure, set())])
-                if found:
+                exact = polish.followed(rough, structure, set())
+                if exact is None or not _is_exactly(exact, rough, structure):
+                    search.flown = min(search.flown, rough.objective)
+                if exact is not None:
+                    found.append(exact)
                     break
         except (PeriluneError, ArithmeticError, ValueError) as error:  # a guess of numbers that no flight has
             search.tried.append(f"arc sequences that the model proposes: {error}".partition("\n")[0])
@@ -254,6 +258,21 @@ def _merge_searches(found: Sequence[Solution], search: Search) -> Solution:
     took = time.perf_counter() - search.state.began
     statistics = replace(best.statistics, tried=tuple(search.tried), wall_time=took)
     return replace(best, extremals=(*best.extremals, *dominated), statistics=statistics)
+
+
+def _is_exactly(exact: Solution, rough: Solution, structure: Structure) -> bool:
+    """Return True if an extremal is a rough flight of known arcs itself, better or worse by what steps of that owe."""
+    if not isinstance(known := exact.trajectories, JoinedTrajectories):
+        return False
+    arcs, others = ([arc for own in of.phases for arc in own] for of in (known.structure, structure))
+    return (
+        known.structure.text == structure.text
+        and abs(exact.objective - rough.objective) <= _STEPS_OWE * abs(exact.objective)
+        and all(
+            abs(arc.until - other.until) <= _TIMES_OWE * others[-1].until
+            for arc, other in zip(arcs, others, strict=True)
+        )
+    )
 
 
 def _may_be_structured(guess: Solution) -> bool:

@@ -21,11 +21,10 @@ which must be positive whatever the sign of tau: that is more than is needed, as
 other value between the bounds moves less at the same price. The same holds at the start, and where |S| is almost 0 at
 an end: what it adds to the price of tau is positive.
 
-**Brief arcs.** Between two switches a time tau apart S is a parabola that dS/dt leaves at its sides only, D = |S''| tau/2:
-as tau goes to 0 with a change of velocity that stays, as that of an impulse, D does too, and D/tau stays. It is D/tau,
-the curvature of the primer vector at an impulse, that has to be above 0 (Lawden 1963, chapter 5). So D counts in units
-of what it is at arcs of a hundredth of the flight where the arc is shorter, and a hundred times at most: a D that is
-that near to 0 is none.
+**Brief arcs.** Between two switches a time tau apart S is a parabola, and D = |S''| tau/2 at both: where tau goes to 0
+as a burn becomes an impulse, D does too, and D/tau stays. That is the curvature of the primer vector at the impulse,
+which has to be above 0 (Lawden 1963, chapter 5). So beside an arc of less than a hundredth of the flight D counts over
+that share, but a hundred times at most: a D still nearer to 0 is none.
 
 Source: Maurer and Osmolovskii (2004), Second order sufficient conditions for time-optimal bang-bang control;
 Osmolovskii and Maurer (2012), chapter 6, for the problem in switching times that this is.
@@ -59,7 +58,10 @@ from perilune.proof.sufficient.singular_arcs import Singular, distance_slopes
 STRICT_LIMIT = -1e-4
 _BRIEF = 1e-6  # of the flight: as near to a switch as that |S| says nothing
 _LOOKS = 101  # times at which |S| is sized
-_SHORT, _LEAST_SHARE = 1e-2, 1e-2  # of the flight: arcs that are brief; the least unit in which slopes beside these count
+_SHORT, _LEAST_SHARE = (
+    1e-2,
+    1e-2,
+)  # of the flight: arcs that are brief; the least unit in which slopes beside these count
 _CHORD_ROUNDING = 1e-6  # of the slope: where H is a straight line in u its chord differs by rounding
 
 
