@@ -12,10 +12,12 @@ from scipy.integrate import solve_ivp
 
 from burn_coast_burn import landed_mass
 from perilune.core.callbacks import ignore_events
-from perilune.core.errors import Outcome
+from perilune.core.errors import NotConvergedError, Outcome
 from perilune.core.maths import NUMERIC
+from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.export_arcs import ends_well
 from perilune.methods.indirect.indirect import Indirect
+from perilune.methods.indirect.initializers import ColdStarts
 from perilune.methods.indirect.search import Search
 from perilune.models.descent.burn_search import add_brief_burn, advance_second_burn, two_burns
 from perilune.models.descent.problem import Ignition, Site, powered_descent
@@ -32,6 +34,7 @@ from perilune.proof.necessary.contact_points import restate_with_contacts
 from perilune.proof.necessary.terminal_bounds import with_end_bounds
 from perilune.proof.sufficient.sensitivities import check_neighbours
 from perilune.solve import solve
+from perilune.structures.structure import Structure
 
 MU, RADIUS, ALTITUDE, SPEED = 4902.8e9, 1737.4e3, 94e3, 1635.9
 STILL = Body(name="moon", gravitational_parameter=MU, radius=RADIUS, rotation_rate=0.0)
@@ -436,8 +439,9 @@ def test_a_first_burn_of_a_hundred_thousandth_of_the_flight_is_one() -> None:
         MERCURY,
         target="anywhere", throttle=(0.0, 1.0),
     )  # fmt: skip
-    rough, structure = rough_landing(problem)[0]
-    landed = Indirect().run(problem)
+    known = rough_landing(problem)
+    rough, structure = known[0]
+    landed = Indirect().run(replace(problem, switching_guesses=lambda _: known))
     first, then = (arc.until for arc in structure.phases[0][:2])
     assert 0.04 < then - first < 0.06
     assert landed.objective == pytest.approx(rough.objective, rel=3e-6)  # by the program of two burns
@@ -504,3 +508,16 @@ def test_a_flight_that_is_better_than_what_is_proved_is_told_of(
         line for line in found.warnings if "is known" in line
     ]
     assert any("is known" in line for line in found.warnings) is said
+
+
+def test_where_no_extremal_is_found_the_flight_that_is_known_is_handed_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where another burn pays, and another beside that: at once, and not after a search on meshes."""
+    rough, structure = rough_landing(strong())[0]
+    (arcs,) = structure.phases
+    known = [(rough, Structure((arcs[:1],))), (replace(rough, objective=math.nan), Structure((arcs[1:2],)))]
+    monkeypatch.setattr("perilune.models.descent.problem.rough_landing", lambda _: known)
+    monkeypatch.setattr(ColdStarts, "from_random_costates", lambda _: iter(()))
+    monkeypatch.setattr(Coarse, "solve", lambda *_: pytest.fail("a mesh"))
+    with pytest.raises(NotConvergedError, match="landed mass") as raised:
+        Indirect().run(strong())
+    assert raised.value.flight is rough

@@ -121,7 +121,7 @@ def pulse(length: float) -> Solution:
     phase = Phase(
         name="arc",
         states=(Variable(name="clock"), Variable(name="cost")),
-        controls=(Bounded(name="u", lower=-1.0, upper=1.0),),
+        controls=(ScalarControl(name="u", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (1 / p.second, ((x.clock - MIDDLE) ** 2 - 0.25 * length**2) * u.u / p.second),
         duration="duration",
     )
@@ -129,7 +129,7 @@ def pulse(length: float) -> Solution:
         name="pulse",
         phases=(phase,),
         start=lambda p, xp: (0.0, 0.0),
-        given={"duration": Given(value=END, unit="s"), "second": Given(value=1.0, unit="s")},
+        given={"duration": Parameter(value=END, unit="s"), "second": Parameter(value=1.0, unit="s")},
         objective=lambda x, p, xp: x.cost,
     )
     begin, until = MIDDLE - length / 2, MIDDLE + length / 2
@@ -158,7 +158,7 @@ def pulse(length: float) -> Solution:
 @pytest.mark.parametrize(("length", "unit"), [(0.1, 1.0), (2e-3, 0.1), (4e-5, 0.01), (1e-7, 0.01)])
 def test_beside_an_arc_as_brief_as_an_impulse_the_slope_counts_over_its_length(length: float, unit: float) -> None:
     """|dS/dt| = length at both switches, half of that to the middle; what is almost no arc is none."""
-    verification = verify(pulse(length), resolve=lambda problem, guess: guess, level=3)
+    verification = verify(pulse(length), resolve=lambda problem, guess: guess, level=3).verification
     assert {c.name for c in verification.failed if c.level < 3} == set()
     strict = check(verification, "strict_u")
     assert END * length * 0.49 < -strict.value * unit * (1 - 0.25 * length**2) < END * length * 1.001

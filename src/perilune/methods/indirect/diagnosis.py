@@ -171,6 +171,27 @@ def no_extremal_error(
     )
 
 
+def flight_without_extremal_error(flight: Solution, tried: list[str]) -> NotConvergedError:
+    """Return the error for a flight of arcs that the model knows, where no extremal was found.
+
+    Parameters
+    ----------
+    flight
+        It keeps every condition, as far as its steps tell.
+    tried
+        Lines of what was tried.
+    """
+    return NotConvergedError(
+        NO_EXTREMAL,
+        got=f"a rough flight that keeps every condition is known ({objective_text(flight, 7)}), but no extremal of its "
+        "arcs was found: others, such as another burn, may better it",
+        expected="a flight that no change improves",
+        advice="a throttle floor above 0, with which few burns pay; the flight as a guess for another method",
+        partial={"tried": list(tried)},
+        flight=flight,
+    )
+
+
 def _describe_mildest_violation(problem: Problem, flight: Solution, breaches: list[ConstraintViolation]) -> str:
     """Describe how extremals break a condition, by the one that breaks it least.
 

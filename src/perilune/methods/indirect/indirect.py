@@ -19,6 +19,7 @@ and every extremal on it found (`perilune.methods.indirect.continuation.paramete
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +29,7 @@ from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import InfeasibleError, NotConvergedError, PeriluneError
 from perilune.core.units import format_quantity
 from perilune.core.validation import check_call
+from perilune.methods.indirect.diagnosis import flight_without_extremal_error
 from perilune.methods.indirect.result import Curves
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.settings import STRUCTURE, TRANSCRIBED, SearchSettings
@@ -115,7 +117,7 @@ class Indirect(SearchSettings):
             As `run`.
         """
         drawn = [] if guess is not None or base is not None else self._of_known_arcs(search)
-        search.answered = bool(drawn)
+        search.answered = bool(drawn) or search.flown is not None
         for one in drawn:
             _report_best(search, one, "from an arc sequence that the model proposes")
         try:
@@ -123,6 +125,8 @@ class Indirect(SearchSettings):
         except (NotConvergedError, InfeasibleError) as error:
             if drawn:
                 return self._compared(search, _merge_searches(drawn, search))
+            if search.flown is not None:
+                raise flight_without_extremal_error(search.flown, search.tried) from error
             # What no single arc keeps, a structure of arcs may.
             rough = search.state.coarse.solution if guess is None else None
             if rough is not None and (found := self._structured(search, rough)) is not None:
@@ -151,9 +155,10 @@ class Indirect(SearchSettings):
 
     def _compared(self, search: Search, solution: Solution) -> Solution:
         """Return an answer; with a line that says so where a flight of known arcs is better by more than its error."""
-        if not search.flown < solution.objective - _ROUGH * abs(solution.objective):
+        gain = 0.0 if search.flown is None else solution.objective - search.flown.objective
+        if not gain > _ROUGH * abs(solution.objective):
             return solution
-        gained = format_quantity(solution.objective - search.flown, search.problem.objective_unit, 3)
+        gained = format_quantity(gain, search.problem.objective_unit, 3)
         said = f"{KNOWN_BETTER} {gained}, but no extremal of its arcs was found"
         statistics = replace(solution.statistics, tried=(*solution.statistics.tried, said))
         return replace(solution, statistics=statistics)
@@ -219,7 +224,7 @@ class Indirect(SearchSettings):
                 )  # fmt: skip
                 exact = polish.followed(rough, structure, set())
                 if exact is None or not _is_exactly(exact, rough, structure):
-                    search.flown = min(search.flown, rough.objective)
+                    search.flown = _better_flight(search.flown, rough)
                 if exact is not None:
                     found.append(exact)
                     break
@@ -258,6 +263,12 @@ def _merge_searches(found: Sequence[Solution], search: Search) -> Solution:
     took = time.perf_counter() - search.state.began
     statistics = replace(best.statistics, tried=tuple(search.tried), wall_time=took)
     return replace(best, extremals=(*best.extremals, *dominated), statistics=statistics)
+
+
+def _better_flight(known: Solution | None, other: Solution) -> Solution | None:
+    """Return the better one of two flights; one without an objective is none that can be flown."""
+    least = math.inf if known is None else known.objective
+    return other if other.objective < least else known
 
 
 def _is_exactly(exact: Solution, rough: Solution, structure: Structure) -> bool:

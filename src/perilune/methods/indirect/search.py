@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -48,9 +47,9 @@ class Search:
     better_inadmissible
         Extremals that break the path and are better than the answer.
     answered
-        True if an extremal of known arcs is an answer: what takes long is left out.
+        True if a flight of known arcs is at hand: what takes long is left out.
     flown
-        J of the best flight of known arcs.
+        The best flight of known arcs of which no extremal was found.
     """
 
     settings: SearchSettings
@@ -66,7 +65,7 @@ class Search:
         self.answering: SearchState = self.state
         self.better_inadmissible: list[Root] = []
         self.answered: bool = False
-        self.flown: float = math.inf
+        self.flown: Solution | None = None
 
     def solve(self, guess: Solution | None = None, base: Member | None = None) -> Solution:
         """Solve from a guess; or from all starts, after the family through `base` (of another run) if any.
