@@ -15,27 +15,17 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.active_constraints import (
-    Held,
-    active_constraint_multipliers,
-    attainable_as_equality,
-    multiplier_term,
-)
-from perilune.conditions.control_law import minimising_control
+from perilune.conditions.active_constraints import Held
+from perilune.conditions.control_law import ControlLaw
 from perilune.conditions.known_costates import known_hamiltonian_terms, weighing_costates
+from perilune.conditions.mode_equations import ModeEquations, mode_equations, phase_symbols
 from perilune.conditions.mode_events import events_between_modes, number_of_mode, select_by_mode
-from perilune.conditions.singular_control import Motion
 from perilune.core.arrays import Vector
-from perilune.core.errors import PeriluneError
 from perilune.kernels import Event
 from perilune.problem.casadi_trace import (
-    SYMBOLIC,
     Parameters,
     canonical_given,
-    column,
-    elements,
     state_scales,
-    trace_sides,
 )
 from perilune.problem.controls import Regime, ScalarControl, scalars
 from perilune.problem.perturbed import start_offsets, without_start_offsets
@@ -173,98 +163,28 @@ def canonical_equations(
     PeriluneError
         If a control's minimum of H is not known, or the dynamics depend on the phase's own duration.
     """
-    n = len(phase.states)
-    x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(phase.control_names))
-    dynamics = trace_sides(phase, x, u, p.record)
-    kept = {
-        name: c
-        for name, c in _constraints_by_name("path", phase, x, u, p).items()
-        if name in keep and attainable_as_equality(phase, c, u)
-    }
-    always = _constraints_by_name("held", phase, x, u, p)
-    bounds = ca.vertcat(ca.SX(0, 1), *(limit for pair in limits.values() for limit in pair))
-    acting = ca.vertcat(
-        *dynamics.rates, *(c.argument for c in dynamics.choices), bounds, *kept.values(), *always.values()
-    )
-    constants = tuple(
-        i for i, name in enumerate(free_names) if name != phase.duration and ca.depends_on(acting, p.free[i])
-    )
-    if phase.duration in free_names and ca.depends_on(acting, p.free[free_names.index(phase.duration)]):
-        raise PeriluneError(
-            f"the dynamics of {phase.name} depend on the phase's own duration",
-            advice="make time a state with rate 1",
-        )
-    q = ca.vertcat(ca.SX(0, 1), *[p.free[i] for i in constants])
-    lam = ca.SX.sym("lam", n + len(constants))
-    # The constant states are symbols of p.free; as entries of z they need symbols of their own.
-    z = ca.vertcat(x, q, lam)
-    symbol = ca.SX.sym("z", z.numel())
-
-    def function(name: str, *expressions: ca.SX) -> ca.Function:
-        return ca.Function(name, [symbol, numbers], ca.cse([ca.substitute(e, z, symbol) for e in expressions]))
-
-    laws, flows, solved, sides, reports, multipliers = [], [], [], [], [], []
-    weights = weighing_costates(phase, dynamics, u, lam[:n], unpriced)
-    for f in dynamics.rates:
-        hamiltonian = ca.dot(weights, f)
-        # dH/dx at fixed u: on the minimising control the derivative through u vanishes or is tangent to its constraint.
-        gradient = ca.gradient(hamiltonian, ca.vertcat(x, q))
-
-        def moving(
-            control: ca.SX,
-            held: Held,
-            regimes: tuple[Regime, ...],
-            f: ca.SX = f,
-            hamiltonian: ca.SX = hamiltonian,
-            gradient: ca.SX = gradient,
-        ) -> ca.SX:
-            """Return z' as an expression of u; `control` is the one of these regimes."""
-            # A limit that is a free parameter moves the control with it.
-            pull = ca.vertcat(ca.SX.zeros(n, 1), _slope_through_limits(hamiltonian, u, control, bounds, q))
-            holds = [*always.values(), *(kept[name] for name in held)]
-            pull -= multiplier_term(phase, hamiltonian, u, holds, ca.vertcat(x, q), regimes)
-            return ca.vertcat(f, ca.SX.zeros(len(constants), 1), -gradient - pull)
-
-        motion = Motion(
-            z=z, rate=lambda control, *mode, moving=moving: ca.substitute(moving(control, *mode), u, control)
-        )
-        terms = known_hamiltonian_terms(phase, weights, f, costs)
-        law = minimising_control(phase, hamiltonian, u, limits, kept, always, motion, terms)
-        sides += [ca.Function("rates", [x, u, p.given, p.free], [f])] * len(law.control)
-        each = zip(law.control, law.room, law.solved, law.held, law.regimes, strict=True)
-        for control, room, found, held, regimes in each:
-            if always:
-                holds = [*always.values(), *(kept[name] for name in held)]
-                mu = active_constraint_multipliers(phase, hamiltonian, u, holds, regimes)[: len(always)]
-                multipliers.append(function("multipliers", ca.substitute(mu, u, control)))
-            whole = moving(control, held, regimes)
-            whole += _nan_without_room(whole, u, z, room)
-            rate, value = (ca.substitute(e, u, control) for e in (whole, hamiltonian))
-            flows.append(rate)
-            if found is None:
-                solved.append(None)
-            else:
-                stepped, w, values = found
-                held = ca.cse(ca.substitute(ca.substitute(whole, u, stepped), z, symbol))
-                solved.append(
-                    (function("solved", values), ca.Function("rhs", [symbol, ca.vertcat(numbers, w)], [held]))
-                )
-            reports.append(function("report", control, ca.jtimes(control, z, rate), value))
+    symbols = phase_symbols(phase, p, limits, numbers, free_names, keep)
+    weights = weighing_costates(phase, symbols.dynamics, symbols.u, symbols.lam[: symbols.state_count], unpriced)
+    laws, modes = list[ControlLaw](), list[ModeEquations]()
+    for f in symbols.dynamics.rates:
+        law, new = mode_equations(symbols, f, weights, limits, known_hamiltonian_terms(phase, weights, f, costs))
         laws.append(law)
-    events = tuple(events_between_modes(dynamics, laws, flows, z, function))
+        modes += new
+    flows, z, function = [mode.rate for mode in modes], symbols.z, symbols.function
+    events = tuple(events_between_modes(symbols.dynamics, laws, flows, z, function))
     return PhaseExtremal(
         modes=tuple(function("rhs", rate) for rate in flows),
-        solved=tuple(solved),
-        rates=tuple(sides),
-        reports=tuple(reports),
-        multipliers=tuple(multipliers),
-        regimes=tuple(regimes for law in laws for regimes in law.regimes),
-        held=tuple(held for law in laws for held in law.held),
+        solved=tuple(mode.solved for mode in modes),
+        rates=tuple(mode.side for mode in modes),
+        reports=tuple(mode.report for mode in modes),
+        multipliers=tuple(mode.multipliers for mode in modes if mode.multipliers is not None),
+        regimes=tuple(mode.regimes for mode in modes),
+        held=tuple(mode.held for mode in modes),
         events=events,
         settles=not phase.controls and all(e.jump is None for e in events) and _is_dissipative(flows, z),
-        mode=function("mode", number_of_mode(dynamics, laws, flows, z)),
-        state_count=n,
-        constants=constants,
+        mode=function("mode", number_of_mode(symbols.dynamics, laws, flows, z)),
+        state_count=symbols.state_count,
+        constants=symbols.constants,
         periodic=tuple(sorted({at for law in laws for at in law.periodic})),
     )
 
@@ -273,29 +193,6 @@ def _is_dissipative(flows: list[ca.SX], z: ca.SX) -> bool:
     """Return True if the flow does not preserve volumes of states, as with drag."""
     x = z[: z.numel() // 2]
     return any(not ca.simplify(ca.trace(ca.jacobian(flow[: x.numel()], x))).is_zero() for flow in flows)
-
-
-def _nan_without_room(rate: ca.SX, u: ca.SX, z: ca.SX, room: ca.SX) -> ca.SX:
-    """Return NaN for rates with a control whose room is negative, so that no flight goes there; else 0."""
-    lost, changing = ca.SX(rate.numel(), 1), [r for r in elements(room) if ca.depends_on(r, z)]
-    for i in range(rate.numel() if changing else 0):
-        if ca.depends_on(rate[i], u):
-            lost[i] = ca.if_else(ca.mmin(ca.vertcat(*changing)) >= 0, 0.0, np.nan)
-    return lost
-
-
-def _constraints_by_name(function: str, phase: Phase, x: ca.SX, u: ca.SX, p: Parameters) -> dict[str, ca.SX]:
-    """Return path or held conditions by name."""
-    values = column(phase.evaluate(function, elements(x), elements(u), p.record, SYMBOLIC))
-    return {c.name: values[i] for i, c in enumerate(getattr(phase, f"{function}_conditions"))}
-
-
-def _slope_through_limits(hamiltonian: ca.SX, u: ca.SX, control: ca.SX, bounds: ca.SX, q: ca.SX) -> ca.SX:
-    """Return dH/dq through a control that sits at a limit which depends on the free parameters q."""
-    if not ca.depends_on(bounds, q):
-        return ca.SX.zeros(q.numel(), 1)
-    # On a bound dH/du is its multiplier; between bounds it vanishes, and along a sphere it is tangent to nothing.
-    return ca.mtimes(ca.jacobian(control, q).T, ca.gradient(hamiltonian, u))
 
 
 def minimising_control_at(extremal: PhaseExtremal, z: ca.SX, numbers: ca.SX) -> ca.SX:
