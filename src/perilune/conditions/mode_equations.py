@@ -78,7 +78,7 @@ class PhaseSymbols:
 
 
 class ModeEquations(NamedTuple):
-    """What `PhaseExtremal` holds of one mode; `rate` is z' as an expression of z."""
+    """Parts of one mode for `PhaseExtremal`; `rate` is z' as an expression of z."""
 
     rate: ca.SX
     solved: tuple[ca.Function, ca.Function] | None
