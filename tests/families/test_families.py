@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pickle
@@ -192,6 +193,22 @@ def test_a_store_of_another_sweep_is_refused(
     options = {name: changes[name] for name in ("verify", "method") if name in changes}
     with pytest.raises(PeriluneError, match=rf"cannot be used(.|\n)*sweep that differs in its {words}"):
         sweep(problem, changes.get("over", {"vehicle.thrust": [440.0, 450.0]}), store=tmp_path, **options)
+
+
+def test_a_full_disk_is_said_and_loses_no_member(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    put, left = os.replace, iter([True, True, True, False])  # the record, and both files of the first member
+
+    def replaced(*arguments: Any) -> None:
+        if not next(left):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        put(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("perilune.families.store.os.replace", replaced)
+        with pytest.raises(PeriluneError, match=r"000001 .* cannot be stored(.|\n)*No space left(.|\n)*free space"):
+            sweep(meditch(), {"h": [1.0, 1.1]}, store=tmp_path)
+    assert sorted(file.name for file in tmp_path.glob("0*.json")) == ["000000.json"]
+    assert all(point.solution for point in sweep(meditch(), {"h": [1.0, 1.1]}, store=tmp_path).points)
 
 
 def test_a_store_of_other_ranges_is_refused(tmp_path: Path) -> None:

@@ -105,9 +105,19 @@ class FamilyStore:
 
         Raises
         ------
-        OSError
-            If it cannot be written.
+        PeriluneError
+            If it cannot be written; members stored before it are kept.
         """
+        try:
+            self._write(i, point)
+        except OSError as error:
+            raise PeriluneError(
+                f"member {i:06d} of the sweep cannot be stored", got=f"{self.directory}: {error.strerror}",
+                expected="a directory that you may write, with space left",
+                advice="free space or check its permissions, and run the same sweep again: stored members are kept",
+            ) from error  # fmt: skip
+
+    def _write(self, i: int, point: FamilyPoint) -> None:
         solution = point.solution
         if solution is not None:
             self._put(f"{i:06d}.npz", _curves_archive(solution))
