@@ -30,5 +30,5 @@ def test_pieces_that_miss_by_rounding_are_a_root() -> None:
     assert rough is not None
     trials = Trials(BANKED, ignore_events)
     y = unknowns_from_solution(BANKED, trials.conditions, rough)
-    root = trials.by_pieces(rough, y, active_set_of_guess(trials, rough, y), 6, trials.others)
+    root = trials.by_pieces(rough, y, active_set_of_guess(trials, y), 6, trials.others)
     assert root.converged and root.cost * BANKED.scales.mass == pytest.approx(rough.objective, rel=1e-6)

@@ -190,7 +190,7 @@ def test_the_jacobian_of_a_phase_that_settles(tmp_path: Path) -> None:
     solution = pl.solve(problem, verify=0)
     trials = Trials(problem, ignore_events)
     assert [phase.settles for phase in trials.conditions.phases] == [False, False, False, True]
-    shooting, choice = trials.shooting, active_set_of_guess(trials, solution, np.array(solution.unknowns))
+    shooting, choice = trials.shooting, active_set_of_guess(trials, np.array(solution.unknowns))
     active = shooting.plan.active
     assert shooting.plan.legs[-1].seeds is not None  # its start has fewer entries than there are unknowns before it
     for y in (np.array(solution.unknowns), 1.01 * np.array(solution.unknowns)):
@@ -334,7 +334,7 @@ def test_the_least_time_from_low_thrust_is_found_without_a_guess(drifts: bool) -
         trials = Trials(problem, ignore_events)
         y, index = np.array(solution.unknowns), problem.free_names.index("drift_time")
         y[trials.conditions.free_at.start + index] += 3e-3 / problem.scales.time
-        assert active_set_of_guess(trials, solution, y)[index] == 1.0
+        assert active_set_of_guess(trials, y)[index] == 1.0
 
 
 def test_an_extremal_that_is_no_minimum_leads_on_to_the_direct_method() -> None:

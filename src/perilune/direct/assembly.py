@@ -206,12 +206,12 @@ def _functions(parts: Sequence[RepeatedBlock], linear: Triplets, unknowns: int, 
         slopes.append(ca.vec(block.slopes.map(times)(z, shared)))
         own = ca.reshape(adds.T @ weights, block.values, times)
         curvatures.append(ca.vec(block.curvature.map(times)(z, shared, own)))
-    pattern, constant, mixed = _first_derivatives(parts, linear, unknowns)
+    pattern, constant, mixed = _first_derivatives(parts, linear)
     of_J = pattern[0] == rows
     gradient, jacobian = (_combine_slopes(slopes, constant, mixed, own) for own in (of_J, ~of_J))
     gradient = ca.densify(_sparse(pattern[::-1, of_J] * [[1], [0]], gradient, (unknowns, 1)))
     jacobian = _sparse(pattern[:, ~of_J], jacobian, (rows, unknowns))
-    upper, summed = _second_derivatives(parts, unknowns)
+    upper, summed = _second_derivatives(parts)
     curvature = _constant_matrix(summed, (upper.shape[1], sum(c.numel() for c in curvatures))) @ ca.vertcat(*curvatures)
     hessian = _sparse(upper, curvature, (unknowns, unknowns))
     J, g = ca.densify(J), total[:rows]  # of no terms where nothing can be missed
@@ -228,9 +228,7 @@ def _functions(parts: Sequence[RepeatedBlock], linear: Triplets, unknowns: int, 
     )
 
 
-def _first_derivatives(
-    parts: Sequence[RepeatedBlock], linear: Triplets, unknowns: int
-) -> tuple[Matrix, Vector, Triplets]:
+def _first_derivatives(parts: Sequence[RepeatedBlock], linear: Triplets) -> tuple[Matrix, Vector, Triplets]:
     """Return nonzeros of dg/dw, column by column: places, constant values, and what all slopes of blocks add."""
     rows, columns, found, at = [linear[0]], [linear[1]], list[tuple[Vector, Vector]](), 0
     for part in parts:
@@ -246,14 +244,14 @@ def _first_derivatives(
         columns.append(column[own])
         found.append((at + times[entry] * len(of) + slope, factor[entry]))
         at += len(part.takes) * len(of)
-    pattern, place = _unique(np.concatenate(rows), np.concatenate(columns), unknowns)
+    pattern, place = _unique(np.concatenate(rows), np.concatenate(columns))
     known = len(linear[0])
     constant = np.bincount(place[:known], linear[2], minlength=pattern.shape[1])
     source, factor = (np.concatenate(values) for values in zip(*found, strict=True))
     return pattern, constant, (place[known:], source, factor)
 
 
-def _second_derivatives(parts: Sequence[RepeatedBlock], unknowns: int) -> tuple[Matrix, Triplets]:
+def _second_derivatives(parts: Sequence[RepeatedBlock]) -> tuple[Matrix, Triplets]:
     """Return upper nonzeros of the Hessian, column by column, and which curvatures of blocks add up in each."""
     rows, columns, sources, at = list[Vector](), list[Vector](), list[Vector](), 0
     for part in parts:
@@ -264,11 +262,11 @@ def _second_derivatives(parts: Sequence[RepeatedBlock], unknowns: int) -> tuple[
         columns.append(column[own])
         sources.append(source[own])
         at += row.size
-    pattern, place = _unique(np.concatenate(rows), np.concatenate(columns), unknowns)
+    pattern, place = _unique(np.concatenate(rows), np.concatenate(columns))
     return pattern, (place, np.concatenate(sources), np.ones(len(place)))
 
 
-def _unique(rows: Vector, columns: Vector, unknowns: int) -> tuple[Matrix, Vector]:
+def _unique(rows: Vector, columns: Vector) -> tuple[Matrix, Vector]:
     """Return places in the order of CasADi's nonzeros, each once, shape (2, nonzeros), and which one each entry is."""
     height = int(rows.max(initial=0)) + 1
     places, which = np.unique(columns * height + rows, return_inverse=True)

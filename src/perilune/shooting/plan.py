@@ -298,7 +298,7 @@ class _Tracing:
         changed = arcs.system.pattern
         if shared:
             changed = ca.horzcat(*[ca.DM(changed, 1.0)[:, 0]] * count).sparsity()
-        return leg, self._end(flown, moving, changed, duration, slopes)
+        return leg, self._end(moving, changed, duration, slopes)
 
     def _parts(self, k: int, j: int) -> tuple[slice, ...]:
         """Return where the opening reads Y: everywhere, or at a later segment's start and the free parameters."""
@@ -306,9 +306,7 @@ class _Tracing:
         read = [self.nodes[k, j], range(free.start, free.stop)] if j else [self.active]
         return tuple(slice(i := self.active.index(at[0]), i + len(at)) for at in read if len(at))
 
-    def _end(
-        self, flown: Equations, moving: list[int], pattern: ca.Sparsity, duration: ca.SX, slopes: ca.SX | None
-    ) -> _End:
+    def _end(self, moving: list[int], pattern: ca.Sparsity, duration: ca.SX, slopes: ca.SX | None) -> _End:
         size, width = pattern.shape
         z, rate, columns = (
             ca.SX.sym(name, count) for name, count in (("z", size), ("rate", size), ("S", size * width))

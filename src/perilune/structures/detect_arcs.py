@@ -210,10 +210,10 @@ def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0])
     near = min(max(-BULGE * float(room.min()), least), most)
     for first, last in runs_by_kind(room <= near):
         inside = first > 0 and last < len(t) - 1
-        length = _time_below(t, room, first, last, near)
-        stays = length > STAYS * _time_below(t, room, first, last, WIDER * near)
+        length = _time_below(t, room, first, near)
+        stays = length > STAYS * _time_below(t, room, first, WIDER * near)
         if share < NEAR[0] and not inside:  # exact tables: S goes to zero at an end like t^3 where a low hop begins
-            stays &= length > STAYS_EXACTLY * _time_below(t, room, first, last, WIDER**3 * near)
+            stays &= length > STAYS_EXACTLY * _time_below(t, room, first, WIDER**3 * near)
         condition = conditions_of(solution.problem, k, (name,))[name]
         here = t[first : last + 1]
         if condition.steered and (stays or (inside and condition.order == 1)):
@@ -224,8 +224,8 @@ def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0])
             yield Contact(name=name, begin=at, end=at, is_arc=False)
 
 
-def _time_below(t: Vector, room: Vector, first: int, last: int, level: float) -> float:
-    """Return how long S stays below a level about the points from `first` to `last` [s]."""
+def _time_below(t: Vector, room: Vector, first: int, level: float) -> float:
+    """Return how long S stays below a level about the point `first` [s]."""
     low, high = next((a, b) for a, b in runs_by_kind(room <= level) if a <= first <= b)
     begin, end = float(t[low]), float(t[high])
     if low > 0:

@@ -152,9 +152,7 @@ class Borders:
                 row[self.names.index(name)] = _SIDES[side == "upper"]
         return found
 
-    def holds(
-        self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix, limits: Limits | None = None
-    ) -> Holds:
+    def holds(self, sheets: Sequence[Sheet], which: NDArray[np.int64], values: Matrix) -> Holds:
         """Return the active bounds that each lane holds in addition to the parameters.
 
         Parameters
@@ -163,15 +161,13 @@ class Borders:
             The branches, and the number of each lane's, (lanes,).
         values
             Values of the parameters, canonical, (lanes, d).
-        limits
-            Lower and upper bounds there, if known already.
         """
         sides = self.sides(sheets)[which]
         count = sides.shape[1]
         out = np.zeros((len(values), 2 * count))
         if not sides.any():
             return Holds(out)
-        lower, upper = limits or self.at(values)
+        lower, upper = self.at(values)
         out[:, :count] = np.abs(sides)
         np.copyto(out[:, count:], lower, where=sides > 0.0)
         np.copyto(out[:, count:], upper, where=sides < 0.0)
@@ -326,9 +322,7 @@ class Borders:
         }
         return {name: compile_map(ca.Function(name, given, [ca.cse(found)])) for name, (given, found) in asked.items()}
 
-    def crossed(
-        self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals, limits: Limits | None = None
-    ) -> NDArray[np.bool_]:
+    def crossed(self, sheets: Sequence[Sheet], which: NDArray[np.int64], found: Extremals) -> NDArray[np.bool_]:
         """Return True for user's `bounds` that lanes cross, (lanes, bounds): they lie beyond, or gain by leaving.
 
         Parameters
@@ -337,11 +331,9 @@ class Borders:
             The branches, and the number of each lane's, (lanes,).
         found
             The extremals.
-        limits
-            Lower and upper bounds there, if known already.
         """
         at, rises = self.chart.shooting.held_values(found.roots)
-        out = self.beyond(at, found.roots.choice, limits or self.at(found.values))
+        out = self.beyond(at, found.roots.choice, self.at(found.values))
         for number in set(which.tolist()):
             for name, side in sheets[number].holds.items():
                 i, upper = self.names.index(name), side == "upper"

@@ -380,7 +380,7 @@ class RegionCoverage(NamedTuple):
     impossible: float
 
 
-def covered_share(atlas: AtlasReader, points: int = LOOKED_AT) -> RegionCoverage:
+def covered_share(atlas: AtlasReader) -> RegionCoverage:
     """Compute the share of points of a region that lie in a cell of some branch which answers; the draw is fixed.
 
     Queries answer only there, and may refuse some of these points: another branch can cast doubt on their answer.
@@ -389,10 +389,8 @@ def covered_share(atlas: AtlasReader, points: int = LOOKED_AT) -> RegionCoverage
     ----------
     atlas
         The atlas.
-    points
-        Number of points to draw.
     """
-    region = atlas.region
+    region, points = atlas.region, LOOKED_AT
     drawn = np.random.default_rng(0).uniform(region.low, region.high, (points, len(region.axes)))
     places, good, allowed = region.bricks_of(drawn), np.zeros(points, dtype=bool), atlas.allowed(drawn)
     for place in map(tuple, np.unique(places, axis=0).tolist()):

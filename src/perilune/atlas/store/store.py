@@ -343,7 +343,7 @@ class AtlasStore:
         self._put(name, data)
         return {"file": name, "rows": len(array), "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
-    def shard(self, said: Mapping[str, Any], dtype: np.dtype[Any], *, check: bool = True) -> NDArray[Any]:
+    def shard(self, said: Mapping[str, Any], dtype: np.dtype[Any]) -> NDArray[Any]:
         """Return a shard as an array that reads the file on access.
 
         Parameters
@@ -352,8 +352,6 @@ class AtlasStore:
             Entry in the manifest: file, rows, bytes, sha256.
         dtype
             Columns that it must have.
-        check
-            Compare the content with its checksum.
 
         Raises
         ------
@@ -365,7 +363,7 @@ class AtlasStore:
         if not _OURS.fullmatch(name):
             raise damaged_shard_error(name[:60], "no name of a shard")
         try:
-            altered = check and hashlib.sha256(path.read_bytes()).hexdigest() != said.get("sha256")
+            altered = hashlib.sha256(path.read_bytes()).hexdigest() != said.get("sha256")
             found = None if altered else np.load(path, mmap_mode="r", allow_pickle=False)
         except PermissionError as error:
             raise unreadable_file_error(name, error) from error

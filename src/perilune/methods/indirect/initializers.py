@@ -139,7 +139,7 @@ class ColdStarts:
         pieces = ((1, some), (some, 2 * some), (2 * some, 3 * some, 4 * some), (2 * some, 3 * some, 4 * some))
         for rough, counts in zip(self._rough(), pieces, strict=False):
             y = unknowns_from_solution(trials.problem, trials.conditions, rough)
-            choice, value = active_set_of_guess(trials, rough, y), 0.0
+            choice, value = active_set_of_guess(trials, y), 0.0
             if trials.scanned is not None:
                 value = float(y[trials.conditions.free_at.start + trials.scanned])
                 trials.shooting.plan.hold(choice, trials.scanned, value)

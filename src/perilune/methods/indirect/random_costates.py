@@ -124,17 +124,15 @@ def unknowns_of_guess(settings: SearchSettings, trials: Trials, guess: Solution)
     return unknowns_from_solution(problem, trials.conditions, guess)
 
 
-def active_set_of_guess(trials: Trials, guess: Solution, y: Vector, limits: ActiveSetBounds | None = None) -> Vector:
+def active_set_of_guess(trials: Trials, y: Vector, limits: ActiveSetBounds | None = None) -> Vector:
     """Return the active set of a guess: free parameters on a bound, and ranges whose multiplier says so.
 
     Parameters
     ----------
     trials
         Newton's method on the problem.
-    guess
-        A solution with multipliers.
     y
-        Its unknowns, canonical.
+        Unknowns of the guess, canonical.
     limits
         Bounds of free parameters and ranges, by default those of the problem.
     """
@@ -174,7 +172,7 @@ def continue_from_guess(trials: Trials, guess: Solution, y: Vector) -> tuple[Vec
     if is_neighbour(problem) or guess.unknowns is None or not alike or len(guess.unknowns) != len(y):
         return None
     limits = ActiveSetBounds.of(before, trials.conditions)
-    first = extremal_parameters(before), active_set_of_guess(trials, guess, y, limits)
+    first = extremal_parameters(before), active_set_of_guess(trials, y, limits)
     last = trials.p, trials.limits.taken_over(first[1], limits)
     way = last[0] - first[0], last[1] - first[1]
     parts = [np.abs(part) / (1.0 + np.abs(begin)) for part, begin in zip(way, first, strict=True)]

@@ -133,7 +133,7 @@ class Search:
         root = None
         if trials.scanned is None:
             root = smoothing.root(
-                active_set_of_guess(trials, rough, unknowns_from_solution(self.problem, trials.conditions, rough))
+                active_set_of_guess(trials, unknowns_from_solution(self.problem, trials.conditions, rough))
             )
         self.tried += [smoothing.summary] if smoothing.summary else []
         if root is None or trials.outside(root) is not None:
@@ -172,7 +172,7 @@ class Search:
         held = conditions_reached_by(self.state, guess)
         state = self.state.keeping(held) if held else self.state
         y = unknowns_of_guess(self.settings, state.trials, guess)
-        found = _extremals_near(state, y, active_set_of_guess(state.trials, guess, y), guess)
+        found = _extremals_near(state, y, active_set_of_guess(state.trials, y), guess)
         # A neighbour has the contact points of its guess.
         if not is_neighbour(self.problem) and (more := conditions_worth_keeping(state, found)):
             state, root = state.keeping(more), found[0].root

@@ -57,7 +57,7 @@ def with_pair(search: Search, guess: Solution, duration: str) -> Solution | None
     """
     trials, index = search.state.trials, search.problem.free_names.index(duration)
     y = unknowns_of_guess(search.settings, trials, guess)
-    free = active_set_of_guess(trials, guess, y)
+    free = active_set_of_guess(trials, y)
     free[[index, trials.shooting.plan.held + index]] = 0.0
 
     def held(y: Vector, w: float) -> Root:
