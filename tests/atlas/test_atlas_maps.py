@@ -36,8 +36,8 @@ def jump(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
 @pytest.fixture(scope="module")
 def weak(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
     """Over one axis, where physics refuses a part."""
-    problem = cho_landing(dry_mass=30.0).with_given(retro_delta_v=0.0)
-    return open_atlas(build(problem, {"vehicle.thrust": (15.0, 500.0)}, tmp_path_factory.mktemp("maps") / "weak"))
+    problem = cho_landing(dry_mass=100.0).with_given(retro_delta_v=0.0)
+    return open_atlas(build(problem, {"vehicle.thrust": (120.0, 450.0)}, tmp_path_factory.mktemp("maps") / "weak"))
 
 
 def test_a_slice_shows_what_queries_say(jump: Atlas) -> None:
@@ -66,13 +66,13 @@ def test_a_slice_along_one_axis_lies_where_it_is_told_to(jump: Atlas) -> None:
 
 
 def test_what_physics_refuses_is_said(weak: Atlas) -> None:
-    """20 N hold up no mass that can be left at the end: there the map has no answer, and says why."""
+    """140 N hold up no mass that can be left at the end: there the map has no answer, and says why."""
     with pytest.raises(InfeasibleError) as alone:
-        solve(cho_landing(dry_mass=30.0).with_given(retro_delta_v=0.0, vehicle_thrust=20.0))
+        solve(cho_landing(dry_mass=100.0).with_given(retro_delta_v=0.0, vehicle_thrust=140.0))
     with pytest.raises(InfeasibleError) as mapped:
-        weak.query(vehicle_thrust=20.0)
+        weak.query(vehicle_thrust=140.0)
     assert mapped.value.what == alone.value.what
-    found = weak.query_many(np.array([[15.0], [17.5], [20.0], [440.0]]))
+    found = weak.query_many(np.array([[120.0], [130.0], [140.0], [440.0]]))
     assert found.answered.tolist() == 3 * [Answered.IMPOSSIBLE] + [Answered.YES]
 
 
