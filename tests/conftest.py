@@ -14,6 +14,14 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.solve import solve
 
+#: Files with tests of half a minute: they come first, so that at the end no process waits for one of them.
+_LONG = ("test_capsule.py", "test_problems.py", "test_matrix.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort the longest first."""
+    items.sort(key=lambda item: item.path.name not in _LONG)
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Give each of several processes one core: threads of linear algebra that wait for one take ten times as long.
