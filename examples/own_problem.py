@@ -16,17 +16,14 @@ hop = pl.Phase(
         pl.ScalarControl(name="thrust", unit="N", lower=0.0, upper=4000.0),
     ),
     dynamics=lambda x, u, p, xp: (
-        x.vx,
-        x.vy,
-        u.thrust / x.m * u.along,
-        u.thrust / x.m * u.up - p.g,
-        -u.thrust / p.exhaust_speed,
+        x.vx, x.vy, u.thrust / x.m * u.along, u.thrust / x.m * u.up - p.g, -u.thrust / p.exhaust_speed,
     ),
     duration="flight_time",
-    end=lambda x, p, xp: (x.x - p.distance, x.y, x.vx, x.vy),
-    end_conditions=variables(place="m", ground="m", speed_along="m/s", speed_up="m/s"),
+    end=pl.Conditions(
+        lambda x, p, xp: (x.x - p.distance, x.y, x.vx, x.vy), place="m", ground="m", speed_along="m/s", speed_up="m/s"
+    ),
     end_guess=lambda p, xp: (p.distance, 0.0, 0.0, 0.0, 0.9 * p.mass),
-)
+)  # fmt: skip
 problem = pl.Problem(
     name="lunar_hop",
     phases=(hop,),

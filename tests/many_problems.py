@@ -18,6 +18,7 @@ from perilune.core.arrays import Matrix, Vector
 from perilune.core.units import Scales
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import ScalarControl, UnitVectorControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
@@ -40,8 +41,10 @@ def landing() -> Problem:
             -p.thrust / p.exhaust_speed,
         ),
         duration="time",
-        end=lambda x, p, xp: (x.r - p.radius, x.u, x.v),
-        end_conditions=tuple(Variable(name=n, unit=u) for n, u in (("ground", "m"), ("along", "m/s"), ("up", "m/s"))),
+        end=Conditions(
+            lambda x, p, xp: (x.r - p.radius, x.u, x.v),
+            *tuple(Variable(name=n, unit=u) for n, u in (("ground", "m"), ("along", "m/s"), ("up", "m/s"))),
+        ),
         end_guess=lambda p, xp: (p.radius, 0 * p.along, 0 * p.along, 0.7 * p.mass),
     )
     given = {
@@ -68,8 +71,7 @@ def transfer() -> Problem:
         controls=tuple(ScalarControl(name=n, unit="m/s^2", lower=0.0, upper=1.0) for n in ("push", "brake")),
         dynamics=lambda x, u, p, xp: (x.v, u.push - u.brake, u.push + u.brake),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.length, x.v),
-        end_conditions=(Variable(name="place", unit="m"), Variable(name="speed", unit="m/s")),
+        end=Conditions(lambda x, p, xp: (x.x - p.length, x.v), place="m", speed="m/s"),
         end_guess=lambda p, xp: (p.length, 0 * p.length / p.T, p.length / p.T),
     )
     return Problem(

@@ -319,8 +319,9 @@ def swinging(duration: float, free: bool) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * (u.u * u.u / (p.w * p.w) - x.x * x.x)),
         duration="T",
-        end=None if free else lambda x, p, xp: (x.x - p.e,),
-        end_conditions=() if free else (pl.Variable(name="place", unit="m"),),
+        end=pl.Conditions.of(
+            None if free else lambda x, p, xp: (x.x - p.e,), () if free else (pl.Variable(name="place", unit="m"),)
+        ),
     )
     given = {"T": (duration, "s"), "e": (1.0, "m"), "w": (1.0, "1/s")}
     return pl.Problem(

@@ -51,7 +51,7 @@ def problem_of(task: Task) -> Any:
 
 
 def _meditch(task: Task) -> Any:
-    from perilune import FreeParameter, Parameter, Phase, Problem, ScalarControl, Variable
+    from perilune import Conditions, FreeParameter, Parameter, Phase, Problem, ScalarControl, Variable
 
     phase = Phase(
         name="descent",
@@ -63,8 +63,7 @@ def _meditch(task: Task) -> Any:
         controls=(ScalarControl(name="thrust", unit="N", lower=task.bounds[0], upper=task.bounds[1]),),
         dynamics=lambda x, u, p, xp: (x.v, u.thrust / x.m - p.g, -u.thrust / p.c),
         duration="t_f",
-        end=lambda x, p, xp: (x.h, x.v),
-        end_conditions=(Variable(name="touchdown", unit="m"), Variable(name="touchdown_speed", unit="m/s")),
+        end=Conditions(lambda x, p, xp: (x.h, x.v), touchdown="m", touchdown_speed="m/s"),
         end_guess=lambda p, xp: (0 * p.h, 0 * p.v, task.guess_end[-1] * p.m),
     )
     return Problem(

@@ -52,8 +52,13 @@ def lunar_hop(problem: Aim, hopper: Hopper, hop: Hop) -> pl.Problem:
         ),
         dynamics=_rates,
         duration="flight_time",
-        end=lambda x, p, xp: (x.x - p.hop_distance, x.y, x.vx, x.vy),
-        end_conditions=_variables(place="m", ground="m", speed_along="m/s", speed_up="m/s"),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.x - p.hop_distance, x.y, x.vx, x.vy),
+            place="m",
+            ground="m",
+            speed_along="m/s",
+            speed_up="m/s",
+        ),
         end_guess=lambda p, xp: (p.hop_distance, 0.0, 0.0, 0.0, 0.9 * p.hopper_mass),
     )
     return pl.Problem(
@@ -66,8 +71,7 @@ def lunar_hop(problem: Aim, hopper: Hopper, hop: Hop) -> pl.Problem:
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
         scales=pl.Scales(length=1000.0, time=30.0, mass=1000.0),
-        results=lambda start, end, p, xp: (end.m,),
-        result_variables=_variables(landed_mass="kg"),
+        results=pl.Quantities(lambda start, end, p, xp: (end.m,), landed_mass="kg"),
     )
 
 

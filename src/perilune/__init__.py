@@ -14,6 +14,8 @@ _EXPORTS = {
     "Problem": "perilune.problem.problem",
     "Phase": "perilune.problem.phase",
     "Variable": "perilune.problem.variables",
+    "Conditions": "perilune.problem.named_values",
+    "Quantities": "perilune.problem.named_values",
     "UnitVectorControl": "perilune.problem.controls",
     "ScalarControl": "perilune.problem.controls",
     "Parameter": "perilune.problem.variables",
@@ -71,6 +73,7 @@ _RENAMED = {
 __all__ = [
     "MOON",
     "Check",
+    "Conditions",
     "Curve",
     "Extremal",
     "Family",
@@ -90,6 +93,7 @@ __all__ = [
     "Phase",
     "Problem",
     "Pseudospectral",
+    "Quantities",
     "Result",
     "ScalarControl",
     "Scales",
@@ -149,6 +153,7 @@ if TYPE_CHECKING:
     from perilune.problem.display import views
     from perilune.problem.display.views import Views
     from perilune.problem.initial_guess import guess
+    from perilune.problem.named_values import Conditions, Quantities
     from perilune.problem.negated import opposite
     from perilune.problem.phase import Phase
     from perilune.problem.presolve import Finding, preflight

@@ -42,8 +42,7 @@ def priced(price: Callable[[Any, Any], Any], *more: pl.FreeParameter) -> pl.Prob
         controls=(pl.ScalarControl(name="u", unit="1/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.q,),
-        end_conditions=(Variable(name="there", unit="1"),),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.q,), there="1"),
     )
 
     values = {"T": (1.0, "s"), "a": (0.5, "1"), "b": (0.5, "1"), "one": (1.0, "s")}

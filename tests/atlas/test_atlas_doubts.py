@@ -154,7 +154,12 @@ def test_what_is_kept_amid_a_cell_and_broken_alike_at_its_corners_is_an_answer(t
     units = {"one": plain.objective_unit, "far": "m", "top": "m", "off": "1"}
     problem = replace(
         plain,
-        phases=(replace(phase, path=lambda x, u, p, xp: (p.top - p.far * p.off**2 - x.x,)),),
+        phases=(
+            replace(
+                phase,
+                path=pl.Conditions.of(lambda x, u, p, xp: (p.top - p.far * p.off**2 - x.x,), phase.path_conditions),
+            ),
+        ),
         given={**given, **{n: pl.Parameter(value=0.3 if n == "top" else 1.0, unit=unit) for n, unit in units.items()}},
         free=(pl.FreeParameter(name="other", lower=0.0, upper=1.0, guess=0.5),) * beside,
         objective=lambda x, p, xp: (

@@ -46,8 +46,11 @@ def haul(patient: bool) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.v, x.x),
-        end_conditions=(Variable(name="still", unit="m/s"), Variable(name="far", unit="m", upper="high")),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.v, x.x),
+            Variable(name="still", unit="m/s"),
+            Variable(name="far", unit="m", upper="high"),
+        ),
     )
     values = {"high": (0.6, "m"), "reward": (REWARD, "m/s^3"), "longest": (LONGEST, "s")}
     values |= {"patience": (1.0, "1")} if patient else {"T": (LONGEST, "s")}
@@ -201,8 +204,7 @@ def two_hauls() -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.v, x.x - p.q - p.way),
-        end_conditions=(Variable(name="still", unit="m/s"), Variable(name="there", unit="m")),
+        end=pl.Conditions(lambda x, p, xp: (x.v, x.x - p.q - p.way), still="m/s", there="m"),
     )
     values = {"T": (1.0, "s"), "way": (1.0, "m"), "bend": (100.0, "1/s^3"), "toll": (14.0, "m/s^3"), "K": (24.0, "m")}
     return pl.Problem(
@@ -266,10 +268,8 @@ def test_a_sum_of_arcs_lies_between_bounds_that_follow_from_what_varies() -> Non
 def lure(far: float = 0.3) -> pl.Problem:
     """From rest to rest between -0.5 m and `far`, drawn by -15 x^2 - x: J = -9 X^2 - X has a maximum between them."""
     base = haul(False)
-    phase = replace(
-        base.phases[0],
-        end_conditions=(base.phases[0].end_conditions[0], Variable(name="far", unit="m", lower="low", upper="high")),
-    )
+    still, far_bounds = base.phases[0].end_conditions[0], Variable(name="far", unit="m", lower="low", upper="high")
+    phase = replace(base.phases[0], end=pl.Conditions.of(base.phases[0].end, (still, far_bounds)))
     given = {"T": (1.0, "s"), "low": (-0.5, "m"), "high": (far, "m"), "pull": (30.0, "1/s^3"), "push": (1.0, "m/s^3")}
     return pl.Problem(
         name="lure",

@@ -21,6 +21,7 @@ from perilune.methods.evolutionary.genetic import Genetic
 from perilune.methods.evolutionary.hybrid import Hybrid
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
@@ -46,8 +47,8 @@ def push(lower: float = -math.inf, upper: float = math.inf, **given: float) -> P
         controls=(ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.length, x.v),
-        end_conditions=(
+        end=Conditions(
+            lambda x, p, xp: (x.x - p.length, x.v),
             Variable(name="place", unit="m"),
             Variable(name="speed", unit="m/s", lower=lower, upper=upper),
         ),
@@ -100,7 +101,7 @@ def test_a_sweep_over_the_bound_of_a_range_takes_what_is_held_along() -> None:
     """A member that sits on the bound begins the next one, whose bound is elsewhere, either way."""
     base = push()
     place, speed = base.phases[0].end_conditions
-    phase = replace(base.phases[0], end_conditions=(place, replace(speed, upper="fastest")))
+    phase = replace(base.phases[0], end=Conditions.of(base.phases[0].end, (place, replace(speed, upper="fastest"))))
     given = {**base.given, "fastest": Parameter(value=1.2, unit="m/s")}
     family = sweep(replace(base, phases=(phase,), given=given), {"fastest": [1.2, 1.0, 1.3, 2.0]}, verify=1)
     for point in family.points:
@@ -116,8 +117,8 @@ def test_a_range_between_phases(upper: float) -> None:
 
     def phase(name: str, duration: str, where: float, conditions: tuple[Variable, ...]) -> Phase:
         return replace(
-            half, name=name, duration=duration, end_conditions=conditions,
-            end=lambda x, p, xp: (x.x - where * p.length, x.v)[: len(conditions)],
+            half, name=name, duration=duration, 
+            end=Conditions(lambda x, p, xp: (x.x - where * p.length, x.v)[: len(conditions)], *conditions),
             end_guess=lambda p, xp: (where * p.length, p.length / p.T, p.length * p.length / (p.T * p.T * p.T)),
         )  # fmt: skip
 
@@ -160,7 +161,8 @@ def between(slowest: float, fastest: float) -> Problem:
     """The end speed between two parameters."""
     base = push()
     place, speed = base.phases[0].end_conditions
-    phase = replace(base.phases[0], end_conditions=(place, replace(speed, lower="slowest", upper="fastest")))
+    ranged = replace(speed, lower="slowest", upper="fastest")
+    phase = replace(base.phases[0], end=Conditions.of(base.phases[0].end, (place, ranged)))
     bounds = {"slowest": Parameter(value=slowest, unit="m/s"), "fastest": Parameter(value=fastest, unit="m/s")}
     return replace(base, phases=(phase,), given={**base.given, **bounds})
 
@@ -297,10 +299,9 @@ def test_a_parameter_that_acts_between_phases() -> None:
 
     base = push()
     half = base.phases[0]
-    first = replace(half, name="first", end=None, end_conditions=())
-    second = replace(
-        half, name="second", duration="T2", end_conditions=(half.end_conditions[0], Variable(name="speed", unit="m/s"))
-    )
+    first = replace(half, name="first", end=None)
+    ends = (half.end_conditions[0], Variable(name="speed", unit="m/s"))
+    second = replace(half, name="second", duration="T2", end=Conditions.of(half.end, ends))
     problem = replace(
         base,
         phases=(first, second),
@@ -387,8 +388,10 @@ def placed_by_choice(gain: float, ranged: bool) -> Problem:
         controls=(ScalarControl(name="u", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=(lambda x, p, xp: (x.x,)) if ranged else (lambda x, p, xp: (x.x - p.q,)),
-        end_conditions=(Variable(name="place", unit="m", lower=0.0 if ranged else -np.inf),),
+        end=Conditions.of(
+            (lambda x, p, xp: (x.x,)) if ranged else (lambda x, p, xp: (x.x - p.q,)),
+            (Variable(name="place", unit="m", lower=0.0 if ranged else -np.inf),),
+        ),
     )
     return Problem(
         name="placed",
@@ -421,8 +424,7 @@ def test_a_free_limit_of_a_control_is_proved_where_it_is_best_and_nowhere_else()
         controls=(ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper="q"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.distance, x.v),
-        end_conditions=(Variable(name="place", unit="m"), Variable(name="rest", unit="m/s")),
+        end=Conditions(lambda x, p, xp: (x.x - p.distance, x.v), place="m", rest="m/s"),
     )
     problem = Problem(
         name="limits",

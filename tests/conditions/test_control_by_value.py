@@ -42,15 +42,14 @@ def counted(
     ends += [] if used is None else [pl.Variable(name="used", unit=unit, lower=used[0], upper=used[1])]
     limited: dict[str, Any] = {}
     if fastest is not None:
-        limited = {"path": lambda x, u, p, xp: (p.fastest - x.v,), "path_conditions": variables(limit="m/s")}
+        limited = {"path": pl.Conditions(lambda x, u, p, xp: (p.fastest - x.v,), limit="m/s")}
     phase = pl.Phase(
         name="run",
         states=variables(s="m", v="m/s", E=unit),
         controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=lower, upper=upper),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, rate(u, p, xp)),
         duration="T",
-        end=lambda x, p, xp: (x.s - p.L, x.v) if used is None else (x.s - p.L, x.v, x.E),
-        end_conditions=tuple(ends),
+        end=pl.Conditions(lambda x, p, xp: (x.s - p.L, x.v) if used is None else (x.s - p.L, x.v, x.E), *tuple(ends)),
         **limited,
     )
     return pl.Problem(
@@ -73,8 +72,7 @@ def spent(sign: float) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=0.5),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.s - p.L,),
-        end_conditions=variables(place="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.s - p.L,), place="m"),
     )
     return pl.Problem(
         name="spent",
@@ -95,8 +93,7 @@ def turned(a: float, lower: float, upper: float) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=lower, upper=upper),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, u.u * u.u, 1.0, (p.a - x.tau) * x.E),
         duration="T",
-        end=lambda x, p, xp: (x.s - p.L, x.v),
-        end_conditions=variables(place="m", speed="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.s - p.L, x.v), place="m", speed="m/s"),
     )
     return pl.Problem(
         name="turned",
@@ -113,15 +110,14 @@ def rocket(fastest: float | None = None) -> pl.Problem:
     """The rocket cart of InfiniteOpt's manual: drag 0.2 v^2, propellant 0.01 u^2, |u| <= 1.1; the speed at most."""
     limited: dict[str, Any] = {}
     if fastest is not None:
-        limited = {"path": lambda x, u, p, xp: (p.fastest - x.v,), "path_conditions": variables(limit="m/s")}
+        limited = {"path": pl.Conditions(lambda x, u, p, xp: (p.fastest - x.v,), limit="m/s")}
     phase = pl.Phase(
         name="run",
         states=variables(s="m", v="m/s", m="kg"),
         controls=(pl.ScalarControl(name="u", unit="N", lower=-1.1, upper=1.1),),
         dynamics=lambda x, u, p, xp: (x.v, (u.u - p.k * x.v * x.v) / x.m, -p.c * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.s - p.L, x.v),
-        end_conditions=variables(place="m", speed="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.s - p.L, x.v), place="m", speed="m/s"),
         **limited,
     )
     values = {"k": (0.2, "kg/m"), "c": (0.01, "kg/N^2/s"), "L": (10.0, "m"), "m0": (1.0, "kg")}
@@ -294,8 +290,9 @@ def planar(rate: Rate, of: str) -> pl.Problem:
         ),
         dynamics=dynamics,
         duration="T",
-        end=lambda x, p, xp: (x.x - p.L, x.y - p.L, x.vx, x.vy),
-        end_conditions=variables(east="m", north="m", rest_x="m/s", rest_y="m/s"),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.x - p.L, x.y - p.L, x.vx, x.vy), east="m", north="m", rest_x="m/s", rest_y="m/s"
+        ),
     )
     own = {"c": (0.05, "kg/N^2/s"), "k": (0.05, "kg/N/s"), "m0": (1.0, "kg")} if mass else {"one": (1.0, "m/s^2")}
     return pl.Problem(
@@ -333,8 +330,7 @@ def test_one_of_two_scalars_alone(rate: Rate) -> None:
         ),
         dynamics=lambda x, u, p, xp: (x.v, u.u, u.b, rate(u, p, xp), 0.5 * u.b * u.b / (p.one * p.one)),
         duration="T",
-        end=lambda x, p, xp: (x.s - p.L, x.v, x.w - p.W),
-        end_conditions=variables(place="m", speed="m/s", side="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.s - p.L, x.v, x.w - p.W), place="m", speed="m/s", side="m/s"),
     )
     problem = pl.Problem(
         name="two",

@@ -27,8 +27,10 @@ def cart(cost: Cost, unit: str, way: float, speed: float | None = None) -> pl.Pr
         controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, cost(u.u, p.one)),
         duration="T",
-        end=lambda x, p, xp: (x.s - p.L,) if speed is None else (x.s - p.L, x.v - p.vT),
-        end_conditions=variables(place="m") if speed is None else variables(place="m", speed="m/s"),
+        end=pl.Conditions.of(
+            lambda x, p, xp: (x.s - p.L,) if speed is None else (x.s - p.L, x.v - p.vT),
+            variables(place="m") if speed is None else variables(place="m", speed="m/s"),
+        ),
     )
     ends = {"L": (way, "m"), "T": (3.0, "s"), "one": (1.0, "m/s^2")}
     return pl.Problem(

@@ -33,8 +33,7 @@ def slide(bound: float | str) -> pl.Problem:
         ),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.way, x.v),
-        end_conditions=variables(arrive="m", rest="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.way, x.v), arrive="m", rest="m/s"),
     )
     return pl.Problem(
         name="slide",
@@ -113,8 +112,9 @@ def curve(push: bool) -> pl.Problem:
         ),
         dynamics=dynamics,
         duration="T",
-        end=lambda x, p, xp: (x.x - p.way, x.y - p.way, x.vx, x.vy),
-        end_conditions=variables(east="m", north="m", rest_x="m/s", rest_y="m/s"),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.x - p.way, x.y - p.way, x.vx, x.vy), east="m", north="m", rest_x="m/s", rest_y="m/s"
+        ),
     )
     return pl.Problem(
         name="curve",
@@ -188,8 +188,7 @@ def across_a_current(lower: float, upper: float, unit: str) -> tuple[pl.Problem,
         controls=(pl.ScalarControl(name="theta", unit=unit, lower=lower, upper=upper),),
         dynamics=lambda x, u, p, xp: (p.V * xp.cos(u.theta) - p.k * x.y, p.V * xp.sin(u.theta)),
         duration="T",
-        end=lambda x, p, xp: (x.x, x.y),
-        end_conditions=variables(there="m", across="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x, x.y), there="m", across="m"),
     )
     x0, y0 = way(first) - way(last), 1 / math.cos(first) - 1 / math.cos(last)
     problem = pl.Problem(
@@ -243,8 +242,7 @@ def lander_in_a_plane(angle: pl.ScalarControl | None) -> pl.Problem:
         controls=controls,
         dynamics=rates,
         duration="T",
-        end=lambda x, p, xp: (x.y, x.vx, x.vy),
-        end_conditions=variables(ground="m", across="m/s", down="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.y, x.vx, x.vy), ground="m", across="m/s", down="m/s"),
     )
     return pl.Problem(
         name="lander",

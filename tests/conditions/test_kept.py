@@ -18,6 +18,7 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.initializers import ColdStarts
 from perilune.models.descent.coordinates import variables_of_unit
 from perilune.problem.controls import ScalarControl, UnitVectorControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
@@ -40,10 +41,8 @@ def _steered(*, path: Any, names: tuple[str, ...], of: str = "1", **given: float
         controls=(UnitVectorControl(names=("along", "up")),),
         dynamics=_rates,
         duration="T",
-        end=lambda x, p, xp: (x.y - p.height,),
-        end_conditions=variables_of_unit("m", "height"),
-        path=path,
-        path_conditions=variables_of_unit(of, *names),
+        end=Conditions(lambda x, p, xp: (x.y - p.height,), height="m"),
+        path=Conditions(path, *variables_of_unit(of, *names)),
     )
     units = {"push": "m/s^2", "height": "m", "T": "s"}
     values = {"push": 1.0, "height": HEIGHT, "T": DURATION, "steepest": STEEPEST, **given}

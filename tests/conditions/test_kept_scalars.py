@@ -40,8 +40,7 @@ def test_a_limit_that_is_no_interval_holds_on_both_its_sides() -> None:
     phase = replace(
         bounded.phases[0],
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
-        path=lambda x, u, p, xp: (p.strength * p.strength - u.u * u.u,),
-        path_conditions=variables(weak="m^2/s^4"),
+        path=pl.Conditions(lambda x, u, p, xp: (p.strength * p.strength - u.u * u.u,), weak="m^2/s^4"),
     )
     solution = _proved(replace(bounded, phases=(phase,)))
     first = 0.5 * (1 - math.sqrt(0.6))
@@ -59,10 +58,11 @@ def _pushed(*limits: str) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-BRAKES, upper=9.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.way, x.v),
-        end_conditions=variables(arrive="m", rest="m/s"),
-        path=lambda x, u, p, xp: tuple(every[name](x, u, p) for name in limits),
-        path_conditions=variables(**dict.fromkeys(limits, "m/s^2")),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.way, x.v), arrive="m", rest="m/s"),
+        path=pl.Conditions(
+            lambda x, u, p, xp: tuple(every[name](x, u, p) for name in limits),
+            *variables(**dict.fromkeys(limits, "m/s^2")),
+        ),
     )
     return pl.Problem(
         name="push",
@@ -104,10 +104,13 @@ def _plane(size: bool) -> pl.Problem:
         return x.vx, x.vy, u.size * u.e, u.size * u.n, 0.5 * u.size * u.size
 
     common: dict[str, Any] = {
-        "name": "plane", "states": states, "duration": "T",
-        "end": lambda x, p, xp: (x.x - p.way, x.vx, x.y - p.up, x.vy),
-        "end_conditions": variables(there="m", rest="m/s", height="m", level="m/s"),
-    }  # fmt: skip
+        "name": "plane",
+        "states": states,
+        "duration": "T",
+        "end": pl.Conditions(
+            lambda x, p, xp: (x.x - p.way, x.vx, x.y - p.up, x.vy), there="m", rest="m/s", height="m", level="m/s"
+        ),
+    }
     if size:
         controls = (
             pl.ScalarControl(name="size", unit="m/s^2", lower=0.0, upper="most"),
@@ -119,8 +122,7 @@ def _plane(size: bool) -> pl.Problem:
             **common,
             controls=(pl.ScalarControl(name="a", unit="m/s^2"), pl.ScalarControl(name="b", unit="m/s^2")),
             dynamics=by_components,
-            path=lambda x, u, p, xp: (p.most * p.most - u.a * u.a - u.b * u.b,),
-            path_conditions=variables(weak="m^2/s^4"),
+            path=pl.Conditions(lambda x, u, p, xp: (p.most * p.most - u.a * u.a - u.b * u.b,), weak="m^2/s^4"),
         )
     return pl.Problem(
         name="plane",
@@ -210,8 +212,7 @@ def test_what_knows_a_direction_too_is_not_kept() -> None:
     problem = _plane(size=True)
     phase = replace(
         problem.phases[0],
-        path=lambda x, u, p, xp: (p.most - u.size * u.e,),
-        path_conditions=variables(across="m/s^2"),
+        path=pl.Conditions(lambda x, u, p, xp: (p.most - u.size * u.e,), across="m/s^2"),
     )
     assert attainable_conditions(replace(problem, phases=(phase,))) == ()
 

@@ -122,6 +122,89 @@ def test_fields_are_stated_and_read_by_their_old_names(landing: pl.Problem, hybr
         assert [GOES in str(warning.message) and old in str(warning.message) for warning in caught] == [True]
 
 
+def hop(**end: Any) -> pl.Phase:
+    phase: Any = pl.Phase
+    return phase(
+        name="hop",
+        states=(pl.Variable(name="x", unit="m"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        dynamics=speed,
+        duration="T",
+        **end,
+    )
+
+
+def speed(x: Any, u: Any, p: Any, xp: Any) -> Any:
+    return (u.u,)
+
+
+def place(x: Any, p: Any, xp: Any) -> Any:
+    return x.x, 2 * x.x
+
+
+def room(x: Any, u: Any, p: Any, xp: Any) -> Any:
+    return (x.x,)
+
+
+def test_a_phase_takes_functions_and_rows_of_names() -> None:
+    """As it did before `Conditions`; all in one warning, which says what to write."""
+    near, far = (pl.Variable(name=name, unit="m") for name in ("near", "far"))
+    old = warned(
+        lambda: hop(end=place, end_conditions=(near, far), outputs=room, output_variables=(near,)),
+        'end_conditions= of Phase is end=Conditions(function, name="unit") now',
+    )
+    new = hop(end=pl.Conditions(place, near="m", far="m"), outputs=pl.Quantities(room, near="m"))
+    assert old == new and old.end_conditions == (near, far) and old.output_variables == (near,)
+    row: Any = {"end_conditions": (replace(near, upper=2.0), far)}
+    with pytest.warns(DeprecationWarning, match=GOES):
+        bounded = replace(new, **row)
+    assert bounded.end == pl.Conditions(place, replace(near, upper=2.0), far)
+    with pytest.raises(PeriluneError, match="not a row of end conditions"):
+        hop(end=place, end_conditions=None)
+    assert warned(lambda: hop(end=None, end_conditions=()), "end_conditions=") == hop()
+    with pytest.warns(DeprecationWarning, match="marks= of Phase"), pytest.warns(match="mark_variables= of Phase"):
+        marked = hop(marks=place, mark_variables=(near, far))
+    assert marked.end_outputs == pl.Quantities(place, near="m", far="m")
+
+
+def test_a_problem_takes_its_results_and_a_row_of_names(landing: pl.Problem) -> None:
+    assert landing.results is not None
+    row: Any = {"result_variables": landing.results.variables}
+    with pytest.warns(DeprecationWarning, match=r"result_variables= of Problem is results=Quantities"):
+        assert replace(landing, **row) == landing
+    changed: Any = landing.changed
+    new = warned(lambda: changed(results=place, result_variables=(pl.Variable(name="way", unit="m"),)), "of changed")
+    assert new.results == pl.Quantities(place, way="m")
+
+
+@pytest.mark.parametrize(
+    ("ask", "parts"),
+    [
+        (lambda: pl.Conditions(place, near="km", far="m"), ("numbers are in SI: near", "the unit 'km'", "try: ")),
+        (lambda: pl.Conditions(place, **{"two words": "m"}), ("Python identifier", "got: 'two words'")),
+        (lambda: pl.Conditions(place, cast("Any", "near")), ("not a value of", "got: 'near'", 'function, near="m")')),
+        (lambda: pl.Conditions(place), ("names no value", "got: a function only", 'Conditions(function, alt')),
+        (lambda: pl.Conditions(cast("Any", None), near="m"), ("the function of Conditions", "got: None", "a function")),
+        (lambda: pl.Conditions(cast("Any", 3), near="m"), ("the function of Conditions", "got: 3", "a function")),
+        (lambda: hop(end=place), ("not the end of a phase", "got: function", "Conditions(function, ", "try: name")),
+        (lambda: hop(end=pl.Quantities(place, near="m")), ("not the end of a phase", "got: Quantities", "Conditions(")),
+        (lambda: started(end=pl.Conditions(place, near="m")), ("end of hop returns the wrong", "got: 2", "1: near")),
+        (lambda: started(end=pl.Conditions(place, near="m", far="s")), ("end of hop, far", "x.x in m", "s")),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_conditions_is_said(ask: Callable[[], Any], parts: tuple[str, ...]) -> None:
+    with pytest.raises(PeriluneError) as caught:
+        ask()
+    assert all(part in str(caught.value) for part in parts), str(caught.value)
+
+
+def started(**end: Any) -> pl.Problem:
+    return pl.Problem(
+        name="hop", phases=(hop(**end),), start=lambda p, xp: (p.x0,), objective=lambda x, p, xp: x.x,
+        objective_unit="m", given={"x0": pl.Parameter(value=1.0, unit="m"), "T": pl.Parameter(value=1.0, unit="s")},
+    )  # fmt: skip
+
+
 def test_what_is_replaced_by_its_old_name_is_replaced(landing: pl.Problem) -> None:
     """`dataclasses.replace` states all fields, the new name of this one too."""
     change: Any = {"ranges": None}

@@ -178,7 +178,7 @@ load_any: Any = load_file
             ("not a valid parameter_bounds of a problem", "3", "a function, or None"),
         ),
         (lambda: replace(LOOSE, declared=("x",)), ("not a record of a problem", "'x'", "@record")),
-        (lambda: replace(LOOSE, result_variables=("x",)), ("not a result variable", "'x'")),
+        (lambda: pl.Quantities(len, cast("Any", "x")), ("not a value of Quantities", "'x'", 'function, x="m")')),
         (lambda: replace(DESCENT, states=cast("Any", None)), ("not a row of states", "None", "(Variable(...), ...)")),
         (lambda: replace(DESCENT, states=cast("Any", ("x",))), ("not a state", "'x'", "Variable(...)")),
         (
@@ -189,8 +189,11 @@ load_any: Any = load_file
             lambda: replace(DESCENT, controls=cast("Any", ("thrust",))),
             ("not a control", "try: ScalarControl(name='thrust',"),
         ),
-        (lambda: replace(DESCENT, end_conditions=cast("Any", None)), ("not a row of end conditions", "None")),
-        (lambda: replace(DESCENT, path_conditions=cast("Any", ("x",))), ("not a path condition", "'x'")),
+        (
+            lambda: replace(DESCENT, end=cast("Any", len)),
+            ("not the end of a phase", 'Conditions(function, altitude="m", ...)'),
+        ),
+        (lambda: pl.Conditions(len), ("Conditions names no value", 'altitude="m"')),
         *(
             (lambda make=make, unit=unit: make(unit), ("not the unit of", repr(unit), "a text", '"m/s"'))
             for unit in (3, [], None)

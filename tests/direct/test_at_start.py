@@ -15,9 +15,10 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.methods.method import Method
 from perilune.problem.display.quantity_names import end_text, kept_text
+from perilune.problem.named_values import Conditions
 from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem.variables import FreeParameter, Parameter
 from perilune.scenario import load_file
 from perilune.solve import solve
 from problems.integrators import least_energy, least_time
@@ -28,9 +29,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def walled(room: Callable[..., Any], **given: Parameter) -> Problem:
     """Least time over 1 m from x = 0, v = 0, and a condition of the path."""
     problem = least_time()
-    phase = replace(
-        problem.phases[0], path=lambda x, u, p, xp: (room(x, u, p),), path_conditions=(Variable(name="room", unit="m"),)
-    )
+    phase = replace(problem.phases[0], path=Conditions(lambda x, u, p, xp: (room(x, u, p),), room="m"))
     return replace(problem, phases=(phase,), given={**problem.given, **given})
 
 

@@ -269,7 +269,7 @@ def problem_of(document: dict[str, Any]) -> dict[str, Any]:
         (lambda d: d["problem"].pop("functions"), "functions"),
         (lambda d: d["problem"]["functions"].pop("start"), "functions.start"),
         (lambda d: d["problem"]["functions"].pop("0.dynamics"), "dynamics of hop is missing"),
-        (lambda d: d["problem"]["functions"].pop("0.end"), "end of hop is missing"),
+        (lambda d: d["problem"]["functions"].pop("0.end"), "functions.0.end"),
         (lambda d: d["problem"]["functions"]["0.dynamics"]["outputs"].pop(), "wrong number of values"),
         (lambda d: d["problem"]["functions"]["0.dynamics"]["instructions"].insert(0, ["exec", 0]), "cannot be read"),
         (lambda d: d["problem"]["functions"]["start"]["instructions"].append(["x", "m"]), "cannot be read"),

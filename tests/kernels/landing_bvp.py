@@ -12,7 +12,7 @@ import numpy as np
 from lander import PARAMETERS, RADIUS, SPEED, landing_rhs
 
 from perilune.conditions.canonical_equations import PhaseExtremal
-from perilune.conditions.pontryagin import Conditions
+from perilune.conditions.pontryagin import OptimalityConditions
 from perilune.kernels.algebra.prune import prune
 
 #: A solution from r0 = 15 km above the surface at perilune speed; found by continuation in `reference`.
@@ -30,7 +30,7 @@ def functions() -> tuple[ca.Function, ca.Function, ca.Function]:
     return rhs, start, ca.Function("residual", [y, z, p], [conditions])
 
 
-def by_hand() -> Conditions:
+def by_hand() -> OptimalityConditions:
     """Return the same as conditions for the shooting function, with the costate of the mass as an entry left at 0."""
     rhs, start, residual = functions()
     y, z, p, nothing = ca.SX.sym("y", 4), ca.SX.sym("z", 8), ca.SX.sym("p", 7), ca.SX.sym("before", 0)
@@ -50,7 +50,7 @@ def by_hand() -> Conditions:
         settles=False,
         periodic=(),
     )
-    return Conditions(
+    return OptimalityConditions(
         phases=(phase,),
         starts=(ca.Function("start", [y, nothing, p], [ca.vertcat(z0, 0), duration]),),
         residual=ca.Function("residual", [y, z, p], [residual(y, z[:7], p), y[3]]),

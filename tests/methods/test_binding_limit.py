@@ -36,7 +36,7 @@ def moved(
         name="move", states=variables(x="m", v="m/s"),
         controls=(pl.ScalarControl(name="push", unit="m/s^2", lower=-1.0, upper="hardest"),),
         dynamics=lambda x, u, p, xp: (x.v, u.push), duration="flight_time",
-        end=lambda x, p, xp: (x.x - p.way, x.v), end_conditions=variables(place="m", rest="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.way, x.v), place="m", rest="m/s"), 
         end_guess=lambda p, xp: (p.way, 0.0),
     )  # fmt: skip
     given = {
@@ -48,8 +48,8 @@ def moved(
         name="move", phases=(phase,), start=lambda p, xp: (0.0, 0.0), given=given,
         free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.1, upper=duration, guess=duration),),
         objective=lambda x, p, xp: p.flight_time, objective_unit="s",
-        results=lambda first, last, p, xp: (p.flight_time + p.spare,),
-        result_variables=variables(clock="s"), minimised=minimised, scales=scales or pl.Scales(),
+        results=pl.Quantities(lambda first, last, p, xp: (p.flight_time + p.spare,), clock="s"),
+        minimised=minimised, scales=scales or pl.Scales(),
     )  # fmt: skip
 
 
@@ -158,11 +158,9 @@ def floored(floor: float) -> pl.Problem:
         ),
         dynamics=rates,
         duration="flight_time",
-        end=lambda x, p, xp: (x.x, x.y, x.vx, x.vy),
-        end_conditions=variables(end_x="m", end_y="m", end_vx="m/s", end_vy="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.x, x.y, x.vx, x.vy), end_x="m", end_y="m", end_vx="m/s", end_vy="m/s"),
         end_guess=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.95 * p.mass),
-        path=lambda x, u, p, xp: (u.up - xp.cos(p.tilt),),
-        path_conditions=variables(tilt_margin="1"),
+        path=pl.Conditions(lambda x, u, p, xp: (u.up - xp.cos(p.tilt),), tilt_margin="1"),
     )
     return pl.Problem(
         name="flip", phases=(burn,), start=lambda p, xp: (p.x0, p.h0, p.vx0, p.vy0, p.mass),

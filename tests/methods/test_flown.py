@@ -30,8 +30,7 @@ def saddle(rate: float) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s", lower=-100.0, upper=100.0),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * (u.u * u.u + (p.rate * x.x) ** 2)),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.side,),
-        end_conditions=(Variable(name="there", unit="m"),),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.side,), there="m"),
         end_guess=lambda p, xp: (p.side, p.side**2 / p.T),
     )
     return pl.Problem(
@@ -178,8 +177,7 @@ def test_a_thrust_that_nothing_points_in_the_last_instant_is_told(drag: float) -
         controls=(pl.UnitVectorControl(names=("a", "b")),),
         dynamics=rates,
         duration="t",
-        end=lambda x, p, xp: (x.x - p.L, x.y - p.L),
-        end_conditions=variables(east="m", up="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.L, x.y - p.L), east="m", up="m"),
     )
     problem = pl.Problem(
         name="toy", phases=(phase,), start=lambda p, xp: (0.0, 0.0, -p.v, 0.0),

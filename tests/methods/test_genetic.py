@@ -15,7 +15,7 @@ from perilune.methods.evolutionary.genetic import Generation, Genetic
 from perilune.methods.evolutionary.hybrid import Hybrid
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import ScalarControl
-from perilune.problem.variables import Variable
+from perilune.problem.named_values import Conditions
 from problems.peng import PENG_STEERING, peng
 from test_indirect import impossible_steering, tangent_steering
 
@@ -185,8 +185,7 @@ def test_a_broken_path_condition_costs() -> None:
     def below(height: float) -> Any:
         limited = replace(
             phase,
-            path=lambda x, u, p, xp: (height * p.height - x.y,),
-            path_conditions=(Variable(name="room", unit="m"),),
+            path=Conditions(lambda x, u, p, xp: (height * p.height - x.y,), room="m"),
         )
         return ControlFitness(replace(base, phases=(limited,)))
 

@@ -11,6 +11,7 @@ import pytest
 from perilune.methods.indirect.indirect import Indirect
 from perilune.models.descent.coordinates import variables_of_unit
 from perilune.problem.controls import ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter
@@ -45,17 +46,16 @@ def bryson_denham(wall: float) -> Problem:
         phases=(
             phase(
                 "up",
-                end=lambda x, p, xp: (x.x - p.wall, x.v),
-                end_conditions=(*variables_of_unit("m", "on_wall"), *variables_of_unit("m/s", "at_rest")),
+                end=Conditions(lambda x, p, xp: (x.x - p.wall, x.v), on_wall="m", at_rest="m/s"),
             ),
-            phase("along", held=lambda x, u, p, xp: (u.a,), held_conditions=variables_of_unit("m/s^2", "stays")),
+            phase("along", held=Conditions(lambda x, u, p, xp: (u.a,), stays="m/s^2")),
             phase(
                 "down",
-                end=lambda x, p, xp: (x.x, x.v + p.speed, p.T_up + p.T_along + p.T_down - p.T),
-                end_conditions=(
-                    *variables_of_unit("m", "back"),
-                    *variables_of_unit("m/s", "speed"),
-                    *variables_of_unit("s", "time"),
+                end=Conditions(
+                    lambda x, p, xp: (x.x, x.v + p.speed, p.T_up + p.T_along + p.T_down - p.T),
+                    back="m",
+                    speed="m/s",
+                    time="s",
                 ),
             ),
         ),

@@ -17,6 +17,7 @@ from perilune.core.callbacks import Iteration
 from perilune.core.errors import NotConvergedError, Outcome, PeriluneError
 from perilune.methods.indirect.exported_phases import _reconcile_switch_values
 from perilune.methods.indirect.indirect import Indirect
+from perilune.problem.named_values import Conditions
 from perilune.problem.problem import Problem
 from perilune.problem.results.hermite_nodes import hermite_nodes
 from perilune.problem.results.solution import Solution
@@ -126,9 +127,9 @@ def impossible_steering() -> Problem:
     base = tangent_steering()
     stuck = replace(
         base.phases[0],
-        end=lambda x, p, xp: (x.y - p.height, x.vx * x.vx + p.speed * p.speed, x.vy),
-        end_conditions=tuple(
-            Variable(name=n, unit=u) for n, u in (("height", "m"), ("impossible", "m^2/s^2"), ("up", "m/s"))
+        end=Conditions(
+            lambda x, p, xp: (x.y - p.height, x.vx * x.vx + p.speed * p.speed, x.vy),
+            *tuple(Variable(name=n, unit=u) for n, u in (("height", "m"), ("impossible", "m^2/s^2"), ("up", "m/s"))),
         ),
     )
     return replace(base, phases=(stuck,))

@@ -17,6 +17,7 @@ from perilune.methods.indirect.indirect import Indirect
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import MOON
 from perilune.problem.controls import ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
 from perilune.solve import solve
@@ -277,8 +278,7 @@ def slow_move(fastest: float) -> Problem:
     base = least_time()
     phase = replace(
         base.phases[0],
-        path=lambda x, u, p, xp: (p.fastest - x.v,),
-        path_conditions=(Variable(name="slower", unit="m/s"),),
+        path=Conditions(lambda x, u, p, xp: (p.fastest - x.v,), slower="m/s"),
     )
     given = {**base.given, "fastest": Parameter(value=fastest, unit="m/s")}
     return replace(base, phases=(phase,), given=given, free=(replace(base.free[0], upper=3.0),))

@@ -132,8 +132,7 @@ def hurried(most: float) -> Problem:
         controls=(ScalarControl(name="a", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.a, 0.5 * u.a * u.a),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.far, x.v),
-        end_conditions=(Variable(name="place", unit="m"), Variable(name="rest", unit="m/s")),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.far, x.v), place="m", rest="m/s"),
     )
     return Problem(
         name="hurried",
@@ -260,8 +259,7 @@ def over_ground(height: Callable[[np.ndarray], np.ndarray], residual: float = 1e
         controls=(pl.ScalarControl(name="climb", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (u.climb,),
         duration="T",
-        path=lambda x, u, p, xp: (x.h,),
-        path_conditions=(pl.Variable(name="ground", unit="m"),),
+        path=pl.Conditions(lambda x, u, p, xp: (x.h,), ground="m"),
     )
     problem = pl.Problem(
         name="over",

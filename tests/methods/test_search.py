@@ -30,7 +30,7 @@ from problems.constrained import brachistochrone, bryson_denham, bryson_denham_t
 def test_mirror_images_are_listed_once() -> None:
     """Cycloids from rest to the line x = 1 m, free of the slope: T = sqrt((2k + 1) pi) s, and v may be negative."""
     problem = brachistochrone()
-    free = replace(problem, phases=(replace(problem.phases[0], path=None, path_conditions=()),))
+    free = replace(problem, phases=(replace(problem.phases[0], path=None),))
     times = [extremal.free["T"] for extremal in pl.solve(free, verify=0).extremals]
     assert times[0] == pytest.approx(np.sqrt(np.pi), abs=1e-9) and len(times) > 2
     turns = np.square(times) / np.pi
@@ -149,8 +149,7 @@ def wells(tied: float) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="1/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.q,),
-        end_conditions=(pl.Variable(name="there", unit="1"),),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.q,), there="1"),
     )
     return pl.Problem(
         name="wells",

@@ -80,7 +80,7 @@ def test_several_phases_hand_on_what_is_gained() -> None:
         replace(whole.phases[0], name=name, duration=duration)
         for name, duration in (("first", "t_first"), ("descent", "t_f"))
     )
-    first = replace(first, end=None, end_conditions=())
+    first = replace(first, end=None)
     problem = replace(
         whole,
         phases=(first, last),

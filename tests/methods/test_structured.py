@@ -237,8 +237,7 @@ def at_the_maximum() -> Solution:
         controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (u.u, -0.5 * u.u * u.u),
         duration="T",
-        path=lambda x, u, p, xp: (x.h,),
-        path_conditions=variables_of_unit("m", "above"),
+        path=pl.Conditions(lambda x, u, p, xp: (x.h,), above="m"),
     )
     problem = pl.Problem(
         name="at_the_maximum", phases=(phase,), start=lambda p, xp: (0 * p.T * p.v, 0 * p.T * p.v * p.v),

@@ -293,7 +293,7 @@ def test_costates_of_a_fall_that_nearly_leaves_the_air_are_those_that_grow_less(
             site=site,
         )
         *above, entry = problem.phases  # so near to leaving, the direct method does not find it with the condition
-        return problem.changed(phases=(*above, replace(entry, path=None, path_conditions=())), form=None)
+        return problem.changed(phases=(*above, replace(entry, path=None)), form=None)
 
     anywhere = pl.solve(to(Landing(altitude=10e3), -1.3), verify=0)
     for degrees in (-1.0, -0.88, -0.85):  # from nothing it is found on some machines alone

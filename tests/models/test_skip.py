@@ -52,7 +52,7 @@ def geodetic_altitude(position: Any) -> Any:
 
 def without_condition(problem: pl.Problem) -> pl.Problem:
     """The same where an entry may leave the air."""
-    bare = replace(problem.phases[-1], path=None, path_conditions=())
+    bare = replace(problem.phases[-1], path=None)
     return problem.changed(phases=(*problem.phases[:-1], bare), form=None)
 
 

@@ -20,8 +20,9 @@ from perilune.core.complex_step import COMPLEX
 from perilune.core.errors import PeriluneError
 from perilune.core.maths import NUMERIC
 from perilune.io.tape_json import tape_of
+from perilune.problem.named_values import Quantities
 from perilune.problem.problem import Problem
-from perilune.problem.variables import Parameter, Variable
+from perilune.problem.variables import Parameter
 from test_problem import slider
 
 
@@ -203,8 +204,7 @@ def test_a_size_has_its_derivative_where_one_is_taken_and_may_be_told_by_any_fun
     assert (np.imag(slope.rates(*at)[0]) / 1e-40).tolist() == [1.0, -1.0]
     told = replace(
         slider().phases[0],
-        outputs=lambda x, u, p, xp: (abs(x.v),),
-        output_variables=(Variable(name="pace", unit="m/s"),),
+        outputs=Quantities(lambda x, u, p, xp: (abs(x.v),), pace="m/s"),
     )
     expression = slider(phases=(told,)).form.expressions[0, "outputs"]
     assert [op[0] for op in expression.tape.instructions] == ["x", "fabs"]
@@ -217,7 +217,6 @@ def test_a_size_has_its_derivative_where_one_is_taken_and_may_be_told_by_any_fun
         ({"objective": lambda x, p, xp: x.tme}, r"objective: there is no state"),
         ({"objective": lambda x, p, xp: abs(p.time)}, r"objective is not a formula(.|\n)*xp\.fabs"),
         ({"objective": lambda x, p, xp: None}, r"objective returns a value that is not a number"),
-        ({"phases": (replace(slider().phases[0], end=None),)}, r"end of slide is missing(.|\n)*2: distance, speed"),
         ({"start": lambda p, xp: 0.0}, r"start returns the wrong number of values"),
     ],
 )

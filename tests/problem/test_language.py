@@ -28,8 +28,7 @@ def refraction(slow: float = 0.5) -> pl.Problem:
             xp.where(x.y > p.border, p.fast, p.slow) * u.cy,
         ),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.far, x.y + p.far),
-        end_conditions=variables(across="m", down="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.far, x.y + p.far), across="m", down="m"),
     )
     return pl.Problem(
         name="refraction",
@@ -72,8 +71,7 @@ def test_a_costate_that_only_one_side_moves_is_kept() -> None:
             p.drift + xp.where(x.x > p.border, x.y, 0.0 * p.drift), u.u, 0.5 * u.u * u.u,
         ),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.far,),
-        end_conditions=variables(there="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.far,), there="m"),
     )  # fmt: skip
     problem = pl.Problem(
         name="sail",
@@ -99,8 +97,7 @@ def flipped() -> pl.Problem:
         controls=(pl.ScalarControl(name="a", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, xp.where(x.x > p.border, -1.0, 1.0) * u.a),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.far, x.v),
-        end_conditions=variables(place="m", rest="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.far, x.v), place="m", rest="m/s"),
     )
     return pl.Problem(
         name="flipped",
@@ -137,8 +134,7 @@ def test_a_regime_behind_a_choice_is_that_of_the_costate_there(stream: float, en
             xp.where(x.x > p.border, p.stream + p.engine * u.u, p.near * (1 + u.u)), u.u,
         ),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.far,),
-        end_conditions=variables(there="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.far,), there="m"),
     )  # fmt: skip
     problem = pl.Problem(
         name="ferry",
@@ -179,8 +175,7 @@ def transfer(force: str, speed: float = 0.0) -> pl.Problem:
         controls=(pl.ScalarControl(name="a", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.a - p.stiff * FORCES[force](x, p, xp), u.a**2 / 2),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.far, x.v),
-        end_conditions=variables(place="m", rest="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.far, x.v), place="m", rest="m/s"),
     )
     return pl.Problem(
         name="transfer",
@@ -238,7 +233,7 @@ def layered(kind: str) -> pl.Problem:
 
     phase = pl.Phase(
         name="fall", states=variables(h="m", v="m/s"), dynamics=dynamics, duration="T",
-        end=lambda x, p, xp: (x.h,), end_conditions=variables(ground="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.h,), ground="m"), 
     )  # fmt: skip
     return pl.Problem(
         name="layers",
@@ -341,8 +336,7 @@ def reentry() -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="rad"),),
         dynamics=dynamics,
         duration="T",
-        end=lambda x, p, xp: (x.v - p.v1, x.gamma, x.h - p.h1),
-        end_conditions=variables(speed="m/s", level="rad", height="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.v - p.v1, x.gamma, x.h - p.h1), speed="m/s", level="rad", height="m"),
         end_guess=lambda p, xp: (p.v1, 0.0, p.h1, 0.03 * p.heating * p.v1 * p.v1 * p.v1 * xp.sqrt(p.rho0) * p.T),
     )
     return pl.Problem(

@@ -11,6 +11,7 @@ import pytest
 from perilune.core.errors import PeriluneError
 from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.display.views import Space, Views
+from perilune.problem.named_values import Conditions, Quantities
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
@@ -24,8 +25,7 @@ def slider(**changes: Any) -> Problem:
         controls=(UnitVectorControl(names=("along", "across")),),
         dynamics=lambda x, u, p, xp: (x.v, p.push * u.along),
         duration="time",
-        end=lambda x, p, xp: (x.x - p.distance, x.v),
-        end_conditions=(Variable(name="distance", unit="m"), Variable(name="speed", unit="m/s")),
+        end=Conditions(lambda x, p, xp: (x.x - p.distance, x.v), distance="m", speed="m/s"),
     )
     settings: dict[str, Any] = {
         "name": "slider",
@@ -124,10 +124,12 @@ def test_a_comparison_with_a_bare_number_is_refused() -> None:
 
 def test_units_that_clash_are_named_in_links_and_ends_too() -> None:
     one = slider()
-    first = replace(one.phases[0], name="first", end=None, end_conditions=())
+    first = replace(one.phases[0], name="first", end=None)
     with pytest.raises(PeriluneError, match=r"link to slide, v(.|\n)*got: x.x in m\n"):
         slider(phases=(first, one.phases[0]), links=(lambda x, p, xp: (x.x, x.x),))
-    ended = replace(one.phases[0], end=lambda x, p, xp: (x.x - p.push, x.v))
+    ended = replace(
+        one.phases[0], end=Conditions.of(lambda x, p, xp: (x.x - p.push, x.v), one.phases[0].end_conditions)
+    )
     with pytest.raises(PeriluneError, match=r"end of slide, .*(.|\n)*x.x in m, beside p.push in m/s\^2"):
         slider(phases=(ended,))
     with pytest.raises(PeriluneError, match=r"objective, J(.|\n)*got: x.x in m\n"):
@@ -275,9 +277,10 @@ def test_a_phase_is_called_as_a_part_of_a_file_name_may_be(name: Any) -> None:
 def test_a_column_has_one_unit_in_all_phases() -> None:
     """The unit of the last phase stood above the numbers of all."""
     (first,) = slider().phases
-    told: Any = {"outputs": lambda x, u, p, xp: (x.v,)}
-    one = replace(first, name="one", **told, output_variables=(Variable(name="q", unit="m/s"),))
-    two = replace(first, name="two", **told, output_variables=(Variable(name="q", unit="m"),))
+    one, two = (
+        replace(first, name=name, outputs=Quantities(lambda x, u, p, xp: (x.v,), q=unit))
+        for name, unit in (("one", "m/s"), ("two", "m"))
+    )
     with pytest.raises(PeriluneError, match=r"q has a different unit in the phase two[\s\S]*got: m\n *expected: m/s"):
         slider(phases=(one, two), links=(lambda x, p, xp: tuple(x),))
 

@@ -21,7 +21,6 @@ from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.display.views import Beside, Views
 from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Result, Solution
-from perilune.problem.variables import Variable
 from perilune.report.figures import label, solution_figures
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
@@ -139,7 +138,7 @@ def test_a_problem_that_asks_nothing_has_flight_time_and_objective() -> None:
 def test_phases_add_to_one_integral() -> None:
     """Constant acceleration spends a times t, in one phase or in two."""
     stated = tangent_steering(split=True)
-    spent = {"integrals": lambda x, u, p, xp: (p.a,), "integral_variables": (Variable(name="spent", unit="m/s"),)}
+    spent = {"integrals": pl.Quantities(lambda x, u, p, xp: (p.a,), spent="m/s")}
     solution = solve(replace(stated, phases=tuple(replace(phase, **spent) for phase in stated.phases)), verify=0)
     whole = sum(trajectory.duration for trajectory in solution.trajectories)
     assert len(solution.trajectories) == 2
@@ -159,8 +158,7 @@ def test_a_result_of_another_dimension_is_refused(landing: Any) -> None:
     with pytest.raises(PeriluneError, match="results, landed_mass"):
         replace(
             landing,
-            results=lambda first, last, p, xp: (last.m * last.r,),
-            result_variables=(Variable(name="landed_mass", unit="kg"),),
+            results=pl.Quantities(lambda first, last, p, xp: (last.m * last.r,), landed_mass="kg"),
             views=Views(),
         )
 
@@ -168,9 +166,10 @@ def test_a_result_of_another_dimension_is_refused(landing: Any) -> None:
 def test_a_number_too_few_is_refused(landing: Any) -> None:
     """Results, integrals and views return what they name."""
     with pytest.raises(PeriluneError, match="results returns the wrong number of values"):
-        replace(landing, results=lambda first, last, p, xp: (last.m,))
+        replace(landing, results=pl.Quantities.of(lambda first, last, p, xp: (last.m,), landing.result_variables))
     phase = landing.phases[0]
-    for wrong in ({"integrals": lambda x, u, p, xp: ()}, {"inertial": lambda x, u, t, p, xp: (x.r,)}):
+    nothing = pl.Quantities.of(lambda x, u, p, xp: (), phase.integral_variables)
+    for wrong in ({"integrals": nothing}, {"inertial": lambda x, u, t, p, xp: (x.r,)}):
         with pytest.raises(PeriluneError, match="wrong number of values"):
             replace(landing, phases=(replace(phase, **wrong),))
 
@@ -247,7 +246,9 @@ def test_results_receive_the_records_that_all_physics_does(hybrid: Solution) -> 
         assert last._fields == hybrid.problem.phases[-1].state_names
         return stated(first._replace(m=first.m), SimpleNamespace(**last._asdict()), p, xp)
 
-    by_record = replace(hybrid, problem=replace(hybrid.problem, results=asked))
+    by_record = replace(
+        hybrid, problem=replace(hybrid.problem, results=pl.Quantities.of(asked, hybrid.problem.result_variables))
+    )
     assert extremals_document(by_record) == extremals_document(hybrid)
     assert by_record.results == hybrid.results
 
@@ -298,8 +299,7 @@ def endless(time: float) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.L, x.v),
-        end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="rest", unit="m/s")),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.L, x.v), place="m", rest="m/s"),
     )
     numbers = {"T": (time, "s"), "L": (1.0, "m"), "k": (1.0, "1/s^2")}
     return pl.Problem(

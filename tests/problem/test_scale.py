@@ -86,7 +86,7 @@ def test_sizes_of_conditions_and_of_the_objective_change_no_answer() -> None:
     ends = tuple(replace(c, scale=7.0 * problem.scales.of(c.unit)) for c in phase.end_conditions)
     other = replace(
         problem,
-        phases=(replace(phase, end_conditions=ends),),
+        phases=(replace(phase, end=pl.Conditions.of(phase.end, ends)),),
         objective_scale=20.0 * problem.scales.of(problem.objective_unit),
     )
     natural, changed = (pl.solve(p, verify=3) for p in (problem, other))
@@ -167,7 +167,9 @@ def test_a_state_and_a_condition_of_one_name_are_two() -> None:
                 replace(
                     phase,
                     states=(replace(phase.states[0], scale=state), *phase.states[1:]),
-                    end_conditions=(replace(phase.end_conditions[0], name="y", scale=end), *phase.end_conditions[1:]),
+                    end=pl.Conditions.of(
+                        phase.end, (replace(phase.end_conditions[0], name="y", scale=end), *phase.end_conditions[1:])
+                    ),
                 ),
             ),
         )
@@ -234,8 +236,9 @@ def test_a_scale_without_effect_is_refused() -> None:
     problem = KNOWN["least energy"].make()
     phase = replace(
         problem.phases[0],
-        outputs=lambda x, u, p, xp: (x.x,),
-        output_variables=(pl.Variable(name="place", unit=problem.phases[0].states[0].unit, scale=2.0),),
+        outputs=pl.Quantities(
+            lambda x, u, p, xp: (x.x,), pl.Variable(name="place", unit=problem.phases[0].states[0].unit, scale=2.0)
+        ),
     )
     with pytest.raises(PeriluneError, match="place has a scale"):
         replace(problem, phases=(phase,))
@@ -249,11 +252,9 @@ def test_no_stated_size_loosens_the_proof_at_will() -> None:
     solution = pl.solve(KNOWN["lunar ascent"].make(), verify=0)
     problem, flown = solution.problem, solution.trajectories[0]
     phase = problem.phases[0]
-    huge = {
-        "states": tuple(replace(v, scale=1e30) for v in phase.states),
-        "end_conditions": tuple(replace(v, scale=1e30) for v in phase.end_conditions),
-    }
-    stated = replace(problem, phases=(replace(phase, **huge),), objective_scale=1e30)
+    ends = pl.Conditions.of(phase.end, (replace(v, scale=1e30) for v in phase.end_conditions))
+    huge = replace(phase, states=tuple(replace(v, scale=1e30) for v in phase.states), end=ends)
+    stated = replace(problem, phases=(huge,), objective_scale=1e30)
     honest = pl.verify(replace(solution, problem=stated), level=2).verification
     assert honest.passed, str(honest)
     values = flown.state.values.copy()

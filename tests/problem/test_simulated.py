@@ -78,7 +78,7 @@ def hop(**more: Any) -> pl.Problem:
     )  # fmt: skip
     fall = pl.Phase(
         name="fall", states=(height, speed), dynamics=lambda x, u, p, xp: (x.v, -p.g), duration="t2",
-        end=lambda x, p, xp: (x.h,), end_conditions=(pl.Variable(name="ground", unit="m"),),
+        end=pl.Conditions(lambda x, p, xp: (x.h,), ground="m"), 
     )  # fmt: skip
     times = tuple(pl.FreeParameter(name=name, unit="s", upper=100.0, guess=10.0) for name in ("t1", "t2"))
     push = pl.FreeParameter(name="push", unit="m/s^2", lower=2.0, upper=5.0, guess=3.0)

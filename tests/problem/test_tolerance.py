@@ -252,8 +252,7 @@ def turned(slip: float) -> Solution:
         controls=(),
         dynamics=lambda x, u, p, xp: (p.rate,),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.target,),
-        end_conditions=(pl.Variable(name="there", unit="rad"),),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.target,), there="rad"),
     )
     problem = pl.Problem(
         name="turn", phases=(phase,), start=lambda p, xp: (0.0,),

@@ -63,11 +63,9 @@ def ascent(radius: str = "R", longest: float = 1500.0, views: pl.Views | None = 
         ),
         dynamics=dynamics,
         duration="flight_time",
-        end=end,
-        end_conditions=variables(end_r="m", end_u="m/s", end_v="m/s"),
+        end=pl.Conditions(end, end_r="m", end_u="m/s", end_v="m/s"),
         end_guess=lambda p, xp: (at(p) + p.h1, 1680.0, 0.0, 0.55 * p.mass),
-        outputs=lambda x, u, p, xp: (x.r - at(p),),
-        output_variables=variables(height="m"),
+        outputs=pl.Quantities(lambda x, u, p, xp: (x.r - at(p),), height="m"),
     )
     return pl.Problem(
         name="ascent", phases=(phase,), start=lambda p, xp: (at(p), 0.0, 0.0, p.mass),

@@ -16,6 +16,7 @@ import numpy as np
 
 from perilune.core.units import Scales
 from perilune.problem.controls import UnitVectorControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
@@ -35,8 +36,9 @@ def tangent_steering(split: bool = False) -> Problem:
             controls=(UnitVectorControl(names=("cx", "cy")),),
             dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx, p.a * u.cy),
             duration=duration,
-            end=(lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy)) if last else None,
-            end_conditions=END if last else (),
+            end=Conditions.of(
+                (lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy)) if last else None, END if last else ()
+            ),
             end_guess=lambda p, xp: (p.height, p.speed, 0 * p.speed),
         )
 
@@ -67,8 +69,7 @@ def lunar_ascent(acceleration: float, gravity: float, height: float, speed: floa
         controls=(UnitVectorControl(names=("cx", "cy")),),
         dynamics=lambda x, u, p, xp: (x.vy, p.a * u.cx, p.a * u.cy - p.g),
         duration="time",
-        end=lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy),
-        end_conditions=END,
+        end=Conditions(lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy), *END),
         end_guess=lambda p, xp: (p.height, p.speed, 0 * p.speed),
     )
     given = {"a": (acceleration, "m/s^2"), "g": (gravity, "m/s^2"), "height": (height, "m"), "speed": (speed, "m/s")}
@@ -130,8 +131,10 @@ def staged_launch(stages: Sequence[Stage], height: float, speed: float) -> Probl
             controls=(UnitVectorControl(names=("cx", "cy")),),
             dynamics=rates,
             duration=f"burn_{k}",
-            end=(lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy)) if k == last else None,
-            end_conditions=END if k == last else (),
+            end=Conditions.of(
+                (lambda x, p, xp: (x.y - p.height, x.vx - p.speed, x.vy)) if k == last else None,
+                END if k == last else (),
+            ),
             end_guess=typical_end,
         )
 

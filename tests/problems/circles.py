@@ -26,13 +26,15 @@ def to_circle(
             -u.T / p.exhaust_speed,
         ),
         duration="time",
-        end=lambda x, p, xp: (
-            (x.vx**2 + x.vy**2) / 2 - p.mu / (2 * p.far),
-            x.x * x.vx + x.y * x.vy,
-            x.x**2 + x.y**2 - p.far**2,
-        ),
-        end_conditions=tuple(
-            pl.Variable(name=n, unit=u) for n, u in (("energy", "m^2/s^2"), ("radial", "m^2/s"), ("radius", "m^2"))
+        end=pl.Conditions(
+            lambda x, p, xp: (
+                (x.vx**2 + x.vy**2) / 2 - p.mu / (2 * p.far),
+                x.x * x.vx + x.y * x.vy,
+                x.x**2 + x.y**2 - p.far**2,
+            ),
+            *tuple(
+                pl.Variable(name=n, unit=u) for n, u in (("energy", "m^2/s^2"), ("radial", "m^2/s"), ("radius", "m^2"))
+            ),
         ),
         end_guess=lambda p, xp: (p.far, 0 * p.far, 0 * p.speed, p.speed * xp.sqrt(p.near / p.far), 0.75 * p.mass),
     )
@@ -77,8 +79,10 @@ def meeting(revolutions: int, thrust: float = 0.03, parameter: float = 2.0, f: f
         ),
         dynamics=rates,
         duration="time",
-        end=lambda x, p, xp: (x.p - p.far, x.f - p.f, x.g, x.L - p.angle),
-        end_conditions=tuple(pl.Variable(name=f"{n}_end", unit=u) for n, u in units.items()),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.p - p.far, x.f - p.f, x.g, x.L - p.angle),
+            *tuple(pl.Variable(name=f"{n}_end", unit=u) for n, u in units.items()),
+        ),
         end_guess=lambda p, xp: (p.far, p.f, 0 * p.f, p.angle, 0.8 * p.mass),
     )
     time = revolutions * 2 * math.pi * ((1 + parameter / (1 - f**2)) / 2) ** 1.5

@@ -35,10 +35,10 @@ def bryson_denham(ceiling: float, as_bound: bool = False) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x, x.v + p.speed),
-        end_conditions=_variables(back="m", turned="m/s"),
-        path=None if as_bound else lambda x, u, p, xp: (p.ceiling - x.x,),
-        path_conditions=() if as_bound else _variables(room="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x, x.v + p.speed), back="m", turned="m/s"),
+        path=pl.Conditions.of(
+            None if as_bound else lambda x, u, p, xp: (p.ceiling - x.x,), () if as_bound else _variables(room="m")
+        ),
     )
     return pl.Problem(
         name="bryson_denham",
@@ -81,8 +81,7 @@ def weak_bryson_denham(ceiling: float, most: float) -> pl.Problem:
     whole = bryson_denham(ceiling)
     swing = replace(
         whole.phases[0],
-        path=lambda x, u, p, xp: (p.ceiling - x.x, 1 - (u.u / p.most) ** 2),
-        path_conditions=_variables(room="m", strength="1"),
+        path=pl.Conditions(lambda x, u, p, xp: (p.ceiling - x.x, 1 - (u.u / p.most) ** 2), room="m", strength="1"),
     )
     given = {**whole.given, **_given(most=(most, "m/s^2"))}
     return replace(whole, name="weak_bryson_denham", phases=(swing,), given=given)
@@ -106,8 +105,7 @@ def parked(ceiling: float) -> pl.Problem:
     whole = bryson_denham(ceiling)
     swing = replace(
         whole.phases[0],
-        end=lambda x, p, xp: (p.ceiling - x.x, 2 * x.v),
-        end_conditions=_variables(there="m", still="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (p.ceiling - x.x, 2 * x.v), there="m", still="m/s"),
     )
     return replace(whole, name="parked", phases=(swing,))
 
@@ -129,10 +127,8 @@ def drawn_off() -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 1.0, 0.5 * (u.u - p.k * (x.t - p.turn) ** 3) ** 2),
         duration="T",
-        end=lambda x, p, xp: (x.x, x.v),
-        end_conditions=_variables(down="m", still="m/s"),
-        path=lambda x, u, p, xp: (x.x,),
-        path_conditions=_variables(height="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x, x.v), down="m", still="m/s"),
+        path=pl.Conditions(lambda x, u, p, xp: (x.x,), height="m"),
     )
     bend, lag = 20.0 - 3.0 * (FROM - 2.0) ** 2, FROM - 2.0
     x0 = bend * FROM**3 / 6 + lag * FROM**4 / 4 - FROM**5 / 20
@@ -163,10 +159,8 @@ def hopping() -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 1.0, 0.5 * (u.u - 0.5 * p.k * x.t**2) ** 2),
         duration="T",
-        end=lambda x, p, xp: (x.x, x.v),
-        end_conditions=_variables(down="m", still="m/s"),
-        path=lambda x, u, p, xp: (x.x,),
-        path_conditions=_variables(height="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x, x.v), down="m", still="m/s"),
+        path=pl.Conditions(lambda x, u, p, xp: (x.x,), height="m"),
     )
     r, bend = 0.5, HOP * 0.5**2 / 12
     x0 = bend * r**2 / 2 + 10.0 * r**3 / 6 + HOP * r**4 / 24
@@ -192,10 +186,8 @@ def brachistochrone() -> pl.Problem:
         controls=(pl.UnitVectorControl(names=("c", "s")),),
         dynamics=lambda x, u, p, xp: (x.v * u.c, x.v * u.s, p.g * u.s),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.far,),
-        end_conditions=_variables(across="m"),
-        path=lambda x, u, p, xp: (p.slope * x.x + p.offset - x.y,),
-        path_conditions=_variables(above="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.far,), across="m"),
+        path=pl.Conditions(lambda x, u, p, xp: (p.slope * x.x + p.offset - x.y,), above="m"),
         end_guess=lambda p, xp: (p.far, p.slope * p.far, xp.sqrt(p.g * p.far)),
     )
     return pl.Problem(
@@ -237,10 +229,10 @@ def mars_glide_slope() -> pl.Problem:
         ),
         dynamics=lambda x, u, p, xp: (x.vu, x.vx, u.T / x.m * u.du - p.g, u.T / x.m * u.dx, -u.T * p.alpha),
         duration="flight_time",
-        end=lambda x, p, xp: (x.up, x.x, x.vu, x.vx),
-        end_conditions=_variables(down="m", there="m", sinking="m/s", drifting="m/s"),
-        path=lambda x, u, p, xp: (x.up - p.slope * (xp.sqrt(x.x * x.x + p.pad * p.pad) - p.pad),),
-        path_conditions=_variables(glide="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.up, x.x, x.vu, x.vx), down="m", there="m", sinking="m/s", drifting="m/s"),
+        path=pl.Conditions(
+            lambda x, u, p, xp: (x.up - p.slope * (xp.sqrt(x.x * x.x + p.pad * p.pad) - p.pad),), glide="m"
+        ),
         end_guess=lambda p, xp: (0.0, 0.0, 0.0, 0.0, 0.8 * p.m0),
     )
     return pl.Problem(
@@ -248,18 +240,24 @@ def mars_glide_slope() -> pl.Problem:
         phases=(phase,),
         start=lambda p, xp: (p.h, p.d, -p.sinking, p.across, p.m0),
         given=_given(
-            g=(3.7114, "m/s^2"), alpha=(1 / (225 * 9.807 * math.cos(cant)), "s/m"), m0=(1905.0, "kg"),
-            h=(1500.0, "m"), d=(2000.0, "m"), sinking=(75.0, "m/s"), across=(100.0, "m/s"),
-            least=(6 * 0.3 * 3100 * math.cos(cant), "N"), most=(6 * 0.8 * 3100 * math.cos(cant), "N"),
-            slope=(math.tan(math.radians(4.0)), "1"), pad=(1.0, "m"),
+            g=(3.7114, "m/s^2"),
+            alpha=(1 / (225 * 9.807 * math.cos(cant)), "s/m"),
+            m0=(1905.0, "kg"),
+            h=(1500.0, "m"),
+            d=(2000.0, "m"),
+            sinking=(75.0, "m/s"),
+            across=(100.0, "m/s"),
+            least=(6 * 0.3 * 3100 * math.cos(cant), "N"),
+            most=(6 * 0.8 * 3100 * math.cos(cant), "N"),
+            slope=(math.tan(math.radians(4.0)), "1"),
+            pad=(1.0, "m"),
         ),
         free=(pl.FreeParameter(name="flight_time", unit="s", lower=0.0, upper=200.0, guess=70.0),),
         objective=lambda x, p, xp: -x.m,
         objective_unit="kg",
-        results=lambda first, last, p, xp: (first.m - last.m, p.flight_time),
-        result_variables=_variables(propellant="kg", time="s"),
+        results=pl.Quantities(lambda first, last, p, xp: (first.m - last.m, p.flight_time), propellant="kg", time="s"),
         scales=pl.Scales(length=2000.0, time=40.0, mass=1905.0),
-    )  # fmt: skip
+    )
 
 
 def speed_limit(limit: float) -> pl.Problem:
@@ -270,10 +268,8 @@ def speed_limit(limit: float) -> pl.Problem:
         controls=(pl.ScalarControl(name="T", unit="N", lower="least", upper="most"),),
         dynamics=lambda x, u, p, xp: (x.v, u.T / x.m - p.g, -u.T / p.c),
         duration="flight_time",
-        end=lambda x, p, xp: (x.h, x.v),
-        end_conditions=_variables(down="m", still="m/s"),
-        path=lambda x, u, p, xp: (p.limit + x.v,),
-        path_conditions=_variables(room="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.h, x.v), down="m", still="m/s"),
+        path=pl.Conditions(lambda x, u, p, xp: (p.limit + x.v,), room="m/s"),
         end_guess=lambda p, xp: (0.0, 0.0, 0.8 * p.m0),
     )
     return pl.Problem(
@@ -370,22 +366,26 @@ def deorbit(count: int = 2) -> pl.Problem:
     states = (*_variables(x="m", y="m", z="m", vx="m/s", vy="m/s", vz="m/s"), Variable(name="m", unit="kg", lower=50.0))
     legs = [
         pl.Phase(
-            name=f"leg{j}", states=states, controls=(pl.UnitVectorControl(names=("a", "b", "c")),), dynamics=burning,
-            duration="leg", end_guess=way(j / count),
-            end=gate if j == count else None,
-            end_conditions=_variables(shell="m", entry_speed="m/s", entry_angle="1") if j == count else (),
-            path=lambda x, u, p, xp: ((x.x * x.x + x.y * x.y + x.z * x.z) / p.gate**2 - 1,),
-            path_conditions=_variables(above="1"),
+            name=f"leg{j}",
+            states=states,
+            controls=(pl.UnitVectorControl(names=("a", "b", "c")),),
+            dynamics=burning,
+            duration="leg",
+            end_guess=way(j / count),
+            end=pl.Conditions.of(
+                gate if j == count else None,
+                _variables(shell="m", entry_speed="m/s", entry_angle="1") if j == count else (),
+            ),
+            path=pl.Conditions(lambda x, u, p, xp: ((x.x * x.x + x.y * x.y + x.z * x.z) / p.gate**2 - 1,), above="1"),
         )
         for j in range(1, count + 1)
-    ]  # fmt: skip
+    ]
     on = np.cross(normal, ahead)
     fall = pl.Phase(
         name="entry", states=states, dynamics=falling, duration="fall",
-        end=lambda x, p, xp: tuple(
+        end=pl.Conditions(lambda x, p, xp: tuple(
             a - (p.radius + p.site) * float(c) for a, c in zip((x.x, x.y, x.z), site, strict=True)
-        ),
-        end_conditions=_variables(site_x="m", site_y="m", site_z="m"),
+        ), site_x="m", site_y="m", site_z="m"),
         end_guess=lambda p, xp: (
             *((p.radius + p.site) * float(c) for c in site), *(0.1 * p.speed * float(c) for c in on), 0.7 * p.m0,
         ),
@@ -398,10 +398,23 @@ def deorbit(count: int = 2) -> pl.Problem:
         start=lambda p, xp: (p.x0, p.y0, p.z0, p.vx0, p.vy0, p.vz0, p.m0),
         links=(lambda x, p, xp: tuple(x),) * count,
         given=_given(
-            mu=(MU, "m^3/s^2"), radius=(RADIUS, "m"), turns=(TURNS, "rad/s"), j2=(1.08263e-3, "1"),
-            thrust=(100.0, "N"), exhaust=(3000.0, "m/s"), m0=(500.0, "kg"), density=(1.225, "kg/m^3"),
-            height=(7200.0, "m"), area=(0.6, "m^2"), site=(10e3, "m"), gate=(RADIUS + 120e3, "m"),
-            orbit=(6678.14e3, "m"), speed=(7500.0, "m/s"), angle=(math.radians(-6.0), "rad"), **at, **going,
+            mu=(MU, "m^3/s^2"),
+            radius=(RADIUS, "m"),
+            turns=(TURNS, "rad/s"),
+            j2=(1.08263e-3, "1"),
+            thrust=(100.0, "N"),
+            exhaust=(3000.0, "m/s"),
+            m0=(500.0, "kg"),
+            density=(1.225, "kg/m^3"),
+            height=(7200.0, "m"),
+            area=(0.6, "m^2"),
+            site=(10e3, "m"),
+            gate=(RADIUS + 120e3, "m"),
+            orbit=(6678.14e3, "m"),
+            speed=(7500.0, "m/s"),
+            angle=(math.radians(-6.0), "rad"),
+            **at,
+            **going,
         ),
         free=(
             pl.FreeParameter(name="leg", unit="s", lower=500.0 / count, upper=6000.0 / count, guess=4300.0 / count),
@@ -410,7 +423,7 @@ def deorbit(count: int = 2) -> pl.Problem:
         objective=lambda x, p, xp: count * p.leg + p.fall,
         objective_unit="s",
         scales=pl.Scales(length=RADIUS, time=math.sqrt(RADIUS**3 / MU), mass=500.0),
-    )  # fmt: skip
+    )
 
 
 def _unit(latitude: float, longitude: float) -> Any:

@@ -68,8 +68,7 @@ def delta() -> pl.Problem:
             controls=(pl.UnitVectorControl(names=("a", "b", "c")),),
             dynamics=partial(rates, stage),
             duration=f"burn{stage}",
-            end=orbit if last else None,
-            end_conditions=ORBIT if last else (),
+            end=pl.Conditions.of(orbit if last else None, ORBIT if last else ()),
             end_guess=lambda p, xp: (*map(float, _typical(stage)), left),
         )
 

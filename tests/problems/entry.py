@@ -8,6 +8,7 @@ from typing import Any
 
 from perilune.core.units import Scales
 from perilune.problem.controls import ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
@@ -43,7 +44,7 @@ def limited_entry(load: float, rate: float) -> Problem:
     limits = Variable(name="load", unit="1"), Variable(name="rate", unit="1")
     given = {"most_load": Parameter(value=load, unit="m/s^2"), "most_rate": Parameter(value=rate, unit="W/m^2")}
     return replace(
-        free, phases=(replace(free.phases[0], path=path, path_conditions=limits),), given={**free.given, **given}
+        free, phases=(replace(free.phases[0], path=Conditions(path, *limits)),), given={**free.given, **given}
     )
 
 
@@ -60,8 +61,7 @@ def cool_entry(heat: float | None = None) -> Problem:
         controls=(ScalarControl(name="lift", lower=-1.0, upper=1.0),),
         dynamics=_rates,
         duration="time",
-        end=lambda x, p, xp: (x.h - p.last_height, x.v - p.last_speed),
-        end_conditions=(Variable(name="height", unit="m"), Variable(name="speed", unit="m/s")),
+        end=Conditions(lambda x, p, xp: (x.h - p.last_height, x.v - p.last_speed), height="m", speed="m/s"),
         end_guess=lambda p, xp: (p.last_height, p.last_speed, -0.1, p.typical_heat),
     )
     given = {

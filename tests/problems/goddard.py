@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from perilune.core.units import Scales
 from perilune.problem.controls import ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
@@ -34,8 +35,7 @@ def goddard() -> Problem:
             -u.thrust / p.c,
         ),
         duration="t_f",
-        end=lambda x, p, xp: (x.m - p.dry_mass,),
-        end_conditions=(Variable(name="dry", unit="kg"),),
+        end=Conditions(lambda x, p, xp: (x.m - p.dry_mass,), dry="kg"),
         end_guess=lambda p, xp: (p.scale_height, 0 * p.c, p.dry_mass),
     )
     return Problem(

@@ -8,6 +8,7 @@ from functools import partial
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.controls import ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
@@ -29,8 +30,7 @@ def least_energy(ceiling: float = math.inf) -> Problem:
         controls=(ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x, x.v + p.v0),
-        end_conditions=(Variable(name="place", unit="m"), Variable(name="speed", unit="m/s")),
+        end=Conditions(lambda x, p, xp: (x.x, x.v + p.v0), place="m", speed="m/s"),
         end_guess=lambda p, xp: (0 * p.v0 * p.T, -p.v0, p.v0 * p.v0 / p.T),
     )
     return Problem(
@@ -51,8 +51,7 @@ def least_time() -> Problem:
         controls=(ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u),
         duration="t_f",
-        end=lambda x, p, xp: (x.x - p.distance, x.v),
-        end_conditions=(Variable(name="place", unit="m"), Variable(name="speed", unit="m/s")),
+        end=Conditions(lambda x, p, xp: (x.x - p.distance, x.v), place="m", speed="m/s"),
         end_guess=lambda p, xp: (p.distance, 0 * p.distance),
     )
     return Problem(

@@ -7,6 +7,7 @@ from functools import partial
 
 from cho import cho_landing
 from perilune.problem.controls import ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
@@ -27,8 +28,7 @@ def meditch() -> Problem:
         controls=(ScalarControl(name="thrust", unit="N", lower=0.0, upper=1.227),),
         dynamics=lambda x, u, p, xp: (x.v, -p.g + u.thrust / x.m, -u.thrust / p.c, u.thrust),
         duration="t_f",
-        end=lambda x, p, xp: (x.h, x.v),
-        end_conditions=(Variable(name="touchdown", unit="m"), Variable(name="touchdown_speed", unit="m/s")),
+        end=Conditions(lambda x, p, xp: (x.h, x.v), touchdown="m", touchdown_speed="m/s"),
         end_guess=lambda p, xp: (0 * p.h, 0 * p.v, 0.6 * p.m, 0.4 * p.m * p.c),
     )
     return Problem(
@@ -56,8 +56,7 @@ def constant_mass(gravity: float, height: float, speed: float, most: float) -> P
         controls=(ScalarControl(name="push", unit="m/s^2", lower=0.0, upper=most),),
         dynamics=lambda x, u, p, xp: (x.v, u.push - p.g, u.push),
         duration="t_f",
-        end=lambda x, p, xp: (x.h, x.v),
-        end_conditions=(Variable(name="touchdown", unit="m"), Variable(name="touchdown_speed", unit="m/s")),
+        end=Conditions(lambda x, p, xp: (x.h, x.v), touchdown="m", touchdown_speed="m/s"),
         end_guess=lambda p, xp: (0 * p.h, 0 * p.v, 1.5 * p.g * p.t_f),
     )
     given = {"g": (gravity, "m/s^2"), "h": (height, "m"), "v": (speed, "m/s")}

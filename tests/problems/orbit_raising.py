@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from perilune.problem.controls import UnitVectorControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Parameter, Variable
@@ -29,8 +30,7 @@ def orbit_raising() -> Problem:
             -p.flow,
         ),
         duration="t_f",
-        end=lambda x, p, xp: (x.u, x.v * x.v * x.r / p.mu - 1),
-        end_conditions=(Variable(name="radial_speed", unit="m/s"), Variable(name="circular")),
+        end=Conditions(lambda x, p, xp: (x.u, x.v * x.v * x.r / p.mu - 1), radial_speed="m/s", circular="1"),
         end_guess=lambda p, xp: (1.5 * p.r0, 0 * p.r0 / p.t_f, 0.8 * xp.sqrt(p.mu / p.r0), p.m0 - p.flow * p.t_f),
     )
     return Problem(

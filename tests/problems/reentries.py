@@ -47,8 +47,12 @@ def apollo() -> pl.Problem:
         controls=(pl.UnitVectorControl(names=("c", "s")),),
         dynamics=rates,
         duration="time",
-        end=lambda x, p, xp: (x.v - p.last_speed, x.gamma, x.xi - p.last_height),
-        end_conditions=_variables(speed="m/s", angle="rad", height="1"),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.v - p.last_speed, x.gamma, x.xi - p.last_height),
+            speed="m/s",
+            angle="rad",
+            height="1",
+        ),
         end_guess=lambda p, xp: (p.last_speed, 0.0 * p.height, p.last_height, 0.03 + 0.0 * p.height),
     )
     return pl.Problem(
@@ -94,7 +98,7 @@ def shuttle(hottest: float | None = None) -> pl.Problem:
         thin = xp.exp(-0.5 * x.h / p.decay)
         return (1 - edge * p.heating * thin * (x.v / p.fast) ** 3.07 / p.hottest,)
 
-    limited = {} if hottest is None else {"path": cool, "path_conditions": _variables(cool="1")}
+    limited: dict[str, Any] = {} if hottest is None else {"path": pl.Conditions(cool, *_variables(cool="1"))}
     phase = pl.Phase(
         name="entry",
         states=(
@@ -107,8 +111,12 @@ def shuttle(hottest: float | None = None) -> pl.Problem:
         ),
         dynamics=rates,
         duration="time",
-        end=lambda x, p, xp: (x.h - p.last_height, x.v - p.last_speed, x.gamma - p.last_angle),
-        end_conditions=_variables(height="m", speed="m/s", angle="rad"),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.h - p.last_height, x.v - p.last_speed, x.gamma - p.last_angle),
+            height="m",
+            speed="m/s",
+            angle="rad",
+        ),
         end_guess=lambda p, xp: (p.last_height, 0.5 - 0.0 * p.angle, p.last_speed, p.last_angle, 0.0 * p.angle),
         **limited,
     )

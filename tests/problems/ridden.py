@@ -95,10 +95,8 @@ def _string_phase(name: str, duration: str, end: bool = True) -> pl.Phase:
         controls=(pl.ScalarControl(name="u", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (u.u, 0.5 * (u.u * u.u - p.k * p.k * x.x * x.x)),
         duration=duration,
-        end=(lambda x, p, xp: (x.x - p.x1,)) if end else None,
-        end_conditions=_variables(there="m") if end else (),
-        path=lambda x, u, p, xp: (p.l - x.x,),
-        path_conditions=_variables(room="m"),
+        end=pl.Conditions.of((lambda x, p, xp: (x.x - p.x1,)) if end else None, _variables(there="m") if end else ()),
+        path=pl.Conditions(lambda x, u, p, xp: (p.l - x.x,), room="m"),
     )
 
 
@@ -109,7 +107,7 @@ def string_in_two_phases(k: float, rise: float, ride: float, fall: float, share:
     """
     one = _string_phase("one", "T1", end=False)
     if stop:
-        one = replace(one, end=lambda x, p, xp: (x.x - p.l,), end_conditions=_variables(stop="m"))
+        one = replace(one, end=pl.Conditions(lambda x, p, xp: (x.x - p.l,), stop="m"))
     joint, total = (rise + share * ride) / k, (rise + ride + fall) / k
     problem = pl.Problem(
         name="two_phases",
@@ -136,10 +134,8 @@ def two_strings(first: tuple[float, ...], second: tuple[float, ...]) -> Solution
             u.u, u.w, 0.5 * (u.u * u.u + u.w * u.w - p.k * p.k * x.x * x.x - p.h * p.h * x.y * x.y),
         ),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.x1, x.y - p.y1),
-        end_conditions=_variables(there="m", beside="m"),
-        path=lambda x, u, p, xp: (p.l - x.x, p.l - x.y),
-        path_conditions=_variables(room="m", space="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.x1, x.y - p.y1), there="m", beside="m"),
+        path=pl.Conditions(lambda x, u, p, xp: (p.l - x.x, p.l - x.y), room="m", space="m"),
     )  # fmt: skip
     (k, *own), (h, *other) = first, second
     problem = pl.Problem(
@@ -233,10 +229,8 @@ def beam(k: float, rise: float, ride: float, *, bend: float = 0.6, level: float 
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * (u.u * u.u - p.k**4 * (x.x - p.level) ** 2)),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.x0, x.v + p.v0),
-        end_conditions=_variables(there="m", speed="m/s"),
-        path=lambda x, u, p, xp: (p.l - x.x,),
-        path_conditions=_variables(room="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.x0, x.v + p.v0), there="m", speed="m/s"),
+        path=pl.Conditions(lambda x, u, p, xp: (p.l - x.x,), room="m"),
     )
     problem = pl.Problem(
         name="beam", phases=(phase,), start=lambda p, xp: (p.x0, p.v0, 0.0),
@@ -307,10 +301,8 @@ def floor(depth: float) -> Solution:
             0.5 * u.u * u.u + p.pull * (x.s * x.s / p.second**2 - p.depth) * x.x,
         ),
         duration="T",
-        end=lambda x, p, xp: (x.x,),
-        end_conditions=_variables(there="m"),
-        path=lambda x, u, p, xp: (x.x,),
-        path_conditions=_variables(above="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x,), there="m"),
+        path=pl.Conditions(lambda x, u, p, xp: (x.x,), above="m"),
     )
     problem = pl.Problem(
         name="floor",
@@ -345,8 +337,7 @@ def ditch(deep: float, wide: float, *, load: tuple[float, float] = (1.0, 0.0), p
         controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (u.u, p.T / p.T, (p.q + p.dip * x.s * x.s) * x.x),
         duration="T",
-        path=lambda x, u, p, xp: (x.x - p.l,),
-        path_conditions=_variables(above="m"),
+        path=pl.Conditions(lambda x, u, p, xp: (x.x - p.l,), above="m"),
     )
     top = low + wide
     r = float(gone(ends[2]) - gone(1.0)) - pull * top  # lam(T) = -r - pull x(T), and lam(1) = 0

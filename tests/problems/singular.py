@@ -28,8 +28,7 @@ def nearest_to_zero(end: float = 0.5, most: float = 1.0, way: float = 1.0) -> pl
         controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=most),),
         dynamics=lambda x, u, p, xp: (u.u, way * x.x * x.x),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.end,),
-        end_conditions=_variables(there="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.end,), there="m"),
     )
     return pl.Problem(
         name="nearest_to_zero",
@@ -102,8 +101,7 @@ def fuller() -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, x.x * x.x),
         duration="T",
-        end=lambda x, p, xp: (x.x, x.v),
-        end_conditions=_variables(there="m", still="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.x, x.v), there="m", still="m/s"),
     )
     return pl.Problem(
         name="fuller",
@@ -135,8 +133,10 @@ def swinging(duration: float, end: float | None = None, bent: float = 0.0) -> pl
         controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-4.0, upper=4.0),),
         dynamics=dynamics,
         duration="T",
-        end=lambda x, p, xp: (x.x - p.slow, *(() if end is None else (place(x, p) - p.end,))),
-        end_conditions=_variables(slow="m/s", **({} if end is None else {"there": "m"})),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.x - p.slow, *(() if end is None else (place(x, p) - p.end,))),
+            *_variables(slow="m/s", **({} if end is None else {"there": "m"})),
+        ),
     )
     return pl.Problem(
         name="swinging",
@@ -177,8 +177,7 @@ def following() -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (u.u, p.w, (x.x - p.a * xp.sin(x.phi)) ** 2),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.end,),
-        end_conditions=_variables(there="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.end,), there="m"),
     )
     return pl.Problem(
         name="following",
@@ -219,8 +218,12 @@ def planar_goddard(down: float = 2500.0) -> pl.Problem:
         controls=(*upright.phases[0].controls, pl.UnitVectorControl(names=("sideways", "upwards"))),
         dynamics=dynamics,
         duration="t_f",
-        end=lambda x, p, xp: (x.s - p.down, x.across - p.across, x.m - p.dry_mass),
-        end_conditions=_variables(down="m", as_before="m/s", dry="kg"),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.s - p.down, x.across - p.across, x.m - p.dry_mass),
+            down="m",
+            as_before="m/s",
+            dry="kg",
+        ),
         end_guess=lambda p, xp: (p.down, p.scale_height, 0 * p.c, 0 * p.c, p.dry_mass),
     )
     return pl.Problem(

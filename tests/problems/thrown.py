@@ -33,10 +33,8 @@ def thrown(ceiling: float) -> pl.Problem:
         controls=(),
         dynamics=lambda x, u, p, xp: (x.v, -p.g, -p.late),
         duration="air_time",
-        end=lambda x, p, xp: (x.h,),
-        end_conditions=of(down="m"),
-        path=lambda x, u, p, xp: (p.ceiling - x.h,),
-        path_conditions=of(room="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.h,), *of(down="m")),
+        path=pl.Conditions(lambda x, u, p, xp: (p.ceiling - x.h,), *of(room="m")),
     )
     given = {"T": (1.0, "s"), "g": (1.0, "m/s^2"), "late": (LATE, "m^2/s^4"), "ceiling": (ceiling, "m")}
     return pl.Problem(

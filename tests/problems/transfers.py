@@ -42,8 +42,10 @@ def dionysus() -> pl.Problem:
         ),
         dynamics=rates,
         duration="flight_time",
-        end=lambda x, p, xp: (x.p - p.p_end, *(getattr(x, name) - DIONYSUS[i + 1] for i, name in enumerate("fghkL"))),
-        end_conditions=tuple(pl.Variable(name=f"{name}_end", unit=unit) for name, unit in units.items()),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.p - p.p_end, *(getattr(x, name) - DIONYSUS[i + 1] for i, name in enumerate("fghkL"))),
+            *tuple(pl.Variable(name=f"{name}_end", unit=unit) for name, unit in units.items()),
+        ),
         end_guess=lambda p, xp: (p.p_end, *DIONYSUS[1:], 0.7 * p.mass),
     )
     given = {

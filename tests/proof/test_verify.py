@@ -15,6 +15,7 @@ from perilune.core.errors import Outcome, PeriluneError
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.landing.problem import Retro, mass_consistency_checks
 from perilune.problem.controls import ScalarControl, UnitVectorControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
@@ -311,8 +312,7 @@ def oscillator(duration: float) -> Solution:
         controls=(ScalarControl(name="rate"),),
         dynamics=lambda x, u, p, xp: (u.rate / p.second, (u.rate * u.rate - x.x * x.x) / (2 * p.second)),
         duration="duration",
-        end=lambda x, p, xp: (x.x,),
-        end_conditions=(Variable(name="at_origin"),),
+        end=Conditions(lambda x, p, xp: (x.x,), at_origin="1"),
     )
     problem = Problem(
         name="oscillator",
@@ -361,8 +361,7 @@ def test_two_oscillators_have_a_double_conjugate_point() -> None:
             u.a / p.second, u.b / p.second, (u.a * u.a + u.b * u.b - x.x * x.x - x.y * x.y) / (2 * p.second),
         ),
         duration="duration",
-        end=lambda x, p, xp: (x.x, x.y),
-        end_conditions=(Variable(name="x_end"), Variable(name="y_end")),
+        end=Conditions(lambda x, p, xp: (x.x, x.y), x_end="1", y_end="1"),
     )  # fmt: skip
     for duration, good in ((3.0, True), (3.3, False)):
         problem = Problem(
@@ -399,8 +398,7 @@ def double_integrator(sign: float = 1.0) -> Solution:
             controls=(ScalarControl(name="a", unit="m/s^2", lower=-1.0, upper=1.0),),
             dynamics=lambda x, u, p, xp: (x.v, u.a),
             duration=f"{name}_time",
-            end=(lambda x, p, xp: (x.x, x.v)) if end else None,
-            end_conditions=conditions if end else (),
+            end=Conditions.of((lambda x, p, xp: (x.x, x.v)) if end else None, conditions if end else ()),
         )
 
     problem = Problem(
@@ -465,8 +463,7 @@ def linear_tangent(bend: float = 0.0) -> Solution:
         controls=(UnitVectorControl(names=("along", "up")),),
         dynamics=lambda x, u, p, xp: (x.vy, p.thrust * u.along, p.thrust * u.up),
         duration="duration",
-        end=lambda x, p, xp: (x.y - p.height,),
-        end_conditions=(Variable(name="height", unit="m"),),
+        end=Conditions(lambda x, p, xp: (x.y - p.height,), height="m"),
     )
     duration, n, count = 2.0, -0.4, 2001
     t = np.linspace(0.0, duration, count)

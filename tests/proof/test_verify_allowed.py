@@ -17,6 +17,7 @@ from scipy.optimize import fsolve
 
 from perilune.core.errors import Outcome
 from perilune.problem.controls import ScalarControl, UnitVectorControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
@@ -125,10 +126,8 @@ def cone_problem(aside: float, lift: float, tilt: float, *, chosen: bool = False
         controls=(UnitVectorControl(names=("along", "aside", "up")),),
         dynamics=lambda x, u, p, xp: (x.vz, x.vy, p.thrust * u.along, p.thrust * u.aside, p.thrust * u.up),
         duration="duration",
-        end=lambda x, p, xp: (x.z - p.side, x.y - p.height),
-        end_conditions=(Variable(name="side", unit="m"), Variable(name="height", unit="m")),
-        path=lambda x, u, p, xp: (x.y + p.depth, u.up - xp.cos(p.tilt)),
-        path_conditions=(Variable(name="above", unit="m"), Variable(name="upright")),
+        end=Conditions(lambda x, p, xp: (x.z - p.side, x.y - p.height), side="m", height="m"),
+        path=Conditions(lambda x, u, p, xp: (x.y + p.depth, u.up - xp.cos(p.tilt)), above="m", upright="1"),
     )  # fmt: skip
     _, side, height = reached(aside, lift, tilt)
     metres = {"side": side, "height": height, "depth": 1.0, "z0": 0.0, "y0": 0.0}
@@ -263,13 +262,11 @@ def on_the_cone(turn: float, aside: float = ASIDE, *, held: bool = False) -> Sol
     (phase,) = tilted.problem.phases
     both = replace(
         phase,
-        path=lambda x, u, p, xp: (u.up - xp.cos(p.tilt), xp.cos(p.tilt) - u.up),
-        path_conditions=(Variable(name="upright"), Variable(name="leaning")),
+        path=Conditions(lambda x, u, p, xp: (u.up - xp.cos(p.tilt), xp.cos(p.tilt) - u.up), upright="1", leaning="1"),
     )
     if held:
         both = replace(
-            phase, path=None, path_conditions=(), held=lambda x, u, p, xp: (u.up - xp.cos(p.tilt),),
-            held_conditions=(Variable(name="leaning"),),
+            phase, path=None, held=Conditions(lambda x, u, p, xp: (u.up - xp.cos(p.tilt),), leaning="1"),
         )  # fmt: skip
     end = tilted.trajectories[0].state.values[-1]
     return replace(tilted, problem=replace(tilted.problem, phases=(both,)).with_given(side=end[0], height=end[1]))
@@ -297,7 +294,7 @@ def with_engine(share: float = 1.0) -> Solution:
         dynamics=lambda x, u, p, xp: (
             x.vz, x.vy, p.thrust * u.share * u.along, p.thrust * u.share * u.aside, p.thrust * u.share * u.up,
         ),
-        path=lambda x, u, p, xp: (x.y + p.depth, u.share * u.up - xp.cos(p.tilt)),
+        path=Conditions.of(lambda x, u, p, xp: (x.y + p.depth, u.share * u.up - xp.cos(p.tilt)), phase.path_conditions),
     )  # fmt: skip
     full = replace(solution, problem=replace(solution.problem, phases=(engine,)))
 
@@ -340,10 +337,8 @@ def limited_problem() -> Problem:
         controls=(UnitVectorControl(names=("along", "up")),),
         dynamics=lambda x, u, p, xp: (x.vy, p.thrust * u.along, p.thrust * u.up),
         duration="duration",
-        end=lambda x, p, xp: (x.y - p.height,),
-        end_conditions=(Variable(name="height", unit="m"),),
-        path=lambda x, u, p, xp: (p.low + p.rise * x.y / p.L - u.up,),
-        path_conditions=(Variable(name="shallow"),),
+        end=Conditions(lambda x, p, xp: (x.y - p.height,), height="m"),
+        path=Conditions(lambda x, u, p, xp: (p.low + p.rise * x.y / p.L - u.up,), shallow="1"),
     )
     metres = {"L": 1.0, "height": TOP, "y0": 0.0}
     return Problem(
@@ -558,10 +553,8 @@ def leash_problem(
             u.a / p.second, (u.a * u.a - x.x * x.x + (u.b + p.q) ** 2) / (2 * p.second),
         ),
         duration="duration",
-        end=lambda x, p, xp: (x.x - p.x_end,),
-        end_conditions=(Variable(name="at_end"),),
-        path=lambda x, u, p, xp: (u.b**power - (p.beta * x.x + p.gamma * u.a + p.s) ** power,),
-        path_conditions=(Variable(name="taut"),),
+        end=Conditions(lambda x, p, xp: (x.x - p.x_end,), at_end="1"),
+        path=Conditions(lambda x, u, p, xp: (u.b**power - (p.beta * x.x + p.gamma * u.a + p.s) ** power,), taut="1"),
     )  # fmt: skip
     numbers = {"q": q, "beta": BETA, "gamma": gamma, "x0": ends[0], "x_end": ends[1], "price": price, "w": w or 0.0}
     if w is None:
@@ -625,7 +618,7 @@ def held_leash(duration: float, q: float) -> Solution:
     """The condition is held all along whichever way it pulls."""
     free = leash(duration, q, gamma=0.0)
     (phase,) = free.problem.phases
-    stiff = replace(phase, path=None, path_conditions=(), held=phase.path, held_conditions=phase.path_conditions)
+    stiff = replace(phase, path=None, held=Conditions.of(phase.path, phase.path_conditions))
     return replace(free, problem=replace(free.problem, phases=(stiff,)))
 
 

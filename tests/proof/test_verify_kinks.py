@@ -49,8 +49,7 @@ def push(slope: Any, **numbers: tuple[float, str]) -> pl.Problem:
         controls=(pl.ScalarControl(name="a", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.a - slope(x, p, xp), u.a**2 / 2),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.L, x.v),
-        end_conditions=variables(place="m", stop="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.L, x.v), place="m", stop="m/s"),
         end_guess=lambda p, xp: (p.L, 0.0, 1.0),
     )
     return pl.Problem(
@@ -293,8 +292,7 @@ def lens(radius: float) -> Solution:
             xp.where(x.x > 0.5 * x.y * x.y / p.R, p.slow, p.fast) * c for c in (u.cx, u.cy)
         ),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.far, x.y),
-        end_conditions=variables(across="m", height="m"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.far, x.y), across="m", height="m"),
     )
     problem = pl.Problem(
         name="lens", phases=(phase,), start=lambda p, xp: (-p.far, 0.0),

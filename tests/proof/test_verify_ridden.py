@@ -135,7 +135,11 @@ def test_a_condition_may_hold_the_duration_that_is_free() -> None:
     """The line falls by 1 cm for each second that the slide takes: the least time is that of the line as it is then."""
     fixed = brachistochrone()
     phase = replace(
-        fixed.phases[0], path=lambda x, u, p, xp: (p.slope * x.x + p.offset + p.falls * (p.T - p.T0) - x.y,)
+        fixed.phases[0],
+        path=pl.Conditions.of(
+            lambda x, u, p, xp: (p.slope * x.x + p.offset + p.falls * (p.T - p.T0) - x.y,),
+            fixed.phases[0].path_conditions,
+        ),
     )
     falls = {"falls": pl.Parameter(value=0.01, unit="m/s"), "T0": pl.Parameter(value=1.8, unit="s")}
     problem = pl.Problem(

@@ -82,8 +82,7 @@ def standing(sign: float) -> Solution:
         controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (u.u, sign * x.x * x.x),
         duration="T",
-        end=lambda x, p, xp: (x.x,),
-        end_conditions=(Variable(name="there", unit="m"),),
+        end=pl.Conditions(lambda x, p, xp: (x.x,), there="m"),
     )
     problem = pl.Problem(
         name="standing", phases=(phase,), start=lambda p, xp: (0 * p.far, 0 * p.far * p.far * p.T),

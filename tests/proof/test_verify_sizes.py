@@ -40,8 +40,7 @@ def runaway(rate: float) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s"),),
         dynamics=lambda x, u, p, xp: (p.rate * x.x + u.u, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x,),
-        end_conditions=(pl.Variable(name="rest", unit="m"),),
+        end=pl.Conditions(lambda x, p, xp: (x.x,), rest="m"),
     )
     return pl.Problem(
         name="runaway",
@@ -69,7 +68,7 @@ def test_growth_is_that_of_the_closed_form() -> None:
 def test_a_phase_inherits_the_growth_of_those_before() -> None:
     """The same flight in two halves: an error at the start of the first grows by e^3 until the end of the second."""
     whole = runaway(3.0)
-    first = replace(whole.phases[0], name="first", end=None, end_conditions=())
+    first = replace(whole.phases[0], name="first", end=None)
     problem = replace(
         whole,
         phases=(first, replace(whole.phases[0], name="second")),
@@ -118,8 +117,7 @@ def arrival(clock: float) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, 1.0, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.distance, x.v),
-        end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="rest", unit="m/s")),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.distance, x.v), place="m", rest="m/s"),
     )
     return pl.Problem(
         name="arrival",
@@ -186,8 +184,7 @@ def far(origin: float, length: float, gravity: float = 0.0) -> pl.Problem:
         controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
         dynamics=lambda x, u, p, xp: (x.v, u.u - p.g * (p.x0 + p.R) ** 2 / (x.x + p.R) ** 2, 0.5 * u.u * u.u),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.x1, x.v),
-        end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="rest", unit="m/s")),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.x1, x.v), place="m", rest="m/s"),
     )
     numbers = {"x0": (origin, "m"), "x1": (origin + 10.0, "m"), "R": (1.7e6 - origin, "m"), "T": (5.0, "s")}
     numbers["g"] = (gravity, "m/s^2")
@@ -222,8 +219,8 @@ def fall_after_an_instant() -> pl.Problem:
     )  # fmt: skip
     instant = replace(push, name="instant", controls=(), duration="moment", dynamics=lambda x, u, p, xp: (x.v, 0, 0))
     fall = pl.Phase(
-        name="fall", states=states, duration="falls", end=lambda x, p, xp: (x.x,),
-        dynamics=lambda x, u, p, xp: (x.v, (2 * x.x / p.T - x.v) / p.T, 0), end_conditions=states[:1],
+        name="fall", states=states, duration="falls", end=pl.Conditions(lambda x, p, xp: (x.x,), *states[:1]),
+        dynamics=lambda x, u, p, xp: (x.v, (2 * x.x / p.T - x.v) / p.T, 0), 
     )  # fmt: skip
 
     def link(x, p, xp):

@@ -212,7 +212,7 @@ def late_stop(turns: float) -> pl.Problem:
     stop = pl.Phase(
         name="stop", states=states, controls=(pl.ScalarControl(name="u", unit="m/s^2"),), duration="T",
         dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
-        end=lambda x, p, xp: (x.x, x.v), end_conditions=variables(there="m", still="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.x, x.v), there="m", still="m/s"), 
     )  # fmt: skip
     return pl.Problem(
         name="late_stop",
@@ -241,8 +241,9 @@ def two_ways(mass: float, aside: float) -> pl.Problem:
         controls=(pl.ScalarControl(name="force", unit="N"), pl.ScalarControl(name="w", unit="m/s^2")),
         dynamics=lambda x, u, p, xp: (x.vx, x.vy, u.force / p.m, u.w, 0.5 * ((u.force / p.m) ** 2 + u.w * u.w)),
         duration="T",
-        end=lambda x, p, xp: (x.x - p.L, x.y - p.aside, x.vx, x.vy),
-        end_conditions=variables(ahead="m", beside="m", still="m/s", steady="m/s"),
+        end=pl.Conditions(
+            lambda x, p, xp: (x.x - p.L, x.y - p.aside, x.vx, x.vy), ahead="m", beside="m", still="m/s", steady="m/s"
+        ),
     )
     given = {
         "T": GIVEN["T"],

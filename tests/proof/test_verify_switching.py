@@ -13,6 +13,7 @@ from perilune.core.errors import Outcome
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.models.precision.problem import Corridor
 from perilune.problem.controls import ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
@@ -58,8 +59,7 @@ def tug(pull: float, power: int = 1, switch: float = MIDDLE, swing: float = 1.0)
             u.w / p.second,
         ),
         duration="duration",
-        end=lambda x, p, xp: (x.x,),
-        end_conditions=(Variable(name="at_origin"),),
+        end=Conditions(lambda x, p, xp: (x.x,), at_origin="1"),
     )
     problem = Problem(
         name="tug",
@@ -209,7 +209,7 @@ def test_a_condition_that_is_called_as_a_control_excuses_no_weak_switch_of_that(
     """Both checks are called strict_u, and only the multiplier of a condition need not be strict."""
     solution = tug(0.0, power=2, switch=0.0)
     (phase,) = solution.problem.phases
-    far = replace(phase, path=lambda x, u, p, xp: (2 - u.u,), path_conditions=(Variable(name="u"),))
+    far = replace(phase, path=Conditions(lambda x, u, p, xp: (2 - u.u,), u="1"))
     solution = replace(solution, problem=replace(solution.problem, phases=(far,)))
     assert "strict_u" in failed(verify(solution, resolve=lambda problem, guess: guess).verification)
 

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicHermiteSpline
 from perilune.core.errors import Outcome
 from perilune.models.precision.problem import Corridor
 from perilune.problem.controls import ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
@@ -209,8 +210,7 @@ def test_an_impulse_in_a_piece_of_a_picosecond_fails(way: float) -> None:
         name="push", states=(Variable(name="x", unit="m"), Variable(name="v", unit="m/s"),
                              Variable(name="e", unit="m^2/s^3")),
         controls=(ScalarControl(name="a", unit="m/s^2"),), dynamics=lambda x, u, p, xp: (x.v, u.a, 0.5 * u.a * u.a),
-        duration="T", end=lambda x, p, xp: (x.x - p.far, x.v),
-        end_conditions=(Variable(name="place", unit="m"), Variable(name="rest", unit="m/s")),
+        duration="T", end=Conditions(lambda x, p, xp: (x.x - p.far, x.v), place="m", rest="m/s"),
     )  # fmt: skip
     problem = Problem(
         name="push", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0), objective=lambda x, p, xp: x.e,
@@ -351,7 +351,7 @@ def test_a_dip_below_the_ground_between_the_points_is_found() -> None:
     phase = Phase(
         name="dive", states=(Variable(name="y", unit="m"), Variable(name="w", unit="m/s")),
         dynamics=lambda x, u, p, xp: (x.w, p.g), duration="T",
-        path=lambda x, u, p, xp: (x.y,), path_conditions=(Variable(name="height", unit="m"),),
+        path=Conditions(lambda x, u, p, xp: (x.y,), height="m"), 
     )  # fmt: skip
     for c in np.linspace(0.11, 0.87, 14):
         depth = 1e-7

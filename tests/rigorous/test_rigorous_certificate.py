@@ -41,7 +41,7 @@ def rolled() -> pl.Problem:
         name="roll", states=(Variable(name="x", unit="m"), Variable(name="cost", unit="s")),
         controls=tuple(pl.ScalarControl(name=name, lower=-2.0, upper=2.0) for name in "uv"), duration="T",
         dynamics=lambda x, u, p, xp: (p.speed * (u.u + u.v), 2 - xp.cos(u.u) - xp.cos(u.v) + 0.1 * u.u * u.v),
-        end=lambda x, p, xp: (x.x - p.distance,), end_conditions=(Variable(name="place", unit="m"),),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.distance,), place="m"), 
         end_guess=lambda p, xp: (p.distance, p.T),
     )  # fmt: skip
     given = {"T": Parameter(value=1.0, unit="s"), "speed": Parameter(value=1.0, unit="m/s")}

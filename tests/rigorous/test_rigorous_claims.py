@@ -67,8 +67,7 @@ def test_controls_without_a_formula_are_states_and_the_only_minimum() -> None:
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="y", unit="m")),
         controls=(pl.ScalarControl(name="a", unit="rad", lower=-1.5, upper=1.5),),
         dynamics=lambda x, u, p, xp: (p.w * xp.cos(u.a), p.w * xp.sin(u.a)), duration="T",
-        end=lambda x, p, xp: (x.x - 3 * p.l, x.y - 4 * p.l),
-        end_conditions=(pl.Variable(name="along", unit="m"), pl.Variable(name="up", unit="m")),
+        end=pl.Conditions(lambda x, p, xp: (x.x - 3 * p.l, x.y - 4 * p.l), along="m", up="m"),
     )  # fmt: skip
     free = (pl.FreeParameter(name="T", unit="s", lower=0.0, upper=50.0, guess=5.0),)
     stated = problem(phase, lambda x, p, xp: p.w * p.T, {"w": (1.0, "m/s"), "l": (1.0, "m")}, free=free)
@@ -78,7 +77,7 @@ def test_controls_without_a_formula_are_states_and_the_only_minimum() -> None:
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
         controls=tuple(pl.ScalarControl(name=name, unit="m/s", lower=-9.0, upper=9.0) for name in "uv"),
         dynamics=lambda x, u, p, xp: (u.u + u.v, u.u * u.u + u.v * u.v + u.u * u.v), duration="T",
-        end=lambda x, p, xp: (x.x - p.l,), end_conditions=(pl.Variable(name="along", unit="m"),),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.l,), along="m"), 
     )  # fmt: skip
     stated = problem(
         phase, lambda x, p, xp: x.c, {"T": (1.0, "s"), "l": (1.0, "m")}, unit="m^2/s",
@@ -175,11 +174,15 @@ def test_an_end_or_a_parameter_is_on_the_side_where_it_would_cost_less_beyond(
 
     def missing(range_: tuple[float, float], bound: float | None) -> list[str]:
         phase = pl.Phase(
-            name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
-            controls=(pl.ScalarControl(name="u", unit="m/s"),), dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
-            duration="T", end=lambda x, p, xp: (x.x,),
-            end_conditions=(pl.Variable(name="place", unit="m", lower=range_[0], upper=range_[1]),),
-        )  # fmt: skip
+            name="go",
+            states=(pl.Variable(name="x", unit="m"), pl.Variable(name="c", unit="m^2/s")),
+            controls=(pl.ScalarControl(name="u", unit="m/s"),),
+            dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
+            duration="T",
+            end=pl.Conditions(
+                lambda x, p, xp: (x.x,), pl.Variable(name="place", unit="m", lower=range_[0], upper=range_[1])
+            ),
+        )
         at = {} if bound is None else {side: bound}
         stated = pl.Problem(
             name="ranged", phases=(phase,), start=lambda p, xp: (p.q, 0.0), objective_unit="m",
@@ -281,12 +284,17 @@ def test_a_bound_that_is_met_anyway_or_holds_nothing_back_has_no_multiplier() ->
 def test_a_limit_that_is_touched_at_the_end_is_not_broken_before() -> None:
     """x = 1 - 6 t + 6 t^2 - t^3 is at 0 in the end, which no linear condition says, and comes there from below."""
     phase = pl.Phase(
-        name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="v", unit="m/s"),
-                           pl.Variable(name="cost", unit="m^2/s^3")),
-        controls=(pl.ScalarControl(name="u", unit="m/s^2"),), dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
-        duration="T", end=lambda x, p, xp: (xp.sin(x.x / p.l), x.v - 3 * p.l / p.T),
-        end_conditions=(pl.Variable(name="place"), pl.Variable(name="speed", unit="m/s")),
-    )  # fmt: skip
+        name="go",
+        states=(
+            pl.Variable(name="x", unit="m", lower=0.0),
+            pl.Variable(name="v", unit="m/s"),
+            pl.Variable(name="cost", unit="m^2/s^3"),
+        ),
+        controls=(pl.ScalarControl(name="u", unit="m/s^2"),),
+        dynamics=lambda x, u, p, xp: (x.v, u.u, 0.5 * u.u * u.u),
+        duration="T",
+        end=pl.Conditions(lambda x, p, xp: (xp.sin(x.x / p.l), x.v - 3 * p.l / p.T), place="1", speed="m/s"),
+    )
     stated = pl.Problem(
         name="dipping", phases=(phase,), start=lambda p, xp: (p.l, -6 * p.l / p.T, 0.0), objective_unit="m^2/s^3",
         given={"T": pl.Parameter(value=1.0, unit="s"), "l": pl.Parameter(value=1.0, unit="m")},
@@ -302,7 +310,7 @@ def test_a_limit_that_is_missed_at_the_end_is_named(by: float, missing: list[str
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x", unit="m", lower=0.0), pl.Variable(name="c", unit="m^2/s")),
         controls=(pl.ScalarControl(name="u", unit="m/s"),), dynamics=lambda x, u, p, xp: (u.u, 0.5 * u.u * u.u),
-        duration="T", end=lambda x, p, xp: (xp.sin(x.x / p.l + by),), end_conditions=(pl.Variable(name="place"),),
+        duration="T", end=pl.Conditions(lambda x, p, xp: (xp.sin(x.x / p.l + by),), place="1"), 
     )  # fmt: skip
     stated = pl.Problem(
         name="falling", phases=(phase,), start=lambda p, xp: (p.l, 0.0), objective=lambda x, p, xp: x.c,
@@ -317,9 +325,8 @@ def test_every_limit_that_is_broken_is_named_and_no_other() -> None:
     phase = pl.Phase(
         name="go", states=states, controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=0.5),),
         dynamics=lambda x, u, p, xp: (u.u, -0.5 * u.u * u.u), duration="T",
-        end=lambda x, p, xp: (x.x - p.l,), end_conditions=(pl.Variable(name="place", unit="m"),),
-        path=lambda x, u, p, xp: (x.x - 0.9 * p.l, 2 * p.l - x.x),
-        path_conditions=(pl.Variable(name="high", unit="m"), pl.Variable(name="low", unit="m")),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.l,), place="m"), 
+        path=pl.Conditions(lambda x, u, p, xp: (x.x - 0.9 * p.l, 2 * p.l - x.x), high="m", low="m"),
     )  # fmt: skip
     free = (pl.FreeParameter(name="q", unit="m", lower=-5.0, upper=1.0, guess=1.0),)
     stated = problem(phase, lambda x, p, xp: x.c / (p.l / p.T) + (p.q - 2 * p.l) ** 2 / p.l,
@@ -335,8 +342,7 @@ def test_an_arc_of_negative_length_is_seen() -> None:
         name="go", states=(pl.Variable(name="x", unit="m"), pl.Variable(name="v", unit="m/s")),
         controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (x.v + p.w, u.u), duration="t_f",
-        end=lambda x, p, xp: (x.x - p.d, x.v + p.w),
-        end_conditions=(pl.Variable(name="place", unit="m"), pl.Variable(name="speed", unit="m/s")),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.d, x.v + p.w), place="m", speed="m/s"),
     )  # fmt: skip
     stated = problem(phase, lambda x, p, xp: p.w * p.t_f, {"w": (1.0, "m/s"), "d": (0.0625, "m")},
                      free=(pl.FreeParameter(name="t_f", unit="s", lower=0.0, upper=10.0, guess=1.0),))  # fmt: skip
@@ -372,13 +378,18 @@ def test_the_nearest_point_of_a_circle_is_a_minimum_and_the_farthest_is_none(at_
         return (0.5 * p.l, 0 * p.l)
 
     phase = pl.Phase(
-        name="go", states=tuple(pl.Variable(name=n, unit=u) for n, u in (("x", "m"), ("y", "m"), ("c", "m^2/s"))),
+        name="go",
+        states=tuple(pl.Variable(name=n, unit=u) for n, u in (("x", "m"), ("y", "m"), ("c", "m^2/s"))),
         controls=(pl.ScalarControl(name="u", unit="m/s"), pl.ScalarControl(name="v", unit="m/s")),
-        dynamics=lambda x, u, p, xp: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v + p.x * p.x)), duration="T",
-        end=(lambda x, p, xp: (x.x - inside(p)[0], x.y)) if at_start else (
-            lambda x, p, xp: ((x.x * x.x + x.y * x.y) / p.l - p.l,)),
-        end_conditions=tuple(pl.Variable(name=n, unit="m") for n in ("one", "two")[: 2 if at_start else 1]),
-    )  # fmt: skip
+        dynamics=lambda x, u, p, xp: (u.u, u.v, 0.5 * (u.u * u.u + u.v * u.v + p.x * p.x)),
+        duration="T",
+        end=pl.Conditions.of(
+            (lambda x, p, xp: (x.x - inside(p)[0], x.y))
+            if at_start
+            else (lambda x, p, xp: ((x.x * x.x + x.y * x.y) / p.l - p.l,)),
+            tuple(pl.Variable(name=n, unit="m") for n in ("one", "two")[: 2 if at_start else 1]),
+        ),
+    )
     stated = pl.Problem(
         name="circle", phases=(phase,), objective=lambda x, p, xp: x.c, objective_unit="m^2/s",
         start=lambda p, xp: (p.l * xp.cos(p.q), p.l * xp.sin(p.q), 0.0) if at_start else (*inside(p), 0.0),
@@ -405,7 +416,7 @@ def test_conditions_that_are_called_alike_do_not_hide_one_another() -> None:
         name="go", states=tuple(pl.Variable(name=name) for name in "xyc"), duration="T",
         controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v")),
         dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u * u.u + u.v * u.v) / p.T),
-        end=lambda x, p, xp: (x.x, x.y), end_conditions=2 * (pl.Variable(name="same", upper=1.0),),
+        end=pl.Conditions(lambda x, p, xp: (x.x, x.y), *2 * (pl.Variable(name="same", upper=1.0),)), 
     )  # fmt: skip
     stated = pl.Problem(
         name="alike", phases=(phase,), start=lambda p, xp: (0.0, 0.0, 0.0), objective=lambda x, p, xp: x.c - 3 * x.y,
@@ -422,7 +433,7 @@ def test_a_free_parameter_that_is_called_as_another_unknown_is_not_taken_for_it(
     phase = pl.Phase(
         name="go", states=(pl.Variable(name="x"), pl.Variable(name="c")), duration="T",
         controls=(pl.ScalarControl(name="u"),), dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u * u.u / p.T),
-        end=lambda x, p, xp: (x.x - p.e,), end_conditions=(pl.Variable(name="there"),),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.e,), there="1"), 
     )  # fmt: skip
     stated = pl.Problem(
         name="named", phases=(phase,), start=lambda p, xp: (0.0, 0.0),

@@ -106,11 +106,16 @@ def swung(angle: float, stretch: float = 0.0, end: str = "held", joint: bool = F
         last = k == 1 or not stretch
         place = Variable(name="place", lower=-1.0, upper=1.0) if end == "range" else Variable(name="place")
         return pl.Phase(
-            name=f"go{k}", states=variables("x", "c"), duration="T", dynamics=rates,
+            name=f"go{k}",
+            states=variables("x", "c"),
+            duration="T",
+            dynamics=rates,
             controls=tuple(pl.ScalarControl(name=name, lower=-9.0, upper=9.0) for name in ("uv" if joint else "u")),
-            end=(lambda x, p, xp: ((x.x / p.stretch if k else x.x) - p.e,)) if last and end != "free" else None,
-            end_conditions=(place,) if last and end != "free" else (),
-        )  # fmt: skip
+            end=pl.Conditions.of(
+                (lambda x, p, xp: ((x.x / p.stretch if k else x.x) - p.e,)) if last and end != "free" else None,
+                (place,) if last and end != "free" else (),
+            ),
+        )
 
     at = 0.0 if end in ("range", "free") else 1.0
     parts = [angle / 3, 2 * angle / 3] if stretch else [angle]
@@ -122,7 +127,7 @@ def swung(angle: float, stretch: float = 0.0, end: str = "held", joint: bool = F
     if end == "bound":
         last = stated.phases[-1]
         place = Variable(name="place", upper=1.0)
-        held = replace(last, end=lambda x, p, xp: (x.x / p.stretch,), end_conditions=(place,))
+        held = replace(last, end=pl.Conditions(lambda x, p, xp: (x.x / p.stretch,), place))
         stated = stated.changed(phases=(*stated.phases[:-1], held), form=None)
     slope = at / math.sin(angle)
     costates = [value for k in range(len(parts)) for value in (-slope * math.cos(k * angle / 3), 1.0)]
@@ -163,7 +168,7 @@ def pulled(stiffness: float) -> Any:
         dynamics=lambda x, u, p, xp: (
             u.s * u.a / p.T, u.s * u.b / p.T, (u.s**2 - p.k * (x.y - 0.001 * x.x) ** 2) / 2 / p.T,
         ),
-        end=lambda x, p, xp: (x.x - p.e, x.y), end_conditions=variables("there", "beside"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.e, x.y), there="1", beside="1"), 
     )  # fmt: skip
     stated = phases("pulled", phase, start=lambda p, xp: (0.0, 0.0, 0.0), e=1.0, k=stiffness)
     return optimum(stated, [(0, {"s": "interior"}, "")], [-1.0, 0.0, 1.0, 1.0, 0.0])
@@ -184,7 +189,7 @@ def spun(angle: float, turn: float, skew: float) -> Any:
     phase = pl.Phase(
         name="go", states=variables("x", "y", "c"), duration="T", dynamics=rates,
         controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v")),
-        end=lambda x, p, xp: (x.x - p.e, x.y), end_conditions=variables("there", "too"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.e, x.y), there="1", too="1"), 
     )  # fmt: skip
     stated = phases("spun", phase, start=lambda p, xp: (0.0, 0.0, 0.0), e=1.0)
     slope = -1 / math.sin(angle)
@@ -214,7 +219,7 @@ def turned(weight: float) -> Any:
         name="go", states=variables("x", "y", "c"), duration="T",
         controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v")),
         dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
-        end=lambda x, p, xp: (x.x - p.half, x.y), end_conditions=variables("there", "too"),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.half, x.y), there="1", too="1"), 
     )  # fmt: skip
     stated = phases(
         "turned", turn, go, links=[lambda x, p, xp: (-xp.cos(x.angle), xp.sin(x.angle), x.c)],
@@ -239,7 +244,7 @@ def passed_by(side: int, dropped: bool) -> Any:
         name="go", states=variables("x", "y", "c"), duration="T",
         controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v")),
         dynamics=lambda x, u, p, xp: (u.u / p.T, u.v / p.T, 0.5 * (u.u**2 + u.v**2) / p.T),
-        end=lambda x, p, xp: (x.x**2 + x.y**2 - 1,), end_conditions=variables("circle"),
+        end=pl.Conditions(lambda x, p, xp: (x.x**2 + x.y**2 - 1,), circle="1"), 
     )  # fmt: skip
     more = pl.Phase(
         name="more", states=variables("c") if dropped else variables("x", "y", "c"), duration="T",
@@ -271,7 +276,7 @@ def test_end_conditions_that_are_called_alike_have_multipliers_of_their_own() ->
         name="go", states=variables("x", "y", "z", "c"), duration="T",
         controls=(pl.ScalarControl(name="u"), pl.ScalarControl(name="v"), pl.ScalarControl(name="w")),
         dynamics=lambda x, u, p, xp: (*(own / p.T for own in u), sum(0.5 * own**2 / p.T for own in u)),
-        end=lambda x, p, xp: (x.x**2 + x.y**2 - 1, x.z + 1), end_conditions=variables("same", "same"),
+        end=pl.Conditions(lambda x, p, xp: (x.x**2 + x.y**2 - 1, x.z + 1), *variables("same", "same")),
     )  # fmt: skip
     stated = phases("alike", go, start=lambda p, xp: (p.half, 0.0, 0.0, 0.0), half=0.5)
     for side in (1, -1):
@@ -351,7 +356,7 @@ def crossing(power: int) -> Any:
         name="go", states=variables("x", "s", "c"), duration="T",
         controls=(pl.ScalarControl(name="u", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (2 * u.u / p.T, 2 / p.T, 2 * x.s**power * u.u / p.T),
-        end=lambda x, p, xp: (x.x,), end_conditions=variables("back"),
+        end=pl.Conditions(lambda x, p, xp: (x.x,), back="1"), 
     )  # fmt: skip
     stated = phases("crossing", phase, start=lambda p, xp: (0.0, -1.0, 0.0))
     return optimum(stated, [(0, {"u": "upper"}, "u"), (0, {"u": "lower"}, "")], [0.0, 2.0, 1.0, 0.0, 0.5])
@@ -370,8 +375,7 @@ def ending(at: float) -> Any:
         duration="t",
         controls=(pl.ScalarControl(name="u", lower=-1.0, upper=1.0),),
         dynamics=lambda x, u, p, xp: (1 / p.T, x.s * u.u / p.T),
-        end=lambda x, p, xp: (x.s - p.at,),
-        end_conditions=variables("there"),
+        end=pl.Conditions(lambda x, p, xp: (x.s - p.at,), there="1"),
     )
     stated = phases("ending", phase, start=lambda p, xp: (-1.0, 0.0), at=at,
                     free=[pl.FreeParameter(name="t", unit="s", lower=0.0, upper=9.0, guess=1.0)])  # fmt: skip
@@ -416,10 +420,13 @@ def test_what_is_not_covered_is_named() -> None:
 def test_a_parameter_on_its_bound_is_not_moved() -> None:
     """J = c - q^2 with q <= 1 is least at q = 1, though it is curved the other way; at q = 0 it is no minimum."""
     phase = pl.Phase(
-        name="go", states=variables("x", "c"), duration="T", controls=(pl.ScalarControl(name="u"),),
-        dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u**2 / p.T), end=lambda x, p, xp: (x.x - p.e,),
-        end_conditions=variables("there"),
-    )  # fmt: skip
+        name="go",
+        states=variables("x", "c"),
+        duration="T",
+        controls=(pl.ScalarControl(name="u"),),
+        dynamics=lambda x, u, p, xp: (u.u / p.T, 0.5 * u.u**2 / p.T),
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.e,), there="1"),
+    )
     stated = phases("bounded", phase, start=lambda p, xp: (0.0, 0.0), objective=lambda x, p, xp: x.c - p.q**2, e=1.0,
                     free=[pl.FreeParameter(name="q", lower=-2.0, upper=1.0)])  # fmt: skip
     assert optimum(

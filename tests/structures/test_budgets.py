@@ -28,15 +28,14 @@ def cart(
     used = pl.Variable(name="E", unit=unit, upper=limit if stated == "bound" else math.inf)
     path: dict[str, Any] = {}
     if stated == "path":
-        path = {"path": lambda x, u, p, xp: (p.budget - x.E,), "path_conditions": variables(left=unit)}
+        path = {"path": pl.Conditions(lambda x, u, p, xp: (p.budget - x.E,), left=unit)}
     phase = pl.Phase(
         name="run",
         states=(*variables(s="m", v="m/s"), used),
         controls=(pl.ScalarControl(name="u", unit="m/s^2", lower=-most, upper=most),),
         dynamics=lambda x, u, p, xp: (x.v, u.u, rate(u.u)),
         duration="T",
-        end=lambda x, p, xp: (x.s - p.L, x.v),
-        end_conditions=variables(place="m", speed="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.s - p.L, x.v), place="m", speed="m/s"),
         **path,
     )
     return pl.Problem(
@@ -56,15 +55,14 @@ def thrusters(budget: float, stated: str) -> pl.Problem:
     used = pl.Variable(name="gain", unit=SPEED, upper=budget if stated == "bound" else math.inf)
     path: dict[str, Any] = {}
     if stated == "path":
-        path = {"path": lambda x, u, p, xp: (p.budget - x.gain,), "path_conditions": variables(left=SPEED)}
+        path = {"path": pl.Conditions(lambda x, u, p, xp: (p.budget - x.gain,), left=SPEED)}
     phase = pl.Phase(
         name="run",
         states=(*variables(s="m", v="m/s"), used),
         controls=tuple(pl.ScalarControl(name=name, unit="m/s^2", lower=0.0, upper=1.1) for name in ("ahead", "astern")),
         dynamics=lambda x, u, p, xp: (x.v, u.ahead - u.astern, u.ahead + u.astern),
         duration="T",
-        end=lambda x, p, xp: (x.s - p.L, x.v),
-        end_conditions=variables(place="m", speed="m/s"),
+        end=pl.Conditions(lambda x, p, xp: (x.s - p.L, x.v), place="m", speed="m/s"),
         **path,
     )
     own = {"budget": (budget, SPEED)} if stated == "path" else {}
@@ -155,15 +153,15 @@ def stages(first: float, last: float, *, anew: bool = False, coast: bool = False
     def phase(name: str, **more: Any) -> pl.Phase:
         return pl.Phase(
             name=name, states=variables(s="m", v="m/s", E=ENERGY), duration=f"T_{name}",
-            path=lambda x, u, p, xp: (size * (getattr(p, name) - x.E),), path_conditions=variables(left=ENERGY), **more,
+            path=pl.Conditions(lambda x, u, p, xp: (size * (getattr(p, name) - x.E),), left=ENERGY), **more,
         )  # fmt: skip
 
     steered: Any = {
         "controls": (pl.ScalarControl(name="u", unit="m/s^2"),),
         "dynamics": lambda x, u, p, xp: (x.v, u.u, u.u * u.u),
     }
-    half: Any = {"end": lambda x, p, xp: (x.s - 0.5 * p.L,), "end_conditions": variables(place="m"), **steered}
-    rest: Any = {"end": lambda x, p, xp: (x.s - p.L, x.v - p.vT), "end_conditions": variables(place="m", speed="m/s")}
+    half: Any = {"end": pl.Conditions(lambda x, p, xp: (x.s - 0.5 * p.L,), place="m"), **steered}
+    rest: Any = {"end": pl.Conditions(lambda x, p, xp: (x.s - p.L, x.v - p.vT), place="m", speed="m/s")}
     still: Any = {"dynamics": lambda x, u, p, xp: (x.v, 0 * p.a, 0 * p.a * p.a)}
     one, two = (phase("one", **rest, **steered), phase("two", **still)) if coast else (
         phase("one", **half), phase("two", **rest, **steered))  # fmt: skip

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
         minimising_control_at,
     )
     from perilune.conditions.mode_events import select_by_mode
-    from perilune.conditions.pontryagin import Conditions, attainable_conditions, derive
+    from perilune.conditions.pontryagin import OptimalityConditions, attainable_conditions, derive
 
 __all__ = [
-    "Conditions",
     "Held",
+    "OptimalityConditions",
     "PhaseExtremal",
     "attainable_conditions",
     "derive",
@@ -40,6 +40,6 @@ __getattr__: Callable[[str], Any] = deferred(
         "active_constraints": "Held",
         "canonical_equations": "PhaseExtremal extremal_parameters hamiltonian_at limit_symbols minimising_control_at",
         "mode_events": "select_by_mode",
-        "pontryagin": "Conditions attainable_conditions derive",
+        "pontryagin": "OptimalityConditions attainable_conditions derive",
     },
 )

@@ -47,7 +47,7 @@ from perilune.problem.tracing.costate_signs import cost_states, unpriced_states
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Conditions:
+class OptimalityConditions:
     """The boundary value problem of a `Problem`.
 
     Parameters
@@ -94,7 +94,7 @@ class Conditions:
     needed: tuple[tuple[int, ...], ...]
 
 
-def derive(problem: Problem, keep: Held = (), watch: Watch = ignore_events) -> Conditions:
+def derive(problem: Problem, keep: Held = (), watch: Watch = ignore_events) -> OptimalityConditions:
     """Derive the boundary value problem of a `Problem`.
 
     Values and bounds do not enter the expressions, so problems that differ only in them share one derivation.
@@ -146,7 +146,7 @@ def _find_attainable_conditions(unnumbered: Unnumbered) -> Held:
 
 
 @lru_cache(maxsize=64)
-def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
+def _derive(unnumbered: Unnumbered, keep: Held) -> OptimalityConditions:
     problem = unnumbered.problem
     p = trace_parameters(problem)
     symbols, limits = limit_symbols(problem, p)
@@ -201,7 +201,7 @@ def _derive(unnumbered: Unnumbered, keep: Held) -> Conditions:
     needed = _needed_end_entries(phases, ends, read, starts, silent, {row for row, _ in silent_rows})
     count = sum(e.half for e in phases)
     unknowns, residuals = _names(problem, tuple(phases), {i: name for i, name, _ in joints})
-    return Conditions(
+    return OptimalityConditions(
         phases=tuple(phases),
         starts=starts,
         residual=ca.Function("residual", [y, zf, numbers], ca.cse([residual, cost])),

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from perilune.problem.controls import scalars
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter, Variable
@@ -81,7 +82,7 @@ class ElasticLimit:
 
         return problem.changed(
             phases=phases, free=(*free, *new), given={**problem.given, **stated}, objective=least,
-            objective_unit=unit, objective_scale=size, results=None, result_variables=(),
+            objective_unit=unit, objective_scale=size, results=None,
             maximised="", minimised="", parameter_bounds=None, preflight=None, consistency_checks=None,
             declared=(), form=None,
         )  # fmt: skip
@@ -136,10 +137,10 @@ def elastic_limits(problem: Problem) -> tuple[ElasticLimit, ...]:
 def _relaxed_phase(phase: Phase, limit: ElasticLimit, at_end: Sequence[str]) -> Phase:
     """Return the phase with its own part of the limit relaxed."""
     if limit.kind == "path":
-        path = _with_slack(phase.path, phase.path_conditions, limit.names, _with_one_slack)
-        return replace(phase, path=path, end=_with_slack(phase.end, phase.end_conditions, at_end, _with_one_slack))
+        path = _with_slack(phase.path, limit.names, _with_one_slack)
+        return replace(phase, path=path, end=_with_slack(phase.end, at_end, _with_one_slack))
     if limit.kind == "end":
-        return replace(phase, end=_with_slack(phase.end, phase.end_conditions, limit.names, _with_two_slacks))
+        return replace(phase, end=_with_slack(phase.end, limit.names, _with_two_slacks))
     if limit.kind == "free":
         return phase
     rows = phase.states if limit.kind == "state" else [c for _, c in scalars(phase.controls)]
@@ -157,20 +158,20 @@ def _with_end(phase: Phase, limit: ElasticLimit) -> Phase:
         return *own, sign * (getattr(p, name) - getattr(p, _STATED)) + getattr(p, _SLACK)
 
     room = Variable(name=f"room_of_{name}", unit=limit.bounded.unit, lower=0.0)
-    return replace(phase, end=end, end_conditions=(*phase.end_conditions, room))
+    return replace(phase, end=Conditions(end, *phase.end_conditions, room))
 
 
-def _with_slack(function: Any, conditions: Sequence[Variable], names: Sequence[str], give: Callable[..., Any]) -> Any:
-    """Return a function of conditions that adds the slacks of those of these names."""
-    if function is None or not any(c.name in names for c in conditions):
-        return function
+def _with_slack(stated: Conditions | None, names: Sequence[str], give: Callable[..., Any]) -> Conditions | None:
+    """Return the conditions with the slacks of those of these names added."""
+    if stated is None or not any(c.name in names for c in stated.variables):
+        return stated
 
     def relaxed(*arguments: Any) -> tuple[Any, ...]:
         p = arguments[-2]
-        values = zip(conditions, function(*arguments), strict=True)
+        values = zip(stated.variables, stated(*arguments), strict=True)
         return tuple(give(value, c.name, p) if c.name in names else value for c, value in values)
 
-    return relaxed
+    return stated.with_function(relaxed)
 
 
 def _with_one_slack(value: Any, name: str, p: Any) -> Any:
@@ -199,9 +200,9 @@ def _bound_as_condition(phase: Phase, limit: ElasticLimit, bounded: Any) -> Phas
         return *(() if phase.end is None else phase.end(x, p, xp)), left(x, p)
 
     loose = replace(bounded, **{side: free})
-    kept = {"path": path, "path_conditions": (*phase.path_conditions, room)}
+    kept = Conditions(path, *phase.path_conditions, room)
     if limit.kind == "control":
-        return replace(phase, controls=tuple(loose if c is bounded else c for c in phase.controls), **kept)
+        return replace(phase, controls=tuple(loose if c is bounded else c for c in phase.controls), path=kept)
     states = tuple(loose if s is bounded else s for s in phase.states)
     last = replace(room, name=f"end_{room.name}", lower=0.0)
-    return replace(phase, states=states, end=end, end_conditions=(*phase.end_conditions, last), **kept)
+    return replace(phase, states=states, end=Conditions(end, *phase.end_conditions, last), path=kept)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from string import Formatter
 from typing import Any
 
@@ -27,6 +27,7 @@ from perilune.io.json_checks import (
 from perilune.io.tape_json import tape_of
 from perilune.problem.controls import ScalarControl, UnitVectorControl
 from perilune.problem.display.views import Views
+from perilune.problem.named_values import PAIRS, Quantities, named_variables
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.tape import Expression
@@ -34,11 +35,10 @@ from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS, roles_of, w
 from perilune.problem.variables import FreeParameter, Parameter, Variable
 
 _CONTROLS = {kind.kind: kind for kind in (UnitVectorControl, ScalarControl)}
-# Of a phase and of a problem, the fields that are tuples of variables.
-_VARIABLES = [f.name for f in fields(Phase) if f.name == "states" or f.name.endswith(("_conditions", "_variables"))]
-# That every file names; what came later is left out where it is empty.
-_ALWAYS = set(_VARIABLES) - {"held_conditions", "end_output_variables"}
-_WRITTEN = {"end_output_variables": "mark_variables", "guess": "typical"}  # names in files, which stay
+# In files, the row of the variables of each field of a phase; what came last is left out where it is empty.
+_ROWS = {name: row for name, (row, _) in PAIRS.items() if name != "results"}
+_ALWAYS = set(_ROWS.values()) - {"held_conditions", "mark_variables"}
+_WRITTEN = {"guess": "typical"}  # names in files, which stay
 _NAME = re.compile(r"[A-Za-z_][\w-]{0,80}", re.ASCII)  # what becomes part of a file's name
 _SPEC = re.compile(r"(\.\d{1,2})?[efg]?", re.ASCII)
 
@@ -69,10 +69,10 @@ def _function_key(key: Any) -> str:
 
 
 def _phase_physics_document(phase: Phase) -> dict[str, Any]:
-    variables = {
-        _WRITTEN.get(name, name): record_tree(rows)
-        for name in _VARIABLES
-        if (rows := getattr(phase, name)) or name in _ALWAYS
+    variables = {"states": record_tree(phase.states)} | {
+        row: record_tree(named)
+        for name, row in _ROWS.items()
+        if (named := named_variables(getattr(phase, name))) or row in _ALWAYS
     }
     controls = [{"kind": c.kind, **record_tree(c)} for c in phase.controls]
     return {"name": phase.name, "duration": phase.duration, "controls": controls, **variables}
@@ -99,9 +99,10 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Parameter]) ->
         refuse_entry("phases", str(len(entries)), "at least one")
     bare = [_read_phase(entry, f"problem.phases[{k}]") for k, entry in enumerate(entries)]
     read = _DocumentFunctions(part(document, "functions", dict), bare, {*given, *(f.name for f in free)})
-    phases = tuple(
-        replace(phase, **{name: read((k, name), k) for name in PHASE_FUNCTIONS}) for k, phase in enumerate(bare)
-    )
+    phases = tuple(_with_read_functions(phase, entries[k], read, k) for k, phase in enumerate(bare))
+    named = _read_rows(document, "result_variables", Variable)
+    if named and "results" not in read.tapes:
+        refuse_entry("functions.results", "nothing", "a function")
     problem = Problem(
         name=short_text(document, "name"),
         title=short_text(document, "title"),
@@ -113,8 +114,7 @@ def read_physics(document: Mapping[str, Any], given: Mapping[str, Parameter]) ->
         objective=read("objective", len(phases) - 1) or refuse_entry("functions.objective", "nothing", "a function"),
         objective_unit=short_text(document, "objective_unit"),
         objective_scale=_scale(document),
-        results=read("results", 0),
-        result_variables=_read_rows(document, "result_variables", Variable),
+        results=Quantities.of(read("results", 0), named),
         maximised=short_text(document, "maximised"),
         minimised=short_text(document, "minimised") if "minimised" in document else "",
         views=_read_views(document),
@@ -160,17 +160,26 @@ def _read_phase(entry: Any, where: str) -> Phase:
         controls.append(
             checked_record(kind, {k: v for k, v in control.items() if k != "kind"}, f"{where}.controls[{i}]")
         )
-    written = {field: _WRITTEN.get(field, field) for field in _VARIABLES}
-    variables: dict[str, Any] = {
-        field: _read_rows(entry, name, Variable) for field, name in written.items() if name in entry or field in _ALWAYS
-    }
     return Phase(
         name=name,
         duration=short_text(entry, "duration"),
+        states=_read_rows(entry, "states", Variable),
         controls=tuple(controls),
         dynamics=_unread_dynamics,
-        **variables,
     )
+
+
+def _with_read_functions(phase: Phase, entry: Mapping[str, Any], read: _DocumentFunctions, k: int) -> Phase:
+    """Return phase k with its functions, and with the names of their values, which its entry has."""
+    found: dict[str, Any] = {name: read((k, name), k) for name in PHASE_FUNCTIONS}
+    for name, row in _ROWS.items():
+        variables = _read_rows(entry, row, Variable) if row in entry or row in _ALWAYS else ()
+        if found[name] is None and variables:
+            refuse_entry(f"functions.{_function_key((k, name))}", "nothing", "a function")
+        if found[name] is not None and not variables:
+            refuse_entry(f"problem.phases[{k}].{row}", "nothing", f"a name for each value of {name}")
+        found[name] = PAIRS[name][1].of(found[name], variables)
+    return replace(phase, **found)
 
 
 def _unread_dynamics(*arguments: Any) -> None:

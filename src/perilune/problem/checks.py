@@ -18,11 +18,12 @@ from perilune.core.units import Scales, parse_unit
 from perilune.core.validation import require_callable, require_row, require_type, wrong_type_error
 from perilune.problem.controls import scalars
 from perilune.problem.display.views import Views, check_views
+from perilune.problem.named_values import Quantities, require_named
 from perilune.problem.names import check_names
 from perilune.problem.phase import Phase
 from perilune.problem.tracing.dimensions import Clash, clash, mixed_comparison
 from perilune.problem.tracing.traced_problem import StatedFunction, stated_functions
-from perilune.problem.variables import FreeParameter, Parameter, Variable
+from perilune.problem.variables import FreeParameter, Parameter
 
 # Functions that are not formulas.
 HOOKS = ("parameter_bounds", "preflight", "consistency_checks", "initial_guess", "switching_guesses")
@@ -33,7 +34,7 @@ def check_parts(problem: Any) -> None:
     require_row(problem.phases, "phases", Phase)
     require_row(problem.links, "links", Callable)
     require_row(problem.free, "free parameters", FreeParameter)
-    require_row(problem.result_variables, "result variables", Variable)
+    require_named(problem.results, Quantities, "the results of a problem")
     for name, kind, advice in (
         ("given", Mapping, 'given={"mass": pl.Parameter(value=300.0, unit="kg")}'),
         ("declared", Sequence, ""),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, get_args
 
@@ -16,15 +16,14 @@ from perilune.core.maths import NUMERIC
 from perilune.core.validation import check_call, require_row
 from perilune.problem.controls import Control
 from perilune.problem.display.reprs import ShownPhase
+from perilune.problem.named_values import PAIRS, Conditions, Quantities, accept_pairs, named_variables, require_named
 from perilune.problem.variables import Variable
 
-_ROWS = (
-    "states", "end_conditions", "path_conditions", "held_conditions",
-    "output_variables", "integral_variables", "end_output_variables",
-)  # fmt: skip
+_NAMED = ("end", "path", "held", "outputs", "integrals", "end_outputs")
 
 
-@renamed_keywords(marks="end_outputs", mark_variables="end_output_variables", typical_end="end_guess")
+@renamed_keywords(marks="end_outputs", typical_end="end_guess")
+@accept_pairs(*_NAMED)
 @check_call
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Phase(ShownPhase):
@@ -40,21 +39,22 @@ class Phase(ShownPhase):
         ``dynamics(x, u, p, xp)`` returns the rates of all states.
     duration
         Name of the parameter (given or free) that is the length of the phase in seconds.
-    end, end_conditions
-        ``end(x, p, xp)`` returns residuals that vanish at the end of the phase, one for each named condition; one whose
-        condition has bounds has to lie between them instead.
-    path, path_conditions
-        ``path(x, u, p, xp)`` returns values that must not be negative on the phase.
-    held, held_conditions
-        ``held(x, u, p, xp)`` returns values that vanish all along the phase: they say what the control does there, such
-        as to follow a glide slope. As many components of the control as there are values have to act in them.
-    outputs, output_variables
-        ``outputs(x, u, p, xp)`` returns further quantities of interest (altitude, steering angle) for tables.
-    integrals, integral_variables
-        ``integrals(x, u, p, xp)`` returns rates; their integrals along the flight are results, named with the unit of
-        the integral (delta-v spent, gravity loss). Phases that name the same one add to it.
-    end_outputs, end_output_variables
-        ``end_outputs(x, p, xp)`` of the end state of the phase returns further results (speed where the air begins).
+    end
+        `Conditions` of ``end(x, p, xp)``, residuals that vanish at the end of the phase; one whose condition has bounds
+        has to lie between them instead.
+    path
+        `Conditions` of ``path(x, u, p, xp)``, values that must not be negative on the phase.
+    held
+        `Conditions` of ``held(x, u, p, xp)``, values that vanish all along the phase: they say what the control does
+        there, such as to follow a glide slope. As many components of the control as there are values have to act in
+        them.
+    outputs
+        `Quantities` of ``outputs(x, u, p, xp)``, further values of interest (altitude, steering angle) for tables.
+    integrals
+        `Quantities` of ``integrals(x, u, p, xp)``, rates; their integrals along the flight are results, named with the
+        unit of the integral (delta-v spent, gravity loss). Phases that name the same one add to it.
+    end_outputs
+        `Quantities` of ``end_outputs(x, p, xp)`` of the end state, further results (speed where the air begins).
     inertial
         ``inertial(x, u, t, p, xp)`` returns nine values in inertial axes with the body at their origin, t seconds after
         the begin of the flight: position [m], velocity [m/s], acceleration by thrust [m/s^2]. `Views.frame` says which.
@@ -70,18 +70,12 @@ class Phase(ShownPhase):
     controls: tuple[Control, ...] = ()
     dynamics: Physics
     duration: str
-    end: Physics | None = None
-    end_conditions: tuple[Variable, ...] = ()
-    path: Physics | None = None
-    path_conditions: tuple[Variable, ...] = ()
-    held: Physics | None = None
-    held_conditions: tuple[Variable, ...] = ()
-    outputs: Physics | None = None
-    output_variables: tuple[Variable, ...] = ()
-    integrals: Physics | None = None
-    integral_variables: tuple[Variable, ...] = ()
-    end_outputs: Physics | None = None
-    end_output_variables: tuple[Variable, ...] = ()
+    end: Conditions | None = None
+    path: Conditions | None = None
+    held: Conditions | None = None
+    outputs: Quantities | None = None
+    integrals: Quantities | None = None
+    end_outputs: Quantities | None = None
     inertial: Physics | None = None
     track: Physics | None = None
     end_guess: Physics | None = None
@@ -91,8 +85,9 @@ class Phase(ShownPhase):
 
     def __post_init__(self) -> None:
         require_row(self.controls, "controls", *get_args(Control))
-        for row in _ROWS:
-            require_row(getattr(self, row), row.replace("_", " "), Variable)
+        require_row(self.states, "states", Variable)
+        for name in _NAMED:
+            require_named(getattr(self, name), PAIRS[name][1], f"the {name} of a phase")
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -103,6 +98,49 @@ class Phase(ShownPhase):
     def control_names(self) -> tuple[str, ...]:
         """Names of the control components, in order."""
         return tuple(name for control in self.controls for name in control.names)
+
+    @property
+    def end_conditions(self) -> tuple[Variable, ...]:
+        """Conditions of `end`, in order."""
+        return named_variables(self.end)
+
+    @property
+    def path_conditions(self) -> tuple[Variable, ...]:
+        """Conditions of `path`, in order."""
+        return named_variables(self.path)
+
+    @property
+    def held_conditions(self) -> tuple[Variable, ...]:
+        """Conditions of `held`, in order."""
+        return named_variables(self.held)
+
+    @property
+    def output_variables(self) -> tuple[Variable, ...]:
+        """Quantities of `outputs`, in order."""
+        return named_variables(self.outputs)
+
+    @property
+    def integral_variables(self) -> tuple[Variable, ...]:
+        """Quantities of `integrals`, in order."""
+        return named_variables(self.integrals)
+
+    @property
+    def end_output_variables(self) -> tuple[Variable, ...]:
+        """Quantities of `end_outputs`, in order."""
+        return named_variables(self.end_outputs)
+
+    def with_functions(self, functions: Mapping[str, Physics | None]) -> Phase:
+        """Return the phase with other functions for the same conditions and quantities.
+
+        Parameters
+        ----------
+        functions
+            By field; a field of named values whose function is None is left out.
+        """
+        changes: dict[str, Any] = dict(functions)
+        for name in (name for name in _NAMED if changes.get(name) is not None):
+            changes[name] = PAIRS[name][1](changes[name], *named_variables(getattr(self, name)))
+        return replace(self, **changes)
 
     @property
     def sized(self) -> tuple[Variable, ...]:

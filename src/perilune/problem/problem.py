@@ -45,6 +45,7 @@ from perilune.problem.checks import (
 from perilune.problem.controls import Control, scalars
 from perilune.problem.display.reprs import ShownProblem
 from perilune.problem.display.views import Views
+from perilune.problem.named_values import Quantities, accept_pairs, named_variables
 from perilune.problem.parameters import read_only_given
 from perilune.problem.phase import Phase
 from perilune.problem.tracing.numeric_rates import SimulatedProblem
@@ -66,6 +67,7 @@ _OLD_NAMES = {"ranges": "parameter_bounds", "bookkeeping": "consistency_checks",
 
 
 @renamed_keywords(**_OLD_NAMES)
+@accept_pairs("results")
 @check_call
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Problem(ShownProblem, SimulatedProblem):
@@ -93,9 +95,9 @@ class Problem(ShownProblem, SimulatedProblem):
     objective, objective_unit, objective_scale
         ``objective(x, p, xp)`` of the last end state, minimised, its unit, and its size in SI where that is not the
         size of its unit in `scales`.
-    results, result_variables
-        ``results(first, last, p, xp)`` of the first phase's initial and the last phase's end state returns what is
-        asked of a solution (landed mass, flight time), in addition to the phases' `integrals`.
+    results
+        `Quantities` of ``results(first, last, p, xp)``, which returns of the first phase's initial and the last phase's
+        end state what is asked of a solution (landed mass, flight time), in addition to the phases' `integrals`.
     maximised
         Name of the result that J is the negative of, or "".
     minimised
@@ -139,8 +141,7 @@ class Problem(ShownProblem, SimulatedProblem):
     objective: Physics
     objective_unit: str = "1"
     objective_scale: float | None = None
-    results: Physics | None = None
-    result_variables: tuple[Variable, ...] = ()
+    results: Quantities | None = None
     maximised: str = ""
     minimised: str = ""
     declared: tuple[Any, ...] = ()
@@ -236,15 +237,18 @@ class Problem(ShownProblem, SimulatedProblem):
     def stated_by(self, found: Mapping[Any, Expression]) -> Problem:
         """Return a problem of the same form with these functions by their key."""
         phases = tuple(
-            replace(phase, **{name: found.get((k, name)) for name in PHASE_FUNCTIONS})
+            phase.with_functions({name: found.get((k, name)) for name in PHASE_FUNCTIONS})
             for k, phase in enumerate(self.phases)
         )
-        own = {name: found[name] for name in ("start", "objective", "results") if name in found}
+        own: dict[str, Any] = {name: found[name] for name in ("start", "objective") if name in found}
+        if self.results is not None and "results" in found:
+            own["results"] = self.results.with_function(found["results"])
         new = self.changed(phases=phases, links=tuple(found["links", k] for k in range(len(self.links))), **own)
         new.__dict__["expressed"] = new
         return new
 
     @renamed_keywords(**_OLD_NAMES)
+    @accept_pairs("results")
     @check_call
     def changed(self, **changes: Any) -> Problem:
         """Return a changed problem, not checked again; of the same form, or traced on demand with `form=None`.
@@ -294,6 +298,11 @@ class Problem(ShownProblem, SimulatedProblem):
 
     def __hash__(self) -> int:
         return hash((self.form, self.numbers))
+
+    @property
+    def result_variables(self) -> tuple[Variable, ...]:
+        """Quantities of `results`, in order."""
+        return named_variables(self.results)
 
     @property
     def free_names(self) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from perilune.core.callbacks import sign_of_life
 from perilune.core.errors import PeriluneError
 from perilune.core.units import quotient_unit
 from perilune.methods import Method
+from perilune.problem.named_values import Conditions
 from perilune.problem.perturbed import fix_free_parameters
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -124,7 +125,7 @@ def _without_conditions(phase: Phase, names: Collection[str]) -> Phase:
         return phase
     kept = tuple(phase.path_conditions[i] for i in rows)
     some = (lambda x, u, p, xp: tuple(path(x, u, p, xp)[i] for i in rows)) if rows else None
-    return replace(phase, path=some, path_conditions=kept)
+    return replace(phase, path=Conditions.of(some, kept))
 
 
 def _rival_solutions(solution: Solution, other: Method) -> tuple[list[Solution], str]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.conditions import Conditions
+from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.problem.problem import Problem
@@ -34,7 +34,7 @@ class ActiveSetBounds:
     upper: Vector | Matrix
 
     @classmethod
-    def of(cls, problem: Problem, conditions: Conditions) -> ActiveSetBounds:
+    def of(cls, problem: Problem, conditions: OptimalityConditions) -> ActiveSetBounds:
         """Return the bounds of the free parameters and of the ranges of a problem.
 
         Parameters

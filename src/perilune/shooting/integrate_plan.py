@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions import Conditions
+from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Batch, Matrix, Vector
 from perilune.kernels import LANES, BoundArcs, Engine, Request, compile_map
 from perilune.shooting import newton
@@ -227,7 +227,7 @@ class Fleet:
 
 
 @lru_cache(maxsize=64)
-def fleet(conditions: Conditions, segments: int) -> Fleet:
+def fleet(conditions: OptimalityConditions, segments: int) -> Fleet:
     """Return the fleet of a boundary value problem, which is made once.
 
     Parameters
@@ -240,7 +240,9 @@ def fleet(conditions: Conditions, segments: int) -> Fleet:
     return Fleet(plan(conditions, segments))
 
 
-def jacobians(conditions: Conditions, segments: int, Y: Matrix, p: Matrix, choice: Matrix) -> NDArray[np.float64]:
+def jacobians(
+    conditions: OptimalityConditions, segments: int, Y: Matrix, p: Matrix, choice: Matrix
+) -> NDArray[np.float64]:
     """Return the Jacobians (lanes, n, n) themselves, as a singular one has no inverse.
 
     Parameters
@@ -261,5 +263,5 @@ def jacobians(conditions: Conditions, segments: int, Y: Matrix, p: Matrix, choic
 
 
 @lru_cache(maxsize=16)
-def _plan_without_step(conditions: Conditions, segments: int) -> Code:
+def _plan_without_step(conditions: OptimalityConditions, segments: int) -> Code:
     return Code(plan(conditions, segments, most=-1))

@@ -14,8 +14,8 @@ their product.
 Free parameters and end conditions that are ranges may be *held*, each lane of a batch having its own choice: the
 row is  mask (value - held value) + (1 - mask) row,  with mask and held value among the parameters of the closing.
 
-Unknowns and rows of costates that vanish on every extremal (`Conditions.silent_rows`) are left out. The legs of a
-phase that settles (`perilune.shooting.contracting_phases`) have states only, and its transversality condition is
+Unknowns and rows of costates that vanish on every extremal (`OptimalityConditions.silent_rows`) are left out. The legs
+of a phase that settles (`perilune.shooting.contracting_phases`) have states only, and its transversality condition is
 imposed at its start: lambda(0) - Phi(T)^T mu, with mu what its end makes of lambda(T), and Phi the product of those of
 its legs.
 """
@@ -29,7 +29,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions import Conditions
+from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import LANES, Engine, Request
 from perilune.shooting.contracting_phases import MOST_STEPS, settling_equations
@@ -93,7 +93,7 @@ class Plan:
         Free parameters, and how many things can be held: these, then ranges.
     """
 
-    conditions: Conditions
+    conditions: OptimalityConditions
     segments: int
     legs: tuple[PlanLeg, ...]
     at_free: int
@@ -138,7 +138,7 @@ class Plan:
         choice[..., index], choice[..., self.held + index] = 1.0, value
 
 
-def plan(conditions: Conditions, segments: int, most: int | None = None) -> Plan:
+def plan(conditions: OptimalityConditions, segments: int, most: int | None = None) -> Plan:
     """Derive the plan; its step is compiled for up to `most` coupled unknowns, by default `COMPILED`.
 
     Parameters
@@ -192,7 +192,7 @@ class _End:
 class _Tracing:
     """Traces the legs in order of flight."""
 
-    def __init__(self, conditions: Conditions, segments: int, most: int) -> None:
+    def __init__(self, conditions: OptimalityConditions, segments: int, most: int) -> None:
         self.conditions, self.segments, self.most = conditions, segments, most
         self.settling = [settling_equations(phase) if phase.settles else None for phase in conditions.phases]
         parts = zip(conditions.phases, conditions.needed, conditions.silent, self.settling, strict=True)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions import Conditions
+from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Iteration, Watch
 from perilune.shooting.integrate_plan import fleet, jacobians
@@ -170,8 +170,8 @@ class Shooting:
         How many arcs were flown so far, and how many steps of Newton's method were made, in all lanes together.
     """
 
-    def __init__(self, conditions: Conditions, segments: int = 1) -> None:
-        self.conditions: Conditions = conditions
+    def __init__(self, conditions: OptimalityConditions, segments: int = 1) -> None:
+        self.conditions: OptimalityConditions = conditions
         self.segments: int = segments
         self.arcs: int = 0
         self.iterations: int = 0

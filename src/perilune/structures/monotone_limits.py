@@ -24,6 +24,7 @@ import numpy as np
 
 from perilune.core.maths import NUMERIC
 from perilune.problem.controls import Control
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import (
@@ -75,7 +76,7 @@ def _limited_at_end(problem: Problem, k: int, linear: bool) -> Phase:
         while condition.name in taken:
             condition = replace(condition, name=f"{condition.name}_")
         conditions.append(condition)
-    return replace(phase, end=gather_expressions(values, ("x", "p")), end_conditions=tuple(conditions))
+    return replace(phase, end=Conditions(gather_expressions(values, ("x", "p")), *conditions))
 
 
 def _end_range_of_limit(

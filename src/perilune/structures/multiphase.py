@@ -22,6 +22,7 @@ from typing import Any
 from perilune.core.errors import PeriluneError
 from perilune.core.units import format_value_range
 from perilune.problem.controls import Control, ScalarControl
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import MOST_ORDER, component, gather_expressions, run_expression
@@ -114,7 +115,8 @@ def _resummed_phases(restated: Problem, problem: Problem, structure: Structure) 
         if stated and (was := stated[-1]).name == name:
             alike = not one if was.ranged else one and most[part_durations(problem, structure, k)[0]] == upper
             if was.ranged and alike and (was.lower, was.upper) != (lower, upper):
-                phases[at] = replace(phases[at], end_conditions=(*stated[:-1], replace(was, lower=lower, upper=upper)))
+                end = Conditions.of(phases[at].end, (*stated[:-1], replace(was, lower=lower, upper=upper)))
+                phases[at] = replace(phases[at], end=end)
         else:
             alike = not (math.isfinite(lower) or math.isfinite(upper))
         if not alike:
@@ -186,7 +188,7 @@ class _Restated:
             links=tuple(links),
             start=own["start"],
             objective=own["objective"],
-            results=own.get("results"),
+            results=user.results and user.results.with_function(own["results"]),
             given=MappingProxyType({**user.given, **bounds}),
             free=tuple(self.free()),
             views=replace(user.views, dispersion=None),  # which names phases
@@ -240,19 +242,18 @@ class _Restated:
             self._refuse_unsteered(arc, conditions)
             held = [(conditions[n].rated(conditions[n].order, "", self._second), conditions[n].values[-1])
                     for n in arc.along]  # fmt: skip
-            changes = {
-                **{name: own.get((k, name)) for name in PHASE_FUNCTIONS},
+            changes: dict[str, Any] = {
                 "name": part_name(phase.name, j, count),
                 "duration": durations[j],
                 "controls": _arc_controls(phase, arc),
                 "states": without_bounds(phase, [c.bound for c in conditions.values() if c.bound is not None]),
                 "end_guess": rough[j],
-                **({} if j + 1 == count else {"end_outputs": None, "end_output_variables": ()}),
-                **_gathered_function("end", "end_conditions", ends),
-                **_gathered_function("path", "path_conditions", self._inequalities(k, arc, conditions)),
-                **_gathered_function("held", "held_conditions", held + self._user_held(k)),
+                **({} if j + 1 == count else {"end_outputs": None}),
+                "end": _gathered_conditions("end", ends),
+                "path": _gathered_conditions("path", self._inequalities(k, arc, conditions)),
+                "held": _gathered_conditions("held", held + self._user_held(k)),
             }
-            yield replace(phase, **changes)
+            yield replace(phase.with_functions({name: own.get((k, name)) for name in PHASE_FUNCTIONS}), **changes)
 
     @staticmethod
     def _refuse_unsteered(arc: Arc, conditions: Mapping[str, Condition]) -> None:
@@ -345,13 +346,11 @@ class _Restated:
         return [*(Expression(tape, roles, origin="a straight line") for tape in inner), user[k, "end_guess"]]
 
 
-def _gathered_function(function: str, names: str, rows: Sequence[tuple[Variable, Expression]]) -> dict[str, Any]:
-    """Return a function of a phase and the names of its values; None where there are none."""
-    roles = PHASE_FUNCTIONS[function][0]
-    return {
-        function: gather_expressions([e for _, e in rows], roles) if rows else None,
-        names: tuple(v for v, _ in rows),
-    }
+def _gathered_conditions(name: str, rows: Sequence[tuple[Variable, Expression]]) -> Conditions | None:
+    """Return the conditions of a field of a phase; None where there are none."""
+    if not rows:
+        return None
+    return Conditions(gather_expressions([e for _, e in rows], PHASE_FUNCTIONS[name][0]), *(v for v, _ in rows))
 
 
 def _arc_controls(phase: Phase, arc: Arc) -> tuple[Control, ...]:

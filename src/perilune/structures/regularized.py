@@ -78,7 +78,6 @@ def smooth_problem(problem: Problem, share: float) -> Problem | None:
         switching_guesses=None,
         initial_guess=None if problem.initial_guess is None else partial(_guess_without_gain, problem.initial_guess),
         results=None,
-        result_variables=(),
         maximised="",
         minimised="",
         preflight=None,
@@ -119,12 +118,8 @@ def _smoothed_phase(problem: Problem, k: int, scalars: list[ScalarControl]) -> P
         if (k, name) in own:
             functions[name] = _smoothed_function(own[k, name], k, scalars, name, phase.duration)
     return replace(
-        phase,
+        phase.with_functions(functions),
         controls=tuple(controls),
-        output_variables=(),
-        integral_variables=(),
-        end_output_variables=(),
-        **functions,
         states=(*phase.states, Variable(name=_GAINED, unit=problem.objective_unit, scale=problem.objective_scale)),
     )
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from perilune.atlas.branches.arc_sequence import PLAIN, ArcSequence
 from perilune.atlas.hermite import binary_digits
-from perilune.conditions import Conditions, derive, extremal_parameters
+from perilune.conditions import OptimalityConditions, derive, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.problem.parametric import parametric_problem, sizes_of
 from perilune.problem.problem import Problem
@@ -122,7 +122,7 @@ class Chart:
         self.problem: Problem = course.restated(problem, names)
         self._sizes = sizes = sizes_of(self.problem, names, np.asarray(widths, dtype=float).tolist())
         self.free: Problem = parametric_problem(self.problem, names, sizes)
-        self.conditions: Conditions = derive(self.free, course.keep)
+        self.conditions: OptimalityConditions = derive(self.free, course.keep)
         self.p: Vector = extremal_parameters(self.free)
         self.shooting: Shooting = Shooting(self.conditions)
         self.scale: Vector = np.array([sizes.get(name, problem.scales.of(problem.unit_of(name))) for name in names])
@@ -199,7 +199,7 @@ class Chart:
         return Y
 
     @cached_property
-    def own(self) -> Conditions:
+    def own(self) -> OptimalityConditions:
         """Return the optimality conditions of the problem itself, whose parameters do not vary."""
         return derive(self.problem, self.course.keep)
 

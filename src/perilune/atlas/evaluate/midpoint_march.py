@@ -20,7 +20,7 @@ import numpy as np
 from perilune.atlas.branches.bound_status import SLACK, conjunction
 from perilune.atlas.evaluate import midpoint_march as singular
 from perilune.atlas.evaluate.multiplier_signs import NOTHING, ChartBoundaryArcs
-from perilune.conditions import Conditions, PhaseExtremal, hamiltonian_at, limit_symbols
+from perilune.conditions import OptimalityConditions, PhaseExtremal, hamiltonian_at, limit_symbols
 from perilune.problem.casadi_trace import SYMBOLIC, column, elements, trace_parameters
 from perilune.problem.controls import ScalarControl, Settled, control_slices, scalars
 from perilune.problem.phase import Phase
@@ -69,7 +69,7 @@ class MarchedMargins(NamedTuple):
     nearly: Any
 
 
-def start_function(conditions: Conditions, k: int) -> ca.Function:
+def start_function(conditions: OptimalityConditions, k: int) -> ca.Function:
     """Build the function (y, numbers, end state of the phase before) -> marched state, all of z, and duration.
 
     Parameters
@@ -88,21 +88,21 @@ def start_function(conditions: Conditions, k: int) -> ca.Function:
     return ca.Function("begun", [y, p, before], [ca.cse(ca.densify(each)) for each in (state, z, duration)])
 
 
-def _march_symbols(conditions: Conditions, k: int) -> ca.SX:
+def _march_symbols(conditions: OptimalityConditions, k: int) -> ca.SX:
     """Return symbols for the marched state of a phase: z, or x and the moving part of Phi; and the margins so far."""
     extremal = conditions.phases[k]
     size = settling_equations(extremal).equations.modes[0].size1_in(0) if extremal.settles else 2 * extremal.half
     return ca.SX.sym(f"state{k}", size + len(NOTHING_SEEN))
 
 
-def _phase_end_state(conditions: Conditions, k: int, state: ca.SX) -> ca.SX:
+def _phase_end_state(conditions: OptimalityConditions, k: int, state: ca.SX) -> ca.SX:
     """Return z at the end of a phase; for one that settles x, and zeros."""
     extremal = conditions.phases[k]
     n = extremal.half
     return ca.vertcat(state[:n], ca.SX.zeros(n, 1)) if extremal.settles else state[: 2 * n]
 
 
-def end_function(conditions: Conditions, rides: ChartBoundaryArcs) -> ca.Function:
+def end_function(conditions: OptimalityConditions, rides: ChartBoundaryArcs) -> ca.Function:
     """Build the function (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
 
     Choice and results are those of `perilune.atlas.evaluate.reintegrate`.

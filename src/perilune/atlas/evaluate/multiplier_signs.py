@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 
 from perilune.atlas.branches.chart import Chart
-from perilune.conditions import Conditions, PhaseExtremal, minimising_control_at, select_by_mode
+from perilune.conditions import OptimalityConditions, PhaseExtremal, minimising_control_at, select_by_mode
 from perilune.problem.casadi_trace import (
     SYMBOLIC,
     Parameters,
@@ -81,7 +81,7 @@ class ChartBoundaryArcs:
 
     def __init__(self, chart: Chart) -> None:
         self.chart: Chart = chart
-        self.conditions: Conditions = chart.conditions
+        self.conditions: OptimalityConditions = chart.conditions
         structure = chart.course.structure
         self._arcs = (
             () if structure is None else tuple((k, arc) for k, arcs in enumerate(structure.phases) for arc in arcs)

@@ -32,7 +32,7 @@ from perilune.atlas.evaluate.midpoint_march import (
     step_settling,
 )
 from perilune.atlas.evaluate.multiplier_signs import ChartBoundaryArcs
-from perilune.conditions import Conditions
+from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import Map, compile_map
 from perilune.shooting import propagate_lanes
@@ -142,7 +142,7 @@ class ChartReintegration:
 
     def __init__(self, chart: Chart, times: Sequence[int] = ()) -> None:
         self.chart: Chart = chart
-        self.conditions: Conditions = chart.conditions
+        self.conditions: OptimalityConditions = chart.conditions
         self.times: tuple[int, ...] = tuple(times) or (1,) * len(self.conditions.phases)
         self._idle: dict[tuple[int, ...], list[tuple[tuple[Matrix, Matrix, Matrix], BoundReintegration]]] = {}
         self._start_maps: dict[int, Map] = {}

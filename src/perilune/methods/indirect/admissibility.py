@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.conditions import Conditions, PhaseExtremal
+from perilune.conditions import OptimalityConditions, PhaseExtremal
 from perilune.core.arrays import Vector
 from perilune.core.errors import NotConvergedError
 from perilune.methods.indirect.export_arcs import PropagatedPhase, propagate_for_export, propagate_in_one_piece
@@ -40,9 +40,9 @@ class AdmissibilityTest:
         SI size of the canonical unit of J.
     """
 
-    def __init__(self, problem: Problem, conditions: Conditions, p: Vector) -> None:
+    def __init__(self, problem: Problem, conditions: OptimalityConditions, p: Vector) -> None:
         self.problem: Problem = problem
-        self.conditions: Conditions = conditions
+        self.conditions: OptimalityConditions = conditions
         self.p: Vector = p
         self.unit: float = objective_scale(problem)
         self._known: dict[bytes, tuple[ConstraintViolation, ...]] = {}

@@ -149,7 +149,6 @@ class Coarse:
             replace(
                 phase,
                 path=None,
-                path_conditions=(),
                 states=tuple(replace(state, lower=-np.inf, upper=np.inf) for state in phase.states),
             )
             for phase in self.problem.phases

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from perilune.conditions import Conditions
+from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import BEST_MISSES, InfeasibleError, NotConvergedError, PeriluneError
 from perilune.core.maths import NUMERIC
@@ -278,7 +278,7 @@ def active_path_condition(problem: Problem, flight: Solution) -> str | None:
 
 
 def no_start_converged_error(
-    conditions: Conditions, coarse: Coarse, iterations: int, nearest: Root | None
+    conditions: OptimalityConditions, coarse: Coarse, iterations: int, nearest: Root | None
 ) -> NotConvergedError:
     """Return the error for starts that all failed: the nearest approach, in the user's words, and what to try.
 
@@ -336,7 +336,7 @@ def _direct_misses(coarse: Coarse) -> dict[str, Any]:
     return {name: known[name] for name in ("missed", "all_missed", "settled") if name in known}
 
 
-def _nearest_approach(problem: Problem, conditions: Conditions, scaled: Vector, values: Vector) -> str:
+def _nearest_approach(problem: Problem, conditions: OptimalityConditions, scaled: Vector, values: Vector) -> str:
     """Describe what the flight nearest to an optimum lacks: an end that it misses, else what would improve it."""
     ends = conditions.transversality_at
     worst = int(np.argmax(np.abs(scaled)))

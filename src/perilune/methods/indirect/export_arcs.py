@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.conditions import Conditions, extremal_parameters
+from perilune.conditions import OptimalityConditions, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import NotConvergedError
 from perilune.kernels import DenseArc
@@ -105,7 +105,7 @@ class PropagatedPhase:
 
 
 def propagate_in_one_piece(
-    problem: Problem, conditions: Conditions, y: Vector, **settings: float
+    problem: Problem, conditions: OptimalityConditions, y: Vector, **settings: float
 ) -> list[PropagatedPhase]:
     """Propagate from the unknowns y, whatever events occur; a phase that settles is in several pieces.
 
@@ -139,7 +139,7 @@ class PropagatedStates:
     """
 
     problem: Problem
-    conditions: Conditions
+    conditions: OptimalityConditions
     y: Vector
 
     def __post_init__(self) -> None:
@@ -183,12 +183,12 @@ class PropagatedStates:
         return np.concatenate([end[: extremal.half], np.zeros(extremal.half)]) if extremal.settles else end
 
 
-def _export_accuracy(conditions: Conditions) -> dict[str, float]:
+def _export_accuracy(conditions: OptimalityConditions) -> dict[str, float]:
     return _FINEST if any(extremal.settles for extremal in conditions.phases) else _FINE
 
 
 def _propagate_settling(
-    conditions: Conditions, k: int, y: Vector, z0: Vector, p: Vector, duration: float, **settings: float
+    conditions: OptimalityConditions, k: int, y: Vector, z0: Vector, p: Vector, duration: float, **settings: float
 ) -> PropagatedPhase:
     """Propagate a phase that settles, its costates back from its end, where its conditions give them."""
     half, places = conditions.phases[k].half, np.cumsum([0, *(2 * e.half for e in conditions.phases)])
@@ -205,7 +205,7 @@ def _propagate_settling(
 
 
 def propagate_for_export(
-    problem: Problem, conditions: Conditions, root: Root, allowed: float = _MISSED, **settings: float
+    problem: Problem, conditions: OptimalityConditions, root: Root, allowed: float = _MISSED, **settings: float
 ) -> list[PropagatedPhase]:
     """Propagate a root, in pieces where a single one leaves more at its ends than is allowed, canonical.
 
@@ -253,7 +253,7 @@ def _refuse_stuck(problem: Problem, flown: Sequence[PropagatedPhase]) -> None:
             )
 
 
-def can_use_multiple_shooting(conditions: Conditions, segments: int = _SEGMENTS) -> bool:
+def can_use_multiple_shooting(conditions: OptimalityConditions, segments: int = _SEGMENTS) -> bool:
     """Return True if multiple shooting with so many segments for each phase is worth its unknowns.
 
     Parameters
@@ -267,7 +267,7 @@ def can_use_multiple_shooting(conditions: Conditions, segments: int = _SEGMENTS)
 
 
 def correct_last_digits(
-    problem: Problem, conditions: Conditions, root: Root, rows: NDArray[np.int64], active: NDArray[np.int64]
+    problem: Problem, conditions: OptimalityConditions, root: Root, rows: NDArray[np.int64], active: NDArray[np.int64]
 ) -> tuple[Root, float]:
     """Correct a root by its last digits until its exported flight ends where it should; return what is missed too.
 
@@ -294,7 +294,7 @@ def correct_last_digits(
     return best, least
 
 
-def ends_well(problem: Problem, conditions: Conditions, root: Root) -> bool:
+def ends_well(problem: Problem, conditions: OptimalityConditions, root: Root) -> bool:
     """Return True if a root flown in one piece leaves so little at its ends that it is exported as it is.
 
     Parameters
@@ -308,14 +308,19 @@ def ends_well(problem: Problem, conditions: Conditions, root: Root) -> bool:
 
 
 def _largest_end_residual(
-    problem: Problem, conditions: Conditions, root: Root, flown: Sequence[PropagatedPhase]
+    problem: Problem, conditions: OptimalityConditions, root: Root, flown: Sequence[PropagatedPhase]
 ) -> float:
     """Return the largest residual at the ends of a flight, not counting ranges and free parameters."""
     return float(np.abs(_end_residual(problem, conditions, root, flown)).max(initial=0.0))
 
 
 def _end_residual(
-    problem: Problem, conditions: Conditions, root: Root, flown: Sequence[PropagatedPhase], *, stationary: bool = False
+    problem: Problem,
+    conditions: OptimalityConditions,
+    root: Root,
+    flown: Sequence[PropagatedPhase],
+    *,
+    stationary: bool = False,
 ) -> Vector:
     """Return the residual at the ends; 0 for ranges, and for free parameters that are held, or all of them.
 
@@ -330,7 +335,7 @@ def _end_residual(
 
 
 def _propagate_in_pieces(
-    problem: Problem, conditions: Conditions, root: Root, whole: Sequence[PropagatedPhase]
+    problem: Problem, conditions: OptimalityConditions, root: Root, whole: Sequence[PropagatedPhase]
 ) -> list[PropagatedPhase] | None:
     """Solve for the same root by multiple shooting, each piece from its own start."""
     shooting, p = Shooting(conditions, segments=_SEGMENTS), extremal_parameters(problem)

@@ -11,7 +11,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from perilune.conditions import Conditions, PhaseExtremal, extremal_parameters
+from perilune.conditions import OptimalityConditions, PhaseExtremal, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.methods.indirect.export_arcs import PropagatedPhase
 from perilune.methods.indirect.unknowns import free_values, objective_scale
@@ -112,7 +112,7 @@ def _rates_and_control(
 
 
 def assemble_trajectories(
-    problem: Problem, conditions: Conditions, y: Vector, flown: Sequence[PropagatedPhase]
+    problem: Problem, conditions: OptimalityConditions, y: Vector, flown: Sequence[PropagatedPhase]
 ) -> tuple[Trajectory, ...]:
     """Return curves of state, costate and control of each phase in SI; a repeated node marks a switch.
 
@@ -129,7 +129,12 @@ def assemble_trajectories(
 
 
 def _assemble_phase(
-    problem: Problem, conditions: Conditions, k: int, arc: PropagatedPhase, free: Mapping[str, float], whole: float
+    problem: Problem,
+    conditions: OptimalityConditions,
+    k: int,
+    arc: PropagatedPhase,
+    free: Mapping[str, float],
+    whole: float,
 ) -> Trajectory:
     phase, extremal = problem.phases[k], conditions.phases[k]
     n, half, width = extremal.state_count, extremal.half, len(phase.control_names)

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from perilune.conditions import Conditions, Held, derive, extremal_parameters
+from perilune.conditions import Held, OptimalityConditions, derive, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Iteration, Watch
 from perilune.methods.indirect.continuation.parameter_scan import ExtremalRoot
@@ -41,7 +41,7 @@ class Trials:
     def __init__(self, problem: Problem, watch: Watch, keep: Held = ()) -> None:
         self.problem: Problem = problem
         self.watch: Watch = watch
-        self.conditions: Conditions = derive(problem, keep, watch)
+        self.conditions: OptimalityConditions = derive(problem, keep, watch)
         self.p: Vector = extremal_parameters(problem)
         self.shooting: Shooting = Shooting(self.conditions)
         self.limits: ActiveSetBounds = ActiveSetBounds.of(problem, self.conditions)

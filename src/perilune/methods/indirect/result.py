@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from perilune.conditions import Conditions
+from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import Outcome
 from perilune.core.lazy import Deferred
@@ -27,7 +27,7 @@ _SAME = 1e-9  # of J and of the free parameters, canonical: what two extremals m
 class Curves(Deferred):
     """Trajectories of a root, exported when first looked at; its states can be looked at before."""
 
-    def __init__(self, problem: Problem, conditions: Conditions, root: Root) -> None:
+    def __init__(self, problem: Problem, conditions: OptimalityConditions, root: Root) -> None:
         super().__init__(len(problem.phases), self._exported)
         self.problem, self.conditions, self.root = problem, conditions, root
 
@@ -41,7 +41,11 @@ class Curves(Deferred):
 
 
 def compose_solution(
-    method: str, problem: Problem, conditions: Conditions, found: Sequence[ExtremalRoot], statistics: Statistics
+    method: str,
+    problem: Problem,
+    conditions: OptimalityConditions,
+    found: Sequence[ExtremalRoot],
+    statistics: Statistics,
 ) -> Solution:
     """Make the best of the roots the answer, and list all of them.
 
@@ -81,7 +85,7 @@ def compose_solution(
     )
 
 
-def drop_mirror_images(conditions: Conditions, ranked: Iterable[ExtremalRoot]) -> list[ExtremalRoot]:
+def drop_mirror_images(conditions: OptimalityConditions, ranked: Iterable[ExtremalRoot]) -> list[ExtremalRoot]:
     """Return the extremals whose J or free parameters differ.
 
     Mirror images, or a coast flown before the burn or behind it, are one extremal to a reader of the list.
@@ -101,7 +105,7 @@ def drop_mirror_images(conditions: Conditions, ranked: Iterable[ExtremalRoot]) -
     return kept
 
 
-def _reported_values(conditions: Conditions, found: ExtremalRoot) -> Vector:
+def _reported_values(conditions: OptimalityConditions, found: ExtremalRoot) -> Vector:
     return np.append(found.root.y[conditions.free_at], found.root.cost)
 
 

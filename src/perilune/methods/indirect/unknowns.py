@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from perilune.conditions import Conditions
+from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import PeriluneError
 from perilune.problem.casadi_trace import canonical_free, free_scales, state_scales
@@ -22,7 +22,7 @@ def objective_scale(problem: Problem) -> float:
     return problem.objective_size
 
 
-def residual_scales(problem: Problem, conditions: Conditions) -> Vector:
+def residual_scales(problem: Problem, conditions: OptimalityConditions) -> Vector:
     """Return the SI size of the canonical unit of each residual.
 
     Parameters
@@ -48,7 +48,7 @@ def _end_scales(problem: Problem) -> Vector:
     return np.array([problem.size_of(c) for phase in problem.phases for c in phase.end_conditions])
 
 
-def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
+def free_values(problem: Problem, conditions: OptimalityConditions, y: Vector) -> dict[str, float]:
     """Return the free parameters in SI.
 
     Parameters
@@ -62,7 +62,7 @@ def free_values(problem: Problem, conditions: Conditions, y: Vector) -> dict[str
     return {f.name: value * of(f.unit) for f, value in zip(problem.free, values, strict=True)}
 
 
-def scaled_end_multipliers(problem: Problem, conditions: Conditions, y: Vector) -> dict[str, float]:
+def scaled_end_multipliers(problem: Problem, conditions: OptimalityConditions, y: Vector) -> dict[str, float]:
     """Return the multipliers nu of the end conditions in J per unit.
 
     Parameters
@@ -80,7 +80,7 @@ def scaled_end_multipliers(problem: Problem, conditions: Conditions, y: Vector) 
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def unknowns_from_solution(problem: Problem, conditions: Conditions, guess: Solution) -> Vector:
+def unknowns_from_solution(problem: Problem, conditions: OptimalityConditions, guess: Solution) -> Vector:
     """Return canonical unknowns y of `problem`, from a solution of any method for it or one of its form.
 
     The guess has as many phases (`perilune.problem.initial_guess.fitting_guess`).
@@ -107,7 +107,7 @@ def unknowns_from_solution(problem: Problem, conditions: Conditions, guess: Solu
     return np.concatenate([*lam0, canonical_free(problem, values), nu])
 
 
-def joints_from_solution(problem: Problem, conditions: Conditions, guess: Solution, segments: int) -> Vector:
+def joints_from_solution(problem: Problem, conditions: OptimalityConditions, guess: Solution, segments: int) -> Vector:
     """Return canonical z at the joints of multiple shooting, read off a solution's curves.
 
     Parameters
@@ -130,7 +130,7 @@ def joints_from_solution(problem: Problem, conditions: Conditions, guess: Soluti
     return np.concatenate(joints)
 
 
-def unreachable_by_shooting(rough: Solution, conditions: Conditions) -> tuple[str, str] | None:
+def unreachable_by_shooting(rough: Solution, conditions: OptimalityConditions) -> tuple[str, str] | None:
     """Return what no indirect extremal can do and a direct solution does, and what to try; None if nothing.
 
     A throttle that stays well between its bounds on a tenth of a phase is no polynomial's overshoot at a switch but a

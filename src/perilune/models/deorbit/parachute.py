@@ -25,6 +25,7 @@ from perilune.models.landing.problem import mass_state
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.rotating_frame import Triple, apparent_gravity, combine, scalar_product
+from perilune.problem.named_values import Conditions, Quantities
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable
 
@@ -177,10 +178,8 @@ def parachute_phase(air: Air, *, kept: tuple[Variable, ...], placed_: bool) -> P
         states=(*flight.STATES[:3], mass_state(False), *kept),
         dynamics=partial(sinking_rates, air=air),
         duration="parachute_time",
-        end=flight.offset_from_site,
-        end_conditions=tuple(Variable(name=name, unit="m") for name in names),
-        outputs=partial(parachute_outputs, air=air),
-        output_variables=told.PLACED[:-1],
+        end=Conditions(flight.offset_from_site, *(Variable(name=name, unit="m") for name in names)),
+        outputs=Quantities(partial(parachute_outputs, air=air), *told.PLACED[:-1]),
         inertial=partial(inertial_descent, air=air),
     )
 

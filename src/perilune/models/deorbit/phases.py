@@ -12,6 +12,7 @@ from perilune.models.landing.problem import mass_state
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.delta_v_budget import SPENT
 from perilune.models.physics.vehicle import THROTTLE
+from perilune.problem.named_values import Conditions, Quantities
 from perilune.problem.phase import Phase
 from perilune.problem.variables import Variable
 
@@ -100,16 +101,13 @@ def vacuum_phase(name: str, *, last: bool, interface: Interface, left: str | Non
         controls=(flight.STEERING, *((THROTTLE,) if throttled else ())) if burns else (),
         dynamics=flight.burn_rates if burns else flight.coast_rates,
         duration=DURATION_NAMES[name],
-        end=flight.interface_end_values if last else None,
-        end_conditions=_interface_conditions(interface, left=left if throttled else None) if last else (),
-        path=None if name == "coast" else flight.height_above_interface,
-        path_conditions=() if name == "coast" else (Variable(name="height_above_interface", unit="m"),),
-        outputs=told.burn_outputs if burns else told.position_outputs,
-        output_variables=outputs,
-        integrals=told.burn_loss_rates if burns else None,
-        integral_variables=SPENT if burns else (),
-        end_outputs=told.interface_outputs if last else None,
-        end_output_variables=told.AT_INTERFACE if last else (),
+        end=Conditions(flight.interface_end_values, *_interface_conditions(interface, left=left if throttled else None))
+        if last
+        else None,
+        path=None if name == "coast" else Conditions(flight.height_above_interface, height_above_interface="m"),
+        outputs=Quantities(told.burn_outputs if burns else told.position_outputs, *outputs),
+        integrals=Quantities(told.burn_loss_rates, *SPENT) if burns else None,
+        end_outputs=Quantities(told.interface_outputs, *told.AT_INTERFACE) if last else None,
         inertial=told.inertial_burn if burns else told.inertial_without_thrust,
     )
 
@@ -145,22 +143,21 @@ def entry_phase(
         controls=() if bank is None else (flight.BANKS[bank],),
         dynamics=partial(flight.entry_rates, air=air),
         duration=DURATION_NAMES["entry"],
-        end=flight.parachute_opening_end if opens else flight.site_arrival,
-        end_conditions=(
+        end=Conditions(
+            flight.parachute_opening_end if opens else flight.site_arrival,
             *(Variable(name=name, unit="m") for name in ends),
             Variable(name="opening_speed" if opens else "landing_speed", unit="m/s", upper="site_speed_upper"),
         ),
-        end_outputs=told.opening_outputs if opens else None,
-        end_output_variables=told.AT_OPENING if opens else (),
-        path=partial(flight.entry_path_margins, air=air) if limited else flight.depth_below_interface,
-        path_conditions=(
+        end_outputs=Quantities(told.opening_outputs, *told.AT_OPENING) if opens else None,
+        path=Conditions(
+            partial(flight.entry_path_margins, air=air) if limited else flight.depth_below_interface,
             _IN_THE_AIR,
             *(_limit_variable(name, limits) for name in limited),
         ),
-        outputs=partial(told.entry_outputs, air=air),
-        output_variables=(*told.PLACED, *told.FELT, *((told.HEATED,) if nose else ())),
-        integrals=partial(told.heat_load_rate, air=air) if nose else None,
-        integral_variables=(told.HEAT_LOAD,) if nose else (),
+        outputs=Quantities(
+            partial(told.entry_outputs, air=air), *told.PLACED, *told.FELT, *((told.HEATED,) if nose else ())
+        ),
+        integrals=Quantities(partial(told.heat_load_rate, air=air), told.HEAT_LOAD) if nose else None,
         inertial=told.inertial_without_thrust,
     )
 

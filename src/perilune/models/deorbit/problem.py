@@ -47,6 +47,7 @@ from perilune.models.physics import atmosphere
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.bodies import EARTH, Planet, catalogue_name
 from perilune.models.physics.vehicle import Throttle
+from perilune.problem.named_values import Quantities
 from perilune.problem.parameters import given_of
 from perilune.problem.problem import Problem
 from perilune.problem.variables import FreeParameter, Parameter
@@ -208,8 +209,7 @@ def deorbit_entry(
         objective=objective,
         objective_unit=objective_unit,
         objective_scale=_objective_size_for_time(objective_unit, time),
-        results=told_results,
-        result_variables=told.return_result_variables(names),
+        results=Quantities(told_results, *told.return_result_variables(names)),
         minimised=minimise,
         views=told.return_views(
             air=flown, heat=nose, coasts=_is_the_earth(body), given=given, body=catalogue_name(body), epoch=epoch or ""

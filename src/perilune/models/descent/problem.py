@@ -52,6 +52,7 @@ from perilune.models.physics.rotating_frame import INERTIAL_AXES, local_axes, sc
 from perilune.models.physics.vehicle import THROTTLE, Throttle, Vehicle
 from perilune.problem.controls import Control, ScalarControl, UnitVectorControl
 from perilune.problem.display.views import History, Space, Views
+from perilune.problem.named_values import Conditions, Quantities
 from perilune.problem.parameters import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.presolve import Finding
@@ -94,8 +95,8 @@ _SPACE = Space(rotation="body_rotation_rate", longitude="longitude", latitude="l
 
 # What of the burn holds, or means something, in a free fall as well.
 _WITHOUT_THRUST = {
-    "path_conditions": ("height_above_site",),
-    "output_variables": tuple(v.name for v in OUTPUTS if v.name not in ("thrust_elevation", "thrust_azimuth")),
+    "path": ("height_above_site",),
+    "outputs": tuple(v.name for v in OUTPUTS if v.name not in ("thrust_elevation", "thrust_azimuth")),
 }
 
 
@@ -286,14 +287,10 @@ def _descent_phase(
         controls=controls,
         dynamics=frame.dynamics,
         duration="flight_time",
-        end=end,
-        end_conditions=end_conditions,
-        path=path,
-        path_conditions=path_conditions,
-        outputs=frame.outputs,
-        output_variables=OUTPUTS,
-        integrals=frame.spent,
-        integral_variables=SPENT,
+        end=Conditions(end, *end_conditions),
+        path=Conditions(path, *path_conditions),
+        outputs=Quantities(frame.outputs, *OUTPUTS),
+        integrals=Quantities(frame.spent, *SPENT),
         inertial=frame.inertial,
         track=frame.track,
         end_guess=frame.end_guess,
@@ -400,8 +397,7 @@ def powered_descent(
         free=(FreeParameter(name="flight_time", unit="s"), *((FREE,) if coasts else ())),
         objective=_propellant_objective if minimise == "propellant" else _time_objective,
         objective_unit="kg" if minimise == "propellant" else "s",
-        results=landing_results,
-        result_variables=(*LANDING, COAST_TIME) if coasts else LANDING,
+        results=Quantities(landing_results, *LANDING, *((COAST_TIME,) if coasts else ())),
         maximised=LANDED_MASS.name if minimise == "propellant" else "",
         minimised="" if minimise == "propellant" else FLIGHT_TIME.name,
         views=replace(_VIEWS, space=replace(_SPACE, body=catalogue_name(body))),

@@ -31,6 +31,7 @@ from perilune.models.physics.delta_v_budget import FLIGHT_TIME, LANDED_MASS, PRO
 from perilune.models.physics.vehicle import Retro, Vehicle
 from perilune.problem.controls import UnitVectorControl
 from perilune.problem.display.views import Beside, History, Space, Views
+from perilune.problem.named_values import Conditions, Quantities
 from perilune.problem.parameters import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -202,16 +203,15 @@ def _planar_descent(dry: bool) -> Phase:
         controls=(UnitVectorControl(names=("transverse", "radial")),),
         dynamics=_planar_dynamics,
         duration="flight_time",
-        end=_planar_touchdown,
-        end_conditions=(
-            Variable(name="touchdown_altitude", unit="m"),
-            Variable(name="touchdown_transverse_velocity", unit="m/s"),
-            Variable(name="touchdown_radial_velocity", unit="m/s"),
+        end=Conditions(
+            _planar_touchdown,
+            touchdown_altitude="m",
+            touchdown_transverse_velocity="m/s",
+            touchdown_radial_velocity="m/s",
         ),
-        path=_planar_altitude,
-        path_conditions=(Variable(name="height_above_site", unit="m"),),
-        outputs=_planar_outputs,
-        output_variables=(
+        path=Conditions(_planar_altitude, height_above_site="m"),
+        outputs=Quantities(
+            _planar_outputs,
             Variable(name="altitude", unit="m"),
             Variable(
                 name="thrust_angle",
@@ -219,10 +219,9 @@ def _planar_descent(dry: bool) -> Phase:
                 description="beta, from transverse towards radial",
                 label="thrust angle β",
             ),
-            Variable(name="thrust_acceleration", unit="m/s^2"),
+            thrust_acceleration="m/s^2",
         ),
-        integrals=_planar_loss_rates,
-        integral_variables=SPENT,
+        integrals=Quantities(_planar_loss_rates, *SPENT),
         inertial=_planar_inertial,
         end_guess=_hybrid_end_guess,
     )
@@ -264,8 +263,8 @@ def hybrid_landing(
         free=(FreeParameter(name="retro_delta_v", unit="m/s"), FreeParameter(name="flight_time", unit="s")),
         objective=_hybrid_objective,
         objective_unit="kg",
-        results=_hybrid_results,
-        result_variables=(
+        results=Quantities(
+            _hybrid_results,
             LANDED_MASS,
             PROPELLANT,
             Variable(name="delta_v", unit="m/s", description="of the impulsive retro burn"),

@@ -14,6 +14,7 @@ from typing import Any
 
 from perilune.core.arrays import Physics
 from perilune.core.fields import quantity
+from perilune.problem.named_values import Conditions, Quantities, named_variables
 from perilune.problem.phase import Phase
 from perilune.problem.variables import FreeParameter, Variable
 
@@ -41,31 +42,29 @@ def with_coast(burn: Phase, path: Physics, kept: Mapping[str, tuple[str, ...]]) 
     path
         Values of the path conditions that hold without thrust as well.
     kept
-        Names of these (``path_conditions``), and of the outputs that mean something then (``output_variables``).
+        Names of these (``path``), and of the outputs that mean something then (``outputs``).
     """
 
-    def off(function: Physics | None) -> Physics | None:
-        return function and partial(_engine_off, function=function, names=burn.control_names)
+    def off(function: Physics) -> Physics:
+        return partial(_engine_off, function=function, names=burn.control_names)
 
     conditions, outputs = (
-        tuple(v for v in getattr(burn, name) if v.name in kept[name])
-        for name in ("path_conditions", "output_variables")
+        tuple(v for v in named_variables(getattr(burn, name)) if v.name in kept[name]) for name in ("path", "outputs")
     )
     places = [k for k, v in enumerate(burn.output_variables) if v in outputs]
     fall = replace(
         burn,
         name="coast",
         controls=(),
-        dynamics=partial(_engine_off, function=burn.dynamics, names=burn.control_names),
+        dynamics=off(burn.dynamics),
         duration=FREE.name,
         end=None,
-        end_conditions=(),
-        path=path,
-        path_conditions=conditions,
-        outputs=partial(_select_values, function=off(burn.outputs), places=places) if outputs else None,
-        output_variables=outputs,
-        integrals=off(burn.integrals),
-        inertial=off(burn.inertial),
+        path=Conditions.of(path, conditions),
+        outputs=Quantities.of(
+            burn.outputs and partial(_select_values, function=off(burn.outputs.function), places=places), outputs
+        ),
+        integrals=burn.integrals and burn.integrals.with_function(off(burn.integrals.function)),
+        inertial=burn.inertial and off(burn.inertial),
         end_guess=None,
     )
     return fall, burn

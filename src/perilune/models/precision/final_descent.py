@@ -21,9 +21,9 @@ from typing import Any
 
 from perilune.core.arrays import Physics
 from perilune.core.fields import quantity, record
-from perilune.models.descent.coordinates import variables_of_unit
 from perilune.models.physics.delta_v_bounds import gravity_at
 from perilune.models.precision.path_constraints import Corridor, corridor_conditions
+from perilune.problem.named_values import Conditions, Quantities
 from perilune.problem.phase import Phase
 from perilune.problem.variables import FreeParameter, Variable
 
@@ -63,18 +63,19 @@ def with_final_descent(burn: Phase, corridor: Corridor) -> tuple[Phase, Phase]:
     to_gate = replace(
         burn,
         duration=GATE_TIME.name,
-        end=_gate,
-        end_conditions=(
-            *variables_of_unit("m", "gate_east", "gate_north", "gate_up"),
-            *variables_of_unit("m/s", "gate_east_speed", "gate_north_speed"),
+        end=Conditions(
+            _gate, gate_east="m", gate_north="m", gate_up="m", gate_east_speed="m/s", gate_north_speed="m/s"
         ),
-        path_conditions=corridor_conditions(corridor, to_gate=True),
+        path=Conditions.of(burn.path, corridor_conditions(corridor, to_gate=True)),
         end_guess=_typical_gate,
     )
     kept = [burn.state_names.index(name) for name in _STATES]
 
     def seen(function: Physics | None) -> Physics | None:
         return function and partial(_on_the_vertical, function=function)
+
+    def named(quantities: Quantities | None) -> Quantities | None:
+        return quantities and quantities.with_function(partial(_on_the_vertical, function=quantities.function))
 
     descent = replace(
         burn,
@@ -83,12 +84,10 @@ def with_final_descent(burn: Phase, corridor: Corridor) -> tuple[Phase, Phase]:
         controls=tuple(c for c in burn.controls if c.names == ("throttle",)),
         dynamics=partial(_vertical_rates, function=burn.dynamics, kept=kept),
         duration=FINAL_TIME.name,
-        end=_vertical_touchdown,
-        end_conditions=(*variables_of_unit("m", "site_up"), *variables_of_unit("m/s", "touchdown_speed")),
-        path=_vertical_height,
-        path_conditions=variables_of_unit("m", "height_above_site"),
-        outputs=seen(burn.outputs),
-        integrals=seen(burn.integrals),
+        end=Conditions(_vertical_touchdown, site_up="m", touchdown_speed="m/s"),
+        path=Conditions(_vertical_height, height_above_site="m"),
+        outputs=named(burn.outputs),
+        integrals=named(burn.integrals),
         inertial=seen(burn.inertial),
         track=burn.track and partial(_vertical_track, function=burn.track),
         end_guess=_typical_touchdown,

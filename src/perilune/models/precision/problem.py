@@ -51,6 +51,7 @@ from perilune.models.precision.path_constraints import (
 from perilune.models.precision.presolve import compare_precision
 from perilune.problem.controls import UnitVectorControl
 from perilune.problem.display.views import History, Space, ValidRange, Views
+from perilune.problem.named_values import Conditions, Quantities
 from perilune.problem.parameters import given_of
 from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
@@ -119,8 +120,8 @@ _VIEWS = Views(
 )
 # What of the burn holds, or means something, in a free fall as well.
 _WITHOUT_THRUST = {
-    "path_conditions": ("height_above_glide_slope", "height_above_gate", "height_above_site"),
-    "output_variables": ("thrust_acceleration",),
+    "path": ("height_above_glide_slope", "height_above_gate", "height_above_site"),
+    "outputs": ("thrust_acceleration",),
 }
 
 
@@ -164,20 +165,22 @@ def _approach_burn(corridor: Corridor, *, dry: bool, flat: bool) -> Phase:
         controls=(UnitVectorControl(names=("toward_east", "toward_north", "toward_up")), THROTTLE),
         dynamics=_precision_dynamics,
         duration=_FLIGHT_TIME.name,
-        end=_site_touchdown,
-        end_conditions=(
-            *variables_of_unit("m", "site_east", "site_north", "site_up"),
-            *variables_of_unit("m/s", "rest_east", "rest_north", "rest_up"),
+        end=Conditions(
+            _site_touchdown,
+            site_east="m",
+            site_north="m",
+            site_up="m",
+            rest_east="m/s",
+            rest_north="m/s",
+            rest_up="m/s",
         ),
-        path=corridor_margins,
-        path_conditions=corridor_conditions(corridor),
-        outputs=_precision_outputs,
-        output_variables=(
+        path=Conditions(corridor_margins, *corridor_conditions(corridor)),
+        outputs=Quantities(
+            _precision_outputs,
             Variable(name="thrust_tilt", unit="rad", description="of the thrust from the vertical", label="tilt"),
-            *variables_of_unit("m/s^2", "thrust_acceleration"),
+            thrust_acceleration="m/s^2",
         ),
-        integrals=_precision_loss_rates,
-        integral_variables=SPENT,
+        integrals=Quantities(_precision_loss_rates, *SPENT),
         inertial=None if flat else inertial_over_round_body,
         track=_approach_track,
         end_guess=_precision_end_guess,
@@ -259,8 +262,9 @@ def precision_landing(
         free=free,
         objective=_precision_objective,
         objective_unit="kg",
-        results=landing_results,
-        result_variables=(*LANDING, *(v for v in (COAST_TIME, *TIMES) if v.name in {f.name for f in free})),
+        results=Quantities(
+            landing_results, *LANDING, *(v for v in (COAST_TIME, *TIMES) if v.name in {f.name for f in free})
+        ),
         maximised=LANDED_MASS.name,
         declared=stated,
         parameter_bounds=_precision_ranges,

@@ -24,6 +24,7 @@ import numpy as np
 from perilune.core.errors import PeriluneError, unknown_name
 from perilune.core.maths import NUMERIC
 from perilune.problem.controls import Settled
+from perilune.problem.named_values import NamedValues
 from perilune.problem.tracing.tape import Expression, NotAFormula, Recorder, Symbol
 
 # The functions of a phase, what each takes before `xp`, and the field of the phase with the names of its results.
@@ -218,20 +219,23 @@ def stated_functions(problem: Any) -> Iterator[StatedFunction]:
     yield one("start", "start", problem.start, 0, _names_and_units(phases[0].states))
     for k, phase in enumerate(phases):
         for name, (_, field) in PHASE_FUNCTIONS.items():
-            function, what = getattr(phase, name), f"{name} of {phase.name}"
+            function, what = _own_function(getattr(phase, name)), f"{name} of {phase.name}"
             results = _results_of(problem, phase, name, field)
             if function is not None:
                 yield one((k, name), what, function, k, results)
-            elif results and (name == "dynamics" or field not in ("", "states")):
+            elif name == "dynamics":
                 raise _missing_function_error(what, results)
     for k, link in enumerate(problem.links):
         yield one(("links", k), f"link to {phases[k + 1].name}", link, k, _names_and_units(phases[k + 1].states))
     objective = (("J", problem.objective_unit),)
     yield one("objective", "objective", problem.objective, len(phases) - 1, objective)
     if problem.results is not None:
-        yield one("results", "results", problem.results, 0, _names_and_units(problem.result_variables))
-    elif problem.result_variables:
-        raise _missing_function_error("results", _names_and_units(problem.result_variables))
+        yield one("results", "results", _own_function(problem.results), 0, _names_and_units(problem.result_variables))
+
+
+def _own_function(stated: Any) -> Any:
+    """Return a function without the names of its values."""
+    return stated.function if isinstance(stated, NamedValues) else stated
 
 
 def _names_and_units(variables: Sequence[Any], per: str = "") -> tuple[tuple[str, str], ...]:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from perilune.problem.named_values import Conditions
 from perilune.problem.phase import Phase
 from perilune.problem.results.solution import Solution
 from perilune.proof.feasible.phase_data import PhaseData
@@ -92,4 +93,4 @@ def _add_end_conditions(phase: Phase, held: dict[str, float]) -> Phase:
         stated = () if phase.end is None else phase.end(x, p, xp)
         return (*stated, *(getattr(x, name) for name in phase.state_names if name in held))
 
-    return replace(phase, end=end, end_conditions=(*phase.end_conditions, *added))
+    return replace(phase, end=Conditions(end, *phase.end_conditions, *added))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.conditions import Conditions
+from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import PeriluneError
 from perilune.methods.indirect.continuation.duration_continuation import FinalTimeContinuation
@@ -164,7 +164,7 @@ class Smoothing:
         p[list(there.problem.given).index(RATE)] *= np.exp(at)
         return p
 
-    def _switched(self, smooth: Conditions, segments: int, root: Root) -> Root | None:
+    def _switched(self, smooth: OptimalityConditions, segments: int, root: Root) -> Root | None:
         """Solve the problem itself, from a smoothed root that is nearly one of its own."""
         trials, count = self.trials, len(smooth.unknowns)
         values = dict(zip((name for name, _ in smooth.unknowns), root.y[:count].tolist(), strict=True))
