@@ -8,9 +8,9 @@ from types import MappingProxyType
 
 from matplotlib.figure import Figure
 
+from perilune import Solution
 from perilune.io.columns import flight_columns
 from perilune.io.save import program_versions
-from perilune.problem.results.solution import Solution
 from perilune.report.style import save_figure
 from perilune.report.summary import markdown_table
 

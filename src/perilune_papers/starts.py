@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
+from perilune import PeriluneError
 from perilune.core.callbacks import Watch
-from perilune.core.errors import PeriluneError
 
 
 @dataclass(frozen=True, kw_only=True)

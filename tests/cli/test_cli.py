@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+import perilune as pl
 from command_line import HYBRID, ORDINARY, ROOT, read_json, snapshot
 from perilune.cli import options, run_command_line
 from perilune.cli.arguments import parse_command_line
@@ -27,8 +28,8 @@ from perilune.verify import verify
 
 
 def answer_with(monkeypatch: pytest.MonkeyPatch, act: Callable[..., Solution]) -> None:
-    """Put another solver in place of `perilune.solve.solve`."""
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", act)
+    """Put another solver in place of `perilune.solve`."""
+    monkeypatch.setattr(pl, "solve", act)
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import signal
 import subprocess
@@ -35,7 +34,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, ordinary: Solution) -> None:
     def solve(problem: Problem, method: Any = None, *, callback: Any = None, **_: Any) -> Solution:
         return replace(ordinary, problem=problem)
 
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)
+    monkeypatch.setattr(pl, "solve", solve)
 
 
 def in_a_shell(redirected: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -203,7 +202,7 @@ def test_an_older_run_leaves_nothing_beside_the_new_one(
     def stopped(*_: Any, **__: Any) -> Solution:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", stopped)
+    monkeypatch.setattr(pl, "solve", stopped)
     before = snapshot(out)
     assert run_command_line(["solve", ORDINARY, "--out", str(out), "--force"]) == 130
     assert snapshot(out) == before
@@ -223,7 +222,7 @@ def test_what_was_solved_is_kept_where_its_figures_are_not_finished(
     def drawn(*_: Any) -> None:
         raise ending
 
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)
+    monkeypatch.setattr(pl, "solve", solve)
     monkeypatch.setattr("perilune.report.figures.solution_drawings", drawn)
     out = tmp_path / "out"
     out.mkdir()
@@ -258,7 +257,7 @@ def test_a_failure_does_not_block_its_directory(
             raise ending
         return replace(ordinary, problem=problem)
 
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)
+    monkeypatch.setattr(pl, "solve", solve)
     out = tmp_path / "out"
     for code, outcome in ((130, "INTERRUPTED"), (3, "INFEASIBLE")):
         assert run_command_line(["solve", ORDINARY, "--out", str(out)]) == code

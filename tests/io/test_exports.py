@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import sys
@@ -283,7 +282,7 @@ def test_the_command_exports_what_was_solved(
     assert run_command_line(["export", place, "--out", str(tmp_path / "flight.csv")]) == 0
     assert (tmp_path / "flight.csv").read_text().count(",") > 100
     (tmp_path / "flight.csv").unlink()
-    monkeypatch.setattr(importlib.import_module("perilune.verify"), "verify", None)  # it takes long, and is not begun
+    monkeypatch.setattr(pl, "verify", None)  # it takes long, and is not begun
     assert run_command_line([*ask, "--epoch", "no time", "--force", "--verify", "3"]) == 2
     assert "is not a supported time" in capsys.readouterr().err
     assert sorted(os.listdir(tmp_path)) == ["flight.czml", "run"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib
 import json
 import os
 from dataclasses import replace
@@ -55,7 +54,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, ordinary: Solution) -> None:
     def solve(problem: Problem, method: Any = None, **_: Any) -> Solution:
         return replace(ordinary, problem=problem)
 
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", solve)
+    monkeypatch.setattr(pl, "solve", solve)
 
 
 @pytest.mark.parametrize(
@@ -137,8 +136,8 @@ def test_a_proved_answer_whose_solution_is_not_kept_is_no_success(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], ordinary: Solution, tmp_path: Path
 ) -> None:
     """Whoever asked for files and looks at the exit code alone has to learn of it; of a figure it need not."""
-    proved = importlib.import_module("perilune.verify").verify(ordinary, 1)
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", lambda *_, **__: proved)
+    proved = pl.verify(ordinary, 1)
+    monkeypatch.setattr(pl, "solve", lambda *_, **__: proved)
     monkeypatch.setattr("perilune.report.figures.costate_figure", failing(TypeError("x")))
     assert run_command_line(["solve", ORDINARY, "--out", str(tmp_path / "whole")]) == 0
     monkeypatch.setattr(export, "whole_document", failing(FULL))
@@ -170,7 +169,7 @@ def test_a_family_is_printed_where_its_figure_is_not_drawn(
     with pytest.raises(NotWrittenError, match="family is not drawn"):
         write_family(family, tmp_path / "f")
     assert snapshot(tmp_path / "f").keys() == {"family.json", "family.csv"}
-    monkeypatch.setattr("perilune.families.sweep.sweep", lambda *_, **__: family)
+    monkeypatch.setattr("perilune.sweep", lambda *_, **__: family)
     vary = ["--vary", "vehicle.thrust=440:440:1 N", "--out", str(tmp_path / "out")]
     assert run_command_line(["sweep", ORDINARY, *vary]) == 5
     told = capsys.readouterr()
@@ -183,7 +182,7 @@ def test_a_refusal_is_told_where_its_record_cannot_be_written(
     def refused(*_: Any, **__: Any) -> Solution:
         raise pl.InfeasibleError("too weak an engine")
 
-    monkeypatch.setattr(importlib.import_module("perilune.solve"), "solve", refused)
+    monkeypatch.setattr(pl, "solve", refused)
     monkeypatch.setattr(export, "program_versions", failing(TypeError("no version")))
     assert run_command_line(["solve", ORDINARY, "--out", str(tmp_path / "out")]) == 3
     told = capsys.readouterr().err

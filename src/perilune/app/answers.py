@@ -9,17 +9,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from perilune import InfeasibleError, NotConvergedError, Parameter, PeriluneError, Problem, Solution, solve
 from perilune.atlas.query.answer import Mapped
 from perilune.atlas.query.query import Atlas
 from perilune.conditions import extremal_parameters
 from perilune.core.callbacks import Iteration, Watch, ignore_events
-from perilune.core.errors import CANNOT_BE_FLOWN, InfeasibleError, NotConvergedError, PeriluneError
+from perilune.core.errors import CANNOT_BE_FLOWN
 from perilune.methods import Curves, solution_violations
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
-from perilune.problem.variables import Parameter
 from perilune.shooting import Shooting
-from perilune.solve import solve
 
 _SAME = 1e-12  # relative: a value that was not moved
 _FAMILY = 24  # extremals of a family to either side

@@ -10,17 +10,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from perilune import Extremal, Nature, Outcome, Problem, Solution, Verification, solve, verify
 from perilune.app.answers import cost_along_free_parameter
 from perilune.app.messages import proof_message
 from perilune.core.callbacks import Watch
-from perilune.core.errors import Outcome
 from perilune.problem.display.quantity_names import objective_text
-from perilune.problem.problem import Problem
-from perilune.problem.results.extremal import Extremal, Nature
-from perilune.problem.results.solution import Solution
-from perilune.problem.verification import Verification
-from perilune.solve import solve
-from perilune.verify import verify
 
 LEVEL = 3
 _SAME = 1e-7  # of J: far above what Newton's method leaves, far below what anybody would change a flight for

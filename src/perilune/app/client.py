@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from perilune import PeriluneError, Solution
 from perilune.app.answers import Answering, FlightAnswer, NoNearbyFlight, cost_along_free_parameter
 from perilune.app.background import compare_with_cold_start, prove_timed, solve_without_guess
 from perilune.app.messages import extremals_message, flight_message, opening_message, refusal_message
@@ -24,8 +25,6 @@ from perilune.app.slices import Slices
 from perilune.app.source import Subject
 from perilune.app.worker import SupersededWork, WorkerKilled, WorkerProcess, in_thread
 from perilune.core.callbacks import Iteration, Watch
-from perilune.core.errors import PeriluneError
-from perilune.problem.results.solution import Solution
 
 MESSAGE = 16_384  # bytes that a message may have
 COMPARING = 60.0  # s for the search of a better flight without an initial guess

@@ -9,12 +9,11 @@ from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from zipfile import ZipFile
 
+from perilune import PeriluneError, Solution
 from perilune.app.client import Shown
 from perilune.app.source import Subject
-from perilune.core.errors import PeriluneError
 from perilune.io.exports.provenance import provenance
 from perilune.io.exports.writing import write_export
-from perilune.problem.results.solution import Solution
 
 
 def _scenario(subject: Subject, shown: Shown) -> bytes:

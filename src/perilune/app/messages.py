@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from perilune import InfeasibleError, PeriluneError, Solution, Verification
 from perilune.app.source import Subject
 from perilune.core.arrays import Matrix, Vector
-from perilune.core.errors import CANNOT_BE_FLOWN, InfeasibleError, PeriluneError
+from perilune.core.errors import CANNOT_BE_FLOWN
 from perilune.io.atomic_files import finite
 from perilune.io.columns import display_times, phase_columns
 from perilune.io.save import extremals_document, results_document
-from perilune.problem.results.solution import Solution, full
-from perilune.problem.verification import Verification
+from perilune.problem.results.solution import full
 from perilune.report.profile_view import plane_of_flight
 
 POINTS = 96  # of a flight, shared among its phases by their durations

@@ -18,12 +18,12 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
+from perilune import PeriluneError
 from perilune.app.client import Client
 from perilune.app.downloads import TAKEN
 from perilune.app.files import page_files
 from perilune.app.source import Subject
 from perilune.app.worker import WorkerProcess, in_thread
-from perilune.core.errors import PeriluneError
 
 _CLIENTS = 4
 _KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}

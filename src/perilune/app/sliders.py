@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from perilune import PeriluneError, Problem, preflight
 from perilune.atlas.query.query import Atlas
 from perilune.core.arrays import Vector
-from perilune.core.errors import PeriluneError
 from perilune.core.fields import Quantity
 from perilune.models.catalogue import KINDS, key_of
-from perilune.problem.presolve import is_possible, preflight
-from perilune.problem.problem import Problem
+from perilune.problem.presolve import is_possible
 
 _WIDE, _TURN = 0.25, math.radians(10.0)  # of a value to either side; of an angle at most
 _FURTHER = 12.0  # times as far, where nothing near by can be flown

@@ -7,15 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from perilune import PeriluneError, Problem, Solution
 from perilune.app.sliders import Knob, knobs
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.store.store import HEADER
-from perilune.core.errors import PeriluneError
 from perilune.core.units import parse_quantity
 from perilune.io.format import SOLUTION_FILE
 from perilune.io.load import claims_of, load_with_tree
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
 from perilune.scenario import load_file, load_text, template
 from perilune.scenario.text import apply_change, parse, scenario_toml
 

@@ -13,8 +13,8 @@ from multiprocessing import active_children, get_context
 from threading import Thread
 from typing import Any, TypeVar
 
+from perilune import PeriluneError
 from perilune.core.callbacks import Iteration
-from perilune.core.errors import PeriluneError
 from perilune.families.executors import end_with_parent, ignore_interrupt_in_children
 
 _GRACE = 2.0  # s that work for which nobody waits may go on when other work comes, before its process is ended

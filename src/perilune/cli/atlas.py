@@ -9,18 +9,19 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from perilune import PeriluneError
 from perilune.cli.interrupts import advise_on_interrupt, raise_pending_interrupt
 from perilune.cli.output import CommandAnswer, WrittenFiles
 from perilune.cli.progress import LONGEST_LOG, print_note, progress, refuse_unusable_target
 from perilune.cli.sweep import ranges_of_keys, scenario_with_ranges, sweep_executor
-from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core.errors import unknown_name
 from perilune.core.fields import parameter_name, with_key_named
 from perilune.core.units import format_quantity, parse_quantity
 
 if TYPE_CHECKING:
+    from perilune import Problem
     from perilune.atlas.query.answer import Query
     from perilune.atlas.query.query import Atlas
-    from perilune.problem.problem import Problem
 
 
 def _run_atlas_build(typed: Namespace) -> CommandAnswer:
@@ -144,9 +145,9 @@ def _run_atlas_verify(typed: Namespace) -> CommandAnswer:
 
 
 def _run_atlas_query(typed: Namespace) -> CommandAnswer:
+    from perilune import verify
     from perilune.io.save import solution_document
     from perilune.report.summary import solution_summary
-    from perilune.verify import verify
 
     atlas = _open_typed_atlas(typed)
     values = _typed_axis_values(atlas, typed.at)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from perilune import InfeasibleError, PeriluneError
 from perilune.cli.arguments import HelpShown, help_text, method_settings, parse_command_line
 from perilune.cli.doctor import diagnosis
 from perilune.cli.interrupts import advise_on_interrupt, defer_interrupt, raise_pending_interrupt
@@ -25,11 +26,10 @@ from perilune.cli.output import (
     refusal_answer,
 )
 from perilune.cli.progress import LONGEST_LOG, WRITING, failure_kept, print_warnings, progress, refuse_unusable_target
-from perilune.core.errors import InfeasibleError, PeriluneError
 from perilune.core.units import format_quantity
 
 if TYPE_CHECKING:
-    from perilune.problem.results.solution import Solution
+    from perilune import Solution
 
 _MOST_NAMES = 8  # of files in a note
 
@@ -51,8 +51,8 @@ def run_command(arguments: Sequence[str]) -> int:
 
 
 def _run_solve_command(typed: Namespace) -> CommandAnswer:
+    from perilune import preflight
     from perilune.cli.methods import method_of
-    from perilune.problem.presolve import preflight
     from perilune.scenario import load_file
 
     chosen, out, limit = method_of(typed.method, method_settings(typed)), typed.out, time_limit(typed)
@@ -62,7 +62,7 @@ def _run_solve_command(typed: Namespace) -> CommandAnswer:
         refuse_unusable_target(out, typed.force)
         found = preflight(scenario.problem)
     print_warnings(found)
-    from perilune.solve import solve as solve_problem
+    from perilune import solve as solve_problem
 
     kept, files = "", WrittenFiles()
     with advise_on_interrupt(lambda: kept), progress(typed.verbose, log) as watch:
@@ -73,7 +73,7 @@ def _run_solve_command(typed: Namespace) -> CommandAnswer:
             )  # fmt: skip
             if out is not None:
                 with defer_interrupt(), files.written():
-                    from perilune.io.save import save
+                    from perilune import save
 
                     save(solution, out, scenario.text, force=typed.force)
                     kept = f"the solution is in {out}; its figures and the report may be missing"
@@ -94,7 +94,7 @@ def _plainer_flight(solution: Solution) -> Solution | None:
 
     None if the solution is that already, or it has no solution.
     """
-    from perilune.solve import solve as solve_problem
+    from perilune import solve as solve_problem
 
     beside = solution.problem.views.beside
     if beside is None or all(getattr(solution.parameters, name) == value for name, value in beside.given):
@@ -136,7 +136,8 @@ def _run_sweep_command(typed: Namespace) -> CommandAnswer:
 
 
 def _run_check_command(typed: Namespace) -> CommandAnswer:
-    from perilune.problem.presolve import preflight, refuse_impossible
+    from perilune import preflight
+    from perilune.problem.presolve import refuse_impossible
     from perilune.scenario import load_file
 
     with progress(False, deque(maxlen=1)) as watch:
@@ -197,8 +198,7 @@ def _run_atlas_command(typed: Namespace) -> CommandAnswer:
 
 
 def _run_verify_command(typed: Namespace) -> CommandAnswer:
-    from perilune.io.load import load
-    from perilune.verify import verify
+    from perilune import load, verify
 
     certificate = typed.certificate
     if certificate is not None:
@@ -243,11 +243,11 @@ def _write_certificate(solution: Solution, file: Path) -> str:
 
 
 def _run_export_command(typed: Namespace) -> CommandAnswer:
+    from perilune import verify
     from perilune.io.exports.epochs import flight_epoch
     from perilune.io.exports.provenance import provenance
     from perilune.io.exports.writing import export_target, require_object, write_export
     from perilune.io.load import load_with_tree
-    from perilune.verify import verify
 
     _, form = export_target(typed.out, typed.format, typed.force)
     named = require_object(form, typed.object_name, typed.object_id)

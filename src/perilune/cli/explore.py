@@ -12,16 +12,17 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from perilune import PeriluneError
 from perilune.cli.interrupts import handle_interrupt
 from perilune.cli.output import CommandAnswer, print_to_stderr
 from perilune.cli.progress import LONGEST_LOG, progress
-from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core.errors import unknown_name
 from perilune.core.fields import Quantity
 
 if TYPE_CHECKING:
+    from perilune import Problem
     from perilune.app.sliders import Knob
     from perilune.app.source import Subject
-    from perilune.problem.problem import Problem
 
 
 def serve_or_write_page(typed: Namespace) -> CommandAnswer:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from perilune.core.errors import PeriluneError, unknown_name
+from perilune import PeriluneError
+from perilune.core.errors import unknown_name
 
 if TYPE_CHECKING:
     from perilune.methods import Method
@@ -48,14 +49,14 @@ def method_of(name: str, settings: Mapping[str, Any] | None = None) -> Method:
                 advice=having,
             )
     if name == "indirect":
-        from perilune.methods import Indirect
+        from perilune import Indirect
 
         return Indirect(**chosen)
-    from perilune.methods import Pseudospectral
+    from perilune import Pseudospectral
 
     if name == "direct":
         return Pseudospectral(**chosen)
-    from perilune.methods import Genetic, Hybrid
+    from perilune import Genetic, Hybrid
 
     seed = {key: chosen.pop(key) for key in ("seed",) if key in chosen}
     return Hybrid(Genetic(**seed), Pseudospectral(**chosen))

@@ -6,8 +6,9 @@ import shutil
 from argparse import Namespace
 from pathlib import Path
 
+from perilune import PeriluneError
 from perilune.cli.output import CommandAnswer
-from perilune.core.errors import PeriluneError, unknown_name
+from perilune.core.errors import unknown_name
 
 EXAMPLES = "examples"  # beside the kinds, as a word of `perilune new`
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from perilune.core.errors import PeriluneError
+from perilune import PeriluneError
 
 
 def integer_in_range(least: int, most: int | None = None) -> Callable[[str], int]:

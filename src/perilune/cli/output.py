@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from perilune import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.cli.interrupts import STOPPED
-from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 
 INTERRUPTED = Outcome.INTERRUPTED.exit_code
 _FAILED = (Outcome.REFUSED, Outcome.INFEASIBLE, Outcome.NOT_CONVERGED, Outcome.INTERRUPTED)

@@ -13,15 +13,15 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
+from perilune import InfeasibleError, NotConvergedError, PeriluneError
 from perilune.cli.interrupts import STOPPED, raise_pending_interrupt
 from perilune.cli.output import INTERRUPTED, WrittenFiles, interrupted_error, print_to_stderr, refusal_answer
-from perilune.core.errors import InfeasibleError, NotConvergedError, PeriluneError
 
 if TYPE_CHECKING:
     from rich.text import Text
 
+    from perilune import Finding
     from perilune.core.callbacks import Iteration
-    from perilune.problem.presolve import Finding
     from perilune.scenario import Scenario
 
 LONGEST_LOG = 1000  # lines of progress that a failure keeps

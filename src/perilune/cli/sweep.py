@@ -11,12 +11,12 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from perilune import InfeasibleError, Outcome, PeriluneError
 from perilune.cli.arguments import method_settings
 from perilune.cli.methods import method_of
 from perilune.cli.options import time_limit
 from perilune.cli.output import INTERRUPTED, CommandAnswer, WrittenFiles
 from perilune.cli.progress import LONGEST_LOG, print_note, progress, refuse_unusable_target
-from perilune.core.errors import InfeasibleError, Outcome, PeriluneError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -55,7 +55,7 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
             from perilune.families.store import clear_family
 
             clear_family(options["store"])
-    from perilune.families.sweep import sweep
+    from perilune import sweep
     from perilune.report.family import family_csv, family_document, write_family
 
     with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, worker_pool(order.workers) as executor:

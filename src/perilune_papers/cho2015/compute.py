@@ -6,14 +6,9 @@ from dataclasses import dataclass
 
 from scipy.optimize import brentq
 
+from perilune import Extremal, Family, Outcome, PeriluneError, Solution, solve, sweep
 from perilune.core.callbacks import Watch
-from perilune.core.errors import Outcome, PeriluneError
-from perilune.families.family import Family
-from perilune.families.sweep import sweep
 from perilune.models.landing.problem import Retro
-from perilune.problem.results.extremal import Extremal
-from perilune.problem.results.solution import Solution
-from perilune.solve import solve
 from perilune_papers.cho2015.case import ACCELERATIONS, CONSTANTS, IMPULSES, PRINTED, RETRO_BURNS, cho_landing
 from perilune_papers.paper import worst_solution
 

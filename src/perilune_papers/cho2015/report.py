@@ -11,10 +11,10 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune import Solution
 from perilune.io.atomic_files import json_text
 from perilune.io.columns import flight_columns
 from perilune.io.save import extremals_document
-from perilune.problem.results.solution import Solution
 from perilune.report.family import family_csv, family_document
 from perilune.report.figures import solution_figures
 from perilune.report.style import line_figure

@@ -15,14 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from perilune import Problem, Solution
 from perilune.core.arrays import Vector
 from perilune.core.maths import NUMERIC
 from perilune.models.deorbit.problem import deorbit_entry
 from perilune.models.deorbit.records import Atmosphere, Interface, Landing, Manoeuvre, Returner, ReturnOrbit
 from perilune.models.physics.bodies import Planet
 from perilune.models.physics.flight_path import FlightPath, flight_path, to_cartesian
-from perilune.problem.problem import Problem
-from perilune.problem.results.solution import Solution
 
 STEP = 1e-30  # of derivatives by a complex step
 

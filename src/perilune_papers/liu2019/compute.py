@@ -13,16 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from perilune import Outcome, PeriluneError, Solution, opposite, preflight, solve
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
-from perilune.core.errors import Outcome, PeriluneError
 from perilune.core.maths import NUMERIC
 from perilune.models.deorbit import orbit
 from perilune.models.physics.rotating_frame import cross_product, local_axes, scalar_product
-from perilune.problem.negated import opposite
-from perilune.problem.presolve import preflight
-from perilune.problem.results.solution import Solution
-from perilune.solve import solve
 from perilune_papers.liu2019.case import (
     CASE,
     PRINTED_SITE,

@@ -16,14 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
+from perilune import Genetic, PeriluneError, Problem, solve
 from perilune.atlas.building.build import build
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
-from perilune.core.errors import PeriluneError
-from perilune.methods import Genetic, Nearby
-from perilune.problem.problem import Problem
-from perilune.solve import solve
+from perilune.methods import Nearby
 from perilune_papers.liu2019.members import ManoeuvreMember, predict_by_cubic
 
 WITHIN = 0.02  # the neighbourhood of a prediction in which the paper searches

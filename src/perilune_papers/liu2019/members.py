@@ -9,11 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from perilune import PeriluneError, Solution, solve
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
-from perilune.core.errors import PeriluneError
-from perilune.problem.results.solution import Solution
-from perilune.solve import solve
 from perilune_papers.liu2019.case import CASE, paper_costates
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune import Solution
 from perilune.core.arrays import Vector
-from perilune.problem.results.solution import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.style import line_figure
 from perilune.report.summary import markdown_table, solution_summary

@@ -6,10 +6,8 @@ import time
 from dataclasses import dataclass
 from functools import partial
 
+from perilune import Genetic, Hybrid, Indirect, Problem, solve
 from perilune.core.callbacks import Watch
-from perilune.methods import Genetic, Hybrid, Indirect
-from perilune.problem.problem import Problem
-from perilune.solve import solve
 from perilune_papers.liu2019.case import site_fixed, site_free
 from perilune_papers.starts import Starts, run_starts
 

@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+from perilune import Problem
 from perilune.models.descent.problem import Ignition, Site, Steering, powered_descent
 from perilune.models.landing.problem import Vehicle
 from perilune.models.physics.bodies import Body
-from perilune.problem.problem import Problem
 from perilune_papers.paper import Printed
 
 

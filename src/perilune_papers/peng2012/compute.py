@@ -11,14 +11,12 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from perilune import Genetic, Hybrid, Outcome, PeriluneError, Pseudospectral, Solution, solve
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
-from perilune.core.errors import Outcome, PeriluneError
 from perilune.core.maths import NUMERIC
-from perilune.methods import ControlFitness, Genetic, Hybrid, Pseudospectral
+from perilune.methods import ControlFitness
 from perilune.models.physics.rotating_frame import combine, heading_axes, spherical_coordinates
-from perilune.problem.results.solution import Solution
-from perilune.solve import solve
 from perilune_papers.peng2012.case import (
     CASE,
     PRINTED,

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from perilune import Solution
 from perilune.io.columns import hamiltonian, required_hamiltonian
-from perilune.problem.results.solution import Solution
 from perilune.report.figures import solution_figures
 from perilune.report.side_and_top_view import track_figure
 from perilune.report.style import line_figure
