@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from perilune import Solution
 from perilune.io.columns import flight_columns
 from perilune.io.save import program_versions
-from perilune.report.style import save_figure
-from perilune.report.summary import markdown_table
+from perilune.report import markdown_table, save_figure
 
 # Name: value, unit, place in the paper. For comparison, never for computing.
 Printed = MappingProxyType[str, tuple[float, str, str]]

@@ -41,7 +41,7 @@ from perilune.app.files import page_files
 from perilune.app.messages import ALL_DIGITS, flight_message, opening_message, round_to_digits
 from perilune.app.slices import Slices
 from perilune.app.source import Subject, subject_of
-from perilune.app.static_page import static_page
+from perilune.app.static_page import build_static_page
 from perilune.app.worker import SupersededWork, WorkerKilled, WorkerProcess, in_thread
 from perilune.cli.commands import run_command
 from perilune.core.callbacks import Watch, ignore_events
@@ -530,7 +530,7 @@ def test_sliders_keep_to_what_may_be_stated_and_flown() -> None:
 
 
 def test_a_page_that_needs_no_server_holds_its_flights(subject: Subject) -> None:
-    page, words = static_page(subject)
+    page, words = build_static_page(subject)
     assert page.count('"type":"flight"') == 225 and "http://" not in page.replace("http://www.w3.org/2000/svg", "")
     assert words == "a flight at each of 225 points"
 
@@ -550,7 +550,7 @@ def test_a_page_without_an_atlas_jumps_too() -> None:
     """Followed from both ends, so that on either side of 277.867 s the better family is there."""
     subject = subject_of(None)
     knob = next(knob for knob in subject.knobs if knob.name == ISP)
-    page, _ = static_page(replace(subject, knobs=(replace(knob, low=272.0, high=284.0),)))
+    page, _ = build_static_page(replace(subject, knobs=(replace(knob, low=272.0, high=284.0),)))
     document = json.loads(page.partition('id="frozen">')[2].partition("</script>")[0])
     flights = document["flights"]
     burns = [(flight["values"][ISP], flight["free"]["retro_delta_v"] > 0.0) for flight in flights]

@@ -16,7 +16,7 @@ pytest.importorskip("starlette", reason="the explorer needs starlette: pip insta
 
 from explored import CHROMIUM, QUIET, ROOT, atlas_of_the_jump, drag, served, until  # noqa: E402
 from perilune.app.source import subject_of  # noqa: E402
-from perilune.app.static_page import static_page  # noqa: E402
+from perilune.app.static_page import build_static_page  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="these tests need a browser: apt-get install chromium")
 ISP = "#knob-retro_specific_impulse"
@@ -31,7 +31,7 @@ def atlas(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def alone(atlas: Path) -> Path:
     """A page in a file, as from a mail."""
     file = atlas.parent / "page.html"
-    file.write_text(static_page(subject_of(atlas)).page, encoding="utf-8")
+    file.write_text(build_static_page(subject_of(atlas)).page, encoding="utf-8")
     return file
 
 

@@ -311,9 +311,7 @@ def family_of(solution: Solution, *, interrupted: bool = False) -> Callable[...,
 def test_a_stopped_sweep_says_how_far_it_came(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ordinary: Solution, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(
-        importlib.import_module("perilune.families.sweep"), "sweep", family_of(ordinary, interrupted=True)
-    )
+    monkeypatch.setattr(pl, "sweep", family_of(ordinary, interrupted=True))
     out = tmp_path / "family"
     assert (
         run_command_line(["sweep", ORDINARY, "--vary", "vehicle.thrust=440:460:10 N", "--out", str(out), "--json"])
@@ -343,8 +341,7 @@ def test_a_sweep_may_bring_its_key_into_the_scenario(
     vary: str,
     given: dict[str, float],
 ) -> None:
-    module = importlib.import_module("perilune.families.sweep")
-    monkeypatch.setattr(module, "sweep", family_of(hybrid))
+    monkeypatch.setattr(pl, "sweep", family_of(hybrid))
     families: list[Any] = []
     monkeypatch.setattr(
         importlib.import_module("perilune.report.family"), "family_csv", lambda family: families.append(family) or ""

@@ -20,7 +20,7 @@ from perilune.cli import run_command_line
 from perilune.core.errors import PeriluneError
 from perilune.families import dask_cluster as on_cluster
 from perilune.families.dask_cluster import cluster
-from perilune.families.executors import run_on_executor
+from perilune.families.executors import run_calls
 
 AXES = {"vehicle.thrust": (430.0, 450.0), "retro.specific_impulse": (290.0, 310.0)}
 VARY = ["--vary", "vehicle.thrust=430:450 N"]
@@ -70,10 +70,10 @@ def test_where_nobody_computes_it_is_said(monkeypatch: pytest.MonkeyPatch) -> No
     quiet = {"dashboard_address": ":0", "silence_logs": 50}
     with distributed.LocalCluster(n_workers=0, processes=False, protocol="tcp://", **quiet) as local:
         with cluster(local.scheduler_address, tell) as machines, pytest.raises(KeyboardInterrupt, match="no worker"):
-            next(run_on_executor(machines, iter([("one", (sorted, [2, 1]))])))
+            next(run_calls(machines, iter([("one", (sorted, [2, 1]))])))
         local.scale(1)
         with cluster(local.scheduler_address, tell) as machines:
-            assert list(run_on_executor(machines, iter([("one", (sorted, [2, 1]))]))) == [("one", [1, 2])]
+            assert list(run_calls(machines, iter([("one", (sorted, [2, 1]))]))) == [("one", [1, 2])]
 
 
 def test_threads_make_the_same_nodes(tmp_path: Path) -> None:

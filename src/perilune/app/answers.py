@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from perilune import InfeasibleError, NotConvergedError, Parameter, PeriluneError, Problem, Solution, solve
-from perilune.atlas.query.answer import Mapped
-from perilune.atlas.query.query import Atlas
+from perilune.atlas import Atlas, Mapped
 from perilune.conditions import extremal_parameters
 from perilune.core.callbacks import Iteration, Watch, ignore_events
 from perilune.core.errors import CANNOT_BE_FLOWN

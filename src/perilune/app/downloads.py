@@ -29,7 +29,7 @@ def _flight_csv(subject: Subject, shown: Shown) -> bytes:
 
 
 def _figures_archive(subject: Subject, shown: Shown) -> bytes:
-    from perilune.report.figures import solution_drawings  # and with it a library that takes a second to load
+    from perilune.report import solution_drawings
 
     made = BytesIO()
     with ZipFile(made, "w") as archive:

@@ -17,7 +17,7 @@ from perilune.io.atomic_files import finite
 from perilune.io.columns import display_times, phase_columns
 from perilune.io.save import extremals_document, results_document
 from perilune.problem.results.solution import full
-from perilune.report.profile_view import plane_of_flight
+from perilune.report import plane_of_flight
 
 POINTS = 96  # of a flight, shared among its phases by their durations
 _LEAST = 25  # of a phase, however short it is
@@ -44,7 +44,7 @@ def opening_message(subject: Subject) -> dict[str, Any]:
 
 
 def _coasts() -> list[list[list[float]]]:
-    from perilune.report.ground import coastline
+    from perilune.report import coastline
 
     return [line.round(1).tolist() for line in coastline()]
 

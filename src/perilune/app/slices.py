@@ -9,7 +9,7 @@ from typing import Any
 
 from perilune.app.messages import round_to_digits
 from perilune.app.source import Subject
-from perilune.atlas.query.slices import Slice, sliced
+from perilune.atlas import Slice, sliced
 
 POINTS = 61  # along an axis, at most
 _GRIDS = (16, 31, POINTS)  # along each of two: the finest that takes no longer than a designer waits

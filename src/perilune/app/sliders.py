@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perilune import PeriluneError, Problem, preflight
-from perilune.atlas.query.query import Atlas
+from perilune.atlas import Atlas
 from perilune.core.arrays import Vector
 from perilune.core.fields import Quantity
 from perilune.models.catalogue import KINDS, key_of

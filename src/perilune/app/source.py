@@ -9,13 +9,11 @@ from pathlib import Path
 
 from perilune import PeriluneError, Problem, Solution
 from perilune.app.sliders import Knob, knobs
-from perilune.atlas.query.query import Atlas, open_atlas
-from perilune.atlas.store.store import HEADER
+from perilune.atlas import HEADER, Atlas, open as open_atlas
 from perilune.core.units import parse_quantity
 from perilune.io.format import SOLUTION_FILE
 from perilune.io.load import claims_of, load_with_tree
-from perilune.scenario import load_file, load_text, template
-from perilune.scenario.text import apply_change, parse, scenario_toml
+from perilune.scenario import apply_change, load_file, load_text, parse, scenario_toml, template
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,7 +47,7 @@ class StaticPage(NamedTuple):
     words: str
 
 
-def static_page(subject: Subject, watch: Watch = ignore_events, chosen: Sequence[Knob] = ()) -> StaticPage:
+def build_static_page(subject: Subject, watch: Watch = ignore_events, chosen: Sequence[Knob] = ()) -> StaticPage:
     """Make a page with the flights over one parameter or two, all others as they are.
 
     Parameters

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from perilune import PeriluneError
 from perilune.core.callbacks import Iteration
-from perilune.families.executors import end_with_parent, ignore_interrupt_in_children
+from perilune.families import end_with_parent, ignore_interrupt_in_children
 
 _GRACE = 2.0  # s that work for which nobody waits may go on when other work comes, before its process is ended
 _TRIES = 2  # of work whose process is killed

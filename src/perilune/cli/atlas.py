@@ -20,13 +20,11 @@ from perilune.core.units import format_quantity, parse_quantity
 
 if TYPE_CHECKING:
     from perilune import Problem
-    from perilune.atlas.query.answer import Query
-    from perilune.atlas.query.query import Atlas
+    from perilune.atlas import Atlas, Query
 
 
 def _run_atlas_build(typed: Namespace) -> CommandAnswer:
-    from perilune.atlas.building.build import TOLERANCE, build
-    from perilune.atlas.store.store import HEADER
+    from perilune.atlas import HEADER, build
     from perilune.scenario import bounds_of
 
     axes = ranges_of_keys(typed, bounds_of)
@@ -53,11 +51,11 @@ def _run_atlas_build(typed: Namespace) -> CommandAnswer:
             axes,
             typed.out,
             executor,
-            tolerance=TOLERANCE if typed.tolerance is None else typed.tolerance,
             callback=watch,
             bricks=typed.bricks,
             sample=typed.sample,
             force=typed.force and not typed.resume,
+            **({} if typed.tolerance is None else {"tolerance": typed.tolerance}),
         )
     return _atlas_description(_open_typed_atlas(typed), built=str(typed.out))
 
@@ -68,7 +66,7 @@ def _file_signature(file: Path) -> tuple[int, int] | None:
 
 
 def _run_atlas_extend(typed: Namespace) -> CommandAnswer:
-    from perilune.atlas.building.extend import extend
+    from perilune.atlas import extend
 
     atlas, wanted = _open_typed_atlas(typed), dict[str, tuple[float, float]]()
     for key, bounds in _axis_ranges(atlas, typed.vary):
@@ -105,8 +103,7 @@ def _axis_ranges(atlas: Atlas, vary: list[str]) -> Iterator[tuple[str, tuple[flo
 
 
 def _run_atlas_merge(typed: Namespace) -> CommandAnswer:
-    from perilune.atlas.building.merge import merge
-    from perilune.atlas.store.store import HEADER
+    from perilune.atlas import HEADER, merge
 
     def going_on() -> str:
         """Return advice on going on; empty if nothing was copied yet, or an atlas is there, old or new."""
@@ -135,7 +132,7 @@ def _run_atlas_info(typed: Namespace) -> CommandAnswer:
 
 
 def _run_atlas_verify(typed: Namespace) -> CommandAnswer:
-    from perilune.atlas.building.verify import verify_atlas
+    from perilune.atlas import verify_atlas
 
     with progress(typed.verbose, deque(maxlen=LONGEST_LOG)) as watch:
         found = verify_atlas(_open_typed_atlas(typed), typed.sample, seed=typed.seed, callback=watch)
@@ -147,7 +144,7 @@ def _run_atlas_verify(typed: Namespace) -> CommandAnswer:
 def _run_atlas_query(typed: Namespace) -> CommandAnswer:
     from perilune import verify
     from perilune.io.save import solution_document
-    from perilune.report.summary import solution_summary
+    from perilune.report import solution_summary
 
     atlas = _open_typed_atlas(typed)
     values = _typed_axis_values(atlas, typed.at)
@@ -168,7 +165,7 @@ def _run_atlas_query(typed: Namespace) -> CommandAnswer:
 
 
 def _run_atlas_export(typed: Namespace) -> CommandAnswer:
-    from perilune.atlas.building.export import FORMS, export
+    from perilune.atlas import FORMS, export
     from perilune.io.exports.formats import format_of
 
     atlas, form = _open_typed_atlas(typed), format_of(typed.out, typed.format, list(FORMS))
@@ -183,9 +180,9 @@ def _run_atlas_export(typed: Namespace) -> CommandAnswer:
 
 
 def _run_atlas_plot(typed: Namespace) -> CommandAnswer:
-    from perilune.atlas.query.slices import sliced
+    from perilune.atlas import sliced
     from perilune.io.atomic_files import NotWrittenError
-    from perilune.report.atlas_maps import write_maps
+    from perilune.report import write_maps
 
     atlas = _open_typed_atlas(typed)
     refuse_unusable_target(typed.out, typed.force)
@@ -213,9 +210,9 @@ def _run_atlas_plot(typed: Namespace) -> CommandAnswer:
 
 
 def _open_typed_atlas(typed: Namespace) -> Atlas:
-    from perilune.atlas.query.query import open_atlas
+    from perilune import atlas
 
-    return open_atlas(typed.out if typed.action == "build" else typed.directory)
+    return atlas.open(typed.out if typed.action == "build" else typed.directory)
 
 
 def _typed_axis_values(atlas: Atlas, at: list[str]) -> dict[str, float]:
@@ -239,7 +236,7 @@ def _typed_axis_values(atlas: Atlas, at: list[str]) -> dict[str, float]:
 
 def _atlas_description(atlas: Atlas, **more: str) -> CommandAnswer:
     """Describe an atlas and how complete it is; exit code 5 if not all of the answers drawn at building are proved."""
-    from perilune.atlas.building.audit import LOOKED_AT, covered_share, sample_of
+    from perilune.atlas import covered_share, sample_of
 
     axes = [
         {"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in atlas.region.axes
@@ -262,7 +259,7 @@ def _atlas_description(atlas: Atlas, **more: str) -> CommandAnswer:
         f"{len(atlas.said)} of at most {total} bricks, {nodes} nodes, {size / 2**20:.1f} MiB",
         f"cells that answer: {100 * share.answered:.1f} % of the region"
         + (f", and infeasible by physical bounds: {100 * share.impossible:.1f} %" if share.impossible else "")
-        + f", by {LOOKED_AT} points",
+        + f", by {share.points} points",
         "sheets",
         *(f"  {label}" for label in sheets),
     ]

@@ -107,7 +107,7 @@ def _plainer_flight(solution: Solution) -> Solution | None:
 
 def _solution_answer(solution: Solution, verbose: bool) -> CommandAnswer:
     from perilune.io.save import solution_document
-    from perilune.report.summary import solution_summary
+    from perilune.report import solution_summary
 
     raise_pending_interrupt()
     try:
@@ -174,14 +174,14 @@ def _run_check_command(typed: Namespace) -> CommandAnswer:
 
 def _run_opportunities_command(typed: Namespace) -> CommandAnswer:
     from perilune.models.deorbit.opportunities import opportunities, refuse_no_opportunity
-    from perilune.report.opportunities import opportunities_document, opportunities_text
+    from perilune.report import opportunities_answer
     from perilune.scenario import load_file
 
     with progress(False, deque(maxlen=1)) as watch:
         problem = load_file(typed.file, typed.changes).problem
         watch("searching for passes")
         found = opportunities(problem, typed.days)
-    document, text = opportunities_document(found), opportunities_text(found, every=typed.every)
+    document, text = opportunities_answer(found, every=typed.every)
     try:
         refuse_no_opportunity(found, typed.days)
     except InfeasibleError as error:

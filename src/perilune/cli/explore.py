@@ -21,13 +21,12 @@ from perilune.core.fields import Quantity
 
 if TYPE_CHECKING:
     from perilune import Problem
-    from perilune.app.sliders import Knob
-    from perilune.app.source import Subject
+    from perilune.app import Knob, Subject
 
 
 def serve_or_write_page(typed: Namespace) -> CommandAnswer:
     """Serve the page until Ctrl-C, or write it."""
-    from perilune.app.source import subject_of
+    from perilune.app import subject_of
 
     if typed.html is not None:
         return _write_static_page(
@@ -43,8 +42,7 @@ def serve_or_write_page(typed: Namespace) -> CommandAnswer:
             got=f"no {missing.name}",
             advice="pip install 'perilune[explore]', or write a page that needs no server: --html FILE",
         ) from None
-    from perilune.app.client import MESSAGE
-    from perilune.app.server import Explorer
+    from perilune.app import MESSAGE, Explorer
 
     subject = subject_of(typed.target, typed.changes or ())
     if typed.vary:
@@ -79,13 +77,13 @@ def serve_or_write_page(typed: Namespace) -> CommandAnswer:
 
 
 def _write_static_page(subject: Subject, file: Path, vary: Sequence[str], force: bool) -> CommandAnswer:
-    from perilune.app.static_page import default_sliders, static_page
+    from perilune.app import build_static_page, default_sliders
     from perilune.io.atomic_files import fresh_file, new_file
 
     chosen = _chosen_sliders(subject, vary) or default_sliders(subject)
     new_file(file, "the page", force)
     with progress(False, deque(maxlen=LONGEST_LOG)) as watch:
-        page, words = static_page(subject, watch, chosen)
+        page, words = build_static_page(subject, watch, chosen)
     with fresh_file(file, "the page") as beside:
         beside.write_text(page, encoding="utf-8")
     moves = {

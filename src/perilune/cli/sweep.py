@@ -21,7 +21,7 @@ from perilune.cli.progress import LONGEST_LOG, print_note, progress, refuse_unus
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from perilune.families.executors import Submits
+    from perilune.families import Submits
     from perilune.scenario import Scenario
 
 Kind = TypeVar("Kind")
@@ -44,7 +44,7 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
                 "--x, --y and --z choose the axes of a figure", expected="--out DIR", advice="state where it goes"
             )
         from perilune.core.fields import parameter_name
-        from perilune.report.contour_map import require_map
+        from perilune.report import require_map
 
         require_map(scenario.problem, tuple(map(parameter_name, over)), axes)
     options: dict[str, Any] = {"method": method}
@@ -52,11 +52,11 @@ def sweep_answer(order: Namespace) -> CommandAnswer:
         _refuse_used_directory(order)
         options["store"] = order.out / MEMBERS
         if not order.resume:
-            from perilune.families.store import clear_family
+            from perilune.families import clear_family
 
             clear_family(options["store"])
     from perilune import sweep
-    from perilune.report.family import family_csv, family_document, write_family
+    from perilune.report import family_csv, family_document, write_family
 
     with progress(order.verbose, deque(maxlen=LONGEST_LOG)) as watch, worker_pool(order.workers) as executor:
         family = sweep(
@@ -100,7 +100,7 @@ def worker_pool(count: int) -> Iterator[Executor | None]:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    from perilune.families.executors import ignore_interrupt_in_children
+    from perilune.families import ignore_interrupt_in_children
 
     class Pool(ProcessPoolExecutor):
         def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
@@ -123,7 +123,7 @@ def sweep_executor(order: Namespace) -> Iterator[Submits | None]:
         return
     if order.workers > 1:
         raise PeriluneError("--workers and --scheduler exclude each other", expected="one of the two")
-    from perilune.families.dask_cluster import cluster
+    from perilune.families import cluster
 
     with cluster(order.scheduler, print_note) as machines:
         yield machines
@@ -131,7 +131,7 @@ def sweep_executor(order: Namespace) -> Iterator[Submits | None]:
 
 def _initialize_sweep_worker() -> None:
     """Initialise a process of the pool: leave Ctrl-C to the parent, and end if that is killed."""
-    from perilune.families.executors import end_with_parent
+    from perilune.families import end_with_parent
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
@@ -172,7 +172,7 @@ def ranges_of_keys(order: Namespace, read: Callable[[str, str, Mapping[str, Any]
 
 def _refuse_used_directory(order: Namespace) -> None:
     """Refuse a directory with other content, or with a sweep that is neither to be resumed nor replaced."""
-    from perilune.families.store import MANIFEST
+    from perilune.families import MANIFEST
     from perilune.io.atomic_files import in_use
 
     stored = (order.out / MEMBERS / MANIFEST).is_file()

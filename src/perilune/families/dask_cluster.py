@@ -27,7 +27,7 @@ _ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?(?P<host>[\w.-]{1,253}|\[[0-9a-fA-
 
 
 class Cluster:
-    """Dask client as an executor that `perilune.families.executors.run_on_executor` takes.
+    """Dask client as an executor that `perilune.families.executors.run_calls` takes.
 
     Parameters
     ----------

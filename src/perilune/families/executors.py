@@ -15,7 +15,6 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from perilune.core.errors import PeriluneError
 
-Kind = TypeVar("Kind")
 Name = TypeVar("Name", bound=Hashable)
 Call = tuple[Any, ...]  # a function and its arguments
 _AHEAD = 1000  # calls handed to an executor before the first of them is back
@@ -37,20 +36,40 @@ class Waits(Protocol):
         """Called again and again while nothing comes back."""
 
 
-def run_on_executor(
-    executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int = _AHEAD
+def run_calls(
+    executor: Submits | None, calls: Iterator[tuple[Name, Call]], ahead: int = _AHEAD
 ) -> Iterator[tuple[Name, Any]]:
-    """Yield the name and result of each call in the order of completion; `ahead` calls are begun at once.
+    """Yield the name and result of each call: here one after the other without an executor, else as completed.
 
     Parameters
     ----------
     executor
-        Makes the calls.
+        Makes the calls, if any does.
     calls
         Name of each call, and its function with arguments.
     ahead
         Number of calls in progress at once.
+
+    Raises
+    ------
+    PeriluneError
+        If a worker was lost.
     """
+    if executor is None:
+        for name, (function, *arguments) in calls:
+            yield name, function(*arguments)
+        return
+    try:
+        yield from _run_on_executor(executor, calls, ahead)
+    except BrokenExecutor as error:
+        raise PeriluneError(
+            "a worker, or the connection to it, was lost",
+            got=f"{type(error).__name__}: {error}",
+            advice="finished members are kept if they were stored (--out DIR): run again with --resume",
+        ) from error
+
+
+def _run_on_executor(executor: Submits, calls: Iterator[tuple[Name, Call]], ahead: int) -> Iterator[tuple[Name, Any]]:
     begun: dict[Name, Any] = {}
     back: SimpleQueue[Name] = SimpleQueue()
     try:
@@ -71,12 +90,6 @@ def run_on_executor(
     finally:
         for future in begun.values():
             future.cancel()
-
-
-def run_serially(calls: Iterator[tuple[Name, Call]]) -> Iterator[tuple[Name, Any]]:
-    """Yield the name and result of each call, made here one after the other."""
-    for name, (function, *arguments) in calls:
-        yield name, function(*arguments)
 
 
 def begin_processes(executor: Submits | None, call: Call) -> None:
@@ -118,15 +131,3 @@ def end_with_parent() -> None:
         os._exit(1)
 
     Thread(target=watch, daemon=True).start()
-
-
-def report_lost_worker(answers: Iterator[Kind]) -> Iterator[Kind]:
-    """Yield the same answers; report a lost worker by a `PeriluneError`."""
-    try:
-        yield from answers
-    except BrokenExecutor as error:
-        raise PeriluneError(
-            "a worker, or the connection to it, was lost",
-            got=f"{type(error).__name__}: {error}",
-            advice="finished members are kept if they were stored (--out DIR): run again with --resume",
-        ) from error

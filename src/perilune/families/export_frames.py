@@ -111,6 +111,13 @@ def grid_of(family: Family) -> np.ndarray | None:
     return placed
 
 
+def member_quantities(family: Family) -> dict[str, tuple[Vector, str]]:
+    """Return values at each member and unit of all quantities, by name; a parameter has precedence over a result."""
+    count = len(family.points)
+    found = {f.name: (np.full(count, f.values[0]), f.unit) for f in given_fields(family)}
+    return found | {f.name: (f.values, f.unit) for f in (*result_fields(family), *parameter_fields(family))}
+
+
 def parameter_fields(family: Family) -> list[FlightColumn]:
     """Return the varied parameters, at each member."""
     columns = list(zip(*(p.values for p in family.points), strict=True)) or [()] * len(family.parameters)

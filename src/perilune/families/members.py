@@ -16,7 +16,7 @@ from perilune.core.callbacks import Watch
 from perilune.core.errors import Outcome, PeriluneError
 from perilune.core.units import format_quantity
 from perilune.families.continuation import Continuation
-from perilune.families.executors import Call, Submits, report_lost_worker, run_on_executor, run_serially
+from perilune.families.executors import Call, Submits, run_calls
 from perilune.families.family import FamilyPoint, failed_point
 from perilune.methods import Indirect, Method
 from perilune.problem.display.quantity_names import free_name
@@ -68,7 +68,7 @@ class Members:
         """
         if executor is None and len(self.names) == 1 and isinstance(self.method, Indirect):
             return self._continued(todo, self.method)
-        return self._one_by_one(todo) if executor is None else report_lost_worker(self._elsewhere(todo, executor))
+        return self._one_by_one(todo) if executor is None else self._elsewhere(todo, executor)
 
     def taken_over(
         self, stored: Mapping[int, FamilyPoint], executor: Submits | None, note: Callable[[str], None]
@@ -104,8 +104,7 @@ class Members:
                 except PeriluneError as error:
                     note(f"stored member {i:06d} cannot be used ({error.what}) and is solved again")
 
-        proofs = run_serially(calls()) if executor is None else report_lost_worker(run_on_executor(executor, calls()))
-        for number, (i, verification) in enumerate(proofs, 1):
+        for number, (i, verification) in enumerate(run_calls(executor, calls()), 1):
             self.watch(f"stored members proved again: {number} of {len(claims)}")
             proved = verification and with_verification(claims[i], verification, self.level)
             if proved and proved.outcome is Outcome.PROVED:
@@ -172,7 +171,7 @@ class Members:
                 except PeriluneError as error:
                     refused.append((i, failed_point(self.values[i], error)))
 
-        for found in chain(run_on_executor(executor, calls()), (None,)):
+        for found in chain(run_calls(executor, calls()), (None,)):
             # What came back has a copy of the problem; the caller has the problem itself.
             back = [] if found is None else [(found[0], self._own(*found))]
             for i, point in (*refused, *back):

@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
-from perilune.atlas.query.slices import Slice
-from perilune.atlas.region import Axis
+from perilune.atlas import Axis, Slice
 from perilune.core.arrays import Vector
 from perilune.core.errors import PeriluneError
 from perilune.io.atomic_files import fresh_directory, refuse_unwritten, write_each

@@ -23,8 +23,7 @@ from matplotlib.tri import Triangulation
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import Outcome, PeriluneError, unknown_name
 from perilune.core.fields import parameter_name
-from perilune.families.export_frames import given_fields, grid_of, parameter_fields, result_fields
-from perilune.families.family import Family
+from perilune.families import Family, grid_of, member_quantities, result_fields
 from perilune.problem.problem import Problem
 from perilune.report.style import GREY, VERMILION, new_figure, styled
 from perilune.report.time_histories import LONG
@@ -156,10 +155,7 @@ def _scatter_of(axes: Axes, along: Vector, across: Vector, height: Vector) -> An
 
 def _quantities(family: Family) -> dict[str, tuple[Vector, str]]:
     """Return values and unit of all quantities of a member, by name; a parameter has precedence over a result."""
-    count = len(family.points)
-    found = {f.name: (np.full(count, f.values[0]), f.unit) for f in given_fields(family)}
-    found |= {f.name: (f.values, f.unit) for f in result_fields(family)}
-    found |= {f.name: (f.values, f.unit) for f in parameter_fields(family)}
+    count, found = len(family.points), member_quantities(family)
     given = {name: np.full(count, value.value) for name, value in family.problem.given.items()}
     given |= dict(zip(family.parameters, np.array([p.values for p in family.points]).T, strict=True))
     if _weighs(set(given)):

@@ -22,7 +22,7 @@ from perilune.io.save import results_document
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from perilune.families.family import Family
+    from perilune.families import Family
 
 FAMILY_NAME = "family"
 
@@ -117,7 +117,7 @@ def write_family(
     NotWrittenError
         If a table or figure cannot be written; the other files are there then.
     """
-    from perilune.families.export_frames import grid_of
+    from perilune.families import grid_of
     from perilune.report.style import save_figure
 
     writers: dict[str, Callable[[Path], object]] = {

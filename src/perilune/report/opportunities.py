@@ -11,7 +11,12 @@ from perilune.models.deorbit.opportunities import DOUBTFUL, OUT_OF_REACH, REACHA
 _HEAD = f"{'ignition':>21} {'landing':>10}  {'pass':10} {'off the plane':>22} {'turn':>9} {'delta-V':>11}  verdict"
 
 
-def opportunities_document(found: Sequence[Opportunity]) -> dict[str, Any]:
+def opportunities_answer(found: Sequence[Opportunity], *, every: bool) -> tuple[dict[str, Any], str]:
+    """Return a document for programs with all passes, and a table of those that can be flown, or of all."""
+    return _opportunities_document(found), _opportunities_text(found, every=every)
+
+
+def _opportunities_document(found: Sequence[Opportunity]) -> dict[str, Any]:
     """Return all passes with their numbers in SI and radians; None for numbers of a pass that no turn reaches."""
     rows = [
         {**vars(one), "utc": one.utc and f"{one.utc:%Y-%m-%dT%H:%M:%SZ}", "settings": dict(one.settings)}
@@ -22,7 +27,7 @@ def opportunities_document(found: Sequence[Opportunity]) -> dict[str, Any]:
     return {"opportunities": rows}
 
 
-def opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
+def _opportunities_text(found: Sequence[Opportunity], *, every: bool) -> str:
     """Return a table of the passes that can be made, or of all, and the command that solves the first.
 
     Parameters

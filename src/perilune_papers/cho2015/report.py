@@ -15,10 +15,14 @@ from perilune import Solution
 from perilune.io.atomic_files import json_text
 from perilune.io.columns import flight_columns
 from perilune.io.save import extremals_document
-from perilune.report.family import family_csv, family_document
-from perilune.report.figures import solution_figures
-from perilune.report.style import line_figure
-from perilune.report.summary import markdown_table, solution_summary
+from perilune.report import (
+    family_csv,
+    family_document,
+    line_figure,
+    markdown_table,
+    solution_drawings,
+    solution_summary,
+)
 from perilune_papers.cho2015.case import CONSTANTS, PRINTED, PRINTED_NO_BENEFIT_BELOW
 from perilune_papers.cho2015.compute import ChoReproduction, best_with_retro_burn, cho_numbers
 from perilune_papers.paper import (
@@ -85,9 +89,9 @@ def write_cho_report(made: ChoReproduction, directory: Path) -> None:
 
 def cho_figures(made: ChoReproduction) -> dict[str, Figure]:
     """Return all figures of the paper, and four that are not in it, by file name."""
-    ours = solution_figures(made.hybrid, made.ordinary)
+    ours = {name: draw() for name, draw in solution_drawings(made.hybrid, made.ordinary).items()}
     return {
-        "fig2": solution_figures(made.ordinary)["altitude"],
+        "fig2": solution_drawings(made.ordinary)["altitude"](),
         "fig3": _altitudes(made.by_thrust),
         "fig4": ours["altitude"],
         "fig5": ours["horizontal_velocity"],

@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from perilune import Genetic, PeriluneError, Problem, solve
-from perilune.atlas.building.build import build
-from perilune.atlas.query.query import Atlas, open_atlas
+from perilune.atlas import Atlas, build, open as open_atlas
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.methods import Nearby

@@ -13,9 +13,7 @@ from matplotlib.figure import Figure
 
 from perilune import Solution
 from perilune.core.arrays import Vector
-from perilune.report.figures import solution_figures
-from perilune.report.style import line_figure
-from perilune.report.summary import markdown_table, solution_summary
+from perilune.report import line_figure, markdown_table, solution_drawings, solution_summary
 from perilune_papers.liu2019.case import CASE, paper_costates
 from perilune_papers.liu2019.compute import (
     LiuReproduction,
@@ -69,13 +67,13 @@ def write_liu_report(made: LiuReproduction, directory: Path) -> None:
 
 def liu_figures(made: LiuReproduction) -> dict[str, Figure]:
     """Return all figures, by file name."""
-    ours = solution_figures(made.site_fixed)
+    ours = solution_drawings(made.site_fixed)
     return {
         "mass": _mass_figure(),
         "off_plane": _off_plane_figure(),
         "fig7_15": surfaces(made.grid),
         "fig16_18": trajectory_figures(made),
-        **{name: ours[name] for name in ("altitude", "ground_track", "air", "steering")},
+        **{name: ours[name]() for name in ("altitude", "ground_track", "air", "steering")},
     }
 
 

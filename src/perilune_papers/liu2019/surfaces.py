@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import TriAnalyzer, Triangulation
 
 from perilune.core.arrays import Matrix, Vector
-from perilune.report.style import new_figure, styled
-from perilune.report.summary import markdown_table
+from perilune.report import markdown_table, new_figure, styled
 from perilune_papers.liu2019.equations import NAMES
 from perilune_papers.liu2019.members import ManoeuvreMember, is_variable, prediction_error
 

@@ -8,7 +8,7 @@ from statistics import median
 import numpy as np
 
 from perilune.core.arrays import Vector
-from perilune.report.summary import markdown_table
+from perilune.report import markdown_table
 from perilune_papers.liu2019.case import PRINTED_TIMES
 from perilune_papers.liu2019.compute import LiuReproduction
 from perilune_papers.starts import Starts

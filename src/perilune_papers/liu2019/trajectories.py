@@ -12,9 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from perilune.core.arrays import Matrix
-from perilune.report.ground import track_on_map
-from perilune.report.style import LOOKS, legend_above, new_figure, styled
-from perilune.report.summary import markdown_table
+from perilune.report import LOOKS, legend_above, markdown_table, new_figure, styled, track_on_map
 from perilune_papers.liu2019.compute import LiuReproduction, ManoeuvreMember, burn_until
 from perilune_papers.liu2019.printed import TABLES_1_AND_3, Experiment
 

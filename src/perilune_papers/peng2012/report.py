@@ -15,11 +15,14 @@ from matplotlib.figure import Figure
 
 from perilune import Solution
 from perilune.io.columns import hamiltonian, required_hamiltonian
-from perilune.report.figures import solution_figures
-from perilune.report.side_and_top_view import track_figure
-from perilune.report.style import line_figure
-from perilune.report.summary import markdown_table, solution_summary
-from perilune.report.time_histories import history_figure
+from perilune.report import (
+    history_figure,
+    line_figure,
+    markdown_table,
+    solution_drawings,
+    solution_summary,
+    track_figure,
+)
 from perilune_papers.paper import (
     claim_verdict,
     claims_section,
@@ -105,15 +108,15 @@ def peng_figures(made: PengReproduction) -> dict[str, Figure]:
     """Return all figures of the paper, and three that are not in it, by file name."""
     flights = {"indirect": made.indirect, f"{PRINTED_POINTS} Gauss points": made.direct}
     shown = {h.name: h for h in made.indirect.problem.views.histories}
-    ours = solution_figures(made.indirect)
+    ours = solution_drawings(made.indirect)
     return {
         "fig2": track_figure(flights),
         "fig3": history_figure(flights, shown["velocities"]),
         "fig4": history_figure(flights, shown["steering"]),
         "hamiltonian": _hamiltonian_figure(made),
         "convergence": _convergence_figure(made.convergence),
-        "altitude": ours["altitude"],
-        "costates": ours["costates"],
+        "altitude": ours["altitude"](),
+        "costates": ours["costates"](),
     }
 
 

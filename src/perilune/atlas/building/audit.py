@@ -30,7 +30,7 @@ from perilune.atlas.store.store import PATIENCE, AtlasStore
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.errors import NotConvergedError, PeriluneError
 from perilune.core.validation import wrong_type_error
-from perilune.families.executors import Call, Submits, report_lost_worker, run_on_executor, run_serially
+from perilune.families import Call, Submits, run_calls
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.verification import Verification
@@ -284,9 +284,7 @@ def certify_solutions(
     """
     calls: Iterator[tuple[tuple[float, ...], Call]] = ((at, (_prove_sampled, solution)) for at, solution in solutions)
     found = list[Certificate]()
-    for at, proof in report_lost_worker(
-        run_on_executor(executor, calls) if executor is not None else run_serially(calls)
-    ):
+    for at, proof in run_calls(executor, calls):
         failed = tuple(check.name for check in proof.failed)
         found.append(Certificate(values=at, level=proof.level, failed=failed))
         watch(f"proof {len(found)}")
@@ -370,7 +368,7 @@ def _certificate_of_line(said: Mapping[str, Any]) -> Certificate:
     return Certificate(values=tuple(said["values"]), level=said["level"], failed=tuple(said["failed"]))
 
 
-LOOKED_AT = 1000  # points of a region
+_LOOKED_AT = 1000  # points of a region
 
 
 class RegionCoverage(NamedTuple):
@@ -378,6 +376,11 @@ class RegionCoverage(NamedTuple):
 
     answered: float
     impossible: float
+
+    @property
+    def points(self) -> int:
+        """Number of points of the region by which they are known."""
+        return _LOOKED_AT
 
 
 def covered_share(atlas: AtlasReader) -> RegionCoverage:
@@ -390,7 +393,7 @@ def covered_share(atlas: AtlasReader) -> RegionCoverage:
     atlas
         The atlas.
     """
-    region, points = atlas.region, LOOKED_AT
+    region, points = atlas.region, _LOOKED_AT
     drawn = np.random.default_rng(0).uniform(region.low, region.high, (points, len(region.axes)))
     places, good, allowed = region.bricks_of(drawn), np.zeros(points, dtype=bool), atlas.allowed(drawn)
     for place in map(tuple, np.unique(places, axis=0).tolist()):

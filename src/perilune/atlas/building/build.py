@@ -25,14 +25,7 @@ from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import check_call, require_callable, require_path, require_type
-from perilune.families.executors import (
-    Call,
-    Submits,
-    begin_processes,
-    report_lost_worker,
-    run_on_executor,
-    run_serially,
-)
+from perilune.families import Call, Submits, begin_processes, run_calls
 from perilune.io.load import reread_problem
 from perilune.io.presolve_json import comparisons_document, same_comparisons
 from perilune.io.save import program_versions, stated_problem_document
@@ -239,8 +232,7 @@ def _computed_shards(
                 claim.close()
 
     try:
-        found = run_on_executor(executor, calls(), _AHEAD) if executor is not None else run_serially(calls())
-        for name, (nodes, cells) in report_lost_worker(found):
+        for name, (nodes, cells) in run_calls(executor, calls(), _AHEAD):
             yield name, {"nodes": nodes, "cells": cells}
             kept.settled(name)  # its line is in the manifest
             claims.pop(name).close()

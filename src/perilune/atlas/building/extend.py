@@ -45,7 +45,7 @@ from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import check_call, require_callable, require_path
-from perilune.families.executors import Submits
+from perilune.families import Submits
 from perilune.methods import Indirect
 from perilune.problem.problem import Problem
 
