@@ -58,13 +58,13 @@ def renamed_keywords(**new: str) -> Callable[[Renamed], Renamed]:
 
     def of(asked: Renamed) -> Renamed:
         given: Any = asked
-        function = given.__init__ if isinstance(given, type) else given
+        function, called = given.__init__ if isinstance(given, type) else given, given.__name__
         whole = {f.name for f in fields(given) if f.init} if is_dataclass(given) else set[str]()
 
         @wraps(function)
         def call(*args: Any, **keywords: Any) -> Any:
             if not new.keys().isdisjoint(keywords):
-                keywords = _with_new_keywords(given.__name__, new, keywords, whole)
+                keywords = _with_new_keywords(called, new, keywords, whole)
             return function(*args, **keywords)
 
         if not isinstance(given, type):
