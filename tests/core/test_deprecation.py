@@ -7,6 +7,7 @@ import pickle
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -46,6 +47,18 @@ def test_a_solve_takes_its_old_keywords(landing: pl.Problem, hybrid: Solution) -
         warned(lambda: solve(landing, watch=3), "watch= of solve is callback= now")
     with pytest.raises(PeriluneError, match=r"no such verification level(.|\n)*got: 9"):
         warned(lambda: Old.sweep(landing, {"vehicle.mass": [300.0]}, level=9), "level= of sweep is verify= now")
+
+
+def test_methods_and_atlases_take_a_watch(landing: pl.Problem, hybrid: Solution, tmp_path: Path) -> None:
+    lines: list[Any] = []
+    method: Any = pl.Indirect()
+    found = warned(lambda: method.run(landing, hybrid, watch=lines.append), "watch= of run is callback= now")
+    assert lines and found.objective == pytest.approx(hybrid.objective, rel=1e-12)
+    for name, given in (("build", (landing, {"vehicle.thrust": (400.0, 500.0)}, tmp_path)), ("extend", (tmp_path, {}))):
+        verb: Callable[..., Any] = getattr(pl.atlas, name)
+        ask: Callable[[], Any] = lambda verb=verb, given=given: verb(*given, watch=3)  # noqa: E731
+        with pytest.raises(PeriluneError, match=r"not a callback(.|\n)*got: 3"):
+            warned(ask, f"watch= of {name} is callback= now")
 
 
 def test_old_and_new_together_are_refused(landing: pl.Problem) -> None:
