@@ -396,7 +396,6 @@ QUICK_RETURNS: Sequence[Picked] = (
         "engine": "impulse",
         "dry": "stated",
         "heat": "heating",
-        "throttle": "stated",
         "transition": "none",
         "interface": "speeds",
         "air": "nrlmsis",

@@ -13,7 +13,7 @@ import pytest
 import perilune as pl
 from perilune.core.errors import PeriluneError
 from perilune.models.deorbit.problem import deorbit_entry
-from perilune.models.deorbit.records import Interface, Landing, Parachute, Returner, ReturnOrbit, Separation, Transition
+from perilune.models.deorbit.records import Interface, Landing, Returner, ReturnOrbit, Separation, Transition
 from perilune.models.physics.vehicle import Throttle
 from perilune.problem.presolve import preflight
 from perilune.scenario import load_text
@@ -112,7 +112,7 @@ def test_what_is_left_behind_was_throttled() -> None:
     """Least propellant with a throttle that no flight needs, and 300 kg that go on: the flight at full thrust."""
     parts: dict[str, Any] = {
         "vehicle": VEHICLE, "air": AIR, "site": Landing(altitude=5e3), "separation": Separation(mass=300.0),
-        "parachute": Parachute(altitude=8e3, drag_area=100.0), "transition": Transition(longest_coast=4000.0),
+        "transition": Transition(longest_coast=4000.0),
     }  # fmt: skip
     throttled = pl.solve(returning(**parts, throttle=Throttle(lower=0.2, upper=1.0)), verify=2)
     full = pl.solve(returning(**parts), verify=1)
