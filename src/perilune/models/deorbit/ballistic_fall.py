@@ -225,8 +225,8 @@ def _integrate_fall(p: Any, air: Air, angle: float | None, speed: float | None, 
     return Fall(time=time, lands=flown.status == 1, rows=rows)
 
 
-def terminal_speed(p: Any, air: Air) -> float:
-    """Speed [m/s] of a steady vertical fall where the entry ends, without bound where there is no air.
+def terminal_speed(p: Any, air: Air, altitude: float | None = None) -> float:
+    """Speed [m/s] of a steady vertical fall at an altitude, without bound where there is no air.
 
     Parameters
     ----------
@@ -234,9 +234,12 @@ def terminal_speed(p: Any, air: Air) -> float:
         Parameters [SI].
     air
         Density of the air against altitude.
+    altitude
+        Altitude [m]; by default that at which the entry ends.
     """
-    radius, mass = p.body_radius + entry_end_altitude(p), getattr(p, "separation_mass", p.vehicle_mass)
-    slowed = drag_acceleration(air.density(entry_end_altitude(p), p, NUMERIC), (1.0, 0.0, 0.0), mass, p, NUMERIC)
+    altitude = entry_end_altitude(p) if altitude is None else altitude
+    radius, mass = p.body_radius + altitude, getattr(p, "separation_mass", p.vehicle_mass)
+    slowed = drag_acceleration(air.density(altitude, p, NUMERIC), (1.0, 0.0, 0.0), mass, p, NUMERIC)
     pull = p.body_gravitational_parameter / (radius * radius)
     return math.sqrt(pull / float(slowed)) if slowed > 0 else math.inf
 

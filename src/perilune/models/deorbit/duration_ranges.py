@@ -19,6 +19,7 @@ from perilune.models.physics import ellipsoid
 from perilune.models.physics.atmosphere import Air
 from perilune.models.physics.coast import SHORTEST
 
+LONGEST_ENTRY = 10.0  # times a typical fall
 _LEVEL = 1e-12  # rad, of an orbit above the equator
 
 
@@ -79,7 +80,7 @@ def return_time_ranges(
     if drifts := "drift" in names:
         longest["drift_time"] = getattr(p, "transition_longest_coast", math.inf)
     if air is not None:
-        longest["entry_time"] = 10 * fall(p, air).time
+        longest["entry_time"] = LONGEST_ENTRY * fall(p, air).time
         if hasattr(p, "parachute_altitude"):
             longest["parachute_time"] = 10 * parachutes.typical_parachute_time(p, air)
     least = {"coast_time": SHORTEST, "drift_time": SHORTEST}

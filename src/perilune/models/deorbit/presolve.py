@@ -21,8 +21,8 @@ kilometres within a turn: `oblateness_height_shift` stands for that.
 *A file of air.* Its densities and those of the standard atmosphere of the body, which differ by less than a factor of
 three between solar minimum and maximum where they are compared: beyond ten a unit is wrong.
 
-*Sideways.* What `find_passes` says of a site that is out of the plane of the orbit; lift may reach further, and is only
-warned.
+*Sideways.* What `find_passes` says of a site that is out of the plane of the orbit; with lift it is warned, and beyond
+what any entry reaches to the side (`perilune.models.physics.crossrange`) refused.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from perilune.models.deorbit.ballistic_fall import (
     terminal_speed,
 )
 from perilune.models.deorbit.ballistic_limits import compare_least_loads
+from perilune.models.deorbit.duration_ranges import LONGEST_ENTRY
 from perilune.models.deorbit.interface_bounds import (
     interface_speeds,
     largest_altitude_change,
@@ -68,6 +69,7 @@ from perilune.models.deorbit.site_passes import (
 from perilune.models.deorbit.skip_out import compare_skip_out
 from perilune.models.physics import ellipsoid
 from perilune.models.physics.atmosphere import Air
+from perilune.models.physics.crossrange import glide_limits
 from perilune.models.physics.delta_v_bounds import greatest_thrust
 from perilune.models.physics.standard_atmosphere import LOWEST, density as standard_density
 from perilune.problem.presolve import Finding
@@ -75,6 +77,7 @@ from perilune.problem.presolve import Finding
 _DEGREE = math.degrees(1.0)
 OFF_PLANE = math.radians(0.5)  # of oblateness and of what the air does
 _DAY = 86400.0  # s
+_LEVELS = 101  # altitudes, from the site to the interface
 _ONE_TURN = 1.0  # of the orbit: a burn that lasts longer winds down
 _AHEAD = 3 * _DAY  # looked at for a pass that can be made
 _COMPARED_TO, _COMPARED_AT = 200e3, 401  # m, above which the Sun changes densities by more; altitudes
@@ -115,7 +118,7 @@ def compare_return(
         if not hasattr(p, "vehicle_lift_to_drag"):
             found += (*compare_least_loads(p, air, fallen), *compare_skip_out(p, air, fallen))
         found += _compare_arrival_speed(p, air, fallen)
-        found += _compare_plane_turn(p, angles, fallen, drifts=drifts) if hasattr(p, "site_longitude") else ()
+        found += _compare_plane_turn(p, air, angles, fallen, drifts=drifts) if hasattr(p, "site_longitude") else ()
     return tuple(found)
 
 
@@ -292,25 +295,39 @@ def _compare_arrival_speed(p: Any, air: Air, fallen: Fall) -> tuple[Finding, ...
     return tuple(found)
 
 
-def _compare_plane_turn(p: Any, angles: Physics, fallen: Fall, *, drifts: bool) -> tuple[Finding, ...]:
-    """Compare the site's least distance from the plane of the orbit during a flight with the turn by all propellant."""
+def _compare_plane_turn(p: Any, air: Air, angles: Physics, fallen: Fall, *, drifts: bool) -> tuple[Finding, ...]:
+    """Compare the site's least distance from the plane of the orbit during a flight with what turns the plane.
+
+    That is all propellant (not binding with lift), and the most that lift does as well.
+    """
     angle, node = (float(v) for v in angles(p, NUMERIC))
     orbit = drift(*orbit_state(angle, node, p, NUMERIC), p)
     entry = fallen.time, float(fallen.rows[-1, 1])
     away, turned = nearest_approach_to_plane(p, orbit, entry)
-    lifts = hasattr(p, "vehicle_lift_to_drag")
-    advice = "another site"
+    lifts, advice = hasattr(p, "vehicle_lift_to_drag"), "another site"
     if away > turned + OFF_PLANE:
         advice = f"{_describe_next_pass(p, find_passes(p, orbit, entry, drifts=drifts, until=_AHEAD))}; or another site"
-    return (
-        Finding(
+
+    def compare(away: float, turned: float, by: str, *, binding: bool) -> Finding:
+        return Finding(
             name="distance of the site from the plane of the orbit", value=math.degrees(away),
-            limit=math.degrees(turned + OFF_PLANE), at_least=False, unit="deg", binding=not lifts,
+            limit=math.degrees(turned + OFF_PLANE), at_least=False, unit="deg", binding=binding,
             meaning=f"the site stays {away * p.body_radius / 1e3:.0f} km or more out of the plane of the orbit, which"
-            f" is further than the propellant can turn this plane",
+            f" is further than {by}",
             advice=advice,
-        ),
-    )  # fmt: skip
+        )  # fmt: skip
+
+    found = compare(away, turned, "the propellant can turn this plane", binding=not lifts)
+    if found.passed or not lifts:
+        return (found,)
+    altitudes = np.linspace(entry_end_altitude(p), p.interface_altitude, _LEVELS)
+    steady = np.array([terminal_speed(p, air, float(altitude)) for altitude in altitudes])
+    aside, behind = glide_limits(p, altitudes, steady)
+    away, turned = nearest_approach_to_plane(p, orbit, entry, glide=(LONGEST_ENTRY * fallen.time, behind))
+    surely = compare(
+        away, turned + aside, "the propellant can turn this plane and lift moves to the side", binding=True
+    )
+    return (found,) if surely.passed else (surely,)
 
 
 def _describe_next_pass(p: Any, found: Sequence[Pass]) -> str:

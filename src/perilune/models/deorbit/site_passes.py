@@ -187,7 +187,7 @@ def _apogee_speed(p: Any, xp: Any) -> Any:
 
 
 def nearest_approach_to_plane(
-    p: Any, orbit: Drift, entry: tuple[float, float], landing: float | None = None
+    p: Any, orbit: Drift, entry: tuple[float, float], landing: float | None = None, glide: tuple[float, float] = (0, 0)
 ) -> tuple[float, float]:
     """Return the least angle from site to plane while a flight from t = 0 can last, and the turn possible by then.
 
@@ -204,12 +204,14 @@ def nearest_approach_to_plane(
         Typical duration of the entry [s], and the angle that it sweeps [rad].
     landing
         Time from t = 0 [s]; None for any.
+    glide
+        Longest duration of an entry with lift [s], and the angle [rad] by which it stays behind the orbit at most.
     """
     rate = greatest_thrust(p) / engine_exhaust_speed(p)
     burn = (p.vehicle_mass - least_burnout_mass(p)) / rate
     longest = getattr(p, "orbit_longest_coast", 0.0) + getattr(p, "transition_longest_coast", 0.0)
     least = max(getattr(p, "throttle_lower", 1.0), _NOTHING) / getattr(p, "throttle_upper", 1.0)  # of its thrust
-    time = np.arange(0.0, longest + min(burn / least, LONGEST_COAST) + _LONGEST_ENTRY, 0.1 * _STEP)
+    time = np.arange(0.0, longest + min(burn / least, LONGEST_COAST) + max(_LONGEST_ENTRY, glide[0]), 0.1 * _STEP)
     if landing is not None:
         time = time[np.abs(time - landing) * orbit.turn_rate < math.pi]
     angle, node = orbit.at(time)
@@ -221,7 +223,7 @@ def nearest_approach_to_plane(
     fast = slow * high / low
     oblate = 1.5 * abs(p.body_j2) * (p.body_radius / low) ** 2 * orbit.turn_rate * time
     moved = _SURELY * change / slow * (3 * orbit.turn_rate * time + 4) + _ROUGHLY + 2 * orbit.eccentricity
-    behind = 2 * max(fast / low * entry[0] - entry[1], 0.0)
+    behind = max(2 * max(fast / low * entry[0] - entry[1], 0.0), glide[1])
     ahead = _wrap_to_pi(angle - foot - behind / 2)  # of the site, by as much as half of what the air may hold back
     away = np.abs(left)
     turned = largest_plane_turn(p, change) + np.minimum(_APART * change / slow, _MOST_APART) * oblate
