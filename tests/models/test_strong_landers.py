@@ -28,6 +28,7 @@ from perilune.models.landing.presolve import one_burn_velocity_change, two_impul
 from perilune.models.landing.problem import Orbit, Retro, Vehicle, hybrid_landing
 from perilune.models.physics.bodies import EUROPA, MERCURY, Body
 from perilune.models.physics.one_burn import SPENDS
+from perilune.problem.perturbed import move_start, release_free_parameters, with_start_offsets
 from perilune.problem.presolve import preflight
 from perilune.problem.problem import Problem
 from perilune.proof.necessary.contact_points import restate_with_contacts
@@ -446,6 +447,25 @@ def test_a_first_burn_of_a_hundred_thousandth_of_the_flight_is_one() -> None:
     assert 0.04 < then - first < 0.06
     assert landed.objective == pytest.approx(rough.objective, rel=3e-6)  # by the program of two burns
     assert not [line for line in landed.warnings if "is known" in line]
+
+
+def test_beside_a_flight_that_begins_on_a_switch_newton_s_method_takes_the_step_of_the_other_side() -> None:
+    """From a circle, full thrust for no time: a start that is faster by 5 mm/s begins with the other throttle."""
+    landed = solve(powered_descent(
+        Vehicle(mass=97.5556235, thrust=201.02974, specific_impulse=233.991016),
+        Ignition(altitude=68509.8997, longitude=0.0, latitude=0.806120412, heading=4.23878557,
+                 forward_speed=math.sqrt(MU / (RADIUS + 68509.8997))),
+        Site(longitude=0.5, latitude=0.3),
+        STILL,
+        target="anywhere", throttle=(0.134719779, 1.0),
+    ))  # fmt: skip
+    assert (landed.outcome, landed.verification.level) == (Outcome.PROVED, 3)
+    parts, _ = restate_with_contacts(with_end_bounds(landed))
+    moved = move_start(with_start_offsets(parts.problem), offset_vy=5e-3)
+    moved = release_free_parameters(moved, ["flight_time"])
+    beside, cold = (Indirect().run(moved, guess) for guess in (landed, None))
+    assert beside.objective == pytest.approx(cold.objective, abs=1e-9)
+    assert float(np.sum(beside.trajectories[0].control.values[:1, 3])) == pytest.approx(0.134719779)
 
 
 def test_steps_of_a_long_coast_make_no_conjugate_point() -> None:

@@ -86,9 +86,22 @@ class GuessNewton:
         if can_use_multiple_shooting(trials.conditions):
             yield trials.settled(y[None], choice, limits=trials.limits, **finest)[0]
             yield from led()
+            if self.near and (beyond := self._full_step(y, choice)) is not None:
+                yield trials.settled(beyond[None], choice, limits=trials.limits, **finest)[0]
         else:
             yield from map(self._met, led(accuracy=FINEST, tolerance=NEARLY))
             yield self._met(trials.settled(y[None], choice, limits=trials.limits, **finest)[0])
+
+    def _full_step(self, y: Vector, choice: Vector) -> Vector | None:
+        """Return the unknowns a whole step of Newton's method on; None where there is none.
+
+        A guess may lie on a kink, as with an arc of no length where it begins: from there the residual rises along the
+        step of the one side before it falls along that of the other, and no share of the step is taken.
+        """
+        shooting, plan = self.trials.shooting, self.trials.shooting.plan
+        here, there = shooting.at(y[None], self.trials.p, choice)[0], y.copy()
+        there[plan.active] -= here.inverse @ here.residual[plan.rows]
+        return there if np.isfinite(there).all() else None
 
     def _met(self, root: Root) -> Root:
         """Correct a root in one piece whose exported flight misses its end as Newton's method flies it more roughly."""
