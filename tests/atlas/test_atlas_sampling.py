@@ -172,7 +172,7 @@ def test_what_is_not_proved_is_said(
             return replace(proved, verification=replace(proved.verification, checks=(wrong, *others)))
         return proved
 
-    monkeypatch.setattr(sampling, "prove", strict)
+    monkeypatch.setattr(sampling, "verify", strict)
     out = str(tmp_path / "out")
     assert run_command_line(["atlas", "build", HYBRID, *VARY, "--out", out, "--sample", "12", "--json"]) == 5
     told = read_json(capsys.readouterr().out)["proofs"]
