@@ -24,7 +24,7 @@ from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Solution
 from perilune.proof.cross_check import check_agreement
 from perilune.proof.recheck import confirm_listed_extremals
-from perilune.report import REPORT_FILE
+from perilune.report.directory import REPORT_FILE
 from perilune.report.summary import solution_markdown, solution_summary
 from perilune.scenario import load_file
 from perilune.solve import solve
