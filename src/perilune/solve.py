@@ -19,7 +19,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.tolerance import Tolerance
 from perilune.problem.verification import LEVELS, THEOREM
-from perilune.structures.monotone_limits import with_budgets
+from perilune.structures import with_budgets
 from perilune.verify import method_or_default, require_tolerance, theorem_prover, verify
 
 TIME_LIMIT = 600.0  # s, where none is stated: the hardest answers take a minute or two

@@ -25,7 +25,7 @@ from perilune.models.physics.bodies import MOON
 from perilune.models.physics.vehicle import Retro, Vehicle
 from perilune.problem.results.extremal import Nature
 from perilune.problem.variables import Parameter, Variable
-from perilune.structures.structure import Arc, Structure
+from perilune.structures import Arc, Structure
 from problems.constrained import timed_bryson_denham
 
 build = partial(building.build, sample=0)  # proofs have tests of their own

@@ -29,9 +29,9 @@ from perilune.atlas.survey.survey import _has_negative_arc
 from perilune.core.arrays import Matrix
 from perilune.core.callbacks import ignore_events
 from perilune.core.errors import PeriluneError
-from perilune.methods.indirect.refinement import structure_revision
 from perilune.methods.indirect.search import Search
 from perilune.problem.results.extremal import Nature
+from perilune.structures import revise_arcs
 from problems.constrained import (
     brachistochrone,
     brachistochrone_truth,
@@ -293,7 +293,7 @@ def test_of_a_ride_and_touches_of_the_same_cost_the_ride_answers(
     """Below 1/6 parabolas from touch to touch have the J of Bryson and Denham's ride; no proof of level 3 is theirs."""
     problem = bryson_denham(0.2)
     # Which takes them for the ride that they are.
-    monkeypatch.setattr(structure_revision, "_join_contacts", lambda *known: known[-1])
+    monkeypatch.setattr(revise_arcs, "_join_contacts", lambda *known: known[-1])
     atlas = open_atlas(build(problem, {"ceiling": (0.09, 0.15)}, tmp_path / "map", bricks=2), lambda _: problem)
     points = np.random.default_rng(0).uniform(0.09, 0.15, (100, 1))
     found, labels = atlas.query_many(points), [label for charted in atlas.charted for label in charted.labels]

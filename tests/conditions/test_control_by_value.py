@@ -18,8 +18,8 @@ import perilune as pl
 from perilune.conditions.pontryagin import derive
 from perilune.conditions.singular_control import singular_control
 from perilune.core.errors import PeriluneError
+from perilune.methods.indirect.chattering import find_chattering_arc
 from perilune.problem.tracing.costate_signs import cost_states, unpriced_states
-from perilune.structures.chattering_boundary import find_chattering_arc
 from problems.goddard import goddard
 from test_control_law import given, slide, variables
 

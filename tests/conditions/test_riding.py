@@ -18,8 +18,8 @@ from perilune.models.physics.vehicle import Vehicle
 from perilune.models.precision.path_constraints import NONE
 from perilune.models.precision.problem import Approach, precision_landing
 from perilune.problem.casadi_trace import trace_parameters
+from perilune.structures import Arc, Structure
 from perilune.structures.multiphase import restate
-from perilune.structures.structure import Arc, Structure
 
 
 def every_direction(count: int) -> np.ndarray:

@@ -15,7 +15,7 @@ from perilune.methods.indirect.refinement import structure_search as structured
 from perilune.problem.perturbed import move_start, with_start_offsets
 from perilune.problem.results.solution import Solution
 from perilune.structures import detect_arcs as reading
-from perilune.structures.detect_arcs import detect_own_structures, detect_structures
+from perilune.structures.detect_arcs import detect_structures
 from perilune.structures.split_join import JoinedTrajectories
 from problems.constrained import bryson_denham, bryson_denham_truth, timed_bryson_denham
 
@@ -107,12 +107,14 @@ def test_arcs_are_known_where_a_range_moves_that_ends_nothing(monkeypatch: pytes
 def test_a_guess_is_read_once_for_all_its_neighbours(touching: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept is of this very solution, and is gone with it."""
     read = list[int]()
-    monkeypatch.setattr(reading, "detect_structures", lambda *of: read.append(1) or detect_structures(*of))
+    detect = reading._detect_structures
+    monkeypatch.setattr(reading, "_detect_structures", lambda *of: read.append(1) or detect(*of))
     one, other = (replace(touching, objective=touching.objective) for _ in range(2))
-    first = detect_own_structures(one, 1e-7)
-    assert detect_own_structures(one, 1e-7) == first == detect_structures(one.problem, one, 1e-7) and len(read) == 1
-    assert detect_own_structures(other, 1e-7) == first and len(read) == 2
-    assert detect_own_structures(one, 1e-2) and len(read) == 3
+    problem = one.problem
+    first = detect_structures(problem, one, 1e-7)
+    assert detect_structures(problem, one, 1e-7) == first == detect(problem, one, 1e-7) and len(read) == 1
+    assert detect_structures(problem, other, 1e-7) == first and len(read) == 2
+    assert detect_structures(problem, one, 1e-2) and len(read) == 3
     kept = weakref.ref(one)
     del one
     gc.collect()

@@ -14,12 +14,12 @@ from perilune.conditions.singular_control import singular_control
 from perilune.core.callbacks import ignore_events
 from perilune.methods.indirect.search import Search
 from perilune.problem.results.solution import Solution
+from perilune.structures import Arc, Structure
 from perilune.structures.detect_arcs import detect_structures
 from perilune.structures.detect_regimes import EXACT, Stay, _between_breaks, read_stays
 from perilune.structures.multiphase import restate
 from perilune.structures.revise_regimes import revised_stays
 from perilune.structures.split_join import join_solution
-from perilune.structures.structure import Arc, Structure
 from problems.goddard import FOOT, goddard
 from problems.singular import aly, aly_switch, aly_truth, following, fuller, nearest_to_zero, planar_goddard
 

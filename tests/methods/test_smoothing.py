@@ -13,9 +13,9 @@ from perilune.core.callbacks import ignore_events
 from perilune.core.errors import PeriluneError
 from perilune.core.maths import NUMERIC
 from perilune.methods.indirect.continuation.homotopy import Smoothing
+from perilune.methods.indirect.continuation.regularized import RATE, smooth_problem
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.problem.problem import Problem
-from perilune.structures.regularized import RATE, smooth_problem
 from problems.circles import meeting
 from problems.constrained import brachistochrone
 from problems.landings import meditch

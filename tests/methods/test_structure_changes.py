@@ -29,10 +29,10 @@ from perilune.problem.verification import Check
 from perilune.proof import levels
 from perilune.proof.sufficient.second_variation import KeptConditions
 from perilune.scenario import load_file
+from perilune.structures import Arc, Structure
 from perilune.structures.detect_arcs import CLOSEST
 from perilune.structures.multiphase import restate
 from perilune.structures.state_margins import refine_minima
-from perilune.structures.structure import Arc, Structure
 from problems.constrained import bryson_denham, bryson_denham_truth
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "precision_landing.toml"

@@ -213,9 +213,9 @@ def test_another_jump_of_the_costates_is_none(touching: Solution, amount: float)
 
 def test_a_touch_that_gains_by_leaving_is_no_extremal() -> None:
     """Forced to touch a ceiling that the best flight stays below, J would fall by leaving it: the sign says so."""
+    from perilune.structures import Arc, Structure
     from perilune.structures.multiphase import restate
     from perilune.structures.split_join import join_solution
-    from perilune.structures.structure import Arc, Structure
 
     problem: Any = bryson_denham(0.3)  # the free flight rises to 1/4
     structure = Structure(((Arc(touches=("room",)), Arc()),))

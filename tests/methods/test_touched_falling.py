@@ -9,8 +9,8 @@ import perilune as pl
 from perilune.conditions.pontryagin import derive
 from perilune.core.errors import PeriluneError
 from perilune.scenario import load_file
+from perilune.structures import Arc, Structure
 from perilune.structures.multiphase import restate
-from perilune.structures.structure import Arc, Structure
 from problems.thrown import thrown, thrown_truth
 
 LOW = 0.5  # m, below what the free throw rises to

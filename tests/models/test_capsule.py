@@ -20,8 +20,8 @@ from perilune.models.deorbit import ballistic_limits as ballistic
 from perilune.models.physics import aerodynamics, ellipsoid
 from perilune.problem.problem import Problem
 from perilune.scenario import load_file, load_text
+from perilune.structures import conditions_of
 from perilune.structures.detect_arcs import detect_structures
-from perilune.structures.structure import conditions_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = (EXAMPLES / "capsule_return.toml").read_text(encoding="utf-8")

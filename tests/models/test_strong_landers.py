@@ -35,7 +35,7 @@ from perilune.proof.necessary.contact_points import restate_with_contacts
 from perilune.proof.necessary.terminal_bounds import with_end_bounds
 from perilune.proof.sufficient.sensitivities import check_neighbours
 from perilune.solve import solve
-from perilune.structures.structure import Structure
+from perilune.structures import Structure
 
 MU, RADIUS, ALTITUDE, SPEED = 4902.8e9, 1737.4e3, 94e3, 1635.9
 STILL = Body(name="moon", gravitational_parameter=MU, radius=RADIUS, rotation_rate=0.0)

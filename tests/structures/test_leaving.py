@@ -17,10 +17,10 @@ from perilune.methods.indirect.refinement.structure_search import StructureRefin
 from perilune.methods.indirect.search import Search
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
+from perilune.structures import Arc, Condition, Structure, conditions_of
 from perilune.structures.multiphase import restate
 from perilune.structures.multiplier_signs import paying_intervals
 from perilune.structures.split_join import split_solution
-from perilune.structures.structure import Arc, Condition, Structure, conditions_of
 from problems.constrained import FROM, HOP, UNTIL, drawn_off, hopping
 
 TOO_FAR = Structure(((Arc(until=FROM), Arc(along=("height",), until=2.9)),))

@@ -16,12 +16,12 @@ from perilune.core.errors import PeriluneError
 from perilune.io.save import solution_document
 from perilune.problem.results.arc_sequence import format_arcs
 from perilune.problem.results.solution import Solution
-from perilune.structures.detect_arcs import detect_structure
+from perilune.structures import Arc, Structure
+from perilune.structures.detect_arcs import detect_structures
 from perilune.structures.detect_regimes import Stay
 from perilune.structures.multiphase import restate
 from perilune.structures.revise_regimes import _close_gaps
 from perilune.structures.split_join import join_solution, split_solution
-from perilune.structures.structure import Arc, Structure
 from problems.constrained import (
     brachistochrone,
     brachistochrone_truth,
@@ -126,8 +126,7 @@ def test_the_constrained_brachistochrone() -> None:
     problem = brachistochrone()
     entered, left, least = brachistochrone_truth()
     coarse = pl.solve(problem, COARSE, verify=0)
-    structure = detect_structure(problem, coarse)
-    assert structure is not None
+    (structure,) = detect_structures(problem, coarse, states_only=True)
     guess = split_solution(coarse, structure)
     solution = pl.solve(guess.problem, ONE_MESH, guess=guess, verify=0)
     whole = join_solution(problem, solution, structure)
@@ -169,8 +168,8 @@ def glide() -> Solution:
 
 def test_a_coarse_landing_is_read_restated_and_solved(glide: Solution, tmp_path: Path) -> None:
     problem = mars_glide_slope()
-    structure = detect_structure(problem, glide)
-    assert structure is not None and structure.text == "free and touches glide, free"
+    (structure,) = detect_structures(problem, glide, states_only=True)
+    assert structure.text == "free and touches glide, free"
     guess = split_solution(glide, structure)
     assert sum(guess.free[name] for name in guess.problem.duration_names) == pytest.approx(glide.free["flight_time"])
     rough = pl.solve(guess.problem, ONE_MESH, guess=guess, verify=0)
@@ -204,8 +203,8 @@ def test_a_return_touches_its_shell_in_a_leg_of_a_shared_duration() -> None:
     """The legs stay equal, whatever the first is made of. The touch lasts no time; its time is free."""
     problem = deorbit()
     coarse = pl.solve(problem, pl.Pseudospectral(refine=0, segments=4, nodes=6, polish=False), verify=0)
-    structure = detect_structure(problem, coarse)
-    assert structure is not None and structure.text == "free and touches above, free; free; free"
+    (structure,) = detect_structures(problem, coarse, states_only=True)
+    assert structure.text == "free and touches above, free; free; free"
     guess = split_solution(coarse, structure)
     assert guess.problem.duration_names == ("leg.leg1-1", "leg.leg1-2", "leg", "fall")
     solution = pl.Indirect().run(guess.problem, pl.solve(guess.problem, ONE_MESH, guess=guess, verify=0))
@@ -252,10 +251,9 @@ MESHES = [{"segments": 4, "nodes": 8}, {"segments": 8, "nodes": 5}, {"nodes": 20
 def test_structures_are_read_off_coarse_meshes(make: Any, text: str | None, mesh: Any) -> None:
     """What falls below its limit between the points of a mesh, and bulges above it."""
     problem = make()
-    structure = detect_structure(
-        problem, pl.solve(problem, pl.Pseudospectral(refine=0, polish=False, **mesh), verify=0)
-    )
-    assert (structure and structure.text) == text
+    coarse = pl.solve(problem, pl.Pseudospectral(refine=0, polish=False, **mesh), verify=0)
+    structures = detect_structures(problem, coarse, states_only=True)
+    assert [structure.text for structure in structures] == ([] if text is None else [text])
 
 
 def test_what_cannot_be_restated_is_named() -> None:

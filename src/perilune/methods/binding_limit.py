@@ -25,7 +25,7 @@ from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem.display.quantity_names import limit_name, only_in_path, parameter_key, quantity_name
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.structures.monotone_limits import AT_END, with_budgets
+from perilune.structures import AT_END, with_budgets
 
 _MOST = 320  # iterations of all limits together, of a problem of one phase; no seconds, so that it says the same again
 _PATIENT = 40  # iterations of each; what ends well takes 10 to 30

@@ -28,7 +28,7 @@ from perilune.methods.indirect.violations import ConstraintViolation
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Nature
 from perilune.problem.results.solution import Solution
-from perilune.structures.detect_arcs import detect_structure
+from perilune.structures import detect_structures
 
 NEWTON = "Newton"  # ends the rung of an answer that was made exact in the user's own phases
 APART = 30.0  # times its mesh error J may be better than the exact one's: so far two good answers were seen apart
@@ -88,12 +88,12 @@ class _DirectPolish:
         """Return the exact answer in brief, from a mesh that may not be the last, for a structure not tried yet."""
         if not direct.statistics.residual < ROUGHEST:
             return None
-        structure = detect_structure(self.problem, direct)
-        text = "" if structure is None else structure.text
+        found = detect_structures(self.problem, direct, states_only=True)
+        text = "".join(structure.text for structure in found)
         if text in self.seen:
             return None
         self.seen.add(text)
-        self.settled = direct if structure is None else None
+        self.settled = None if found else direct
         return self._by_any_way(direct, brief=True)
 
     def of(self, direct: Solution) -> Solution | None:

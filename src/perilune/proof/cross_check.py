@@ -37,7 +37,7 @@ from perilune.proof.feasible.phase_data import PhaseData, objective_size
 from perilune.proof.feasible.repropagate import reintegrate
 
 if TYPE_CHECKING:
-    from perilune.structures.structure import Structure
+    from perilune.structures import Structure
 
 FINEST = 1e-9  # no difference between two tables is better known
 # Against the mesh error, which is of one segment; measured on good answers: states 9, costates 4, the rest less.
@@ -75,7 +75,7 @@ def check_agreement(
     yield _compare_objectives(solution, near, error)
     yield _check_best_extremal(solution, rivals, error)
     if arcs is not None:
-        from perilune.structures.split_join import split_solution
+        from perilune.structures import split_solution
 
         parts, structure = arcs
         same = _restate_with_arcs(solution.problem, parts, structure)
@@ -105,7 +105,7 @@ def _default_other_method(solution: Solution) -> Method:
 
 def _restate_with_arcs(problem: Problem, parts: Solution, structure: Structure) -> Problem:
     """Restate the problem with boundary arcs that begin and end at the answer's times, and S >= 0 kept by the arcs."""
-    from perilune.structures.structure import conditions_of
+    from perilune.structures import conditions_of
 
     times, phases = dict[str, float](), list[Phase]()
     for k, arcs in enumerate(structure.phases):

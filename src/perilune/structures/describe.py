@@ -17,7 +17,8 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.tracing.lie_derivatives import depends_on_control
 from perilune.problem.variables import Variable
 from perilune.structures.detect_regimes import Stay, stays_of
-from perilune.structures.structure import Structure, margins
+from perilune.structures.state_constraints import margins
+from perilune.structures.structure import Structure
 
 AT = 1e-4  # of its range: so near to a bound a control is at it, as a mesh leaves it between its points
 _SINGULAR = 2

@@ -32,8 +32,9 @@ from perilune.structures.detect_regimes import (
     seen_stays,
     stays_around_singular,
 )
-from perilune.structures.state_margins import margin_along, state_conditions
-from perilune.structures.structure import Arc, Structure, conditions_of, margins, steering_controls
+from perilune.structures.state_constraints import conditions_of, margins, state_conditions
+from perilune.structures.state_margins import margin_along
+from perilune.structures.structure import Arc, Structure
 
 NEAR = (1e-4, 5e-2)  # of what S goes through: as near as counts at least and at most, whatever the mesh
 BULGE = 8.0  # times what S falls below 0 it may rise above on a boundary arc; 1 to 6 were observed
@@ -52,30 +53,9 @@ class Contact:
     is_arc: bool
 
 
-def detect_structure(problem: Problem, solution: Solution, least: float = NEAR[0]) -> Structure | None:
-    """Detect the arcs of a solution, by its curves, of conditions on states only.
-
-    Parameters
-    ----------
-    problem
-        What it is a solution of.
-    solution
-        Of any method, however coarse.
-    least
-        As near as counts whatever the mesh, as a share of what a condition goes through.
-
-    Returns
-    -------
-    Structure
-        With times; None where no condition on states only is at its limit on the way.
-    """
-    structure = _assemble_structure(
-        problem, solution, _contacts_by_phase(problem, solution, least), [[] for _ in problem.phases]
-    )
-    return None if structure.plain else structure
-
-
-def detect_structures(problem: Problem, solution: Solution, least: float = NEAR[0]) -> list[Structure]:
+def detect_structures(
+    problem: Problem, solution: Solution, least: float | None = None, *, states_only: bool = False
+) -> list[Structure]:
     """Return every structure a solution may have: by exact tables, with singular arcs (few arcs first), without.
 
     Where a switched control keeps a condition of order 2 or more, first the one with all other arcs on its bounds; so
@@ -89,8 +69,21 @@ def detect_structures(problem: Problem, solution: Solution, least: float = NEAR[
     solution
         A solution that knows no arcs.
     least
-        Share of its range below which S is at its limit.
+        Share of its range below which S is at its limit, whatever the mesh.
+    states_only
+        Return the one of conditions on states only, with nothing said of controls; none where it is plain.
     """
+    least = NEAR[0] if least is None else least
+    if states_only:
+        met, nothing = _contacts_by_phase(problem, solution, least), [list[Stay]() for _ in problem.phases]
+        structure = _assemble_structure(problem, solution, met, nothing)
+        return [] if structure.plain else [structure]
+    if problem.phases is solution.problem.phases:  # as of the guess that a neighbour begins with
+        return list(_remembered_structures(_Guess(solution), least))
+    return _detect_structures(problem, solution, least)
+
+
+def _detect_structures(problem: Problem, solution: Solution, least: float) -> list[Structure]:
     met, nothing = _contacts_by_phase(problem, solution, least), [list[Stay]() for _ in problem.phases]
     without = _assemble_structure(problem, solution, met, nothing)
     touched = any(arc.touches for arcs in without.phases for arc in arcs)
@@ -133,24 +126,11 @@ class _Guess:
         return self._hash
 
 
-def detect_own_structures(solution: Solution, least: float) -> list[Structure]:
-    """Return `detect_structures` of a solution for its own problem; the last few are kept for its neighbours.
-
-    Parameters
-    ----------
-    solution
-        Solution whose states are searched for active conditions.
-    least
-        Least level below which a condition S >= 0 counts as near 0, as a share of what S goes through.
-    """
-    return list(_remembered_structures(_Guess(solution), least))
-
-
 @lru_cache(maxsize=8)
 def _remembered_structures(guess: _Guess, least: float) -> tuple[Structure, ...]:
     solution = guess.solution()
     assert solution is not None, "which the caller holds"
-    return tuple(detect_structures(solution.problem, solution, least))
+    return tuple(_detect_structures(solution.problem, solution, least))
 
 
 def _switched_stays(problem: Problem, solution: Solution, k: int, met: Sequence[Contact]) -> list[Stay]:
@@ -161,7 +141,7 @@ def _switched_stays(problem: Problem, solution: Solution, k: int, met: Sequence[
         return []
     at, control = known[0]
     conditions = conditions_of(problem, k, tuple({c.name for c in ridden}))
-    if any(c.order < 2 or steering_controls(c) != {control.name} for c in conditions.values()):
+    if any(c.order < 2 or c.steering_controls != {control.name} for c in conditions.values()):
         return []
     t, _, share = gain_along(solution, k, at, control)
     return stays_around_singular(control.name, t, share > 0.5, [(c.begin, c.end) for c in ridden])
@@ -170,7 +150,7 @@ def _switched_stays(problem: Problem, solution: Solution, k: int, met: Sequence[
 def _contacts_by_phase(problem: Problem, solution: Solution, least: float) -> list[list[Contact]]:
     """Return for each phase the contacts of conditions on states only."""
     return [
-        [c for name in state_conditions(problem, k) for c in find_contacts(solution, k, name, least)]
+        [c for name in state_conditions(problem, k) for c in _find_contacts(solution, k, name, least)]
         for k in range(len(problem.phases))
     ]
 
@@ -193,7 +173,12 @@ def _follows_from_bounds(contact: Contact, stays: Sequence[Stay]) -> bool:
     return contact.is_arc and bool(names) and all(s.regime != "singular" for s in here)
 
 
-def find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
+def contacts_in_phase(solution: Solution, k: int) -> list[Contact]:
+    """Return where conditions of phase k on states only are at their limits on the way."""
+    return [c for name in state_conditions(solution.problem, k) for c in _find_contacts(solution, k, name)]
+
+
+def _find_contacts(solution: Solution, k: int, name: str, share: float = NEAR[0]) -> Iterator[Contact]:
     """Yield where a condition of phase k is at its limit on the way; a start or an end that lies on it is none.
 
     Parameters
@@ -263,7 +248,7 @@ def arcs_of(
         middle = 0.5 * (begin + end)
         along = tuple(c.name for c in found if c.is_arc and c.begin < middle < c.end)
         touches = tuple(c.name for c in found if not c.is_arc and c.end == end)
-        held = {name for condition in along if condition in known for name in steering_controls(known[condition])}
+        held = {name for condition in along if condition in known for name in known[condition].steering_controls}
         arc = Arc(along=along, touches=touches, regimes=regimes_at(stays, middle, held), until=end)
         if arcs and arc.regimes and replace(arcs[-1], touches=touches, until=end) == arc and not arcs[-1].touches:
             arcs.pop()  # nothing begins where two regimes of a control meet that is held along both

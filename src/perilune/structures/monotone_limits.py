@@ -35,7 +35,7 @@ from perilune.problem.tracing.lie_derivatives import (
 )
 from perilune.problem.tracing.tape import ROLES, Expression, Recorder
 from perilune.problem.variables import Variable
-from perilune.structures.structure import margins, plain_bounds
+from perilune.structures.state_constraints import margins, plain_bounds
 
 AT_END = "_at_end"  # follows the name of a limit in that of the end condition that says the same
 _DRAWN, _FEWEST = 400, 40  # points at which S' is computed, and those at which it has to be a number

@@ -30,26 +30,17 @@ from perilune.problem.tracing.tape import Expression, Recorder
 from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS, roles_of
 from perilune.problem.variables import FreeParameter, Variable
 from perilune.structures.detect_regimes import settle_scalar
-from perilune.structures.part_durations import (
-    part_durations,
-    part_name,
-    range_of_sum,
-    sum_of_parameters,
-    summed_durations,
-    sums_of,
-    with_sums,
-)
 from perilune.structures.redundant_conditions import repeated_ends
-from perilune.structures.structure import (
-    Arc,
+from perilune.structures.state_constraints import (
     Condition,
-    Structure,
-    check_arc_structure,
     conditions_of,
     plain_bound,
     plain_bounds,
+    sum_of_parameters,
+    with_sums,
     without_bounds,
 )
+from perilune.structures.structure import Arc, Structure, check_arc_structure, part_name
 
 _ENDLESS = 1e6  # canonical units of time: what a free duration without an upper bound may last
 
@@ -106,14 +97,19 @@ def renumber_restated(restated: Problem, problem: Problem, structure: Structure)
     return restated.changed(phases=tuple(phases), given=given, free=tuple(free), structure=restated.structure)
 
 
+def _range_of_sum(of: FreeParameter) -> tuple[float, float]:
+    """Return the range of a sum of durations that stands in place of a free one [s]."""
+    return (of.lower if of.lower > 0 else -math.inf), of.upper  # none of the durations is negative
+
+
 def _resummed_phases(restated: Problem, problem: Problem, structure: Structure) -> Sequence[Phase]:
     """Return the phases of `renumber_restated`, whose sums of durations may have other ranges."""
     phases, most = list(restated.phases), {f.name: f.upper for f in restated.free}
-    for name, k in summed_durations(problem, structure).items():
+    for name, k in structure.summed_durations(problem).items():
         of, at = problem.free[problem.free_names.index(name)], sum(map(len, structure.phases[: k + 1])) - 1
-        one, (lower, upper), stated = of.lower == of.upper, range_of_sum(of), phases[at].end_conditions
+        one, (lower, upper), stated = of.lower == of.upper, _range_of_sum(of), phases[at].end_conditions
         if stated and (was := stated[-1]).name == name:
-            alike = not one if was.ranged else one and most[part_durations(problem, structure, k)[0]] == upper
+            alike = not one if was.ranged else one and most[structure.part_durations(problem, k)[0]] == upper
             if was.ranged and alike and (was.lower, was.upper) != (lower, upper):
                 end = Conditions.of(phases[at].end, (*stated[:-1], replace(was, lower=lower, upper=upper)))
                 phases[at] = replace(phases[at], end=end)
@@ -166,7 +162,7 @@ class _Restated:
     @cached_property
     def sums(self) -> dict[str, tuple[str, ...]]:
         """Free durations of the user that are sums, by name."""
-        return sums_of(self.user, self.structure)
+        return self.structure.sums(self.user)
 
     @cached_property
     def expressions(self) -> dict[Any, Expression]:
@@ -222,7 +218,7 @@ class _Restated:
             whole = arcs[-1].until if math.isfinite(arcs[-1].until) else whole
             ends = self.structure.ends(k, whole)
             for name, begin, end in zip(
-                part_durations(self.user, self.structure, k), [0.0, *ends[:-1]], ends, strict=True
+                self.structure.part_durations(self.user, k), [0.0, *ends[:-1]], ends, strict=True
             ):
                 yield FreeParameter(name=name, unit="s", lower=0.0, upper=longest, guess=end - begin)
 
@@ -231,7 +227,7 @@ class _Restated:
         phase, arcs, own = self.user.phases[k], self.structure.phases[k], self.expressions
         conditions, count = self._conditions(k), len(arcs)
         rough = self._rough(k)
-        durations = part_durations(self.user, self.structure, k)
+        durations = self.structure.part_durations(self.user, k)
         for j, arc in enumerate(arcs):
             ends = list(self._vanishing_at_end(arc, arcs[j + 1] if j + 1 < count else None, conditions))
             if j + 1 == count:
@@ -319,7 +315,7 @@ class _Restated:
                 total = recorder.do("sub", total, of.lower)
                 yield Variable(name=name, unit="s"), Expression(recorder.tape([total]), ("x", "p"), origin="a duration")
                 return
-            lower, upper = range_of_sum(of)
+            lower, upper = _range_of_sum(of)
             if math.isfinite(lower) or math.isfinite(upper):
                 whole = Variable(name=name, unit="s", lower=lower, upper=upper)
                 yield whole, Expression(recorder.tape([total]), ("x", "p"), origin="a duration")

@@ -23,7 +23,7 @@ from perilune.core.arrays import Matrix, Vector
 from perilune.problem.controls import ScalarControl, control_scales, control_slices, normalised, tangents
 from perilune.problem.results.solution import Solution, full
 from perilune.structures.detect_regimes import runs_by_kind
-from perilune.structures.structure import Condition
+from perilune.structures.state_constraints import Condition
 
 _DEGREE, _NODES = 12, 33  # of a polynomial, and where eta is read for it
 _ROUGH = 1e-5  # of the largest eta: farther off a polynomial shows nothing

@@ -17,7 +17,8 @@ from perilune.core.maths import NUMERIC
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.lie_derivatives import component
 from perilune.problem.tracing.tape import Expression
-from perilune.structures.structure import Arc, Condition, plain_bounds
+from perilune.structures.state_constraints import Condition, plain_bounds
+from perilune.structures.structure import Arc
 
 _TRIED, _ALIKE = 8, 1e-9  # states, and how far a multiple of another may be off, of its own size
 

@@ -8,11 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from perilune.core.arrays import Vector
+from perilune.problem.controls import ScalarControl
+from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.structures.detect_regimes import WRONG, Stay, gain_along, linear_scalars, runs_by_kind
+from perilune.structures.state_constraints import SIDES, conditions_of
+from perilune.structures.structure import PAIR, Arc, Structure
 
 BARELY, BEGUN = 1e-9, 1e-2  # of the largest gain: more is no rounding of exact tables; a pair of switches that begins
-PAIR, _LEAST_PAIR = 1e-5, 1e-10  # of a stay: how long such a pair is tried; of a phase: what is shorter is none
+_LEAST_PAIR = 1e-10  # of a phase: what is shorter is no pair of switches
 
 
 def revised_stays(whole: Solution, k: int, known: Sequence[Stay], shortest: float) -> list[Stay] | None:
@@ -104,3 +108,39 @@ def _close_gaps(stays: Sequence[Stay], total: float) -> list[Stay]:
         else:
             found.append(replace(stay, begin=found[-1].end if found else 0.0))
     return [*found[:-1], replace(found[-1], end=total)] if found else []
+
+
+def with_bound_regimes(solution: Solution, structure: Structure) -> Structure:
+    """State the regime of scalars that keep boundary arcs, and are on one bound along each other arc.
+
+    Where such an arc meets the boundary arc the slope of H vanishes, so that rounding decides if there is a switch.
+    """
+    phases = list(structure.phases)
+    for k, arcs in enumerate(structure.phases):
+        for at, control in linear_scalars(solution.problem, k):
+            keeps = [control.name in _controls_moved_by_arc(solution.problem, k, arc) for arc in arcs]
+            if any(keeps) and not any(name == control.name for arc in arcs for name, _ in arc.regimes):
+                regimes = _regimes_of_arcs(solution, k, at, control, arcs, keeps)
+                if None not in regimes:
+                    said = zip(phases[k], regimes, strict=True)
+                    phases[k] = tuple(replace(arc, regimes=(*arc.regimes, (control.name, r))) for arc, r in said)
+    return Structure(tuple(phases))
+
+
+def _controls_moved_by_arc(problem: Problem, k: int, arc: Arc) -> set[str]:
+    """Return the components of the control that keep the conditions of a boundary arc."""
+    return {name for c in conditions_of(problem, k, arc.along).values() for name in c.steering_controls}
+
+
+def _regimes_of_arcs(
+    solution: Solution, k: int, at: int, control: ScalarControl, arcs: Sequence[Arc], keeps: Sequence[bool]
+) -> list[str | None]:
+    """Return the regime of a scalar on each arc; None where it is not on one bound throughout."""
+    t, _, share = gain_along(solution, k, at, control)
+    found, begin = list[str | None](), 0.0
+    for arc, held in zip(arcs, keeps, strict=True):
+        here = share[(t > begin) & (t < arc.until)]
+        bounds = [side for side, bound in zip(SIDES, (0.0, 1.0), strict=True) if (np.abs(here - bound) <= WRONG).all()]
+        found.append("held" if held else bounds[0] if len(here) and bounds else None)
+        begin = arc.until
+    return found

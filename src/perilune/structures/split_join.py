@@ -6,7 +6,7 @@ with the values of either side, as costates may jump there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -21,9 +21,8 @@ from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve, Trajectory
 from perilune.problem.verification import Verification
 from perilune.structures.describe import with_names
-from perilune.structures.multiphase import restate
-from perilune.structures.part_durations import part_durations, part_name, summed_durations
-from perilune.structures.structure import Structure, check_arc_structure
+from perilune.structures.multiphase import refuse_unstated_ends, restate
+from perilune.structures.structure import Structure, check_arc_structure, part_name
 
 _NEAR = 1e-9  # of a phase: a cut so near to a node is at it
 _NOTHING = 1e-13  # of a phase: nodes of a shorter arc would fall together
@@ -67,7 +66,7 @@ def split_solution(solution: Solution, structure: Structure, restated: Problem |
             pieces.append(_cut_trajectory(flown, begin, end, part_name(phase.name, j, count)))
         if count > 1:
             lengths = [piece.duration for piece in pieces[-count:]]
-            free |= dict(zip(part_durations(problem, structure, k), lengths, strict=True))
+            free |= dict(zip(structure.part_durations(problem, k), lengths, strict=True))
         last = part_name(phase.name, count - 1, count)
         known = {c.name: solution.multipliers.get(f"{phase.name}.{c.name}") for c in phase.end_conditions}
         multipliers |= {f"{last}.{name}": nu for name, nu in known.items() if nu is not None}
@@ -103,6 +102,10 @@ class JoinedTrajectories(Deferred):
         self.structure, self.restated = structure, restated
         self._names = [phase.name for phase in problem.phases]
 
+    def refuse_unstated_ends(self, problem: Problem, varied: Collection[str] = ()) -> None:
+        """Refuse a problem of other values, or varied ones, at which an arc to the end no longer says what it did."""
+        refuse_unstated_ends(self.restated.problem, problem, self.structure, varied)
+
     def _trajectories(self) -> tuple[Trajectory, ...]:
         parts = iter(self.restated.trajectories)
         arcs = zip(self._names, self.structure.phases, strict=True)
@@ -135,7 +138,7 @@ def join_solution(problem: Problem, restated: Solution, structure: Structure, *,
         last = part_name(phase.name, count - 1, count)
         known = {c.name: restated.multipliers.get(f"{last}.{c.name}") for c in phase.end_conditions}
         multipliers |= {f"{phase.name}.{name}": nu for name, nu in known.items() if nu is not None}
-    structure = structure_with_times(structure, restated)
+    structure = _structure_with_times(structure, restated)
     whole = replace(
         restated,
         problem=problem,
@@ -154,7 +157,7 @@ def join_solution(problem: Problem, restated: Solution, structure: Structure, *,
     return with_names(whole, structure) if named else whole
 
 
-def structure_with_times(structure: Structure, restated: Solution) -> Structure:
+def _structure_with_times(structure: Structure, restated: Solution) -> Structure:
     """Return the structure with the times of a solution of its restated problem, whose curves need not be made.
 
     Parameters
@@ -172,8 +175,8 @@ def structure_with_times(structure: Structure, restated: Solution) -> Structure:
 def _user_free_values(problem: Problem, structure: Structure, free: Mapping[str, float]) -> dict[str, float]:
     """Return the values of the user's free parameters: durations that are sums are summed."""
     sums = {
-        name: sum(free[part] for part in part_durations(problem, structure, k))
-        for name, k in summed_durations(problem, structure).items()
+        name: sum(free[part] for part in structure.part_durations(problem, k))
+        for name, k in structure.summed_durations(problem).items()
     }
     return {name: sums[name] if name in sums else free[name] for name in problem.free_names}
 

@@ -13,30 +13,16 @@ from perilune.core.arrays import Matrix, Vector
 from perilune.core.maths import NUMERIC
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, full
-from perilune.problem.tracing.lie_derivatives import depends_on_control
 from perilune.problem.tracing.tape import Expression
 from perilune.problem.tracing.traced_problem import TracedProblem
 from perilune.structures.detect_regimes import runs_by_kind
-from perilune.structures.structure import margins, plain_bounds
+from perilune.structures.state_constraints import margins, plain_bounds
 
 POINTS = 2000  # of a phase, in addition to the nodes of its tables
 ROUNDING = 1e-8  # of what S goes through: less below 0 is not broken
 _CLOSER = 33  # times between the neighbours of a look at which S is least: 16 times as close, 256 times as exact
 _ROUNDED = 1e-12  # of the times looked at: those nearer to each other are one
 EXACTLY = 1e-9  # of the size of S, to which an answer is judged
-
-
-def state_conditions(problem: Problem, k: int) -> list[str]:
-    """Return the names of the conditions of phase k on states only.
-
-    Parameters
-    ----------
-    problem
-        The problem.
-    k
-        Index of the phase.
-    """
-    return [name for name, (_, value, _) in margins(problem, k).items() if not depends_on_control(value)]
 
 
 def is_constant_condition(problem: Problem, k: int, name: str) -> bool:

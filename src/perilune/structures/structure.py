@@ -11,23 +11,21 @@ Source: Bryson, Ho, *Applied Optimal Control*, 1975, sections 3.11 to 3.13.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import accumulate
-from types import MappingProxyType
 from typing import Any
 
-from perilune.core.errors import PeriluneError, unknown_name
-from perilune.core.units import quotient_unit
-from perilune.problem.phase import Phase
-from perilune.problem.problem import Problem
-from perilune.problem.tracing.lie_derivatives import component, depends_on_control, derivatives_to_control
-from perilune.problem.tracing.tape import Expression, Recorder
-from perilune.problem.variables import Parameter, Variable
+import numpy as np
 
-SIDES = ("lower", "upper")
+from perilune.core.errors import PeriluneError
+from perilune.problem.controls import scalars
+from perilune.problem.problem import Problem
+from perilune.structures.state_constraints import conditions_of, margins, state_conditions
+
 Regimes = tuple[tuple[str, str], ...]  # scalar controls with "lower", "upper", "singular" or "held"
+PAIR = 1e-5  # of the time on a bound: how long a pair of switches in it is tried
+_LONGEST = 2.0  # times as long as a pair of switches is tried
 
 
 @dataclass(frozen=True)
@@ -128,174 +126,87 @@ class Structure:
             parts.append(", ".join(arc.text for arc in arcs))
         return "; ".join(parts)
 
+    def part_durations(self, problem: Problem, k: int) -> tuple[str, ...]:
+        """Return the names of the durations of the parts of phase k of the user's problem."""
+        count, name = len(self.phases[k]), problem.phases[k].duration
+        if count == 1:
+            return (name,)
+        shared = problem.duration_names.count(name) > 1
+        own = f"{name}.{problem.phases[k].name}" if shared else name
+        return tuple(part_name(own, j, count) for j in range(count))
 
-@dataclass(frozen=True, kw_only=True)
-class Condition:
-    """A condition that may have boundary arcs or contact points: a path condition, or the bound of a state.
+    def summed_durations(self, problem: Problem) -> dict[str, int]:
+        """Return free durations that are sums of new ones, each with the number of the phase whose parts it sums."""
+        found: dict[str, int] = {}
+        for k, phase in enumerate(problem.phases):
+            if phase.duration in problem.free_names and len(self.phases[k]) > 1:
+                found.setdefault(phase.duration, k)
+        whole = {p.duration for p, arcs in zip(problem.phases, self.phases, strict=True) if len(arcs) == 1}
+        return {name: k for name, k in found.items() if name not in whole}
+
+    def sums(self, problem: Problem) -> dict[str, tuple[str, ...]]:
+        """Return free durations that are sums, with the names of the new ones that they sum."""
+        return {name: self.part_durations(problem, k) for name, k in self.summed_durations(problem).items()}
+
+    def contact_multipliers(self, problem: Problem) -> list[str]:
+        """Return the names of the multipliers of contact points among the unknowns of the restated problem."""
+        found = list[str]()
+        for k, arcs in enumerate(self.phases):
+            for j, arc in enumerate(arcs):
+                part = part_name(problem.phases[k].name, j, len(arcs))
+                conditions = conditions_of(problem, k, arc.touches).values()
+                found += [f"{part}.nu_{condition.rated(0, 'touch_', 1.0).name}" for condition in conditions]
+        return found
+
+    def may_break_controls(self, problem: Problem, p: Any) -> bool:
+        """Return True if extremals may break limits of the control to which the control laws of the arcs do not keep.
+
+        Such are conditions of the path that a law cannot hold, and the bounds of a scalar that keeps a boundary arc.
+
+        Parameters
+        ----------
+        problem
+            The user's problem.
+        p
+            Record of its parameters in SI.
+        """
+        for k, (phase, arcs) in enumerate(zip(problem.phases, self.phases, strict=True)):
+            bounded = {c.name for _, c in scalars(phase.controls) if np.isfinite(c.limits(p)).any()}
+            ridden = conditions_of(problem, k, [name for arc in arcs for name in arc.along]).values()
+            steered = len(margins(problem, k)) > len(state_conditions(problem, k))
+            if steered or any(bounded & condition.steering_controls for condition in ridden):
+                return True
+        return False
+
+    def begun_pair(self, problem: Problem) -> str | None:
+        """Return the name of the duration of an arc as short as a pair of switches is tried, or None.
+
+        It lies between two arcs on the other bound.
+        """
+        for k, arcs in enumerate(self.phases):
+            names = self.part_durations(problem, k)
+            for j in range(1, len(arcs) - 1):
+                before, own, behind = (arcs[i].regimes for i in (j - 1, j, j + 1))
+                brief = arcs[j].until - arcs[j - 1].until <= _LONGEST * PAIR * arcs[-1].until
+                bound = all(regime in ("lower", "upper") for _, regime in own)
+                if brief and own and own != before == behind and bound:
+                    return names[j]
+        return None
+
+
+def part_name(name: str, j: int, count: int) -> str:
+    """Return the name of the j-th of so many parts of a phase, or of its duration.
 
     Parameters
     ----------
     name
-        Of the path condition; of a bound ``state.lower`` or ``state.upper``.
-    variable
-        Unit and scale of S, and a name that is an identifier.
-    values
-        (S, S', ..., S^(q)) as functions of (x, u, p); the last is the first with a control in it, or S'' where none is
-        in any. A bound that is a number is among the parameters as `plain_bounds` has it.
-    bound
-        (number of the state, side) of a bound; None for a path condition.
+        Name of the phase, or of its duration.
+    j
+        Number of the part, from 0.
+    count
+        Number of the parts.
     """
-
-    name: str
-    variable: Variable
-    values: tuple[Expression, ...]
-    bound: tuple[int, str] | None = None
-
-    @property
-    def order(self) -> int:
-        """Return the number of derivatives until a control appears; 2 where none does."""
-        return len(self.values) - 1
-
-    @property
-    def steered(self) -> bool:
-        """Return True if a control moves it. Else its phase's start determines it: it has contact points only."""
-        return depends_on_control(self.values[-1])
-
-    def rated(self, i: int, prefix: str, time: float) -> Variable:
-        """Return the i-th derivative as a variable: name, unit and scale; `time` is the size of a second.
-
-        Parameters
-        ----------
-        i
-            Order of the time derivative, 0 for the condition itself.
-        prefix
-            Beginning of the name of the variable.
-        time
-            Canonical unit of time [s].
-        """
-        own, unit = self.variable, self.variable.unit
-        for _ in range(i):
-            unit = quotient_unit(unit, "s")
-        name = prefix + own.name + ("_rate" if i else "") + (f"_{i}" if i > 1 else "")
-        return Variable(name=name, unit=unit, scale=None if own.scale is None else own.scale / time**i)
-
-
-Margins = Mapping[str, tuple[Variable, Expression, tuple[int, str] | None]]
-
-
-def margins(problem: Problem, k: int) -> Margins:
-    """Return every S >= 0 of phase k by its name: path conditions, then finite bounds of states.
-
-    Parameters
-    ----------
-    problem
-        The problem.
-    k
-        Index of the phase.
-    """
-    phase = problem.phases[k]
-    path = problem.form.expressions.get((k, "path"))
-    return _margins(path, phase.name, tuple(phase.path_conditions), tuple(phase.states))
-
-
-@lru_cache(maxsize=64)
-def _margins(
-    path: Expression | None, phase: str, path_conditions: tuple[Variable, ...], states: tuple[Variable, ...]
-) -> Margins:
-    found = {}
-    for i, variable in enumerate(path_conditions):
-        assert path is not None, "stated with its conditions"
-        found[variable.name] = (variable, component(path, i), None)
-    for i, state in enumerate(states):
-        for side in SIDES:
-            limit = getattr(state, side)
-            if isinstance(limit, str) or math.isfinite(limit):
-                own = Variable(name=f"{state.name}_{side}", unit=state.unit, scale=state.scale)
-                held = limit if isinstance(limit, str) else plain_bound(phase, state, side)
-                found[f"{state.name}.{side}"] = (own, _bound_margin(state, side, held), (i, side))
-    return MappingProxyType(found)
-
-
-def conditions_of(problem: Problem, k: int, names: Sequence[str]) -> dict[str, Condition]:
-    """Return the conditions of phase k that have these names, with their derivatives along the flight.
-
-    Parameters
-    ----------
-    problem, k
-        The problem and the number of the phase.
-    names
-        Names of conditions, as `margins` has them.
-
-    Raises
-    ------
-    PeriluneError
-        If there is no such condition.
-    """
-    phase, known, found = problem.phases[k], margins(problem, k), {}
-    dynamics = problem.form.expressions[k, "dynamics"]
-    for name in names:
-        if name not in known:
-            raise unknown_name(f"condition of {phase.name}", name, sorted(known))
-        variable, value, bound = known[name]
-        values = derivatives_to_control(value, dynamics, phase.state_names)
-        found[name] = Condition(name=name, variable=variable, values=values, bound=bound)
-    return found
-
-
-def steering_controls(condition: Condition) -> set[str]:
-    """Return the components of the control that keep a condition along its boundary arc."""
-    return {op[1] for op in condition.values[-1].tape.instructions if op[0] == "u"}
-
-
-def plain_bound(phase: str, state: Variable, side: str) -> str:
-    """Return the given parameter, by name, that holds a numeric bound: formulas hold no numbers with a unit.
-
-    Parameters
-    ----------
-    phase
-        Name of the phase.
-    state
-        The bounded state.
-    side
-        "lower" or "upper".
-    """
-    return f"{phase}.{state.name}.{side}"
-
-
-def plain_bounds(problem: Problem) -> dict[str, Parameter]:
-    """Return the parameters, of all states, that hold a bound which is a number."""
-    return {
-        plain_bound(phase.name, state, side): Parameter(value=limit, unit=state.unit)
-        for phase in problem.phases
-        for state in phase.states
-        for side in SIDES
-        if not isinstance(limit := getattr(state, side), str) and math.isfinite(limit)
-    }
-
-
-def _bound_margin(state: Variable, side: str, limit: str) -> Expression:
-    """Return the margin of a state to its bound, positive inside."""
-    recorder = Recorder()
-    x: Any = recorder.input("x", state.name)
-    bound = recorder.input("p", limit)
-    room = x - bound if side == "lower" else bound - x
-    return Expression(recorder.tape([room]), ("x", "u", "p"), origin="a bound")
-
-
-def without_bounds(phase: Phase, bounds: Sequence[tuple[int, str]]) -> tuple[Variable, ...]:
-    """Return the states of a phase without some of their bounds.
-
-    Parameters
-    ----------
-    phase
-        The phase.
-    bounds
-        (number of the state, "lower" or "upper") of each bound to leave out.
-    """
-    states = list(phase.states)
-    for i, side in bounds:
-        states[i] = replace(states[i], **{side: -math.inf if side == "lower" else math.inf})
-    return tuple(states)
+    return name if count == 1 else f"{name}-{j + 1}"
 
 
 def check_arc_structure(problem: Problem, structure: Structure) -> None:

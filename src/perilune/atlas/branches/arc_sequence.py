@@ -12,20 +12,13 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from perilune.conditions import Held, attainable_conditions, derive
 from perilune.core.errors import PeriluneError
 from perilune.methods import Curves
-from perilune.problem.controls import ScalarControl
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal
 from perilune.problem.results.solution import Solution
-from perilune.structures.detect_regimes import WRONG, gain_along, linear_scalars
-from perilune.structures.multiphase import restate
-from perilune.structures.part_durations import part_name
-from perilune.structures.split_join import JoinedTrajectories
-from perilune.structures.structure import SIDES, Arc, Structure, conditions_of, steering_controls
+from perilune.structures import Arc, JoinedTrajectories, Structure, conditions_of, restate, with_bound_regimes
 
 _MOST_ORDER = (
     2  # of a condition whose multiplier is known along its boundary arc (`perilune.atlas.evaluate.multiplier_signs`)
@@ -66,13 +59,7 @@ class ArcSequence:
 
     def touched(self, problem: Problem) -> list[str]:
         """Return the names of the multipliers of contact points, none of which is positive at a minimum."""
-        found = list[str]()
-        for k, arcs in enumerate(self.structure.phases if self.structure is not None else ()):
-            for j, arc in enumerate(arcs):
-                for name, condition in conditions_of(problem, k, arc.touches).items():
-                    part = part_name(problem.phases[k].name, j, len(arcs))
-                    found += [f"{part}.nu_{condition.rated(0, 'touch_', 1.0).name}"] if name in arc.touches else []
-        return found
+        return [] if self.structure is None else self.structure.contact_multipliers(problem)
 
     def document(self) -> dict[str, Any]:
         """Return the entry for a manifest; times are initial values of free durations."""
@@ -131,46 +118,10 @@ def arc_sequence_of(solution: Solution, keep: Held) -> tuple[ArcSequence, list[E
             # Behind those of its arcs a solution lists others, without arcs, that break the path.
             natures = [extremal.nature for extremal in solution.extremals[: len(restated.extremals)]]
             extremals = [replace(e, nature=n) for e, n in zip(restated.extremals, natures, strict=True)]
-            settled = _state_bound_regimes(solution, known.structure)
+            settled = with_bound_regimes(solution, known.structure)
             alike = derive(restate(solution.problem, settled), own).unknowns == curves.conditions.unknowns
             return ArcSequence(own, settled if alike else known.structure), extremals
     raise PeriluneError("the control keeps only some of the mixed constraints, which an atlas does not follow yet")
-
-
-def _state_bound_regimes(solution: Solution, structure: Structure) -> Structure:
-    """State the regime of scalars that keep boundary arcs, and are on one bound along each other arc.
-
-    Where such an arc meets the boundary arc the slope of H vanishes, so that rounding decides if there is a switch.
-    """
-    phases = list(structure.phases)
-    for k, arcs in enumerate(structure.phases):
-        for at, control in linear_scalars(solution.problem, k):
-            keeps = [control.name in _controls_moved_by_arc(solution.problem, k, arc) for arc in arcs]
-            if any(keeps) and not any(name == control.name for arc in arcs for name, _ in arc.regimes):
-                regimes = _regimes(solution, k, at, control, arcs, keeps)
-                if None not in regimes:
-                    said = zip(phases[k], regimes, strict=True)
-                    phases[k] = tuple(replace(arc, regimes=(*arc.regimes, (control.name, r))) for arc, r in said)
-    return Structure(tuple(phases))
-
-
-def _controls_moved_by_arc(problem: Problem, k: int, arc: Arc) -> set[str]:
-    """Return the components of the control that keep the conditions of a boundary arc."""
-    return {name for c in conditions_of(problem, k, arc.along).values() for name in steering_controls(c)}
-
-
-def _regimes(
-    solution: Solution, k: int, at: int, control: ScalarControl, arcs: Sequence[Arc], keeps: Sequence[bool]
-) -> list[str | None]:
-    """Return the regime of a scalar on each arc; None where it is not on one bound throughout."""
-    t, _, share = gain_along(solution, k, at, control)
-    found, begin = list[str | None](), 0.0
-    for arc, held in zip(arcs, keeps, strict=True):
-        here = share[(t > begin) & (t < arc.until)]
-        bounds = [side for side, bound in zip(SIDES, (0.0, 1.0), strict=True) if (np.abs(here - bound) <= WRONG).all()]
-        found.append("held" if held else bounds[0] if len(here) and bounds else None)
-        begin = arc.until
-    return found
 
 
 def _refuse_unknown(solution: Solution, structure: Structure) -> None:

@@ -23,7 +23,6 @@ from perilune.kernels import Map, compile_map
 from perilune.methods import SIGNED
 from perilune.problem.casadi_trace import SYMBOLIC, free_scales
 from perilune.shooting import ActiveSetBounds
-from perilune.structures.part_durations import sums_of
 
 Limits = tuple[Matrix, Matrix]  # lower and upper bounds of what can be held
 _SIDES = 1.0, -1.0  # what `Borders.sides` has for what is held at its lower bound, and at its upper one
@@ -57,7 +56,7 @@ class Borders:
         self._free_sizes = free_scales(problem.free, problem)
         self._given = {name: given.value for name, given in problem.given.items()}
         self._numbers = np.array([list(self._given.values())]).reshape(1, -1)
-        sums = {} if chart.course.structure is None else sums_of(chart.user, chart.course.structure)
+        sums = {} if chart.course.structure is None else chart.course.structure.sums(chart.user)
         part_of = {part: name for name, parts in sums.items() for part in parts}
         chosen = [  # what `Problem.parameter_bounds` may say of it, or of what it is a part of
             (i, part_of.get(f.name, f.name), self._free_sizes[i], f.name not in part_of and bool(np.isfinite(lower[i])))

@@ -36,8 +36,7 @@ from perilune.problem.casadi_trace import (
 )
 from perilune.problem.problem import Problem
 from perilune.problem.tracing.tape import Expression
-from perilune.structures.part_durations import part_name, sums_of, with_sums
-from perilune.structures.structure import Condition, conditions_of
+from perilune.structures import Condition, conditions_of, part_name
 
 NOTHING = 1e-7  # of 1 + |eta|: a multiplier so little below zero is rounding
 _VANISHES = 1e-9  # of a slope: what end conditions leave of it is nothing
@@ -104,7 +103,7 @@ class ChartBoundaryArcs:
     def _sums(self) -> dict[str, tuple[str, ...]]:
         """Return the user's durations that are sums of the durations of parts."""
         structure = self.chart.course.structure
-        return {} if structure is None else sums_of(self.user, structure)
+        return {} if structure is None else structure.sums(self.user)
 
     @property
     def _begins(self) -> set[int]:
@@ -127,7 +126,7 @@ class ChartBoundaryArcs:
             yield BoundaryArcCondition(
                 name=name,
                 row=held.index(condition.rated(q, "", 1.0).name),
-                rates=tuple(with_sums(value, self._sums) for value in condition.values[:-1]),
+                rates=condition.values[:-1],
                 entered=entered,
             )
 
@@ -208,14 +207,16 @@ class ChartBoundaryArcs:
         return ca.vertcat(ca.SX(0, 1), *found)
 
     def _conditions(self, part: int, names: Sequence[str]) -> dict[str, Condition]:
-        return conditions_of(self.user, self._arcs[part][0], names)
+        """Return conditions of the user's phase of a part, with the sums of durations that the chart has."""
+        known = conditions_of(self.user, self._arcs[part][0], names)
+        return {name: condition.with_sums(self._sums) for name, condition in known.items()}
 
     def _rate(self, part: int, rate: Expression, z: ca.SX, y: ca.SX, p: ca.SX) -> ca.SX:
         """Evaluate a rate with a control in it, where an arc begins or ends."""
         phase, known = self.stated.phases[part], trace_parameters(self.stated)
         x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.control_names))
         records = phase.state_record(*elements(x)), phase.control_record(*elements(u))
-        value = with_sums(rate, self._sums)(*records, known.record, SYMBOLIC)[0]
+        value = rate(*records, known.record, SYMBOLIC)[0]
         at = [z[: x.numel()], minimising_control_at(self.conditions.phases[part], z, p)]
         return self._at([x, u], at, known, [ca.SX(value)], y, p)[0]
 

@@ -23,10 +23,7 @@ from perilune.problem.casadi_trace import free_scales
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics
 from perilune.shooting import Root
-from perilune.structures.multiphase import renumber_restated
-from perilune.structures.part_durations import sums_of
-from perilune.structures.split_join import join_solution
-from perilune.structures.structure import margins
+from perilune.structures import join_solution, margins, renumber_restated
 
 
 class OpenChart:
@@ -133,7 +130,7 @@ class OpenChart:
         """Return the free parameters of the user's problem [SI], (lanes, k), given all unknowns of the chart."""
         chart, own = self.chart, self.own_unknowns(y)[:, self.chart.own.free_at]
         at = {name: value for name, value in zip(chart.problem.free_names, (own * self._sizes).T, strict=True)}
-        sums = {} if chart.course.structure is None else sums_of(chart.user, chart.course.structure)
+        sums = {} if chart.course.structure is None else chart.course.structure.sums(chart.user)
         return np.column_stack([np.zeros((len(y), 0)), *(
             sum((at[part] for part in sums[name]), np.zeros(len(y))) if name in sums else at[name]
             for name in chart.user.free_names

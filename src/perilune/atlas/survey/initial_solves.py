@@ -32,7 +32,7 @@ from perilune.problem.perturbed import narrow_free_parameters
 from perilune.problem.presolve import preflight, refuse_impossible
 from perilune.problem.problem import Problem
 from perilune.problem.results.extremal import Extremal
-from perilune.structures.structure import margins
+from perilune.structures import margins
 
 _NONE = "no answer"  # where other points have the arcs of theirs
 _HALVINGS = 3  # times that a point is looked at between answers of two kinds

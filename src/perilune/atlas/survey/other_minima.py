@@ -19,7 +19,7 @@ from perilune.atlas.evaluate.reintegrate import SLACK
 from perilune.core.arrays import Matrix, Vector
 from perilune.methods import SIGNED
 from perilune.problem.results.extremal import Nature
-from perilune.structures.structure import margins
+from perilune.structures import margins
 
 _STEPS = 8  # at least to where a way begins
 _SHORTEST = 2.0**-2  # of a step

@@ -20,8 +20,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.variables import Variable
 from perilune.shooting import Root
-from perilune.structures.detect_arcs import CLOSEST
-from perilune.structures.state_margins import refine_minima
+from perilune.structures import CLOSEST, refine_minima
 
 _POINTS = 201  # of a phase, at which its conditions are looked at first, in addition to its switches
 _BEFORE = 1e-9  # of the phase: how long before a switch

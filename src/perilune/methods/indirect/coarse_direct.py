@@ -19,9 +19,7 @@ from perilune.problem.display.quantity_names import objective_text
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.variables import Variable
-from perilune.structures.detect_arcs import find_contacts
-from perilune.structures.detect_regimes import stays_between_bounds
-from perilune.structures.state_margins import state_conditions
+from perilune.structures import contacts_in_phase, stays_between_bounds
 
 _SEGMENTS = 8  # of a phase; of several phases together at first
 _FOLLOWED = 1e-3  # relative mesh error up to which a mesh has followed a flight, and a finer one shows no other
@@ -126,9 +124,7 @@ class Coarse:
             return False
         least = _NO_LENGTH * known.duration
         lengths = [k for k, flown in enumerate(known.trajectories) if flown.duration >= least]
-        return not any(
-            list(find_contacts(known, k, name)) for k in lengths for name in state_conditions(self.problem, k)
-        )
+        return not any(contacts_in_phase(known, k) for k in lengths)
 
     def resolved(self) -> Iterator[Solution]:
         """Yield its answer, and where no mesh has followed that yet those on finer meshes, one by one."""
@@ -244,7 +240,7 @@ def switches_often(flight: Solution) -> bool:
         t = np.linspace(0.0, flown.duration, _LOOKS)
         if not scalars(phase.controls):
             continue
-        for contact in (c for name in state_conditions(flight.problem, k) for c in find_contacts(flight, k, name)):
+        for contact in contacts_in_phase(flight, k):
             t = t[(t < contact.begin) | (t > contact.end)]
         u = flown.control(t)
         for at, control in scalars(phase.controls):

@@ -40,8 +40,7 @@ from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.warnings import KNOWN_BETTER
 from perilune.shooting import Member
-from perilune.structures.split_join import JoinedTrajectories
-from perilune.structures.structure import Structure
+from perilune.structures import JoinedTrajectories, Structure
 
 _ROUGH = 1e-6  # relative: what flights of known arcs err in J
 _STEPS_OWE, _TIMES_OWE = 1e-5, 1e-2  # the same, and of the flight's times, where an extremal of the same arcs was found

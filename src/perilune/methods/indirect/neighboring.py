@@ -26,8 +26,7 @@ from perilune.problem.perturbed import with_given_unchecked
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution, Statistics
 from perilune.shooting import ActiveSetBounds, Root, Roots, Shooting
-from perilune.structures.multiphase import refuse_unstated_ends, renumber_restated
-from perilune.structures.split_join import JoinedTrajectories, join_solution
+from perilune.structures import JoinedTrajectories, join_solution, renumber_restated
 
 
 class Nearby:
@@ -80,7 +79,7 @@ class Nearby:
                     advice="perilune.solve(problem.with_given(...), guess=solution), one by one",
                 )
         if self.arcs is not None:
-            refuse_unstated_ends(self.problem, self.solution.problem, self.arcs.structure, tuple(values))
+            self.arcs.refuse_unstated_ends(self.solution.problem, tuple(values))
         arrays = np.broadcast_arrays(np.zeros(1), *(np.asarray(value, dtype=float) for value in values.values()))[1:]
         found = np.tile(extremal_parameters(self.problem), (len(arrays[0]) if arrays else 1, 1))
         for name, array in zip(values, arrays, strict=True):

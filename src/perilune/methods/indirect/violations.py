@@ -16,8 +16,7 @@ from perilune.problem.phase import Phase
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.variables import FreeParameter, Variable
-from perilune.structures.state_margins import state_conditions
-from perilune.structures.structure import Structure, conditions_of, margins, steering_controls
+from perilune.structures import Structure
 
 _LOOKS = 201  # times of a phase, in addition to the nodes of its tables
 # Of a bound: how it is broken, and beyond it; what keeps it, and what makes it wider.
@@ -68,14 +67,8 @@ def violation_by_control(structure: Structure, whole: Solution) -> ConstraintVio
     whole
         Extremal found with them, in the user's phases.
     """
-    problem = whole.problem
-    for k, (phase, arcs) in enumerate(zip(problem.phases, structure.phases, strict=True)):
-        bounded = {c.name for _, c in scalars(phase.controls) if np.isfinite(c.limits(whole.parameters)).any()}
-        ridden = conditions_of(problem, k, [name for arc in arcs for name in arc.along]).values()
-        steered = len(margins(problem, k)) > len(state_conditions(problem, k))
-        if steered or any(bounded & steering_controls(condition) for condition in ridden):
-            return next(solution_violations(whole, _BROKEN), None)
-    return None
+    may_break = structure.may_break_controls(whole.problem, whole.parameters)
+    return next(solution_violations(whole, _BROKEN), None) if may_break else None
 
 
 def solution_violations(solution: Solution, slack: float) -> Iterator[ConstraintViolation]:

@@ -22,7 +22,7 @@ from perilune.problem.initial_guess import guess
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
-from perilune.structures.structure import Arc, Structure
+from perilune.structures import Arc, Structure
 
 if TYPE_CHECKING:
     from perilune.models.descent.two_burns import BurnArc, TwoBurns

@@ -23,7 +23,7 @@ from perilune.core.complex_step import COMPLEX, complex_step_jacobian, stack_bro
 from perilune.problem.controls import ScalarControl
 from perilune.problem.tracing.costate_signs import unpriced_states
 from perilune.proof.feasible.phase_data import PhaseData
-from perilune.structures.structure import Condition
+from perilune.structures import Condition
 
 # The multiplier along an arc is a polynomial in time, to rounding; its derivatives are noise below a share of it.
 # Twice the degree is for what nearly has a root in it, as a control that S^(q) = 0 has to the square.

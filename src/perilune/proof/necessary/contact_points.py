@@ -35,11 +35,17 @@ from perilune.proof.feasible.phase_data import PhaseData
 from perilune.proof.necessary.constraint_activity import LEAST, table_edges
 from perilune.proof.necessary.first_order import STATIONARY_LIMIT, phase_end_multipliers
 from perilune.proof.necessary.minimum_principle import on_bounds
-from perilune.structures.detect_arcs import Contact, arcs_of
-from perilune.structures.multiphase import restate
-from perilune.structures.split_join import split_solution
-from perilune.structures.state_margins import POINTS
-from perilune.structures.structure import Condition, Structure, conditions_of, margins, plain_bounds, steering_controls
+from perilune.structures import (
+    Condition,
+    Contact,
+    Structure,
+    arcs_of,
+    conditions_of,
+    margins,
+    plain_bounds,
+    restate,
+    split_solution,
+)
 
 _ON = 1e-7  # of what a condition goes through: it is active
 _HELD = 1e-7  # of the most that its rate with the control in it is: that vanishes
@@ -47,6 +53,7 @@ _SAID = 1e-6  # of the costates where a phase ends, scaled: what end conditions 
 _JUMP = 1e-9  # of a costate's size: less is no jump
 MET = 1e-9  # of its size: a condition that is active, or its rate
 SIDEWAYS = 1e-6  # of a multiplier, relative to that from H, which is continuous there to a double root only
+_POINTS = 2000  # times of a phase, in addition to the nodes of its tables
 _LOOKS = 200  # times of an arc
 STRICT = 1e-6  # of J per condition, canonical: a contact point with a smaller multiplier may be none
 
@@ -80,7 +87,7 @@ def restate_with_contacts(solution: Solution) -> tuple[Solution, Structure]:
 def _contact_times(arc: PhaseData, name: str, S: Expression) -> Iterator[Contact]:
     """Yield the contacts of a condition: arcs between edges of the tables, and edges at which the costates jump."""
     edges, size = table_edges(arc), LEAST * _condition_size(arc, name)
-    t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, POINTS))
+    t = np.union1d(arc.trajectory.time, np.linspace(0.0, arc.duration, _POINTS))
     room = _condition_along(arc, S, t)
     met = np.abs(room) <= _ON * max(float(np.ptp(room)), size)
     if not met.any():
@@ -129,7 +136,7 @@ def _kept_by_control_bounds(arc: PhaseData, condition: Condition, begin: float, 
 
     An empty tank stays empty while the engine is off. The checks are then made without the condition.
     """
-    moving = steering_controls(condition)
+    moving = condition.steering_controls
     u = arc.control(np.linspace(begin, end, _LOOKS + 2)[1:-1])
     on = {
         control.name: bool(np.logical_or(*on_bounds(arc, at, control, u)).all())

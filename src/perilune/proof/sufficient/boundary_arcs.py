@@ -38,7 +38,7 @@ analysis of control-affine problems with scalar state constraint, Math. Program.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -54,8 +54,7 @@ from perilune.proof.necessary.contact_points import MET, SIDEWAYS, STRICT
 from perilune.proof.necessary.first_order import phase_end_multipliers, unbounded_parameters
 from perilune.proof.necessary.minimum_principle import control_sizes, hamiltonian_gain, product_of
 from perilune.proof.sufficient.second_variation import KeptConditions
-from perilune.structures.part_durations import sums_of, with_sums
-from perilune.structures.structure import Condition, Structure, conditions_of
+from perilune.structures import Condition, Structure, conditions_of
 
 _LEAST, _LOOKS = 1e-8, 200  # of H, and the points of an arc at which other controls are tried
 _TURNS = 1e-3  # of the most that S'' is before a contact: what turns no faster is as near to an arc as to a contact
@@ -97,13 +96,12 @@ class BoundaryArcs:
         structure
             Arcs of each of the user's phases.
         """
-        sums = sums_of(solution.problem, structure)
+        sums = structure.sums(solution.problem)
         along, touches, begins = list[tuple[BoundaryArc, ...]](), list[tuple[Condition, ...]](), set[int]()
         for k, arcs in enumerate(structure.phases):
             known = conditions_of(solution.problem, k, structure.named(k))
             conditions = {  # in the durations of the parts
-                name: replace(c, values=tuple(with_sums(value, sums) for value in c.values))
-                for name, c in known.items()
+                name: c.with_sums(sums) for name, c in known.items()
             }
             begins.add(len(along))
             for arc in arcs:

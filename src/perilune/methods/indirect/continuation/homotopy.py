@@ -1,7 +1,7 @@
 """Homotopy to an extremal of many switches: the smoothed problem solved, and its smoothing reduced to none.
 
 What a coarse mesh makes of a flight of many burns begins Newton's method in the wrong place. The smoothed problem
-(`perilune.structures.regularized`) has no switches to miss: the same mesh follows it, and its costates begin multiple
+(`regularized`) has no switches to miss: the same mesh follows it, and its costates begin multiple
 shooting. Then the smoothing is made less and less, each root predicted from the one before to first order, until the
 switched problem is reached by one more run of Newton's method.
 
@@ -22,13 +22,13 @@ from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Vector
 from perilune.core.errors import PeriluneError
 from perilune.methods.indirect.continuation.duration_continuation import FinalTimeContinuation
+from perilune.methods.indirect.continuation.regularized import RATE, smooth_problem
 from perilune.methods.indirect.export_arcs import can_use_multiple_shooting
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.unknowns import joints_from_solution, unknowns_from_solution
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.shooting import Root, Shooting
-from perilune.structures.regularized import RATE, smooth_problem
 
 SMOOTH = "smoothed controls"  # what this way of starting is called
 _SHARES = (0.3, 0.03)  # of J: so much smoothed, a burn's thrust differs little from the middle of its range

@@ -4,7 +4,7 @@ A pure state condition is kept by boundary arcs or contact points, which no sing
 know when a control becomes singular, as H says nothing of it then. The structure is read off the direct method's answer
 (`perilune.structures.detect_arcs`, `perilune.structures.detect_regimes`), and each of its arcs becomes a phase. The
 extremal of that shows whether it is the right one, and changes it by rule, a bounded number of times
-(`perilune.methods.indirect.refinement.structure_revision`). A boundary arc to the end is first tried as a contact point
+(`perilune.structures.revise_arcs`). A boundary arc to the end is first tried as a contact point
 where it begins.
 
 Bounds and conditions of the control the law of each arc keeps by itself, as far as it can hold them; an extremal that
@@ -20,33 +20,29 @@ from functools import partial
 
 from perilune.core.callbacks import Watch
 from perilune.core.errors import PeriluneError
+from perilune.methods.indirect.chattering import find_chattering_arc
 from perilune.methods.indirect.newton_trials import bounded_parameters
-from perilune.methods.indirect.refinement.structure_revision import (
-    keep_paying_parts,
-    revise_structure,
-    structure_contacts,
-)
-from perilune.methods.indirect.refinement.switch_pair import begun_pair, with_pair
+from perilune.methods.indirect.refinement.switch_pair import with_pair
+from perilune.methods.indirect.result import Curves
 from perilune.methods.indirect.search import Search
 from perilune.methods.indirect.settings import STRUCTURE, SearchSettings
 from perilune.methods.indirect.violations import violation_by_control
 from perilune.problem.perturbed import is_neighbour
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
-from perilune.structures.chattering_boundary import find_chattering_arc
-from perilune.structures.detect_arcs import (
-    NEAR,
-    Contact,
-    arcs_of,
-    detect_own_structures,
+from perilune.structures import (
+    HoppingStructure,
+    JoinedTrajectories,
+    Structure,
+    contacts_in_phase,
     detect_structures,
-    find_contacts,
+    join_solution,
+    renumber_restated,
+    restate,
+    revise_structure,
+    split_solution,
+    stays_between_bounds,
 )
-from perilune.structures.detect_regimes import stays_between_bounds, stays_of
-from perilune.structures.multiphase import refuse_unstated_ends, renumber_restated, restate
-from perilune.structures.split_join import JoinedTrajectories, join_solution, split_solution, structure_with_times
-from perilune.structures.state_margins import margin_along, margin_rounding, state_conditions
-from perilune.structures.structure import Structure, conditions_of, margins
 
 ATTEMPTS, MOST_ARCS = 6, 12
 _GUESSED = 1e-2  # of what it goes through: as near to a condition as a guess may only mean to be on it
@@ -90,12 +86,10 @@ class StructureRefinement:
     def _first(self, rough: Solution) -> Solution | None:
         if (found := self._known_by_arcs(rough)) is not None:
             return found
-        least = _GUESSED if self.guessed else NEAR[0]
-        least = _EXACT if is_neighbour(self.problem) else least
+        least = _EXACT if is_neighbour(self.problem) else _GUESSED if self.guessed else None
         for known in self._known(rough):
             seen = set[str]()  # where one flight leads to nothing another one may
-            own = known.problem.phases is self.problem.phases  # as of the guess that a neighbour begins with
-            structures = detect_own_structures(known, least) if own else detect_structures(self.problem, known, least)
+            structures = detect_structures(self.problem, known, least)
             few = [structure for structure in structures if structure.count <= MOST_ARCS]
             for structure in few or structures:
                 if (found := self._hopping(known, structure)) is not None:
@@ -109,30 +103,12 @@ class StructureRefinement:
 
         A mesh resolves no hop of centimetres, and along the arc that it shows Newton's method takes seconds to fail.
         """
-        phases, hopped = [], list[tuple[int, str]]()
-        for k, arcs in enumerate(structure.phases):
-            known, last = list(structure_contacts(structure, k)), arcs[-1].until
-            conditions = conditions_of(self.problem, k, [contact.name for contact in known])
-            found = list[Contact]()
-            for contact in known:
-                hops = contact.is_arc and contact.end == last and conditions[contact.name].order > 1
-                found += keep_paying_parts(contact, conditions[contact.name], last, []) if hops else [contact]
-                hopped += [(k, contact.name)] if hops else []
-            phases.append(arcs_of(self.problem, k, found, last, stays_of(structure, k)))
-        if is_neighbour(self.problem) or (touching := Structure(tuple(phases))) == structure:
+        hopping = HoppingStructure.of(self.problem, structure)
+        if is_neighbour(self.problem) or hopping.structure == structure:
             return None
         quick = replace(self, brief=True, settings=replace(self.settings, segments=_FEW))
-        answer = quick.followed(rough, touching, set())
-        return answer if answer is not None and all(self._leaves(answer, *at) for at in hopped) else None
-
-    def _leaves(self, answer: Solution, k: int, name: str) -> bool:
-        """Return True if a condition is left behind its last contact point; else it has a boundary arc after all."""
-        known, (t, room) = answer.trajectories, margin_along(answer, k, name)
-        assert isinstance(known, JoinedTrajectories), "of arcs"
-        touch = max((c.end for c in structure_contacts(known.structure, k) if c.name == name), default=0.0)
-        return bool(
-            (room[t > touch] > margin_rounding(room, self.problem.size_of(margins(self.problem, k)[name][0]))).any()
-        )
+        answer = quick.followed(rough, hopping.structure, set())
+        return answer if answer is not None and hopping.left_behind(answer) else None
 
     def _known_by_arcs(self, guess: Solution) -> Solution | None:
         """Solve from a guess known arc by arc, of a problem that differs in values of its parameters."""
@@ -142,7 +118,7 @@ class StructureRefinement:
         structure = known.structure
         self.watch(f"structure: {structure.text}")
         try:
-            refuse_unstated_ends(known.restated.problem, self.problem, structure)
+            known.refuse_unstated_ends(self.problem)
             problem = renumber_restated(known.restated.problem, self.problem, structure)
             solved = Search(self.settings, problem, self.watch).solve(known.restated)
             return self._kept_to(structure, solved, join_solution(self.problem, solved, structure))[0]
@@ -178,12 +154,7 @@ class StructureRefinement:
 
     def _rides(self, rough: Solution) -> bool:
         phases = range(len(self.problem.phases))
-        return any(
-            c.is_arc
-            for k in phases
-            for name in state_conditions(self.problem, k)
-            for c in find_contacts(rough, k, name)
-        )
+        return any(contact.is_arc for k in phases for contact in contacts_in_phase(rough, k))
 
     def followed(self, rough: Solution, structure: Structure | None, seen: set[str]) -> Solution | None:
         """Follow the structures from the first that an answer has to the one that its extremal keeps to.
@@ -227,9 +198,16 @@ class StructureRefinement:
         self, structure: Structure, solved: Solution, whole: Solution
     ) -> tuple[Solution | None, Structure | None]:
         """Return the answer if the extremal of a structure keeps to it; else the structure that it asks for, if any."""
-        kept = structure_with_times(structure, solved)
+        known, curves = whole.trajectories, solved.trajectories
+        assert isinstance(known, JoinedTrajectories), "of arcs"
+        assert isinstance(curves, Curves), "of a search, which ends at a root"
+        kept = known.structure
         # A neighbour has the arcs of its guess.
-        revised = kept if is_neighbour(self.problem) else revise_structure(self.problem, kept, solved, whole)
+        revised = (
+            kept
+            if is_neighbour(self.problem)
+            else revise_structure(self.problem, kept, solved, whole, curves.propagated().at)
+        )
         if revised is not kept:
             self._say(f"structure {structure.text}: an extremal of another structure")
             return None, revised
@@ -289,7 +267,7 @@ class StructureRefinement:
 
         restated = restate(self.problem, structure, repeated=False)
         guess, failure, found = split_solution(rough, structure, restated), None, False
-        if (pair := begun_pair(self.problem, structure)) is not None:
+        if (pair := structure.begun_pair(self.problem)) is not None:
             self.watch("structure: a new pair of switches")
             search = Search(self.settings, guess.problem, self.watch)
             if (solved := with_pair(search, guess, pair)) is not None:

@@ -13,34 +13,11 @@ from perilune.methods.indirect.newton_trials import found_at
 from perilune.methods.indirect.random_costates import active_set_of_guess, unknowns_of_guess
 from perilune.methods.indirect.search import Search
 from perilune.problem.casadi_trace import free_scales
-from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.shooting import FINEST, Root
-from perilune.structures.part_durations import part_durations
-from perilune.structures.revise_regimes import PAIR
-from perilune.structures.structure import Structure
 
-_LONGEST = 2.0  # times as long as a pair is tried
 _SECANTS = 8
 _SAME = 1e-6  # of w: nearer Newton's method ends at it
-
-
-def begun_pair(problem: Problem, structure: Structure) -> str | None:
-    """Return the name of the duration of an arc as short as a pair is tried, between two on the other bound; or None.
-
-    Parameters
-    ----------
-    problem, structure
-        The user's, and arcs with times.
-    """
-    for k, arcs in enumerate(structure.phases):
-        names = part_durations(problem, structure, k)
-        for j in range(1, len(arcs) - 1):
-            before, own, behind = (arcs[i].regimes for i in (j - 1, j, j + 1))
-            brief = arcs[j].until - arcs[j - 1].until <= _LONGEST * PAIR * arcs[-1].until
-            if brief and own and own != before == behind and all(regime in ("lower", "upper") for _, regime in own):
-                return names[j]
-    return None
 
 
 def with_pair(search: Search, guess: Solution, duration: str) -> Solution | None:

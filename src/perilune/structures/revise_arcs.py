@@ -20,32 +20,36 @@ from itertools import pairwise
 import numpy as np
 
 from perilune.core.arrays import Matrix, Vector
-from perilune.methods.indirect.export_arcs import PropagatedStates
-from perilune.methods.indirect.result import Curves
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
 from perilune.structures.detect_arcs import CLOSEST, Contact, arcs_of
 from perilune.structures.detect_regimes import stays_of
 from perilune.structures.multiplier_signs import paying_intervals
-from perilune.structures.part_durations import part_name
 from perilune.structures.revise_regimes import revised_stays
+from perilune.structures.split_join import JoinedTrajectories
+from perilune.structures.state_constraints import Condition, conditions_of, margins, state_conditions
 from perilune.structures.state_margins import (
     EXACTLY,
     POINTS,
     broken_intervals,
     is_constant_condition,
+    margin_along,
     margin_at,
     margin_rounding,
     refine_minima,
-    state_conditions,
 )
-from perilune.structures.structure import Condition, Structure, conditions_of, margins
+from perilune.structures.structure import Structure, part_name
 
 _BESIDE = 0.1  # of the time for which a condition is broken: so near to that a contact point belongs to it
 _NO_TIME = 1e-5  # of a phase: an arc that is shorter is none
 
 
-def revise_structure(problem: Problem, structure: Structure, solved: Solution, whole: Solution) -> Structure | None:
+StatesAt = Callable[[int, Vector], Matrix]  # (phase of the restated problem, shares of its length) -> states [SI]
+
+
+def revise_structure(
+    problem: Problem, structure: Structure, solved: Solution, whole: Solution, states_at: StatesAt
+) -> Structure | None:
     """Return the structure if the extremal keeps to it; else the one that it asks for; None where that is none.
 
     Parameters
@@ -54,10 +58,12 @@ def revise_structure(problem: Problem, structure: Structure, solved: Solution, w
         The user's problem, and its arcs with the times of the extremal.
     solved, whole
         The extremal, of the problem restated and in the user's phases.
+    states_at
+        States (n, shares) of the extremal, whose curves need not be made for that.
     """
-    phases, same, way = [], True, ConstraintMargins(problem, structure, solved, whole)
+    phases, same, way = [], True, ConstraintMargins(problem, structure, whole, states_at)
     for k, arcs in enumerate(structure.phases):
-        known = list(structure_contacts(structure, k))
+        known = list(_structure_contacts(structure, k))
         found = list(_supported_contacts(problem, structure, solved, k, known))
         found = _join_contacts(way, k, known, _with_violations(way, k, found))
         stays = stays_of(structure, k)
@@ -83,7 +89,7 @@ def _supported_contacts(
         if contact.is_arc:
             if contact.end - contact.begin > _NO_TIME * arcs[-1].until:
                 worth = paying_intervals(solved, first + j, condition)
-                yield from keep_paying_parts(contact, condition, arcs[-1].until, worth)
+                yield from _keep_paying_parts(contact, condition, arcs[-1].until, worth)
             elif condition.order > 1:
                 yield replace(contact, end=contact.begin, is_arc=False)
             continue
@@ -128,7 +134,7 @@ def _join_contacts(way: ConstraintMargins, k: int, known: Sequence[Contact], fou
     return found
 
 
-def keep_paying_parts(
+def _keep_paying_parts(
     contact: Contact, condition: Condition, last: float, worth: list[tuple[float, float]] | None
 ) -> Iterator[Contact]:
     """Yield the parts of an arc that pay [s of the arc], or contact points in its place; itself where this is unknown.
@@ -164,7 +170,7 @@ def keep_paying_parts(
             )
 
 
-def structure_contacts(structure: Structure, k: int) -> Iterator[Contact]:
+def _structure_contacts(structure: Structure, k: int) -> Iterator[Contact]:
     """Yield boundary arcs and contact points of a structure with times in phase k.
 
     Parameters
@@ -183,6 +189,47 @@ def structure_contacts(structure: Structure, k: int) -> Iterator[Contact]:
         begin = arc.until
 
 
+@dataclass(frozen=True)
+class HoppingStructure:
+    """A structure with a contact point in the place of each boundary arc to the end of a phase, where that begins.
+
+    Attributes
+    ----------
+    hopped
+        (phase, condition) of each arc that was replaced.
+    """
+
+    problem: Problem
+    structure: Structure
+    hopped: tuple[tuple[int, str], ...]
+
+    @classmethod
+    def of(cls, problem: Problem, structure: Structure) -> HoppingStructure:
+        """Replace the boundary arcs of a structure of the user's problem."""
+        phases, hopped = [], list[tuple[int, str]]()
+        for k, arcs in enumerate(structure.phases):
+            known, last = list(_structure_contacts(structure, k)), arcs[-1].until
+            conditions = conditions_of(problem, k, [contact.name for contact in known])
+            found = list[Contact]()
+            for contact in known:
+                hops = contact.is_arc and contact.end == last and conditions[contact.name].order > 1
+                found += _keep_paying_parts(contact, conditions[contact.name], last, []) if hops else [contact]
+                hopped += [(k, contact.name)] if hops else []
+            phases.append(arcs_of(problem, k, found, last, stays_of(structure, k)))
+        return cls(problem, Structure(tuple(phases)), tuple(hopped))
+
+    def left_behind(self, answer: Solution) -> bool:
+        """Return True if an answer leaves each of the conditions behind its last contact point; else it rides along."""
+        return all(self._leaves(answer, *at) for at in self.hopped)
+
+    def _leaves(self, answer: Solution, k: int, name: str) -> bool:
+        known, (t, room) = answer.trajectories, margin_along(answer, k, name)
+        assert isinstance(known, JoinedTrajectories), "of arcs"
+        touch = max((c.end for c in _structure_contacts(known.structure, k) if c.name == name), default=0.0)
+        size = self.problem.size_of(margins(self.problem, k)[name][0])
+        return bool((room[t > touch] > margin_rounding(room, size)).any())
+
+
 @dataclass
 class ConstraintMargins:
     """The margins to conditions of an extremal of a structure, whose curves need not be made for that.
@@ -191,14 +238,16 @@ class ConstraintMargins:
     ----------
     problem, structure
         The user's problem, and its arcs with the times of the extremal.
-    solved, whole
-        The extremal, of the problem restated and in the user's phases.
+    whole
+        The extremal, in the user's phases.
+    states_at
+        Its states.
     """
 
     problem: Problem
     structure: Structure
-    solved: Solution
     whole: Solution
+    states_at: StatesAt
 
     def room_along(self, k: int, name: str) -> tuple[Vector, Vector]:
         """Return the times of phase k [s] and how far a condition is from its limit there [SI].
@@ -211,7 +260,7 @@ class ConstraintMargins:
             Name of a condition of its path.
         """
         if is_constant_condition(self.problem, k, name):
-            return (t := np.zeros(1)), self._room(k, name, t, self._aloft.at(self._first(k), t))
+            return (t := np.zeros(1)), self._room(k, name, t, self.states_at(self._first(k), t))
         parts = [self._closely(k, name, *part) for part in self._phases(k)]
         return np.concatenate([t for t, _ in parts]), np.concatenate([room for _, room in parts])
 
@@ -222,7 +271,7 @@ class ConstraintMargins:
             between = refine_minima(times, room, EXACTLY * self._size(k, name)) if length > 0.0 else times[:0]
             if not len(between):
                 break
-            states = self._aloft.at(self._first(k) + j, np.clip((between - begin) / length, 0.0, 1.0))
+            states = self.states_at(self._first(k) + j, np.clip((between - begin) / length, 0.0, 1.0))
             times, at = np.unique(np.append(times, between), return_index=True)
             room = np.append(room, self._room(k, name, between, states))[at]
         return times, room
@@ -234,12 +283,6 @@ class ConstraintMargins:
         return self.problem.size_of(margins(self.problem, k)[name][0])
 
     @cached_property
-    def _aloft(self) -> PropagatedStates:
-        curves = self.solved.trajectories
-        assert isinstance(curves, Curves), "of a search, which ends at a root"
-        return curves.propagated()
-
-    @cached_property
     def _phases(self) -> Callable[[int], list[tuple[int, Vector, Matrix]]]:
         return cache(self._phase)
 
@@ -248,7 +291,7 @@ class ConstraintMargins:
         begins, found = [0.0, *(arc.until for arc in self.structure.phases[k])], list[tuple[int, Vector, Matrix]]()
         for j, (begin, end) in enumerate(pairwise(begins)):
             shares = np.linspace(0.0, 1.0, 2 + math.ceil(POINTS * (end - begin) / begins[-1]))
-            found.append((j, begin + shares * (end - begin), self._aloft.at(self._first(k) + j, shares)))
+            found.append((j, begin + shares * (end - begin), self.states_at(self._first(k) + j, shares)))
         return found
 
     def _first(self, k: int) -> int:

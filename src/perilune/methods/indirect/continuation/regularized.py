@@ -31,7 +31,7 @@ from perilune.problem.tracing.lie_derivatives import run_expression
 from perilune.problem.tracing.tape import Expression, Recorder
 from perilune.problem.tracing.traced_problem import PHASE_FUNCTIONS
 from perilune.problem.variables import Parameter, Variable
-from perilune.structures.detect_regimes import linear_scalars
+from perilune.structures import linear_scalars
 
 RATE = "smoothing_rate"  # the given parameter that goes to zero
 _GAINED = "smoothing_gain"  # the state that counts what is taken from J
