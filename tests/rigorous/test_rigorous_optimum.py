@@ -345,8 +345,9 @@ def twice(curve: float) -> Any:
                    [0.41781, 0.48786, -0.17313, 1.0, 0.36093, 0.11842, -2.61438, 1.0, 0.73640, 0.29172])  # fmt: skip
 
 
-@pytest.mark.parametrize(("curve", "minimum"), [(0.0, True), (-0.53, True), (-0.54, False), (-1.0, False)])
+@pytest.mark.parametrize(("curve", "minimum"), [(0.0, True), (-1.0, False)])
 def test_the_times_of_two_switches_and_a_link_between_them_as_by_differences(curve: float, minimum: bool) -> None:
+    """Nearer to the border, -0.53 and -0.54, the checker is asked too, below."""
     assert twice(curve).proved == minimum
 
 
