@@ -18,6 +18,7 @@ from command_line import read_json
 from perilune.cli import run_command_line
 from perilune.core.errors import Outcome, PeriluneError
 from perilune.io.model_records import model_document, read_model
+from perilune.io.problem_json import physics_document, read_physics
 from perilune.methods.direct.pseudospectral import Pseudospectral
 from perilune.problem.problem import Problem
 from perilune.problem.results.solution import Solution
@@ -316,3 +317,33 @@ def test_scenarios_are_untouched_by_saving(scenario: tuple[Path, Solution]) -> N
     stated = load_file(EXAMPLES / "ordinary_lander.toml")
     assert stated.text is not None and load_text(stated.text) == scenario[1].problem
     assert isinstance(scenario[1].problem, Problem)
+
+
+def test_files_keep_the_names_in_which_they_were_first_written() -> None:
+    """Files of earlier versions are read, and their digests hold, though fields and functions have other names now."""
+    hop = pl.Phase(
+        name="hop",
+        states=(pl.Variable(name="x", unit="m"),),
+        controls=(pl.ScalarControl(name="u", unit="m/s", lower=-1.0, upper=1.0),),
+        dynamics=lambda x, u, p, xp: (u.u,),
+        duration="T",
+        end=pl.Conditions(lambda x, p, xp: (x.x - p.d,), there="m"),
+        end_outputs=pl.Quantities(lambda x, p, xp: (x.x,), reached="m"),
+        end_guess=lambda p, xp: (p.d,),
+    )
+    problem = pl.Problem(
+        name="hop",
+        phases=(hop,),
+        start=lambda p, xp: (0 * p.d,),
+        given={"d": pl.Parameter(value=1.0, unit="m")},
+        free=(pl.FreeParameter(name="T", unit="s", lower=0.0, upper=9.0, guess=2.0),),
+        objective=lambda x, p, xp: p.T,
+        objective_unit="s",
+    )
+    document = physics_document(problem)
+    assert document["free"] == [{"name": "T", "unit": "s", "lower": 0.0, "upper": 9.0, "typical": 2.0}]
+    assert document["phases"][0]["mark_variables"] == [{"name": "reached", "unit": "m"}]
+    assert {"0.end", "0.marks", "0.typical_end"} <= set(document["functions"])
+    # Of the same problem, by the version before the names were changed.
+    assert problem.form.digest == "11d7ae7a7c41af18fc238ebe150b5919cb9edbc4c84fddf3ceffe9450ea15018"
+    assert read_physics(json.loads(json.dumps(document)), problem.given) == problem
