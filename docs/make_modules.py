@@ -13,6 +13,7 @@ Every file of the source by folder, with the first line of its docstring. Writte
 `docs/make_modules.py`; the order of the rooms and what may import what is on
 [the page of the architecture](architecture.md).
 """
+OLD = "Old place of"
 
 
 def first_line(path: Path) -> str:
@@ -25,12 +26,17 @@ def modules_page() -> str:
     parts = [HEAD]
     for folder in sorted({path.parent for path in SOURCE.rglob("*.py")}):
         about = first_line(folder / "__init__.py")
+        if about.startswith(OLD):
+            continue
         parts.append(f"\n## `{folder.relative_to(SOURCE).as_posix()}`\n\n{about}\n")
         files = [path for path in sorted(folder.glob("*.py")) if path.name != "__init__.py"]
+        files = [path for path in files if not first_line(path).startswith(OLD)]
         if files:
             rows = (f"| `{path.name}` | {first_line(path).replace('|', chr(92) + '|')} |\n" for path in files)
             parts.append("\n| file | what it is for |\n|---|---|\n" + "".join(rows))
-    return "".join(parts)
+    old = [path for path in sorted(SOURCE.rglob("*.py")) if first_line(path).startswith(OLD)]
+    lines = (f"- `{path.relative_to(SOURCE).as_posix()}`: {first_line(path)}\n" for path in old)
+    return "".join([*parts, "\n## Old places, which go with the next minor version\n\n", *lines])
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.conditions.active_constraints import best_direction
+from perilune.conditions.active_constraints import minimising_direction
 from perilune.core.errors import PeriluneError
 from perilune.problem.results.solution import Solution
 from perilune.problem.results.trajectory import Curve
@@ -53,7 +53,7 @@ def test_of_two_conditions_on_a_direction_the_best_that_keeps_both_is_taken() ->
     """d.x = 0.3 and (d.x + d.y)/sqrt 2 = 0.5 leave two directions; gradient . d is least on the one with d.z < 0."""
     d, gradient = ca.SX.sym("d", 3), ca.SX.sym("g", 3)
     held = (d[0] - 0.3, (d[0] + d[1]) / math.sqrt(2.0) - 0.5)
-    best, room = ca.Function("best", [gradient], best_direction(gradient, d, held))([0.2, -0.1, 3.0])
+    best, room = ca.Function("best", [gradient], minimising_direction(gradient, d, held))([0.2, -0.1, 3.0])
     y = 0.5 * math.sqrt(2.0) - 0.3
     below = math.sqrt(1.0 - 0.09 - y * y)
     assert np.array(best).ravel() == pytest.approx([0.3, y, -below], abs=1e-14)

@@ -21,7 +21,7 @@ from perilune.cli import run_command_line
 from perilune.core.errors import PeriluneError
 from perilune.io.exports.czml import attitudes, join_legs
 from perilune.io.exports.epochs import stamp
-from perilune.io.exports.path import LOST, InertialLeg, legs
+from perilune.io.exports.inertial_path import LOST, InertialLeg, legs
 from perilune.io.exports.table import flight_table
 from perilune.io.exports.tabular import write_netcdf
 from perilune.models.landing.problem import Orbit, Vehicle, hybrid_landing

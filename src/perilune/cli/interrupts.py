@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C, so that none is lost."""
+"""Handling of Ctrl-C, so that none is lost; time limits are in `perilune.core.callbacks`."""
 
 from __future__ import annotations
 

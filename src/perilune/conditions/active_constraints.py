@@ -207,7 +207,7 @@ def require_attainable(phase: Phase, name: str, condition: ca.SX, u: ca.SX) -> N
     )
 
 
-def best_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
+def minimising_direction(gradient: ca.SX, d: ca.SX, held: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
     """Minimise gradient . d over the unit sphere with up to two linear conditions held.
 
     Parameters

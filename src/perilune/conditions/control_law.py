@@ -42,7 +42,7 @@ from perilune.conditions.scalar_regimes import (
 )
 from perilune.conditions.singular_control import Motion, singular_control
 from perilune.conditions.switching_events import Mode, ModeSwitches, SwitchingEvent
-from perilune.conditions.unit_vector_control import eliminate_directions
+from perilune.conditions.unit_vector_control import minimising_directions
 from perilune.problem.casadi_trace import elements
 from perilune.problem.controls import Regime, scalars
 from perilune.problem.phase import Phase
@@ -158,7 +158,7 @@ def minimising_control(
         here = {**always, **{name: kept[name] for name in held}}
         turning = {name: c for name, c in here.items() if depends_on_direction(phase, c, u)}
         own = {name: c for name, c in here.items() if name not in turning}
-        reduced, law, room = eliminate_directions(phase, hamiltonian, u, limits, turning)
+        reduced, law, room = minimising_directions(phase, hamiltonian, u, limits, turning)
         kinds = [
             Scalar(phase, at, control, reduced, u, limits[control.name],
                    acts=any(ca.depends_on(c, u[at]) for c in own.values()), positive=terms.positive,

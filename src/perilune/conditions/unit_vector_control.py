@@ -1,4 +1,4 @@
-"""Minimising directions: the minimum of H, linear in a unit vector, is opposite to the gradient.
+"""Minimising directions (Lawden's primer vector): H, linear in a unit vector, is least opposite to its gradient.
 
 Scalars may scale that gradient, and other directions too; there is no formula where a control turns it.
 """
@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import casadi as ca
 import numpy as np
 
-from perilune.conditions.active_constraints import best_direction
+from perilune.conditions.active_constraints import minimising_direction
 from perilune.conditions.scalar_regimes import no_control_law_error
 from perilune.problem.casadi_trace import elements
 from perilune.problem.controls import directions, scalars
@@ -20,7 +20,7 @@ _FROM_ABOVE = (0.3, 0.8)  # values of a scalar between its bounds, to test wheth
 _ALL_ROUND = (-0.9, 0.3, 0.8)  # the same of a component of a direction
 
 
-def eliminate_directions(
+def minimising_directions(
     phase: Phase, hamiltonian: ca.SX, u: ca.SX, limits: dict[str, tuple[ca.SX, ca.SX]], held: Mapping[str, ca.SX]
 ) -> tuple[ca.SX, list[ca.SX], ca.SX]:
     """Eliminate the directions: replace them by the minimising ones that keep these conditions active.
@@ -52,7 +52,7 @@ def eliminate_directions(
             )
         left.remove((first, last))
         own = [c for c in held.values() if ca.depends_on(c, u[first:last])]
-        direction, room = best_direction(gradient, u[first:last], own)
+        direction, room = minimising_direction(gradient, u[first:last], own)
         law[first:last], rooms = elements(direction), ca.vertcat(rooms, room)
         hamiltonian = ca.substitute(hamiltonian, u[first:last], ca.vertcat(*law[first:last]))
     return hamiltonian, law, rooms

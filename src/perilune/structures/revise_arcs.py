@@ -1,4 +1,4 @@
-"""Revision of the arcs of a flight by the extremal that was found with them.
+"""Revision of contact points and boundary arcs by the extremal that was found with them.
 
 - a contact point whose multiplier has the wrong sign is none: the condition holds nothing back there;
 - an arc of no length is a contact point, or none where its condition admits none;

@@ -1,4 +1,4 @@
-"""Revision of the regimes of scalar controls by the extremal that was found with them."""
+"""Revision of bang and singular stays by the extremal found with them; switches that merge are removed here."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.branches.chart import Chart
 from perilune.atlas.branches.schema import cell_type, node_type, places_of, seed_type, sheets_of, widths_of
 from perilune.atlas.evaluate.reintegrate import ChartReintegration
-from perilune.atlas.grid.block import BrickSubdivision
+from perilune.atlas.grid.cell_subdivision import BrickSubdivision
 from perilune.atlas.grid.nodes import Lattice
 from perilune.atlas.hermite import binary_digits
 from perilune.atlas.region import Region

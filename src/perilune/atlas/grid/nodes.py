@@ -261,7 +261,7 @@ class Lattice:
         guess
             Unknowns to begin with, canonical, (lanes, n).
         spread
-            As of `led`.
+            As of `solve_near`.
         """
         if not len(branch):
             return

@@ -20,7 +20,7 @@ import numpy as np
 from perilune.core.arrays import Matrix, Vector
 from perilune.io.atomic_files import json_text
 from perilune.io.exports.epochs import stamp
-from perilune.io.exports.path import JUMP, InertialLeg, legs, separate_jumps, space_of
+from perilune.io.exports.inertial_path import JUMP, InertialLeg, legs, separate_jumps, space_of
 from perilune.problem.results.solution import Solution
 
 NAME = "CZML"

@@ -18,7 +18,7 @@ from perilune.core.errors import PeriluneError
 from perilune.core.untrusted_text import one_line
 from perilune.io.columns import node_times
 from perilune.io.exports.epochs import TICK, leap_seconds_sentence, stamp_of_tick
-from perilune.io.exports.path import InertialLeg, legs, space_of
+from perilune.io.exports.inertial_path import InertialLeg, legs, space_of
 from perilune.io.format import hash_of
 from perilune.models.physics.orientation import axes_in_space, describe_orientation
 from perilune.problem.results.solution import Solution

@@ -16,7 +16,7 @@ import numpy as np
 
 from perilune.core.arrays import Vector
 from perilune.io.columns import Column, node_times, phase_columns
-from perilune.io.exports.path import separate_jumps
+from perilune.io.exports.inertial_path import separate_jumps
 from perilune.problem.display.views import Space
 from perilune.problem.results.solution import Solution
 

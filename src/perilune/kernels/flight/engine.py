@@ -99,7 +99,7 @@ class NativeEngine:
             system = self.system if columns else self._bare
 
             def build() -> bytes:
-                from perilune.kernels.flight import rhs_code as equations
+                from perilune.kernels.flight import equations_code as equations
 
                 return native.compile_ir(equations.equations_module(system, width))
 
@@ -219,9 +219,9 @@ def _stepping_loop(system: ArcSystem, width: int) -> native.MachineCode:
     if name not in _loops:
 
         def build() -> bytes:
-            from perilune.kernels.flight import driver
+            from perilune.kernels.flight import stepping_code
 
-            return native.compile_ir(driver.stepping_module(system, width))
+            return native.compile_ir(stepping_code.stepping_module(system, width))
 
         _loops[name] = native.MachineCode(disk.fetch_object(name, build, enabled=True))
     return _loops[name]

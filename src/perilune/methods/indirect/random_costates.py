@@ -1,4 +1,4 @@
-"""Starting points of Newton's method: random costates, or the unknowns of a known solution."""
+"""Starting points of Newton's method: random costates, a known solution's unknowns, or those it is continued to."""
 
 from __future__ import annotations
 

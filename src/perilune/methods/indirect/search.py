@@ -1,4 +1,4 @@
-"""One run of the indirect method: from a guess or without one, and what its extremals are composed to."""
+"""One run of the indirect method, from a guess or without one: the entry, and the solution made of its extremals."""
 
 from __future__ import annotations
 

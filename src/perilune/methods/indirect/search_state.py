@@ -1,4 +1,4 @@
-"""State of one run of the indirect method: its problem, what was tried, and what was found on the way."""
+"""State that a run of the indirect method passes on: problem, Newton's method, what was tried and found so far."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Onset of a pair of switches: the time w between them is held, and found where dJ/dw = 0.
+"""Onset of a pair of switches, where one begins: the time w between them is held, and found where dJ/dw = 0.
 
 What is on its bound gains by an instant on the other one, at a rate that goes through zero where the pair begins; it
 loses like w^2, so that w rises in proportion. With w free both switches ask for nearly the same, and w = 0 at any zero

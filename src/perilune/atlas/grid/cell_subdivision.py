@@ -106,7 +106,7 @@ class BrickSubdivision:
         while True:
             while len(cells):
                 first = sum(map(len, waves))
-                status, axis = self._judged(cells)
+                status, axis = self._decide_splits(cells)
                 cut = status == Status.CUT
                 child = np.where(cut, first + len(cells) + 2 * (np.cumsum(cut) - 1), -1)
                 waves.append(replace(cells, status=status, axis=np.where(cut, axis, -1), child=child))
@@ -336,7 +336,7 @@ class BrickSubdivision:
             self.nodes.run_into = np.append(self.nodes.run_into, mine[met])
         return first
 
-    def _judged(self, cells: Cells) -> tuple[Whole, Whole]:
+    def _decide_splits(self, cells: Cells) -> tuple[Whole, Whole]:
         """Return the status of each cell, and the axis along which it would be cut."""
         complete: NDArray[np.bool_] = np.all(cells.corners >= 0, axis=1)
         status, axis = np.where(complete, Status.CUT, Status.ENDS), cells.size.argmax(axis=1)
