@@ -129,10 +129,20 @@ def test_fields_are_stated_and_read_by_their_old_names(landing: pl.Problem, hybr
         assert warned(read, f"{kind}.{old} is {kind}.{new} now") == getattr(owner, new)
         change: Any = {old: getattr(owner, new)}
         copy: Callable[[], Any] = lambda owner=owner, change=change: replace(owner, **change)  # noqa: E731
-        with warnings.catch_warnings(record=True) as caught:  # of `dataclasses`, which calls the class
-            warnings.simplefilter("always")
-            assert copy() == owner
-        assert [GOES in str(warning.message) and old in str(warning.message) for warning in caught] == [True]
+        assert warned(copy, f"{old}= of {kind} is {new}= now") == owner
+
+
+def test_both_names_are_refused_with_every_field_too() -> None:
+    """All fields beside an old name are what `dataclasses.replace` states; a user who does has stated two values."""
+    free: Any = pl.FreeParameter
+    with pytest.raises(PeriluneError, match=r"by one name only(.|\n)*got: typical=..., guess=..."):
+        free(name="T", unit="s", lower=0.0, upper=9.0, typical=1.0, guess=2.0)
+
+
+def test_a_pair_of_old_keywords_of_replace_warns_of_the_line_that_uses_it() -> None:
+    change: Any = {"integral_variables": (pl.Variable(name="way", unit="m"),), "integrals": lambda x, u, p, xp: (u.u,)}
+    found = warned(lambda: replace(hop(), **change), "integral_variables= of Phase is integrals=Quantities(")
+    assert found.integrals.variables == change["integral_variables"]
 
 
 def hop(**end: Any) -> pl.Phase:
@@ -203,6 +213,9 @@ def test_a_problem_takes_its_results_and_a_row_of_names(landing: pl.Problem) -> 
         (lambda: hop(end=pl.Quantities(place, near="m")), ("not the end of a phase", "got: Quantities", "Conditions(")),
         (lambda: started(end=pl.Conditions(place, near="m")), ("end of hop returns the wrong", "got: 2", "1: near")),
         (lambda: started(end=pl.Conditions(place, near="m", far="s")), ("end of hop, far", "x.x in m", "s")),
+        (lambda: started(end=pl.Conditions(lambda x, p, xp: x.x, near="m")), ("got: one float", "return (value,)")),
+        (lambda: started(end=pl.Conditions(lambda x: x.x, near="m")), ("takes 1 pos", "a function of (x, p, xp) that")),
+        (lambda: pl.Quantities(place, pl.Variable(name="near"), near="m"), ("two quantities are called near",)),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_conditions_is_said(ask: Callable[[], Any], parts: tuple[str, ...]) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
-from collections.abc import Callable, Mapping, Set
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Mapping
 from functools import wraps
 from importlib import import_module
+from types import FrameType
 from typing import Any, TypeVar, cast
 
 from perilune.core.errors import PeriluneError
@@ -22,11 +23,20 @@ def warn_renamed(old: str, new: str, depth: int = 1) -> None:
     old, new
         The two names, as a user writes them.
     depth
-        Number of calls between the user's line and the caller of this function.
+        Number of calls between the user's line and the caller of this function; those of `dataclasses.replace` are
+        not counted.
     """
+    frame = sys._getframe(depth + 1)
+    while frame.f_back is not None and _copies_records(frame):
+        frame, depth = frame.f_back, depth + 1
     warnings.warn(
         f"{old} is {new} now; the old name goes with the next minor version", DeprecationWarning, stacklevel=depth + 2
     )
+
+
+def _copies_records(frame: FrameType) -> bool:
+    """Return True for a frame of `dataclasses.replace` or `copy.replace`."""
+    return frame.f_globals.get("__name__") in ("dataclasses", "copy")
 
 
 def renamed_names(module: str, new: Mapping[str, str]) -> Callable[[str], Any]:
@@ -53,18 +63,18 @@ def renamed_names(module: str, new: Mapping[str, str]) -> Callable[[str], Any]:
 def renamed_keywords(**new: str) -> Callable[[Renamed], Renamed]:
     """Let a function, method or class take keywords by their old names too (``old="new"``).
 
-    Where a dataclass is given all of its fields besides an old name, as by `dataclasses.replace`, the old name counts.
+    Where `dataclasses.replace` gives a field by its old name, and by its new one the value of before, the old name
+    counts.
     """
 
     def of(asked: Renamed) -> Renamed:
         given: Any = asked
         function, called = given.__init__ if isinstance(given, type) else given, given.__name__
-        whole = {f.name for f in fields(given) if f.init} if is_dataclass(given) else set[str]()
 
         @wraps(function)
         def call(*args: Any, **keywords: Any) -> Any:
             if not new.keys().isdisjoint(keywords):
-                keywords = _with_new_keywords(called, new, keywords, whole)
+                keywords = _with_new_keywords(called, new, keywords)
             return function(*args, **keywords)
 
         if not isinstance(given, type):
@@ -75,10 +85,8 @@ def renamed_keywords(**new: str) -> Callable[[Renamed], Renamed]:
     return of
 
 
-def _with_new_keywords(
-    name: str, new: Mapping[str, str], keywords: Mapping[str, Any], whole: Set[str]
-) -> dict[str, Any]:
-    found, replaced = dict(keywords), bool(whole) and whole <= keywords.keys()
+def _with_new_keywords(name: str, new: Mapping[str, str], keywords: Mapping[str, Any]) -> dict[str, Any]:
+    found, replaced = dict(keywords), _copies_records(sys._getframe(2))
     for old in [old for old in new if old in keywords]:
         if new[old] in keywords and not replaced:
             raise PeriluneError(
@@ -87,7 +95,7 @@ def _with_new_keywords(
                 expected=f"{new[old]}=...",
                 advice=f"leave {old} out; it is the old name of the same",
             )
-        warn_renamed(f"{old}= of {name}", f"{new[old]}=", 3 if replaced else 2)
+        warn_renamed(f"{old}= of {name}", f"{new[old]}=", 2)
         found[new[old]] = found.pop(old)
     return found
 

@@ -152,7 +152,7 @@ def require_si_unit(text: Any, what: str) -> None:
             f"inside a problem numbers are in SI: {what}",
             got=f"the unit {text!r}",
             expected=repr(dimension_text(dimension)),
-            advice="convert the number, or read it with units.parse_quantity",
+            advice="convert the number, or read it with perilune.core.units.parse_quantity",
         )
 
 

@@ -257,7 +257,10 @@ def _is_real_number(value: Any) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
-def require_si_number(value: Any, what: str, advice: str = "units.parse_quantity('440 N', 'N') reads a text") -> None:
+_READING = "perilune.core.units.parse_quantity('440 N', 'N') reads a text"
+
+
+def require_si_number(value: Any, what: str, advice: str = _READING) -> None:
     """Refuse anything but a single real number: NaN, truth values and texts too, though Python makes floats of them.
 
     Parameters

@@ -86,6 +86,12 @@ class Conditions(NamedValues):
 class Quantities(NamedValues):
     """Quantities that a phase or a problem computes: ``Quantities(o, altitude="m", pitch="rad")``."""
 
+    def __init__(self, function: Physics, /, *variables: Variable, **units: str) -> None:
+        super().__init__(function, *variables, **units)
+        names = [variable.name for variable in self.variables]
+        if again := next((name for i, name in enumerate(names) if name in names[:i]), None):
+            raise PeriluneError(f"two quantities are called {again}", expected="different names")  # found by these
+
 
 # By the function of a phase or a problem: the old keyword of the row of its variables, and what it is now.
 PAIRS: Mapping[str, tuple[str, type[NamedValues]]] = {

@@ -152,7 +152,8 @@ class StatedFunction:
         wrong = f"{self.what} returns the wrong number of values"
         if values is None or isinstance(values, (str, bytes)) or not hasattr(values, "__len__"):
             got = "None: is there a return?" if values is None else f"one {type(values).__name__}"
-            raise PeriluneError(wrong, got=got, expected=self._wanted)
+            advice = "return a tuple, of a single value with a comma: return (value,)"
+            raise PeriluneError(wrong, got=got, expected=self._wanted, advice=advice)
         if len(values) != len(self.results):
             raise PeriluneError(wrong, got=str(len(values)), expected=self._wanted)
         if isinstance(values, np.ndarray) and values.dtype == object:  # which cannot hold a number beside many
@@ -176,7 +177,7 @@ class StatedFunction:
         return PeriluneError(
             f"{self.what} fails when it is tried",
             got=f"{type(error).__name__}: {error}",
-            expected=f"a function of ({', '.join(self.records)}, m) that returns {self._wanted}",
+            expected=f"a function of ({', '.join(self.records)}, xp) that returns {self._wanted}",
             advice="call it yourself with such values; it must compute with single values, using the functions of xp",
         )
 
