@@ -209,7 +209,7 @@ def test_a_problem_takes_its_results_and_a_row_of_names(landing: pl.Problem) -> 
         (lambda: pl.Conditions(place), ("names no value", "got: a function only", 'Conditions(function, alt')),
         (lambda: pl.Conditions(cast("Any", None), near="m"), ("the function of Conditions", "got: None", "a function")),
         (lambda: pl.Conditions(cast("Any", 3), near="m"), ("the function of Conditions", "got: 3", "a function")),
-        (lambda: hop(end=place), ("not the end of a phase", "got: function", "Conditions(function, ", "try: name")),
+        (lambda: hop(end=place), ("not the end of a phase", "got: function", "Conditions(func", "with_function(f)")),
         (lambda: hop(end=pl.Quantities(place, near="m")), ("not the end of a phase", "got: Quantities", "Conditions(")),
         (lambda: started(end=pl.Conditions(place, near="m")), ("end of hop returns the wrong", "got: 2", "1: near")),
         (lambda: started(end=pl.Conditions(place, near="m", far="s")), ("end of hop, far", "x.x in m", "s")),

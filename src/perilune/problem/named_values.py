@@ -80,7 +80,11 @@ class NamedValues:
 
 
 class Conditions(NamedValues):
-    """Conditions of a phase: ``Conditions(g, altitude="m", speed="m/s")``."""
+    """Conditions of a phase: ``Conditions(g, altitude="m", speed="m/s")``.
+
+    Name the values of the function in their order, each with its SI unit; a `Variable` with bounds or a scale comes
+    before these.
+    """
 
 
 class Quantities(NamedValues):
@@ -164,5 +168,8 @@ def require_named(values: Any, kind: type[NamedValues], what: str) -> None:
     """
     if values is not None and not isinstance(values, kind):
         raise wrong_type_error(
-            values, f'{kind.__name__}(function, altitude="m", ...)', what, "name each value with its unit"
+            values,
+            f'{kind.__name__}(function, altitude="m", ...)',
+            what,
+            "name each value with its unit; with_function(f) of the record before keeps its names",
         )
