@@ -32,4 +32,5 @@ def test_a_miss_that_becomes_less_is_not_stalled(late: int) -> None:
     plateau = [(1.1, 1e-4)] * 25 + [(1.1, 1.0)] * (late - 25) + [(0.5 * 0.9**k, 1e-4) for k in range(100)]
     assert ended(plateau) is None
     assert ended([(0.99**k, 1e-4) for k in range(150)]) is None
-    assert ended([(1e-5, 1e-4)] * 150) is None
+    assert ended([(5e-3, 1e-4)] * 150) is None
+    assert ended([(1.4, 3e-3), *[(55.0, 1e-4)] * 100]) is None

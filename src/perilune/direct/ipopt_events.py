@@ -18,8 +18,9 @@ from perilune.core.callbacks import sign_of_life
 
 _UNCHANGED = 30  # iterations in which the least miss has to become less
 _LESS = 0.98  # times the least before them
+_NEAR = 1.1  # times the least: what misses by more is on its way
 _FLIES = 1e-2  # canonical: what breaks the dynamics by less is nearly a flight
-_SURELY = 1e-4  # canonical, squared: a miss that is less may still become none
+_SURELY = 1e-2  # canonical, squared: a miss that is less may still become none
 
 
 class LeastMissProgress:
@@ -44,7 +45,7 @@ class LeastMissProgress:
         """
         flies, before = violation < _FLIES, self._least[-1] if self._least else math.inf
         self._least.append(min(before, miss) if flies else before)
-        if not flies or len(self._least) <= _UNCHANGED:
+        if not flies or len(self._least) <= _UNCHANGED or miss > _NEAR * self._least[-1]:
             return False
         return self._least[-1] > max(_SURELY, _LESS * self._least[-1 - _UNCHANGED])
 
