@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 
 import perilune as pl
-from matrix import QUICK_RETURNS, WAYS, text_of
+from matrix import QUICK_RETURNS, WAYS, cover, text_of
 from perilune.core.callbacks import ignore_events
+from perilune.direct.initialization import BRIEF, PATIENT, FirstMesh
+from perilune.direct.transcription import Run
 from perilune.methods.indirect.coarse_direct import Coarse
 from perilune.methods.indirect.newton_trials import Trials
 from perilune.methods.indirect.random_costates import active_set_of_guess
@@ -32,3 +34,16 @@ def test_pieces_that_miss_by_rounding_are_a_root() -> None:
     y = unknowns_from_solution(BANKED, trials.conditions, rough)
     root = trials.by_pieces(rough, y, active_set_of_guess(trials, y), 6, trials.others)
     assert root.converged and root.cost * BANKED.scales.mass == pytest.approx(rough.objective, rel=1e-6)
+
+
+def test_a_heat_load_is_lowered_in_short_steps() -> None:
+    """A burn with a throttle all the way down: two hundred of them, and 60 had been allowed."""
+    throttled = cover(WAYS["deorbit_entry"], pairs=False)[3]
+    assert throttled["minimise"] == "heat_load" and throttled["throttle"] == "stated"
+    problem = load_text(text_of(WAYS["deorbit_entry"].document(throttled)))
+    first = FirstMesh(Run(settings=pl.Pseudospectral(nodes=5, segments=8), problem=problem), None)
+    longer = next(start for start in first.starts() if start.name.endswith("x 1.6"))
+    nearest = first.run.attempt(longer.program, longer.free, longer.values, "nearest", nearest=True, most=PATIENT)
+    ((_, found),) = first.in_short_steps([(longer.program, nearest)])
+    assert found.converged and found.iterations > BRIEF
+    assert found.objective * problem.objective_size == pytest.approx(168.85e6, rel=1e-3)  # J/m^2, of the extremal

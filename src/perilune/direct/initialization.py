@@ -105,12 +105,14 @@ class FirstMesh:
         misses: list[tuple[TranscribedProgram, ProgramSolution]] = []
         vanished: list[tuple[TranscribedProgram, ProgramSolution]] = []
         stalled: list[tuple[TranscribedProgram, ProgramSolution]] = []
+        flights: list[tuple[TranscribedProgram, ProgramSolution]] = []
         for start in starts:
             nearest, found = self.from_least_miss(start)
             if found is not None:
                 tries.append((start.program, found))
                 if found.converged:
                     return tries[-1]
+                flights.append((start.program, nearest))
             elif nearest.converged and nearest.violation > MISSED and start.counts:
                 (vanished if self.vanished(nearest) else misses).append((start.program, nearest))
             elif nearest.stalled and start.counts:
@@ -122,7 +124,10 @@ class FirstMesh:
         self.all_missed = CONVINCED <= counted == ended and self.guess is None
         if len(misses) >= CONVINCED and len(tries) == 1:
             self.raise_least_violation(*min(misses, key=_violation), len(misses))
-        if not misses and not stalled:
+        tries += self.in_short_steps(flights)
+        if tries[-1][1].converged:
+            return tries[-1]
+        if not misses and (flights or not stalled):  # where a flight is known there is something to find
             # A start that leads nowhere spends all it is given: what one of them may take, all of them share.
             share = max(1, self.run.settings.iterations // len(starts))
             for start in starts:
@@ -158,6 +163,19 @@ class FirstMesh:
             name = "from there, with a small barrier"
             found = self.run.attempt(program, nearest.free, nearest.phases, name, most=BRIEF, close=True)
         return nearest, found
+
+    def in_short_steps(
+        self, flights: list[tuple[TranscribedProgram, ProgramSolution]]
+    ) -> Iterator[tuple[TranscribedProgram, ProgramSolution]]:
+        """Yield what J is lowered to with little barrier from flights that miss nothing, up to the first optimum.
+
+        The last resort of what is not found in a few steps: a heat load takes two hundred.
+        """
+        for program, nearest in flights:
+            found = self.run.attempt(program, nearest.free, nearest.phases, "from there, in short steps", close=True)
+            yield program, found
+            if found.converged:
+                return
 
     def starts(self) -> Iterator[Start]:
         """Yield the starts: the guess, or straight lines."""
