@@ -206,6 +206,7 @@ def test_a_problem_takes_its_results_and_a_row_of_names(landing: pl.Problem) -> 
         (lambda: pl.Conditions(place, near="km", far="m"), ("numbers are in SI: near", "the unit 'km'", "try: ")),
         (lambda: pl.Conditions(place, **{"two words": "m"}), ("Python identifier", "got: 'two words'")),
         (lambda: pl.Conditions(place, cast("Any", "near")), ("not a value of", "got: 'near'", 'function, near="m")')),
+        (lambda: pl.Conditions(), ("the function of Conditions", "got: None", "a function")),
         (lambda: pl.Conditions(place), ("names no value", "got: a function only", 'Conditions(function, alt')),
         (lambda: pl.Conditions(cast("Any", None), near="m"), ("the function of Conditions", "got: None", "a function")),
         (lambda: pl.Conditions(cast("Any", 3), near="m"), ("the function of Conditions", "got: 3", "a function")),

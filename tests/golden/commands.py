@@ -20,7 +20,7 @@ from perilune.cli import run_command_line
 #: Clocks and versions, by key; in texts, by the words about them.
 PASSING = {"wall_time", "processor_time", "latency", "versions"}
 _CLOCKS = re.compile(
-    r"(?<=iterations; )[\d.]+(?= s)|(?<=read from the atlas in )[\d.]+(?= ms)|(?<=CREATION_DATE = )\S+"
+    r"(?<=iterations; )[\d.]+(?= s)|(?<=answered from the atlas in )[\d.]+(?= ms)|(?<=CREATION_DATE = )\S+"
 )
 
 #: Quick ones, in order: some read what an earlier one wrote.

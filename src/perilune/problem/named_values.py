@@ -38,7 +38,7 @@ class NamedValues:
     function: Physics
     variables: tuple[Variable, ...]
 
-    def __init__(self, function: Physics, /, *variables: Variable, **units: str) -> None:
+    def __init__(self, function: Physics | None = None, /, *variables: Variable, **units: str) -> None:
         what = type(self).__name__
         if function is None:
             raise wrong_type_error(function, "a function", f"the function of {what}")
@@ -90,7 +90,7 @@ class Conditions(NamedValues):
 class Quantities(NamedValues):
     """Quantities that a phase or a problem computes: ``Quantities(o, altitude="m", pitch="rad")``."""
 
-    def __init__(self, function: Physics, /, *variables: Variable, **units: str) -> None:
+    def __init__(self, function: Physics | None = None, /, *variables: Variable, **units: str) -> None:
         super().__init__(function, *variables, **units)
         names = [variable.name for variable in self.variables]
         if again := next((name for i, name in enumerate(names) if name in names[:i]), None):
