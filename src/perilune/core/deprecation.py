@@ -110,7 +110,8 @@ class RenamedAttribute:
     """
 
     def __init__(self, new: str) -> None:
-        self.new = new
+        self.new: str = new
+        self.old: str = ""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.old = f"{owner.__name__}.{name}"

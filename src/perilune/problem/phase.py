@@ -6,7 +6,7 @@ from collections import namedtuple
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, get_args
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 
@@ -79,9 +79,9 @@ class Phase(ShownPhase):
     inertial: Physics | None = None
     track: Physics | None = None
     end_guess: Physics | None = None
-    marks = RenamedAttribute("end_outputs")
-    mark_variables = RenamedAttribute("end_output_variables")
-    typical_end = RenamedAttribute("end_guess")
+    marks: ClassVar[RenamedAttribute] = RenamedAttribute("end_outputs")
+    mark_variables: ClassVar[RenamedAttribute] = RenamedAttribute("end_output_variables")
+    typical_end: ClassVar[RenamedAttribute] = RenamedAttribute("end_guess")
 
     def __post_init__(self) -> None:
         require_row(self.controls, "controls", *get_args(Control))

@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any, get_args
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 
@@ -153,9 +153,9 @@ class Problem(ShownProblem, SimulatedProblem):
     views: Views = field(default_factory=Views)
     scales: Scales = field(default_factory=Scales)
     title: str = ""
-    ranges = RenamedAttribute("parameter_bounds")
-    bookkeeping = RenamedAttribute("consistency_checks")
-    rough_flight = RenamedAttribute("initial_guess")
+    ranges: ClassVar[RenamedAttribute] = RenamedAttribute("parameter_bounds")
+    bookkeeping: ClassVar[RenamedAttribute] = RenamedAttribute("consistency_checks")
+    rough_flight: ClassVar[RenamedAttribute] = RenamedAttribute("initial_guess")
 
     def __post_init__(self) -> None:
         check_parts(self)

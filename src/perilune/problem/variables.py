@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from perilune.core.deprecation import RenamedAttribute, renamed_keywords
 from perilune.core.errors import PeriluneError
@@ -151,7 +151,7 @@ class FreeParameter:
     lower: float = -math.inf
     upper: float = math.inf
     guess: float = 1.0
-    typical = RenamedAttribute("guess")
+    typical: ClassVar[RenamedAttribute] = RenamedAttribute("guess")
 
     def __post_init__(self) -> None:
         require_type(self.name, str, "the name of a free parameter")

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Statistics:
     wall_time: float = float("nan")
     history: tuple[Iteration, ...] = field(default=(), repr=False)
     from_file: bool = False
-    claimed = RenamedAttribute("from_file")
+    claimed: ClassVar[RenamedAttribute] = RenamedAttribute("from_file")
 
 
 @renamed_keywords(listed="unverified_extremals")
@@ -216,8 +216,8 @@ class Solution(ShownSolution):
         control = normalised(self.problem.phases[phase].controls, np.asarray(trajectory.control(t), dtype=float).T)
         return np.asarray(trajectory.state(t), dtype=float).T, control
 
-    flown = RenamedAttribute("evaluate")
-    listed = RenamedAttribute("unverified_extremals")
+    flown: ClassVar[RenamedAttribute] = RenamedAttribute("evaluate")
+    listed: ClassVar[RenamedAttribute] = RenamedAttribute("unverified_extremals")
 
     @check_call
     def outputs(self, phase: int, t: Vector) -> dict[str, Vector]:

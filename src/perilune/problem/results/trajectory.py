@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -96,7 +96,7 @@ class Curve(ShownCurve):
         )
         return out if np.ndim(t) else out[0]
 
-    extended = RenamedAttribute("extrapolate")
+    extended: ClassVar[RenamedAttribute] = RenamedAttribute("extrapolate")
 
 
 @check_call
