@@ -104,7 +104,6 @@ class FirstMesh:
         tries = [first]
         misses: list[tuple[TranscribedProgram, ProgramSolution]] = []
         vanished: list[tuple[TranscribedProgram, ProgramSolution]] = []
-        stalled: list[tuple[TranscribedProgram, ProgramSolution]] = []
         flights: list[tuple[TranscribedProgram, ProgramSolution]] = []
         for start in starts:
             nearest, found = self.from_least_miss(start)
@@ -115,26 +114,23 @@ class FirstMesh:
                 flights.append((start.program, nearest))
             elif nearest.converged and nearest.violation > MISSED and start.counts:
                 (vanished if self.vanished(nearest) else misses).append((start.program, nearest))
-            elif nearest.stalled and start.counts:
-                stalled.append((start.program, nearest))
         self.settled = bool(misses)
         # A single start may owe its miss to the mesh.
         counted = sum(start.counts for start in starts)
-        ended = len(misses) + len(vanished) + len(stalled)
-        self.all_missed = CONVINCED <= counted == ended and self.guess is None
+        self.all_missed = CONVINCED <= counted == len(misses) + len(vanished) and self.guess is None
         if len(misses) >= CONVINCED and len(tries) == 1:
             self.raise_least_violation(*min(misses, key=_violation), len(misses))
         tries += self.in_short_steps(flights)
         if tries[-1][1].converged:
             return tries[-1]
-        if not misses and (flights or not stalled):  # where a flight is known there is something to find
+        if not misses:
             # A start that leads nowhere spends all it is given: what one of them may take, all of them share.
             share = max(1, self.run.settings.iterations // len(starts))
             for start in starts:
                 tries.append((start.program, self.attempt(start, share)))
                 if tries[-1][1].converged:
                     return tries[-1]
-        self.fail(*min(misses or stalled or vanished or tries, key=_violation))
+        self.fail(*min(misses or vanished or tries, key=_violation))
 
     def attempt(self, start: Start, most: int | None = None, *, close: bool = False) -> ProgramSolution:
         """Solve a program from its start.

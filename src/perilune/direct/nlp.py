@@ -49,7 +49,7 @@ from perilune.problem.variables import Variable
 
 # State values up to which the dense search of our own is quicker than IPOPT, and iterations after which it is given up.
 MODERATE, PATIENCE = 160, 50
-SUCCESS, STALLED = "Solve_Succeeded", "Stalled"
+SUCCESS = "Solve_Succeeded"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,11 +82,6 @@ class ProgramSolution:
     def infeasible(self) -> bool:
         """Return True if the least violation near this start is not zero."""
         return self.status == "Infeasible_Problem_Detected"
-
-    @property
-    def stalled(self) -> bool:
-        """Return True if a search for the least miss ended as it gained nothing."""
-        return self.status == STALLED
 
     @property
     def converged(self) -> bool:
@@ -266,7 +261,6 @@ class _Solver:
     function: ca.Function
     alive: IterationCallback
     lock: Lock
-    nearest: bool = False
 
     def __call__(self, posed: PosedProgram, first: Vector) -> tuple[Optimum, str]:
         """Return the point that IPOPT reaches from the first values, and its status.
@@ -277,14 +271,14 @@ class _Solver:
             If the user stopped it.
         """
         with self.lock, rewrite_interrupt_messages():
-            self.alive.begin((posed.low, posed.high) if self.nearest else None)
+            self.alive.begin()
             out = self.function(
                 x0=first, p=posed.given, lbx=posed.lower, ubx=posed.upper, lbg=posed.low, ubg=posed.high
             )
             stats, raised = self.function.stats(), self.alive.raised
         if raised is not None:
             raise raised
-        status = STALLED if self.alive.stalled else str(stats["return_status"])
+        status = str(stats["return_status"])
         # Ctrl-C inside a derivative reaches IPOPT as a foreign exception.
         if status in ("User_Requested_Stop", "NonIpopt_Exception_Thrown"):
             raise KeyboardInterrupt
@@ -325,4 +319,4 @@ def _solver(
         "ipopt.honor_original_bounds": "yes",
         "ipopt.bound_relax_factor": 0.0,
     }
-    return _Solver(ca.nlpsol("transcription", "ipopt", program.value, options), alive, Lock(), nearest)
+    return _Solver(ca.nlpsol("transcription", "ipopt", program.value, options), alive, Lock())
