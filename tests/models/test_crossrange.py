@@ -11,13 +11,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import perilune as pl
-from matrix import WAYS, cover, text_of
 from perilune.core.errors import InfeasibleError
 from perilune.core.maths import NUMERIC
 from perilune.models.deorbit.ballistic_fall import terminal_speed
 from perilune.models.physics.crossrange import glide_limits
 from perilune.problem.presolve import preflight
-from perilune.scenario import load_file, load_text
+from perilune.scenario import load_file
 
 CAPSULE = Path(__file__).parents[2] / "examples" / "capsule_return.toml"
 FAR = ("site.longitude=-173 deg", "site.latitude=33.42 deg")
@@ -65,7 +64,9 @@ def test_no_entry_is_moved_further(lift: float) -> None:
     problem = load_file(CAPSULE, [f"vehicle.lift_to_drag={lift}"]).problem
     p, air = problem.parameters({}), problem.preflight.keywords["air"]  # type: ignore[union-attr]
     altitudes = np.linspace(p.site_altitude, p.interface_altitude, 101)
-    aside, behind = glide_limits(p, altitudes, np.array([terminal_speed(p, air, float(at)) for at in altitudes]))
+    aside, behind = glide_limits(
+        p, altitudes, np.array([terminal_speed(p, air, float(at)) for at in altitudes]), 7900.0
+    )
     degree, far, late = math.radians(1.0), list[float](), list[float]()
     for angle, banks in (
         (-1.5, (45.0,)), (-2.5, (45.0,)), (-4.0, (60.0,)), (-2.5, (0.0, 90.0)), (-2.5, (90.0, 0.0)),
@@ -85,11 +86,7 @@ def test_a_site_beside_what_lift_reaches_is_refused_at_once() -> None:
     found = {f.name: f for f in preflight(load_file(CAPSULE, ("site.longitude=-158 deg",)).problem)}
     assert found["distance of the site from the plane of the orbit"].verdict == "warning"
     assert all(f.passed for f in preflight(load_file(CAPSULE).problem))
-
-
-def test_the_matrix_has_a_return_that_no_lift_brings_to_its_site() -> None:
-    reversed_ = cover(WAYS["deorbit_entry"], pairs=False)[6]
-    assert reversed_["lift"] == "reversed" and reversed_["site"] == "place"
-    problem = load_text(text_of(WAYS["deorbit_entry"].document({**reversed_, "air": "us1976"})))
-    (found,) = (f for f in preflight(problem) if f.name.startswith("distance of the site"))
-    assert found.verdict == "impossible" and float(found.value) - float(found.limit) > 0.2
+    high = load_file(
+        CAPSULE, (*FAR, "vehicle.dry_mass=4000 kg")
+    ).problem  # its propellant could make it so fast that it skips out for hours
+    assert all(f.verdict != "impossible" for f in preflight(high) if f.name.startswith("distance of the site"))

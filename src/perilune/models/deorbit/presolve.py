@@ -78,6 +78,7 @@ _DEGREE = math.degrees(1.0)
 OFF_PLANE = math.radians(0.5)  # of oblateness and of what the air does
 _DAY = 86400.0  # s
 _LEVELS = 101  # altitudes, from the site to the interface
+_LOW_ORBIT = 1.1  # speeds at the interface over the circular one, below which a site aside is refused by a bound
 _ONE_TURN = 1.0  # of the orbit: a burn that lasts longer winds down
 _AHEAD = 3 * _DAY  # looked at for a pass that can be made
 _COMPARED_TO, _COMPARED_AT = 200e3, 401  # m, above which the Sun changes densities by more; altitudes
@@ -322,7 +323,12 @@ def _compare_plane_turn(p: Any, air: Air, angles: Physics, fallen: Fall, *, drif
         return (found,)
     altitudes = np.linspace(entry_end_altitude(p), p.interface_altitude, _LEVELS)
     steady = np.array([terminal_speed(p, air, float(altitude)) for altitude in altitudes])
-    aside, behind = glide_limits(p, altitudes, steady)
+    mu, gate, (low, high) = p.body_gravitational_parameter, p.body_radius + p.interface_altitude, apsis_radii(p)
+    swift = math.sqrt(2 * mu * high / (low * (low + high))) + total_velocity_change(p)  # at perigee
+    fastest = math.sqrt(swift * swift + max(2 * mu * (1 / gate - 1 / low), 0.0))
+    if fastest > _LOW_ORBIT * math.sqrt(mu / gate):  # what skips out goes round once more, for hours
+        return (found,)
+    aside, behind = glide_limits(p, altitudes, steady, fastest)
     away, turned = nearest_approach_to_plane(p, orbit, entry, glide=(LONGEST_ENTRY * fallen.time, behind))
     surely = compare(
         away, turned + aside, "the propellant can turn this plane and lift moves to the side", binding=True

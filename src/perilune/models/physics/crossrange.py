@@ -9,8 +9,8 @@ With lift = l drag, D the drag per mass, V the speed and u = V/V_c that of a cir
 where s is the sine of the steepest climb at V, and G = int g (-sin gamma) dt what gravity gives back. Falling no slower
 than steadily, this is no more than the integral of g/V_s over the altitude, V_s the speed of a steady fall there.
 
-*Side.* While the speed falls from V_c to V, from the interface downwards, path and heading turn by no more than
-int l D/V dt <= l (ln V_c/V + g h/V^2), which bounds the climb as well, and leads no further to the side than by itself.
+*Side.* While the speed falls from V_0 to V, from the interface downwards, path and heading turn by no more than
+int l D/V dt <= l (ln V_0/V + g h/V^2), which bounds the climb as well, and leads no further to the side than by itself.
 Later, at a speed v, it has turned by l (ln V/v + int g (-sin gamma)/v dt) more, which moves it by less than
 l (v ln V/v + G) T <= l (V/e + G) T. The least over V of the sum holds.
 
@@ -33,7 +33,7 @@ _SURELY = 1.2  # times what these equations say
 _SPEEDS = np.linspace(0.1, 0.9, 17)  # of the circular one
 
 
-def glide_limits(p: Any, altitudes: Vector, steady: Vector) -> tuple[float, float]:
+def glide_limits(p: Any, altitudes: Vector, steady: Vector, fastest: float) -> tuple[float, float]:
     """Return the most that an entry with lift moves to the side, and stays behind the orbit; angles [rad].
 
     Parameters
@@ -42,6 +42,8 @@ def glide_limits(p: Any, altitudes: Vector, steady: Vector) -> tuple[float, floa
         Parameters [SI], numbers all of them.
     altitudes, steady
         From the end of the entry to the interface [m], and speeds of a steady vertical fall there [m/s], (points,).
+    fastest
+        Largest speed V_0 at the interface [m/s].
     """
     lift, gate = p.vehicle_lift_to_drag, p.body_radius + p.interface_altitude
     pull = p.body_gravitational_parameter / (gate * gate)
@@ -53,7 +55,7 @@ def glide_limits(p: Any, altitudes: Vector, steady: Vector) -> tuple[float, floa
         return upwards / (pull * left)
 
     speed = _SPEEDS * circular
-    turned = np.log(1 / _SPEEDS) + pull * p.interface_altitude / speed**2
+    turned = np.log(max(fastest / circular, 1.0) / _SPEEDS) + pull * p.interface_altitude / speed**2
     climb = np.sin(np.minimum(lift * turned, 0.5 * math.pi))
     later = (speed / math.e + given_back) * lasts(speed, climb, 1 - _SPEEDS**2) / gate
     slow = lasts(circular, 0.0, 1.0)
