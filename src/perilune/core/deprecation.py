@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 
 from perilune.core.errors import PeriluneError
 
-Renamed = TypeVar("Renamed", bound=Callable[..., Any])
+Asked = TypeVar("Asked", bound=Callable[..., Any])
 
 
 def warn_renamed(old: str, new: str, depth: int = 1) -> None:
@@ -60,44 +60,52 @@ def renamed_names(module: str, new: Mapping[str, str]) -> Callable[[str], Any]:
     return attribute
 
 
-def renamed_keywords(**new: str) -> Callable[[Renamed], Renamed]:
+def renamed_keywords(**new: str) -> Callable[[Asked], Asked]:
     """Let a function, method or class take keywords by their old names too (``old="new"``).
 
     Where `dataclasses.replace` gives a field by its old name, and by its new one the value of before, the old name
     counts.
     """
 
-    def of(asked: Renamed) -> Renamed:
+    def by_new_names(called: str, keywords: dict[str, Any]) -> dict[str, Any]:
+        for old in [old for old in new if old in keywords]:
+            if new[old] in keywords and not _copies_records(sys._getframe(2)):
+                raise PeriluneError(
+                    f"{called} takes a value by one name only",
+                    got=f"{old}=..., {new[old]}=...",
+                    expected=f"{new[old]}=...",
+                    advice=f"leave {old} out; it is the old name of the same",
+                )
+            warn_renamed(f"{old}= of {called}", f"{new[old]}=", 2)
+            keywords[new[old]] = keywords.pop(old)
+        return keywords
+
+    return rewritten_keywords(by_new_names)
+
+
+def rewritten_keywords(rewrite: Callable[[str, dict[str, Any]], dict[str, Any]]) -> Callable[[Asked], Asked]:
+    """Let a function, method or class take keywords that are rewritten first.
+
+    Parameters
+    ----------
+    rewrite
+        Returns the keywords to call with, from the name of what is called and those given; may warn or refuse.
+    """
+
+    def of(asked: Asked) -> Asked:
         given: Any = asked
         function, called = given.__init__ if isinstance(given, type) else given, given.__name__
 
         @wraps(function)
         def call(*args: Any, **keywords: Any) -> Any:
-            if not new.keys().isdisjoint(keywords):
-                keywords = _with_new_keywords(called, new, keywords)
-            return function(*args, **keywords)
+            return function(*args, **rewrite(called, keywords))
 
         if not isinstance(given, type):
-            return cast("Renamed", call)
+            return cast("Asked", call)
         given.__init__ = call
         return asked
 
     return of
-
-
-def _with_new_keywords(name: str, new: Mapping[str, str], keywords: Mapping[str, Any]) -> dict[str, Any]:
-    found, replaced = dict(keywords), _copies_records(sys._getframe(2))
-    for old in [old for old in new if old in keywords]:
-        if new[old] in keywords and not replaced:
-            raise PeriluneError(
-                f"{name} takes a value by one name only",
-                got=f"{old}=..., {new[old]}=...",
-                expected=f"{new[old]}=...",
-                advice=f"leave {old} out; it is the old name of the same",
-            )
-        warn_renamed(f"{old}= of {name}", f"{new[old]}=", 2)
-        found[new[old]] = found.pop(old)
-    return found
 
 
 class RenamedAttribute:

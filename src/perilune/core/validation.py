@@ -333,6 +333,23 @@ def require_index(value: Any, count: int, what: str) -> None:
         raise wrong_type_error(value, f"its number, 0 to {count - 1}", what)
 
 
+def require_distinct(what: str, names: Sequence[str]) -> None:
+    """Refuse names of which two are alike.
+
+    Parameters
+    ----------
+    what, names
+        The quantities that are named, in the plural; their names.
+
+    Raises
+    ------
+    PeriluneError
+        For the first that comes again.
+    """
+    if again := next((name for i, name in enumerate(names) if name in names[:i]), None):
+        raise PeriluneError(f"two {what} are called {again}", expected="different names")
+
+
 def require_identifier(value: Any) -> None:
     """Refuse a name that could not follow a dot.
 

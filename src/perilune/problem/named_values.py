@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import wraps
-from typing import Any, Self, TypeVar, cast
+from typing import Any, Self
 
 from perilune.core.arrays import Physics
-from perilune.core.deprecation import warn_renamed
+from perilune.core.deprecation import Asked, rewritten_keywords, warn_renamed
 from perilune.core.errors import PeriluneError
-from perilune.core.validation import require_callable, wrong_type_error
+from perilune.core.validation import require_callable, require_distinct, wrong_type_error
 from perilune.problem.variables import Variable
-
-Paired = TypeVar("Paired", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -92,9 +89,7 @@ class Quantities(NamedValues):
 
     def __init__(self, function: Physics | None = None, /, *variables: Variable, **units: str) -> None:
         super().__init__(function, *variables, **units)
-        names = [variable.name for variable in self.variables]
-        if again := next((name for i, name in enumerate(names) if name in names[:i]), None):
-            raise PeriluneError(f"two quantities are called {again}", expected="different names")  # found by these
+        require_distinct("quantities", [variable.name for variable in self.variables])  # they are found by their names
 
 
 # By the function of a phase or a problem: the old keyword of the row of its variables, and what it is now.
@@ -114,7 +109,7 @@ def named_variables(values: NamedValues | None) -> tuple[Variable, ...]:
     return () if values is None else values.variables
 
 
-def accept_pairs(*functions: str) -> Callable[[Paired], Paired]:
+def accept_pairs(*functions: str) -> Callable[[Asked], Asked]:
     """Let a class or method take a function and the row of its variables by two keywords, as before `NamedValues`.
 
     Parameters
@@ -123,26 +118,16 @@ def accept_pairs(*functions: str) -> Callable[[Paired], Paired]:
         The fields, of `PAIRS`.
     """
 
-    def of(asked: Paired) -> Paired:
-        given: Any = asked
-        function = given.__init__ if isinstance(given, type) else given
+    def joined(called: str, keywords: dict[str, Any]) -> dict[str, Any]:
+        if old := [name for name in functions if PAIRS[name][0] in keywords]:
+            for name in old:
+                row, made = PAIRS[name]
+                keywords[name] = made.of(keywords.get(name), _row(keywords.pop(row), row))
+            row, made = PAIRS[old[0]]
+            warn_renamed(f"{row}= of {called}", f'{old[0]}={made.__name__}(function, name="unit")', 3)
+        return keywords
 
-        @wraps(function)
-        def call(*args: Any, **keywords: Any) -> Any:
-            if old := [name for name in functions if PAIRS[name][0] in keywords]:
-                for name in old:
-                    row, made = PAIRS[name]
-                    keywords[name] = made.of(keywords.get(name), _row(keywords.pop(row), row))
-                row, made = PAIRS[old[0]]
-                warn_renamed(f"{row}= of {given.__name__}", f'{old[0]}={made.__name__}(function, name="unit")', 2)
-            return function(*args, **keywords)
-
-        if not isinstance(given, type):
-            return cast("Paired", call)
-        given.__init__ = call
-        return asked
-
-    return of
+    return rewritten_keywords(joined)
 
 
 def _row(variables: Any, name: str) -> Any:

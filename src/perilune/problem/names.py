@@ -6,11 +6,11 @@ would replace it, or be lost.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from perilune.core.errors import PeriluneError
-from perilune.core.validation import require_identifier, wrong_type_error
+from perilune.core.validation import require_distinct, require_identifier, wrong_type_error
 from perilune.problem.phase import Phase
 
 _OWN = {"time": "the time since the phase began", "phase": "the phase of a row", "H": "the Hamiltonian"}
@@ -34,18 +34,13 @@ def check_names(problem: Any) -> None:
     for phase in problem.phases:
         require_identifier(phase.name.replace("-", "_") if isinstance(phase.name, str) else phase.name)
         for kind, names in (("state", phase.state_names), ("control", phase.control_names)):
-            _check_distinct(f"{kind}s of the phase {phase.name}", names)
+            require_distinct(f"{kind}s of the phase {phase.name}", names)
             for name in names:
                 require_identifier(name)
         _check_columns(phase)
-    _check_distinct("phases", [phase.name for phase in problem.phases])
-    _check_distinct("free parameters", problem.free_names)
+    require_distinct("phases", [phase.name for phase in problem.phases])
+    require_distinct("free parameters", problem.free_names)
     _check_units(problem.phases)
-
-
-def _check_distinct(what: str, names: Sequence[str]) -> None:
-    if again := next((name for i, name in enumerate(names) if name in names[:i]), None):
-        raise PeriluneError(f"two {what} are called {again}", expected="different names")
 
 
 def _check_columns(phase: Phase) -> None:

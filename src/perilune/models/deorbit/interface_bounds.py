@@ -60,7 +60,7 @@ def interface_speeds(p: Any, xp: Any) -> tuple[Any, Any]:
         Parameters [SI] and maths namespace.
     """
     gate, change = gate_radius(p), total_velocity_change(p, xp)
-    speed, turning = _orbital_speed_at(p, xp, gate), p.body_rotation_rate * gate
+    speed, turning = orbital_speed_at(p, xp, gate), p.body_rotation_rate * gate
     # The body turns below the plane of the orbit, which the velocity change tilts.
     beside, size = speed - turning * xp.cos(p.orbit_inclination), xp.fabs(turning)
     tilt = size * (xp.fmin(largest_plane_turn(p, change, xp), 2.0) + size / speed) + _TILTS * xp.fabs(p.body_j2) * speed
@@ -83,7 +83,7 @@ def steepest_angle(p: Any, xp: Any) -> Any:
         gate_radius(p) - oblateness_height_shift(p, xp),
         total_velocity_change(p, xp),
     )
-    speed = _orbital_speed_at(p, xp, gate)
+    speed = orbital_speed_at(p, xp, gate)
     flat = xp.log(speed * gate / xp.sqrt(2 * mu * low * high / (low + high)))  # -ln c
     step = change / _STEPS
     for k in range(1, _STEPS + 1):
@@ -126,7 +126,15 @@ def largest_altitude_change(p: Any, xp: Any, change: Any) -> Any:
     return _SURELY * straight * (1 + lasts * xp.sqrt(p.body_gravitational_parameter / (low * low * low)))
 
 
-def _orbital_speed_at(p: Any, xp: Any, gate: Any) -> Any:
-    """Inertial speed [m/s] of the orbit's energy at a distance."""
+def orbital_speed_at(p: Any, xp: Any, gate: Any) -> Any:
+    """Return the inertial speed [m/s] of the orbit's energy at a distance.
+
+    Parameters
+    ----------
+    p, xp
+        Parameters [SI] and maths namespace.
+    gate
+        Distance from the centre [m].
+    """
     low, high = apsis_radii(p)
     return xp.sqrt(2 * p.body_gravitational_parameter * (1 / gate - 1 / (low + high)))

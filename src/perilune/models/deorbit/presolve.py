@@ -47,9 +47,11 @@ from perilune.models.deorbit.ballistic_fall import (
 from perilune.models.deorbit.ballistic_limits import compare_least_loads
 from perilune.models.deorbit.duration_ranges import LONGEST_ENTRY
 from perilune.models.deorbit.interface_bounds import (
+    gate_radius,
     interface_speeds,
     largest_altitude_change,
     oblateness_height_shift,
+    orbital_speed_at,
     steepest_angle,
 )
 from perilune.models.deorbit.orbit import orbit_state
@@ -323,10 +325,11 @@ def _compare_plane_turn(p: Any, air: Air, angles: Physics, fallen: Fall, *, drif
         return (found,)
     altitudes = np.linspace(entry_end_altitude(p), p.interface_altitude, _LEVELS)
     steady = np.array([terminal_speed(p, air, float(altitude)) for altitude in altitudes])
-    mu, gate, (low, high) = p.body_gravitational_parameter, p.body_radius + p.interface_altitude, apsis_radii(p)
-    swift = math.sqrt(2 * mu * high / (low * (low + high))) + total_velocity_change(p)  # at perigee
-    fastest = math.sqrt(swift * swift + max(2 * mu * (1 / gate - 1 / low), 0.0))
-    if fastest > _LOW_ORBIT * math.sqrt(mu / gate):  # what skips out goes round once more, for hours
+    gate = gate_radius(p)
+    fastest = float(orbital_speed_at(p, NUMERIC, gate) + total_velocity_change(p))
+    if fastest > _LOW_ORBIT * math.sqrt(
+        p.body_gravitational_parameter / gate
+    ):  # what skips out goes round once more, for hours
         return (found,)
     aside, behind = glide_limits(p, altitudes, steady, fastest)
     away, turned = nearest_approach_to_plane(p, orbit, entry, glide=(LONGEST_ENTRY * fallen.time, behind))
