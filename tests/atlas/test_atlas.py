@@ -31,14 +31,8 @@ from hypothesis import given, settings, strategies as st
 import perilune as pl
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, Holds
-from perilune.atlas.branches.schema import cell_type, node_type
 from perilune.atlas.building import build as building
 from perilune.atlas.building.verify import verify_atlas
-from perilune.atlas.evaluate import polish
-from perilune.atlas.evaluate.midpoint_march import extrapolated_step
-from perilune.atlas.evaluate.reintegrate import ChartReintegration
 from perilune.atlas.hermite import binary_digits, interpolated
 from perilune.atlas.query.batch_answers import Answered
 from perilune.atlas.query.query import Atlas, open_atlas
@@ -47,8 +41,14 @@ from perilune.atlas.region import region_of
 from perilune.atlas.store.cells import WHOLE, Status
 from perilune.atlas.store.checksums import with_checksum
 from perilune.atlas.store.manifest import written_line
+from perilune.atlas.store.schema import cell_type, node_type
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.atlas.survey.neighbour_seeds import Key, seeds_for_neighbours
+from perilune.charts import polish
+from perilune.charts.chart import Chart, Holds
+from perilune.charts.midpoint_march import extrapolated_step
+from perilune.charts.reintegrate import ChartReintegration
+from perilune.charts.sheet import Sheet
 from perilune.cli import run_command_line
 from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
 from perilune.io.presolve_json import comparisons_document, read_comparisons, same_comparisons

@@ -21,7 +21,6 @@ import pytest
 
 from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, read_json, snapshot
-from perilune.atlas.branches.schema import cell_type
 from perilune.atlas.building import build as building, extend as extending, merge as merging
 from perilune.atlas.building.audit import covered_share
 from perilune.atlas.building.extend import extend
@@ -32,6 +31,7 @@ from perilune.atlas.query.batch_answers import Answered
 from perilune.atlas.query.query import open_atlas
 from perilune.atlas.store.cells import Status
 from perilune.atlas.store.manifest import is_cut_off, read_line, written_line
+from perilune.atlas.store.schema import cell_type
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
 from perilune.cli import run_command_line
 from perilune.core.errors import NotConvergedError, PeriluneError

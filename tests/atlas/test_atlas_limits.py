@@ -12,13 +12,13 @@ import pytest
 
 import perilune as pl
 from perilune import PeriluneError
-from perilune.atlas.branches.arc_sequence import ArcSequence
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, Holds
 from perilune.atlas.building import build as building
 from perilune.atlas.building.extend import extend
 from perilune.atlas.query.query import open_atlas
+from perilune.charts.arc_sequence import ArcSequence
+from perilune.charts.borders import Borders
+from perilune.charts.chart import Chart, Holds
+from perilune.charts.sheet import Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.models.landing.problem import Orbit, hybrid_landing
 from perilune.models.physics.bodies import MOON

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import perilune as pl
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.chart import Chart
-from perilune.atlas.query.presolve import point_feasibility
+from perilune.charts.borders import Borders
+from perilune.charts.chart import Chart
+from perilune.charts.feasibility import point_feasibility
 from perilune.problem.presolve import Finding, is_possible, preflight
 from perilune.scenario import load_file
 

@@ -15,17 +15,17 @@ import pytest
 
 import perilune as pl
 from perilune import Indirect, Problem, Scales
-from perilune.atlas.branches.arc_sequence import PLAIN, arc_sequence_of
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, Holds
 from perilune.atlas.building import build as building
 from perilune.atlas.building.tasks import Task, compute_brick
-from perilune.atlas.evaluate.midpoint_march import _admissible_controls
-from perilune.atlas.evaluate.reintegrate import SLACK, ChartReintegration
 from perilune.atlas.query.query import open_atlas
 from perilune.atlas.survey.initial_solves import RegionSolver
 from perilune.atlas.survey.survey import _has_negative_arc
+from perilune.charts.arc_sequence import PLAIN, arc_sequence_of
+from perilune.charts.borders import Borders
+from perilune.charts.chart import Chart, Holds
+from perilune.charts.midpoint_march import _admissible_controls
+from perilune.charts.reintegrate import SLACK, ChartReintegration
+from perilune.charts.sheet import Sheet
 from perilune.core.arrays import Matrix
 from perilune.core.callbacks import ignore_events
 from perilune.core.errors import PeriluneError

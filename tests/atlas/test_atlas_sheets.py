@@ -12,10 +12,6 @@ import numpy as np
 import pytest
 
 from cho import cho_landing
-from perilune.atlas.branches.arc_sequence import ArcSequence
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart
 from perilune.atlas.building import build as building
 from perilune.atlas.building.tasks import Task, compute_brick
 from perilune.atlas.query.batch_answers import Answered
@@ -27,6 +23,10 @@ from perilune.atlas.survey.folds import around_folds
 from perilune.atlas.survey.initial_solves import RegionSolver
 from perilune.atlas.survey.survey import Survey
 from perilune.atlas.survey.surveyed_chart import SurveyedChart
+from perilune.charts.arc_sequence import ArcSequence
+from perilune.charts.borders import Borders
+from perilune.charts.chart import Chart
+from perilune.charts.sheet import Sheet
 from perilune.core.callbacks import ignore_events
 from perilune.methods.indirect.indirect import Indirect
 from perilune.problem.results.extremal import Nature

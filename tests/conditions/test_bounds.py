@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perilune.atlas.query.presolve import point_feasibility
+from perilune.charts.feasibility import point_feasibility
 from perilune.conditions.canonical_equations import extremal_parameters
 from perilune.conditions.pontryagin import derive
 from perilune.core.errors import NotConvergedError, Outcome, PeriluneError

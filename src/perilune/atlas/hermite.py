@@ -11,14 +11,18 @@ applications to partial differential equations*, Numer. Math. 11 (1968) 232-256.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from perilune.charts import Chart, Extremals, Holds
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import Map, compile_map
+
+_BESIDE = 1e-4  # of the range of a parameter: where its mixed derivatives are taken; errors are of its square
 
 
 @lru_cache(maxsize=8)
@@ -113,3 +117,40 @@ def scaled_third_derivatives(terms: NDArray[np.float64], size: Matrix) -> NDArra
         slopes = terms[:, low, 1 << axis] + terms[:, high, 1 << axis]
         found[:, axis] = np.abs(12.0 * jump + 6.0 * size[:, axis, None, None] * slopes).max(axis=1)
     return found
+
+
+def corner_terms(chart: Chart, found: Extremals, holds: Callable[[Matrix], Holds]) -> NDArray[np.float64]:
+    """Return y and J of extremals with their terms, (lanes, 2^d, n + 1).
+
+    Parameters
+    ----------
+    chart
+        Chart of the extremals.
+    found
+        Extremals whose mixed derivatives are differences of slopes near them.
+    holds
+        Returns the parameters held in addition at values of the parameters, canonical, (lanes 2^(d-1), d).
+    """
+    lanes, d = found.values.shape
+    n = found.y.shape[1]
+    out = np.zeros((lanes, 2**d, n + 1))
+    out[:, 0, :n], out[:, 0, n] = found.y, found.cost
+    slopes = np.concatenate([found.slopes, found.cost_slopes[:, :, None]], axis=2)
+    for i in range(d):
+        out[:, 1 << i] = slopes[:, i]
+    if d == 1:
+        return out
+    # Slopes at all points a little off along the axes but the first give every mixed derivative.
+    beside, step = np.hstack([np.zeros((2 ** (d - 1), 1)), 2.0 * binary_digits(d - 1) - 1.0]), _BESIDE * chart.widths
+    values = found.values[:, None] + step * beside
+    y = found.y[:, None] + np.einsum("ki,lin->lkn", step * beside, found.slopes)
+    values = values.reshape(-1, d)
+    near = chart.at(values, y.reshape(-1, n), holds(values))
+    slopes = np.concatenate([near.slopes, near.cost_slopes[:, :, None]], axis=2).reshape(lanes, len(beside), d, n + 1)
+    for term in range(3, 2**d):
+        axes = np.nonzero(binary_digits(d)[term])[0]
+        if len(axes) > 1:
+            first, others = axes[0], axes[1:]
+            signs = beside[:, others].prod(axis=1) / len(beside) / step[others].prod()
+            out[:, term] = np.einsum("k,lkn->ln", signs, slopes[:, :, first])
+    return out

@@ -19,14 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.schema import cell_type, node_type, sheets_of
-from perilune.atlas.evaluate.reintegrate import SLACK
 from perilune.atlas.query.answer import Mapped
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.query.reader import SERVING, AtlasReader, are_possible_answers
 from perilune.atlas.store.cells import WHOLE
+from perilune.atlas.store.schema import cell_type, node_type, sheets_of
 from perilune.atlas.store.store import PATIENCE, AtlasStore
+from perilune.charts import SLACK, Sheet
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.errors import NotConvergedError, PeriluneError
 from perilune.core.validation import wrong_type_error

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.schema import COMPARISONS, MOST_NOTES, RANGES, brick_name, header_axes, survey_region
 from perilune.atlas.building.audit import draw_sample, numbers_of_thin_nodes, refuse_nowhere, require_count
 from perilune.atlas.building.tasks import Task, compile_for_bricks, compute_brick, first_tasks, tasks_going_on
 from perilune.atlas.region import Region, refuse_moving_ranges, region_of
 from perilune.atlas.store.checksums import digest_of, end_line
 from perilune.atlas.store.manifest import damage_text
+from perilune.atlas.store.schema import COMPARISONS, MOST_NOTES, RANGES, brick_name, header_axes, survey_region
 from perilune.atlas.store.store import MANIFEST, PATIENCE, AtlasStore, clear_atlas
 from perilune.atlas.survey.neighbour_seeds import Key
 from perilune.atlas.survey.survey import Survey

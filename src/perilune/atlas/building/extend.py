@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.arc_sequence import arc_sequence_from
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart
-from perilune.atlas.branches.continuation import Corners, continue_between_corners, corners_reached
-from perilune.atlas.branches.schema import (
+from perilune.atlas.building.audit import draw_sample, refuse_nowhere, require_count
+from perilune.atlas.building.build import complete_atlas
+from perilune.atlas.region import Region, refuse_untaken, wider
+from perilune.atlas.store.cells import same_unknowns
+from perilune.atlas.store.checksums import digest_of
+from perilune.atlas.store.manifest import damage_text
+from perilune.atlas.store.schema import (
     MOST_NOTES,
     RANGES,
     header_problem,
@@ -32,15 +33,11 @@ from perilune.atlas.branches.schema import (
     survey_region,
     widths_of,
 )
-from perilune.atlas.building.audit import draw_sample, refuse_nowhere, require_count
-from perilune.atlas.building.build import complete_atlas
-from perilune.atlas.region import Region, refuse_untaken, wider
-from perilune.atlas.store.cells import same_unknowns
-from perilune.atlas.store.checksums import digest_of
-from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
+from perilune.atlas.survey.continuation import Corners, continue_between_corners, corners_reached
 from perilune.atlas.survey.survey import Survey
 from perilune.atlas.survey.surveyed_chart import InteriorSeed, SurveyedChart, chart_entry, seed_rows
+from perilune.charts import Borders, Chart, Sheet, arc_sequence_from
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import PeriluneError

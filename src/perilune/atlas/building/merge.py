@@ -18,7 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.schema import (
+from perilune.atlas.building.audit import LEVEL
+from perilune.atlas.region import Axis, Region
+from perilune.atlas.store.checksums import digest_of, end_line, seal_of
+from perilune.atlas.store.manifest import damage_text
+from perilune.atlas.store.schema import (
     MOST_NOTES,
     brick_name,
     cell_type,
@@ -31,10 +35,6 @@ from perilune.atlas.branches.schema import (
     survey_region,
     widths_of,
 )
-from perilune.atlas.building.audit import LEVEL
-from perilune.atlas.region import Axis, Region
-from perilune.atlas.store.checksums import digest_of, end_line, seal_of
-from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.store import HEADER, AtlasStore, clear_atlas
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.deprecation import renamed_keywords

@@ -13,20 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.arc_sequence import ArcSequence, arc_sequence_from
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart
-from perilune.atlas.branches.schema import cell_type, node_type, places_of, seed_type, sheets_of, widths_of
-from perilune.atlas.evaluate.reintegrate import ChartReintegration
 from perilune.atlas.grid.cell_subdivision import BrickSubdivision
 from perilune.atlas.grid.nodes import Lattice
 from perilune.atlas.hermite import binary_digits
 from perilune.atlas.region import Region
 from perilune.atlas.store.cell_coverage import ANSWERING, covered_by_branches
 from perilune.atlas.store.cells import WHOLE, Cells, Cut, Nodes, leaves_of, select_cells
+from perilune.atlas.store.schema import cell_type, node_type, places_of, seed_type, sheets_of, widths_of
 from perilune.atlas.store.store import AtlasStore
 from perilune.atlas.survey.neighbour_seeds import Key, Shards, seeds_for_neighbours
+from perilune.charts import ArcSequence, Borders, Chart, ChartReintegration, Sheet, arc_sequence_from
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.problem.problem import Problem

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perilune.atlas.branches.schema import cell_type, node_type, seed_type
 from perilune.atlas.building.audit import (
     Refused,
     assured_share,
@@ -21,6 +20,7 @@ from perilune.atlas.building.audit import (
 )
 from perilune.atlas.query.query import Atlas
 from perilune.atlas.query.reader import are_possible_answers
+from perilune.atlas.store.schema import cell_type, node_type, seed_type
 from perilune.atlas.store.store import MANIFEST
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.deprecation import renamed_keywords

@@ -15,12 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, Extremals
 from perilune.atlas.grid.nodes import Lattice
 from perilune.atlas.hermite import binary_digits
 from perilune.atlas.store.cells import Cells, Status, Whole
+from perilune.charts import Borders, Chart, Extremals, Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.problem.results.extremal import Nature
 

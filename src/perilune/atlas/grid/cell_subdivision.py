@@ -21,7 +21,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.evaluate.reintegrate import SLACK
 from perilune.atlas.grid.bound_crossing import Crossings
 from perilune.atlas.grid.nodes import FINEST, Lattice, accept_cells, path_amid
 from perilune.atlas.hermite import binary_digits
@@ -48,6 +47,7 @@ from perilune.atlas.store.cells import (
     select_cells,
     shortest_ending_edge,
 )
+from perilune.charts import SLACK
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch, ignore_events
 

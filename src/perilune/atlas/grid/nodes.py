@@ -14,14 +14,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, Extremals, Holds
-from perilune.atlas.branches.continuation import follow_sheets
-from perilune.atlas.evaluate.reintegrate import ChartReintegration
-from perilune.atlas.hermite import binary_digits, interpolated, scaled_third_derivatives
+from perilune.atlas.hermite import binary_digits, corner_terms, interpolated, scaled_third_derivatives
 from perilune.atlas.store.cell_coverage import Extremal, found_in_branches
 from perilune.atlas.store.cells import WHOLE, Cells, Cut, Nodes, Whole, select_cells
+from perilune.atlas.survey.continuation import follow_sheets
+from perilune.charts import Borders, Chart, ChartReintegration, Extremals, Holds, Sheet
 from perilune.core.arrays import Matrix, Vector
 
 _SEEN = ("residual", "path", "minimum", "drift")  # of independent re-integrations: columns of nodes
@@ -271,12 +268,18 @@ class Lattice:
         here, branch, places = found.of(np.nonzero(good)[0]), branch[good], places[good]
         flown = self.reflights.finer(here.roots.y, self.chart.p[None], here.roots.choice)
         seen = flown.margins
+
+        def held(values: Matrix) -> Holds:
+            return self.borders.holds(self.sheets, branch.repeat(len(values) // len(branch)), values)
+
         self.nodes.add(
             self.keys(branch, places),
             branch=branch,
             place=places,
-            terms=self.chart.terms(
-                here, lambda values: self.borders.holds(self.sheets, branch.repeat(len(values) // len(branch)), values)
+            terms=corner_terms(
+                self.chart,
+                here,
+                lambda values: self.borders.holds(self.sheets, branch.repeat(len(values) // len(branch)), values),
             ),
             margin=np.minimum(self.borders.margins_of(self.sheets, branch, here), seen.least_multiplier),
             length=here.length,

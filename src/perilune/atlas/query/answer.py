@@ -26,9 +26,9 @@ class Query:
     steps
         Of Newton's method.
     error_bound
-        How far the unknowns can be from those of the extremal, relative; see `perilune.atlas.evaluate.polish`.
+        How far the unknowns can be from those of the extremal, relative; see `perilune.charts.polish`.
     residual, path, minimum, drift
-        What the independent re-integration shows (`perilune.atlas.evaluate.reintegrate.ReintegratedExtremals`),
+        What the independent re-integration shows (`perilune.charts.reintegrate.ReintegratedExtremals`),
         canonical.
     inherited
         Level that all answers at nodes reached which were drawn for a proof of this atlas; 0 where none was.

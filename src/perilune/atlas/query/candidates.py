@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.continuation import Lanes
-from perilune.atlas.evaluate.open_chart import OpenChart
-from perilune.atlas.evaluate.polish import Polished
-from perilune.atlas.evaluate.reintegrate import SLACK
+from perilune.atlas.query.open_chart import OpenChart
+from perilune.atlas.survey.continuation import Lanes
+from perilune.charts import SLACK, Polished
 from perilune.core.arrays import Vector
 
 _HERE = np.zeros(1, dtype=np.int64)  # one point is one lane

@@ -12,11 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.bound_status import SLACK
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart
-from perilune.atlas.branches.continuation import MOST
+from perilune.atlas.survey.continuation import MOST
+from perilune.charts import SLACK, Borders, Chart, Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.problem.results.extremal import Nature
 

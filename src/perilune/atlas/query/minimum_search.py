@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.continuation import Lanes
-from perilune.atlas.evaluate.open_chart import OpenChart
-from perilune.atlas.evaluate.reintegrate import SLACK
 from perilune.atlas.query.keeping import correct_active_set
+from perilune.atlas.query.open_chart import OpenChart
+from perilune.atlas.survey.continuation import Lanes
 from perilune.atlas.survey.other_minima import BARE, Bounds, HeldFamilies
+from perilune.charts import SLACK, Borders
 from perilune.core.arrays import Matrix, Vector
 
 _STEPS = 16  # of a way from bound to bound

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from perilune.atlas.evaluate.midpoint_march import MarchedMargins
 from perilune.atlas.query.answer import Mapped, Query
 from perilune.atlas.query.batch import answer_points
 from perilune.atlas.query.batch_answers import Answers, clearly_worse, equal_cost
@@ -23,6 +22,7 @@ from perilune.atlas.query.candidates import Candidate, candidates_in_doubt, domi
 from perilune.atlas.query.minimum_search import KnownExtremals
 from perilune.atlas.query.reader import SERVING, AtlasReader, are_possible_answers
 from perilune.atlas.store.cells import WHOLE, Status
+from perilune.charts import MarchedMargins
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import NotConvergedError, PeriluneError, unknown_name
 from perilune.core.fields import parameter_name

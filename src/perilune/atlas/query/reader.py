@@ -12,8 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.schema import (
+from perilune.atlas.hermite import interpolated_at
+from perilune.atlas.query.minimum_search import MinimumSearch
+from perilune.atlas.query.open_chart import OpenChart
+from perilune.atlas.region import Region
+from perilune.atlas.store.cells import WHOLE, Status, halved_at, leaves
+from perilune.atlas.store.manifest import damage_text
+from perilune.atlas.store.schema import (
     cell_type,
     header_problem,
     header_region,
@@ -22,15 +27,8 @@ from perilune.atlas.branches.schema import (
     seeded_places,
     survey_region,
 )
-from perilune.atlas.evaluate.open_chart import OpenChart
-from perilune.atlas.evaluate.reintegrate import SLACK
-from perilune.atlas.hermite import interpolated_at
-from perilune.atlas.query.minimum_search import MinimumSearch
-from perilune.atlas.query.presolve import Allowed, point_feasibility
-from perilune.atlas.region import Region
-from perilune.atlas.store.cells import WHOLE, Status, halved_at, leaves
-from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
+from perilune.charts import SLACK, Allowed, Sheet, point_feasibility
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import check_call, require_numbers, wrong_type_error

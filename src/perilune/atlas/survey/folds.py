@@ -18,11 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart
-from perilune.atlas.evaluate.open_chart import OpenChart
+from perilune.atlas.query.open_chart import OpenChart
 from perilune.atlas.region import Region
+from perilune.charts import Borders, Chart, Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import PeriluneError
 from perilune.methods import ExtremalRoot

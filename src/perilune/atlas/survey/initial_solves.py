@@ -17,12 +17,11 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.arc_sequence import ArcSequence, arc_sequence_of
-from perilune.atlas.branches.chart import Chart
-from perilune.atlas.evaluate.open_chart import OpenChart
+from perilune.atlas.query.open_chart import OpenChart
 from perilune.atlas.region import Region
 from perilune.atlas.store.cells import same_unknowns
 from perilune.atlas.survey.other_minima import HeldFamilies
+from perilune.charts import ArcSequence, Chart, arc_sequence_of
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.core.errors import PeriluneError

@@ -10,12 +10,9 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, Holds
-from perilune.atlas.branches.continuation import MOST, Lanes, StraightContinuation, line_places
-from perilune.atlas.evaluate.open_chart import OpenChart
-from perilune.atlas.evaluate.reintegrate import SLACK
+from perilune.atlas.query.open_chart import OpenChart
+from perilune.atlas.survey.continuation import MOST, Lanes, StraightContinuation, line_places
+from perilune.charts import SLACK, Borders, Chart, Holds, Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.methods import SIGNED
 from perilune.problem.results.extremal import Nature

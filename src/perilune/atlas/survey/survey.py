@@ -13,11 +13,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from perilune.atlas.branches.arc_sequence import ArcSequence
-from perilune.atlas.branches.borders import Borders, held_at
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, Extremals
-from perilune.atlas.branches.continuation import (
+from perilune.atlas.region import Region
+from perilune.atlas.store.cells import WHOLE, same_unknowns
+from perilune.atlas.survey.continuation import (
     MOST,
     continue_between_corners,
     continue_sheet_to,
@@ -25,9 +23,6 @@ from perilune.atlas.branches.continuation import (
     follow_sheets,
     walks_from_one_extremal,
 )
-from perilune.atlas.evaluate.reintegrate import ChartReintegration
-from perilune.atlas.region import Region
-from perilune.atlas.store.cells import WHOLE, same_unknowns
 from perilune.atlas.survey.folds import around_folds, classify_behind_folds
 from perilune.atlas.survey.initial_solves import RegionSolver, SolvedPoint, scanned_names, scanned_points
 from perilune.atlas.survey.other_minima import minima_around, other_minima
@@ -39,6 +34,7 @@ from perilune.atlas.survey.surveyed_chart import (
     with_expected_branches,
     with_minimum_found,
 )
+from perilune.charts import ArcSequence, Borders, Chart, ChartReintegration, Extremals, Sheet, held_at
 from perilune.conditions import attainable_conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart
-from perilune.atlas.branches.schema import seed_type
 from perilune.atlas.grid.bound_crossing import continuing_sheets
 from perilune.atlas.store.cells import same_unknowns
+from perilune.atlas.store.schema import seed_type
+from perilune.charts import Borders, Chart, Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.problem.results.extremal import Nature
 
@@ -30,7 +28,7 @@ class SurveyedChart:
         Unknowns of each at the corners of blocks, NaN where it does not reach, (branches, corners, n).
     times
         Multiples of steps in their independent re-integrations
-        (`perilune.atlas.evaluate.reintegrate.ChartReintegration`).
+        (`perilune.charts.reintegrate.ChartReintegration`).
     widths
         Widths of the `Chart` [SI].
     small

@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.bound_status import SLACK, BoundStatus
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, Extremals, Holds
+from perilune.charts.bound_status import SLACK, BoundStatus
+from perilune.charts.chart import Chart, Extremals, Holds
+from perilune.charts.sheet import Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import PeriluneError
 from perilune.core.maths import NUMERIC

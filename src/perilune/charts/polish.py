@@ -1,7 +1,7 @@
 """Polish of interpolated cells to extremals: a few steps of Newton's method, and a test of the result.
 
 Each lane is a point with a branch of its own. After the last evaluation one more step is made that is not evaluated: by
-quadratic convergence it leaves no residual. The independent re-integration (`perilune.atlas.evaluate.reintegrate`)
+quadratic convergence it leaves no residual. The independent re-integration (`perilune.charts.reintegrate`)
 begins there.
 
 It bounds the distance of the root: with h the residual of the independent re-integration, Newton's method would step by
@@ -20,12 +20,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.bound_status import SLACK, conjunction
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, orientation
-from perilune.atlas.evaluate.midpoint_march import MarchedMargins
-from perilune.atlas.evaluate.reintegrate import BoundReintegration, ChartReintegration, ReintegratedExtremals
+from perilune.charts.borders import Borders
+from perilune.charts.bound_status import SLACK, conjunction
+from perilune.charts.chart import Chart, orientation
+from perilune.charts.midpoint_march import MarchedMargins
+from perilune.charts.reintegrate import BoundReintegration, ChartReintegration, ReintegratedExtremals
+from perilune.charts.sheet import Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import Map, compile_map
 

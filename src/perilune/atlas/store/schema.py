@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.branch import Sheet
 from perilune.atlas.hermite import binary_digits
 from perilune.atlas.region import Region, region_of, stated_region
 from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.store import HEADER, MANIFEST
+from perilune.charts import Sheet
 from perilune.core.arrays import Vector
 from perilune.io.load import read_problem
 from perilune.io.presolve_json import read_comparisons

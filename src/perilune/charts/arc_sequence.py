@@ -20,9 +20,7 @@ from perilune.problem.results.extremal import Extremal
 from perilune.problem.results.solution import Solution
 from perilune.structures import Arc, JoinedTrajectories, Structure, conditions_of, restate, with_bound_regimes
 
-_MOST_ORDER = (
-    2  # of a condition whose multiplier is known along its boundary arc (`perilune.atlas.evaluate.multiplier_signs`)
-)
+_MOST_ORDER = 2  # of a condition whose multiplier is known along its boundary arc (`perilune.charts.multiplier_signs`)
 
 
 @dataclass(frozen=True)

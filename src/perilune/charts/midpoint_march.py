@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from perilune.atlas.branches.bound_status import SLACK, conjunction
-from perilune.atlas.evaluate import midpoint_march as singular
-from perilune.atlas.evaluate.multiplier_signs import NOTHING, ChartBoundaryArcs
+from perilune.charts import midpoint_march as singular
+from perilune.charts.bound_status import SLACK, conjunction
+from perilune.charts.multiplier_signs import NOTHING, ChartBoundaryArcs
 from perilune.conditions import OptimalityConditions, PhaseExtremal, hamiltonian_at, limit_symbols
 from perilune.problem.casadi_trace import SYMBOLIC, column, elements, trace_parameters
 from perilune.problem.controls import ScalarControl, Settled, control_slices, scalars
@@ -105,7 +105,7 @@ def _phase_end_state(conditions: OptimalityConditions, k: int, state: ca.SX) -> 
 def end_function(conditions: OptimalityConditions, rides: ChartBoundaryArcs) -> ca.Function:
     """Build the function (y, numbers, choice, state at the end of each phase) -> residuals, seen, rates and ranges.
 
-    Choice and results are those of `perilune.atlas.evaluate.reintegrate`.
+    Choice and results are those of `perilune.charts.reintegrate`.
 
     Parameters
     ----------

@@ -13,10 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart, Extremals, Holds
 from perilune.atlas.store.cells import same_unknowns
+from perilune.charts import Borders, Chart, Extremals, Holds, Sheet
 from perilune.core.arrays import Matrix, Vector
 
 Lanes = NDArray[np.int64]

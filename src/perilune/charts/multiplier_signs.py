@@ -23,7 +23,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from perilune.atlas.branches.chart import Chart
+from perilune.charts.chart import Chart
 from perilune.conditions import OptimalityConditions, PhaseExtremal, minimising_control_at, select_by_mode
 from perilune.problem.casadi_trace import (
     SYMBOLIC,

@@ -8,7 +8,7 @@ plane.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -16,15 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.arc_sequence import PLAIN, ArcSequence
-from perilune.atlas.hermite import binary_digits
+from perilune.charts.arc_sequence import PLAIN, ArcSequence
 from perilune.conditions import OptimalityConditions, derive, extremal_parameters
 from perilune.core.arrays import Matrix, Vector
 from perilune.problem.parametric import parametric_problem, sizes_of
 from perilune.problem.problem import Problem
 from perilune.shooting import FINEST, Roots, Shooting
-
-_BESIDE = 1e-4  # of the range of a parameter: where its mixed derivatives are taken; errors are of its square
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,41 +269,3 @@ class Chart:
             stepped=(roots.y[:, plan.active] + rows[:, columns.step])[:, self.places],
             roots=roots,
         )
-
-    def terms(self, found: Extremals, holds: Callable[[Matrix], Holds]) -> NDArray[np.float64]:
-        """Return y and J with derivatives for interpolation, (lanes, 2^d, n + 1); see `perilune.atlas.hermite`.
-
-        `holds` returns what is held at values of the parameters close to each lane.
-
-        Parameters
-        ----------
-        found
-            Extremals whose mixed derivatives are differences of slopes near them.
-        holds
-            Returns the parameters held in addition at values of the parameters, canonical, (lanes 2^(d-1), d).
-        """
-        lanes, d = found.values.shape
-        n = found.y.shape[1]
-        out = np.zeros((lanes, 2**d, n + 1))
-        out[:, 0, :n], out[:, 0, n] = found.y, found.cost
-        slopes = np.concatenate([found.slopes, found.cost_slopes[:, :, None]], axis=2)
-        for i in range(d):
-            out[:, 1 << i] = slopes[:, i]
-        if d == 1:
-            return out
-        # Slopes at all points a little off along the axes but the first give every mixed derivative.
-        beside, step = np.hstack([np.zeros((2 ** (d - 1), 1)), 2.0 * binary_digits(d - 1) - 1.0]), _BESIDE * self.widths
-        values = found.values[:, None] + step * beside
-        y = found.y[:, None] + np.einsum("ki,lin->lkn", step * beside, found.slopes)
-        values = values.reshape(-1, d)
-        near = self.at(values, y.reshape(-1, n), holds(values))
-        slopes = np.concatenate([near.slopes, near.cost_slopes[:, :, None]], axis=2).reshape(
-            lanes, len(beside), d, n + 1
-        )
-        for term in range(3, 2**d):
-            axes = np.nonzero(binary_digits(d)[term])[0]
-            if len(axes) > 1:
-                first, others = axes[0], axes[1:]
-                signs = beside[:, others].prod(axis=1) / len(beside) / step[others].prod()
-                out[:, term] = np.einsum("k,lkn->ln", signs, slopes[:, :, first])
-        return out

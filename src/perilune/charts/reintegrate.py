@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.bound_status import SLACK
-from perilune.atlas.branches.chart import Chart
-from perilune.atlas.evaluate.midpoint_march import (
+from perilune.charts.bound_status import SLACK
+from perilune.charts.chart import Chart
+from perilune.charts.midpoint_march import (
     NOTHING_SEEN,
     MarchedMargins,
     end_function,
@@ -31,7 +31,7 @@ from perilune.atlas.evaluate.midpoint_march import (
     step_along,
     step_settling,
 )
-from perilune.atlas.evaluate.multiplier_signs import ChartBoundaryArcs
+from perilune.charts.multiplier_signs import ChartBoundaryArcs
 from perilune.conditions import OptimalityConditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.kernels import Map, compile_map

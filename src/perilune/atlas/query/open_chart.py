@@ -9,14 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.branches.arc_sequence import arc_sequence_from
-from perilune.atlas.branches.borders import Borders
-from perilune.atlas.branches.branch import Sheet
-from perilune.atlas.branches.chart import Chart
-from perilune.atlas.branches.schema import sheets_of, widths_of
-from perilune.atlas.evaluate.polish import Polished, Polisher
-from perilune.atlas.evaluate.reintegrate import ChartReintegration
 from perilune.atlas.region import Region
+from perilune.atlas.store.schema import sheets_of, widths_of
+from perilune.charts import Borders, Chart, ChartReintegration, Polished, Polisher, Sheet, arc_sequence_from
 from perilune.core.arrays import Matrix, Vector
 from perilune.methods import ExtremalRoot, Indirect, compose_solution
 from perilune.problem.casadi_trace import free_scales

@@ -1,1 +1,0 @@
-"""Solution branches: charts, arc sequences, status of bounds, continuation along a parameter."""

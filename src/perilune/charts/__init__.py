@@ -1,0 +1,60 @@
+"""Extremals as smooth functions of parameters: many at once, in lanes, each flown again by another integrator.
+
+A `Chart` has the extremals of one arc sequence over some parameters, `Borders` the bounds within which they are
+answers, `ChartReintegration` the independent second flight, and `Polisher` brings guesses to answers. Atlases and
+`perilune.solve_many` stand on it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from perilune.core.facade import deferred
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from perilune.charts.arc_sequence import ArcSequence, arc_sequence_from, arc_sequence_of
+    from perilune.charts.borders import Borders, held_at
+    from perilune.charts.bound_status import SLACK
+    from perilune.charts.chart import Chart, Extremals, Holds
+    from perilune.charts.feasibility import Allowed, point_feasibility
+    from perilune.charts.midpoint_march import MarchedMargins
+    from perilune.charts.polish import Polished, Polisher
+    from perilune.charts.reintegrate import ChartReintegration
+    from perilune.charts.sheet import Sheet
+
+__all__ = [
+    "SLACK",
+    "Allowed",
+    "ArcSequence",
+    "Borders",
+    "Chart",
+    "ChartReintegration",
+    "Extremals",
+    "Holds",
+    "MarchedMargins",
+    "Polished",
+    "Polisher",
+    "Sheet",
+    "arc_sequence_from",
+    "arc_sequence_of",
+    "held_at",
+    "point_feasibility",
+]
+
+__getattr__: Callable[[str], Any] = deferred(
+    __name__,
+    {
+        "arc_sequence": "ArcSequence arc_sequence_from arc_sequence_of",
+        "borders": "Borders held_at",
+        "bound_status": "SLACK",
+        "chart": "Chart Extremals Holds",
+        "feasibility": "Allowed point_feasibility",
+        "midpoint_march": "MarchedMargins",
+        "polish": "Polished Polisher",
+        "reintegrate": "ChartReintegration",
+        "sheet": "Sheet",
+    },
+)
