@@ -33,7 +33,7 @@ from cho import cho_landing
 from command_line import ENVIRONMENT, HYBRID, ROOT, read_json, snapshot
 from perilune.atlas.building import build as building
 from perilune.atlas.building.verify import verify_atlas
-from perilune.atlas.hermite import binary_digits, interpolated
+from perilune.atlas.hermite import binary_digits, corner_terms, interpolated
 from perilune.atlas.query.batch_answers import Answered
 from perilune.atlas.query.query import Atlas, open_atlas
 from perilune.atlas.query.reader import LoadedBrick
@@ -136,7 +136,7 @@ def test_sensitivities_are_exact(chart: Chart) -> None:
     nothing = Holds(np.zeros(2 * chart.shooting.plan.held))
     here = chart.solve(values, y, nothing)
     assert here.converged[0] and here.cost[0] * problem.objective_size == pytest.approx(best.objective, rel=1e-12)
-    terms = chart.terms(here, lambda _: nothing)[0]
+    terms = corner_terms(chart, here, lambda _: nothing)[0]
     for i in range(3):
         step = 1e-4 * chart.widths[i] * np.eye(3)[i]
         ahead, behind = (chart.solve(values + way * step, here.y, nothing) for way in (1, -1))

@@ -14,6 +14,7 @@ import perilune as pl
 from perilune import PeriluneError
 from perilune.atlas.building import build as building
 from perilune.atlas.building.extend import extend
+from perilune.atlas.hermite import corner_terms
 from perilune.atlas.query.query import open_atlas
 from perilune.charts.arc_sequence import ArcSequence
 from perilune.charts.borders import Borders
@@ -111,7 +112,7 @@ def test_values_and_derivatives_move_with_every_bound_that_is_held() -> None:
     known = pl.solve(haul(True)).unknowns
     assert known is not None
     found = chart.solve(values, chart.from_problem_unknowns(np.array(known))[None].repeat(2, axis=0), holds(values))
-    terms = chart.terms(found, holds)
+    terms = corner_terms(chart, found, holds)
     assert found.converged.all()
     high, patience, longest = values.T
     T = longest * patience**2

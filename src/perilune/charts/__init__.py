@@ -1,8 +1,7 @@
 """Extremals as smooth functions of parameters: many at once, in lanes, each flown again by another integrator.
 
 A `Chart` has the extremals of one arc sequence over some parameters, `Borders` the bounds within which they are
-answers, `ChartReintegration` the independent second flight, and `Polisher` brings guesses to answers. Atlases and
-`perilune.solve_many` stand on it.
+answers, `ChartReintegration` the independent second flight, and `OpenChart` brings guesses to answers and solutions.
 """
 
 from __future__ import annotations
@@ -21,7 +20,8 @@ if TYPE_CHECKING:
     from perilune.charts.chart import Chart, Extremals, Holds
     from perilune.charts.feasibility import Allowed, point_feasibility
     from perilune.charts.midpoint_march import MarchedMargins
-    from perilune.charts.polish import Polished, Polisher
+    from perilune.charts.open_chart import OpenChart
+    from perilune.charts.polish import Polished
     from perilune.charts.reintegrate import ChartReintegration
     from perilune.charts.sheet import Sheet
 
@@ -35,8 +35,8 @@ __all__ = [
     "Extremals",
     "Holds",
     "MarchedMargins",
+    "OpenChart",
     "Polished",
-    "Polisher",
     "Sheet",
     "arc_sequence_from",
     "arc_sequence_of",
@@ -53,7 +53,8 @@ __getattr__: Callable[[str], Any] = deferred(
         "chart": "Chart Extremals Holds",
         "feasibility": "Allowed point_feasibility",
         "midpoint_march": "MarchedMargins",
-        "polish": "Polished Polisher",
+        "open_chart": "OpenChart",
+        "polish": "Polished",
         "reintegrate": "ChartReintegration",
         "sheet": "Sheet",
     },

@@ -13,11 +13,10 @@ from perilune.atlas.hermite import interpolated
 from perilune.atlas.query.batch_answers import Answered, Answers, clearly_worse, equal_cost
 from perilune.atlas.query.candidates import casting_doubt, dominates_known, without_admissible_answer
 from perilune.atlas.query.minimum_search import KnownExtremals
-from perilune.atlas.query.open_chart import OpenChart
 from perilune.atlas.query.reader import SERVING, AtlasReader, LoadedBrick
 from perilune.atlas.store.cells import WHOLE, Status
 from perilune.atlas.survey.continuation import Lanes
-from perilune.charts import Polished
+from perilune.charts import OpenChart, Polished
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import require_numbers

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from perilune.atlas.hermite import interpolated_at
 from perilune.atlas.query.minimum_search import MinimumSearch
-from perilune.atlas.query.open_chart import OpenChart
 from perilune.atlas.region import Region
 from perilune.atlas.store.cells import WHOLE, Status, halved_at, leaves
 from perilune.atlas.store.manifest import damage_text
@@ -23,12 +22,13 @@ from perilune.atlas.store.schema import (
     header_problem,
     header_region,
     node_type,
+    open_chart,
     seed_type,
     seeded_places,
     survey_region,
 )
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
-from perilune.charts import SLACK, Allowed, Sheet, point_feasibility
+from perilune.charts import SLACK, Allowed, OpenChart, Sheet, point_feasibility
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import check_call, require_numbers, wrong_type_error
@@ -228,7 +228,7 @@ class AtlasReader:
     def charted(self) -> list[OpenChart]:
         """Return its charts."""
         with damage_text(MANIFEST):
-            return [OpenChart(self.problem, self.region, said) for said in self.survey["charts"]]
+            return [open_chart(self.problem, self.region, said) for said in self.survey["charts"]]
 
     @cached_property
     def descents(self) -> MinimumSearch:

@@ -12,7 +12,7 @@ from perilune.atlas.hermite import binary_digits
 from perilune.atlas.region import Region, region_of, stated_region
 from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.store import HEADER, MANIFEST
-from perilune.charts import Sheet
+from perilune.charts import Chart, OpenChart, Sheet, arc_sequence_from
 from perilune.core.arrays import Vector
 from perilune.io.load import read_problem
 from perilune.io.presolve_json import read_comparisons
@@ -184,3 +184,24 @@ def sheets_of(chart: Mapping[str, Any]) -> tuple[Sheet, ...]:
         Sheet(holds=dict(s["holds"]), orientation=float(s["orientation"]), nature=Nature[s["nature"]])
         for s in chart["sheets"]
     )
+
+
+def open_chart(problem: Problem, region: Region, said: Mapping[str, Any]) -> OpenChart:
+    """Open a chart that the survey's line lists.
+
+    Parameters
+    ----------
+    problem, region
+        Of the survey.
+    said
+        Entry of the chart in the line.
+
+    Raises
+    ------
+    ValueError
+        If its number of unknowns is not that of the problem.
+    """
+    chart = Chart(problem, region.names, widths_of(said, region), arc_sequence_from(said))
+    if said["unknowns"] != len(chart.places):
+        raise ValueError(f"{said['unknowns']} unknowns in place of {len(chart.places)}")
+    return OpenChart(chart, sheets_of(said), tuple(map(int, said["times"])))

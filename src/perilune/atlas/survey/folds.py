@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.query.open_chart import OpenChart
 from perilune.atlas.region import Region
+from perilune.atlas.store.schema import open_chart
 from perilune.charts import Borders, Chart, Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import PeriluneError
@@ -149,7 +149,7 @@ def classify_behind_folds(
     Nature
         A local optimum or locally worst; `UNPROVED` where its second variation does not decide.
     """
-    charted = OpenChart(problem, region, said)
+    charted = open_chart(problem, region, said)
     polished = charted.polish(values[None], np.zeros(1, dtype=np.int64), y[None])
     if not polished.reached[0]:
         return Nature.UNPROVED

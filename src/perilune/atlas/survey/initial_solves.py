@@ -17,11 +17,10 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.query.open_chart import OpenChart
 from perilune.atlas.region import Region
 from perilune.atlas.store.cells import same_unknowns
 from perilune.atlas.survey.other_minima import HeldFamilies
-from perilune.charts import ArcSequence, Chart, arc_sequence_of
+from perilune.charts import ArcSequence, Chart, OpenChart, arc_sequence_of
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.core.errors import PeriluneError
@@ -227,8 +226,7 @@ class Scan:
         y = chart.from_problem_unknowns(np.array(first.unknowns))
         known = self._known.setdefault(course.text, np.full((*self._extremals_found.shape, len(y)), np.nan))
         before = np.count_nonzero(self._propagated)
-        said = {**course.document(), "widths": self._widths.tolist(), "times": [], "sheets": []}
-        charted = OpenChart(self._problem, self._region, {**said, "unknowns": len(chart.places)})
+        charted = OpenChart(chart, ())
         with np.errstate(invalid="ignore"):  # of several arcs a duration may have no bound that is held
             lower, upper = charted.borders.at(self._points / chart.scale)
             bounded: list[bool] = np.isfinite(upper - lower).min(axis=0).tolist()

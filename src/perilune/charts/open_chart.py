@@ -1,17 +1,18 @@
-"""Open chart: one chart of an atlas, loaded for queries."""
+"""Open chart: a chart with all that answers at points of it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.region import Region
-from perilune.atlas.store.schema import sheets_of, widths_of
-from perilune.charts import Borders, Chart, ChartReintegration, Polished, Polisher, Sheet, arc_sequence_from
+from perilune.charts.borders import Borders
+from perilune.charts.chart import Chart
+from perilune.charts.polish import Polished, Polisher
+from perilune.charts.reintegrate import ChartReintegration
+from perilune.charts.sheet import Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.methods import ExtremalRoot, Indirect, compose_solution
 from perilune.problem.casadi_trace import free_scales
@@ -22,23 +23,30 @@ from perilune.structures import join_solution, margins, renumber_restated
 
 
 class OpenChart:
-    """One chart of an atlas, as queries need it."""
+    """Chart with its sheets, bounds and independent re-integrations: from guesses at points to answers and solutions.
 
-    def __init__(self, problem: Problem, region: Region, said: Mapping[str, Any]) -> None:
-        self.sheets: tuple[Sheet, ...] = sheets_of(said)
-        self.unknowns: int = said["unknowns"]
-        self.chart: Chart = Chart(problem, region.names, widths_of(said, region), arc_sequence_from(said))
-        if self.unknowns != len(self.chart.places):
-            raise ValueError(f"{self.unknowns} unknowns in place of {len(self.chart.places)}")
-        self.borders: Borders = Borders(self.chart)
-        reflights = ChartReintegration(self.chart, tuple(map(int, said["times"])))
-        self.polish: Polisher = Polisher(self.chart, self.borders, reflights, self.sheets)
+    Parameters
+    ----------
+    chart
+        The chart.
+    sheets
+        Its branches.
+    times
+        As of `ChartReintegration`.
+    """
+
+    def __init__(self, chart: Chart, sheets: Sequence[Sheet], times: Sequence[int] = ()) -> None:
+        self.chart: Chart = chart
+        self.sheets: tuple[Sheet, ...] = tuple(sheets)
+        self.unknowns: int = len(chart.places)
+        self.borders: Borders = Borders(chart)
+        self.polish: Polisher = Polisher(chart, self.borders, ChartReintegration(chart, times), self.sheets)
         self._moving: list[bool] = self.polish.moving.tolist()
-        self._sizes = free_scales(self.chart.problem.free, self.chart.problem)
-        names = [name for name, _ in self.chart.conditions.unknowns]
-        self._own_places = np.array([names.index(name) for name, _ in self.chart.own.unknowns])
-        plan = self.chart.shooting.plan
-        self._free = [i for i, name in enumerate(self.chart.free.free_names) if name not in region.names]
+        self._sizes = free_scales(chart.problem.free, chart.problem)
+        names = [name for name, _ in chart.conditions.unknowns]
+        self._own_places = np.array([names.index(name) for name, _ in chart.own.unknowns])
+        plan = chart.shooting.plan
+        self._free = [i for i, name in enumerate(chart.free.free_names) if name not in chart.names]
         kept = [*self._free, *range(plan.free, plan.held)]
         self._own_choice = [*kept, *(plan.held + i for i in kept)]
 
