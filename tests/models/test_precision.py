@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import perilune as pl
 from perilune.cli import run_command_line
@@ -97,9 +98,11 @@ def test_comparisons_over_flat_ground() -> None:
     assert found["landed mass that the thrust can hold"].value == pytest.approx(7200.0 / 1.62)
     fall = math.sqrt(50.0**2 + 30.0**2 + 2 * 1.62 * 1000.0)
     assert found["speed to be removed"].value == pytest.approx(fall)
+    # Full thrust straight up, until the fall of 30 m/s ends: no less than its way, and nearly all of it.
     c, tau = 310.0 * 9.80665, 2000.0 * 310.0 * 9.80665 / 7200.0
-    time = tau * (1 - math.exp(-30.0 / c))
-    assert found["stopping distance at full thrust"].value == pytest.approx(30.0 * tau - c * time + 0.81 * time * time)
+    t: Any = brentq(lambda t: 30.0 + 1.62 * t + c * math.log(1 - t / tau), 1.0, 60.0)
+    way = (30.0 - c) * t + 0.81 * t * t - (tau - t) * c * math.log(1 - t / tau)
+    assert 0.98 * way < found["stopping distance at full thrust"].value <= way
 
 
 def test_the_bound_of_stopping_is_sharp_over_flat_ground() -> None:
@@ -118,7 +121,7 @@ def test_the_bound_of_stopping_is_sharp_over_flat_ground() -> None:
         return bool(next(f for f in found if f.name == "stopping distance at full thrust").passed)
 
     truth, bound = (max(s for s in range(20, 120) if may(float(s))) for may in (stops, passed))
-    assert truth <= bound < 1.25 * truth
+    assert truth <= bound < 1.03 * truth
 
 
 @pytest.mark.parametrize(

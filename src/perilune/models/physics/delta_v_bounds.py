@@ -9,20 +9,23 @@ w by at most its size.
 
 *Touchdown* from above at rest needs r'' >= 0 there, so T/m_f >= mu/r_s^2 - omega^2 r_s.
 
-*Stopping* a descent at radial speed -v. In inertial axes r'' = V_h^2/r + a_r - mu/r^2 (J2 apart). Whatever the throttle
-did before, a_r <= T/(m0 - q t), q = T/c the greatest flow, as more mass is left wherever less was burnt. While r_s <= r
-<= r(0), and until the time t_b = (m0/q) (1 - exp(-v/c)) in which full thrust stops v without gravity,
+*Stopping* a descent at radial speed -v, from the speed V_a across. In inertial axes r'' = V_h^2/r + a_r - mu/r^2, and r
+V_h changes by r a_h at most (J2 apart, which adds to both). Whatever the throttle did before, a_r and a_h are at most
+T/(m0 - q s) at the time s, q = T/c the greatest flow, as more mass is left wherever less was burnt. Until a time t let
+L(s) = c log(m0/(m0 - q s)) <= L(t) s/t. While r_s <= r <= r(0),
 
-    V <= S = V(0) + v + mu/r_s^2 t_b          (thrust adds at most c log(m0/(m0 - q t_b)) = v)
-    r'' <= T/(m0 - q t) - k,   k = mu/r(0)^2 - S^2/r_s
-    r(t) <= Z(t) = r(0) - v t + (integral of c log(m0/(m0 - q s))) - k t^2/2
+    V_h <= (V_a + L(t) s/t) r(0)/r
+    r'' <= T/(m0 - q s) - mu/r(0)^2 + (V_a + L(t) s/t)^2 r(0)^2/r_s^3
+    r(t) <= Z(t) = r(0) - v t + c t - (m0 - q t) c/T L(t) - mu/r(0)^2 t^2/2
+                   + (V_a^2/2 + V_a L(t)/3 + L(t)^2/12) t^2 r(0)^2/r_s^3
 
-Z is convex, and r' <= Z'. Let Z(t_b) < r_s. Where k >= 0, Z' < 0 before t_b, so no flight is at rest before t_b, and
-at t_b it is below the site. Where k < 0, Z has its least value, below r_s too, at some t_s <= t_b; before t_s no flight
-is at rest, and at t_s it is below the site. Either way there is no flight. Z(t_b) = r(0) - v m0/q + c t_b - k t_b^2/2.
+The bound of r'' increases with s, so that Z falls, and then rises if at all before t. Let Z(t) < r_s for any one t. As
+long as Z falls no flight is at rest; then, or at t, it is below the site: there is no flight. Tried are t_b, 1.3 t_b
+and so on, t_b = (m0/q) (1 - exp(-v/c)) being the time in which full thrust stops v without gravity. What thrust gives
+across does not take from what it gives upwards here: the bound is sharp for steep descents only.
 
-*A speed u that may be left on the ground.* With v - u for v in t_b and in the way, Z(t_b) + u t_b is compared with r_s.
-Until Z' = -u no flight is slow enough, and there Z <= Z(t_b) + u t_b, so that it is below the site.
+*A speed u that may be left on the ground.* With v - u for v, Z(t) + u t is compared with r_s. Until Z' = -u no flight
+is slow enough, and there Z <= Z(t) + u t, so that it is below the site.
 
 *Flat ground.* Under uniform gravity g, r is the height over the ground, the fall from it mu (1/r_s - 1/r) is g (r -
 r_s), mu/r^2 is g, and what has r in its denominator otherwise is nothing.
@@ -38,6 +41,8 @@ from perilune.models.physics.rotating_frame import combine, cross_product, scala
 from perilune.problem.presolve import Finding
 
 SLACK = 1.02  # of what the rocket equation allows, for J2, which the speed w leaves out
+_TIMES = tuple(1.3**k for k in range(13))  # of t_b, for the stopping distance
+_MOST_BURNT = 0.99
 _SAME_ORBIT = 1e-6  # of the speed: what changes an orbit by less does not choose a place on it
 
 
@@ -325,14 +330,12 @@ def compare_stopping_distance(
         Speed [m/s] straight down that may be left on the ground.
     """
     r = xp.sqrt(scalar_product(position, position))
-    down = xp.fmax(-scalar_product(position, velocity) / r - left, 0.0)
-    distance, time = braking_distance_and_time(down, p, xp)
-    oblate = _pull_of_j2(r_site, p, xp)
-    fastest = inertial_speed(position, velocity, axis, p, xp) + down + (gravity_at(r_site, p) + oblate) * time
-    pull = gravity_at(r, p) - oblate - _centrifugal(fastest, r_site, p)
+    rising = scalar_product(position, velocity) / r
+    speed = inertial_speed(position, velocity, axis, p, xp)
+    across = xp.sqrt(xp.fmax(speed * speed - rising * rising, 0.0))
     return Finding(
         name="stopping distance at full thrust",
-        value=distance + 0.5 * pull * time * time,
+        value=_stopping_distance(xp.fmax(-rising - left, 0.0), across, r, r_site, p, xp),
         limit=r - r_site,
         at_least=False,
         unit="m",
@@ -340,6 +343,23 @@ def compare_stopping_distance(
         meaning="the descent is too fast: even full thrust straight up cannot stop it above the site",
         advice="a slower or higher start, or more thrust",
     )
+
+
+def _stopping_distance(down: Any, across: Any, r: Any, r_site: Any, p: Any, xp: Any) -> Any:
+    """Return the least way [m] in which a fall ends, the greatest r(0) - Z of the head of this file."""
+    exhaust = exhaust_speed(p)
+    tau = p.vehicle_mass * exhaust / greatest_thrust(p)
+    oblate = _pull_of_j2(r_site, p, xp)
+    pull, round_ground = gravity_at(r, p) - oblate, 0.0 if is_flat(p) else r * r / (r_site * r_site * r_site)
+    stop, longest = 1 - xp.exp(-down / exhaust), 0.0
+    for times in _TIMES:
+        burnt = xp.fmin(times * stop, _MOST_BURNT)  # part of the mass
+        gained, t = -exhaust * xp.log(1 - burnt), burnt * tau
+        side = gained + oblate * t
+        lifted = round_ground * (across * across / 2 + across * side / 3 + side * side / 12)
+        lost = down * t - exhaust * t + (tau - t) * gained
+        longest = xp.fmax(longest, lost + (0.5 * pull - lifted) * t * t)
+    return longest
 
 
 def compare_late_ignition(position: Any, velocity: Any, p: Any, xp: Any) -> Finding:
