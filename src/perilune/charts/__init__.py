@@ -18,6 +18,14 @@ if TYPE_CHECKING:
     from perilune.charts.borders import Borders, held_at
     from perilune.charts.bound_status import SLACK
     from perilune.charts.chart import Chart, Extremals, Holds
+    from perilune.charts.continuation import (
+        MOST,
+        Lanes,
+        StraightContinuation,
+        follow_sheets,
+        line_places,
+        same_unknowns,
+    )
     from perilune.charts.feasibility import Allowed, point_feasibility
     from perilune.charts.midpoint_march import MarchedMargins
     from perilune.charts.open_chart import OpenChart
@@ -26,6 +34,7 @@ if TYPE_CHECKING:
     from perilune.charts.sheet import Sheet
 
 __all__ = [
+    "MOST",
     "SLACK",
     "Allowed",
     "ArcSequence",
@@ -34,14 +43,19 @@ __all__ = [
     "ChartReintegration",
     "Extremals",
     "Holds",
+    "Lanes",
     "MarchedMargins",
     "OpenChart",
     "Polished",
     "Sheet",
+    "StraightContinuation",
     "arc_sequence_from",
     "arc_sequence_of",
+    "follow_sheets",
     "held_at",
+    "line_places",
     "point_feasibility",
+    "same_unknowns",
 ]
 
 __getattr__: Callable[[str], Any] = deferred(
@@ -51,6 +65,7 @@ __getattr__: Callable[[str], Any] = deferred(
         "borders": "Borders held_at",
         "bound_status": "SLACK",
         "chart": "Chart Extremals Holds",
+        "continuation": "MOST Lanes StraightContinuation follow_sheets line_places same_unknowns",
         "feasibility": "Allowed point_feasibility",
         "midpoint_march": "MarchedMargins",
         "open_chart": "OpenChart",

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from perilune.atlas.building.audit import draw_sample, refuse_nowhere, require_count
 from perilune.atlas.building.build import complete_atlas
 from perilune.atlas.region import Region, refuse_untaken, wider
-from perilune.atlas.store.cells import same_unknowns
 from perilune.atlas.store.checksums import digest_of
 from perilune.atlas.store.manifest import damage_text
 from perilune.atlas.store.schema import (
@@ -34,10 +33,10 @@ from perilune.atlas.store.schema import (
     widths_of,
 )
 from perilune.atlas.store.store import HEADER, MANIFEST, AtlasStore
-from perilune.atlas.survey.continuation import Corners, continue_between_corners, corners_reached
+from perilune.atlas.survey.corner_continuation import Corners, continue_between_corners, corners_reached
 from perilune.atlas.survey.survey import Survey
 from perilune.atlas.survey.surveyed_chart import InteriorSeed, SurveyedChart, chart_entry, seed_rows
-from perilune.charts import Borders, Chart, Sheet, arc_sequence_from
+from perilune.charts import Borders, Chart, Sheet, arc_sequence_from, same_unknowns
 from perilune.core.callbacks import Watch, ignore_events
 from perilune.core.deprecation import renamed_keywords
 from perilune.core.errors import PeriluneError

@@ -43,11 +43,10 @@ from perilune.atlas.store.cells import (
     clearly_below,
     concatenate_cells,
     leaves_of,
-    same_unknowns,
     select_cells,
     shortest_ending_edge,
 )
-from perilune.charts import SLACK
+from perilune.charts import SLACK, same_unknowns
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch, ignore_events
 

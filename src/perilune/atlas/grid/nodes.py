@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from perilune.atlas.hermite import binary_digits, corner_terms, interpolated, scaled_third_derivatives
 from perilune.atlas.store.cell_coverage import Extremal, found_in_branches
 from perilune.atlas.store.cells import WHOLE, Cells, Cut, Nodes, Whole, select_cells
-from perilune.atlas.survey.continuation import follow_sheets
-from perilune.charts import Borders, Chart, ChartReintegration, Extremals, Holds, Sheet
+from perilune.charts import Borders, Chart, ChartReintegration, Extremals, Holds, Sheet, follow_sheets
 from perilune.core.arrays import Matrix, Vector
 
 _SEEN = ("residual", "path", "minimum", "drift")  # of independent re-integrations: columns of nodes

@@ -15,8 +15,7 @@ from perilune.atlas.query.candidates import casting_doubt, dominates_known, with
 from perilune.atlas.query.minimum_search import KnownExtremals
 from perilune.atlas.query.reader import SERVING, AtlasReader, LoadedBrick
 from perilune.atlas.store.cells import WHOLE, Status
-from perilune.atlas.survey.continuation import Lanes
-from perilune.charts import OpenChart, Polished
+from perilune.charts import Lanes, OpenChart, Polished
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.errors import PeriluneError
 from perilune.core.validation import require_numbers

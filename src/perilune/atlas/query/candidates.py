@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.survey.continuation import Lanes
-from perilune.charts import SLACK, OpenChart, Polished
+from perilune.charts import SLACK, Lanes, OpenChart, Polished
 from perilune.core.arrays import Vector
 
 _HERE = np.zeros(1, dtype=np.int64)  # one point is one lane

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.survey.continuation import MOST
-from perilune.charts import SLACK, Borders, Chart, Sheet
+from perilune.charts import MOST, SLACK, Borders, Chart, Sheet
 from perilune.core.arrays import Matrix, Vector
 from perilune.problem.results.extremal import Nature
 

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.query.keeping import correct_active_set
-from perilune.atlas.survey.continuation import Lanes
 from perilune.atlas.survey.other_minima import BARE, Bounds, HeldFamilies
-from perilune.charts import SLACK, Borders, OpenChart
+from perilune.charts import SLACK, Borders, Lanes, OpenChart
 from perilune.core.arrays import Matrix, Vector
 
 _STEPS = 16  # of a way from bound to bound

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.hermite import binary_digits, interpolated
+from perilune.charts import same_unknowns
 from perilune.core.arrays import Matrix, Vector
 
 WHOLE = 2**12  # lattice steps along an edge of a block
 _CLEARLY = 1.5  # times as far below zero as it differs at the corners and in the middle of a cell
-_SAME = 1e-6  # relative: one extremal
 _ENDING = {1: 2**6, 2: 2**7}  # the shortest edge of a cell in which a sheet ends, by axes; of more 2**8
 
 Whole = NDArray[np.int64]
@@ -98,17 +98,6 @@ class Cut:
     nodes: dict[str, NDArray[Any]]
     cells: Cells
     own: tuple[int, ...]
-
-
-def same_unknowns(y: Matrix | Vector, other: Matrix | Vector) -> NDArray[np.bool_]:
-    """Return True where unknowns, (n,) or (lanes, n), are those of one extremal to rounding.
-
-    Parameters
-    ----------
-    y, other
-        Unknowns, canonical, (n,) or (lanes, n).
-    """
-    return np.linalg.norm(y - other, axis=-1) <= _SAME * (1.0 + np.linalg.norm(y, axis=-1))
 
 
 class Nodes:

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.region import Region
-from perilune.atlas.store.cells import same_unknowns
 from perilune.atlas.survey.other_minima import HeldFamilies
-from perilune.charts import ArcSequence, Chart, OpenChart, arc_sequence_of
+from perilune.charts import ArcSequence, Chart, OpenChart, arc_sequence_of, same_unknowns
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch
 from perilune.core.errors import PeriluneError

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.store.cells import WHOLE, Status, same_unknowns, shortest_ending_edge
-from perilune.charts import Sheet
+from perilune.atlas.store.cells import WHOLE, Status, shortest_ending_edge
+from perilune.charts import Sheet, same_unknowns
 
 Rows = Any  # an array with columns
 Key = tuple[int, ...]  # chart and numbers of a block

@@ -10,8 +10,18 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from perilune.atlas.survey.continuation import MOST, Lanes, StraightContinuation, line_places
-from perilune.charts import SLACK, Borders, Chart, Holds, OpenChart, Sheet
+from perilune.charts import (
+    MOST,
+    SLACK,
+    Borders,
+    Chart,
+    Holds,
+    Lanes,
+    OpenChart,
+    Sheet,
+    StraightContinuation,
+    line_places,
+)
 from perilune.core.arrays import Matrix, Vector
 from perilune.methods import SIGNED
 from perilune.problem.results.extremal import Nature

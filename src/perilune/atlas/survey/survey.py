@@ -14,13 +14,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from perilune.atlas.region import Region
-from perilune.atlas.store.cells import WHOLE, same_unknowns
-from perilune.atlas.survey.continuation import (
-    MOST,
+from perilune.atlas.store.cells import WHOLE
+from perilune.atlas.survey.corner_continuation import (
     continue_between_corners,
     continue_sheet_to,
     corners_reached,
-    follow_sheets,
     walks_from_one_extremal,
 )
 from perilune.atlas.survey.folds import around_folds, classify_behind_folds
@@ -34,7 +32,18 @@ from perilune.atlas.survey.surveyed_chart import (
     with_expected_branches,
     with_minimum_found,
 )
-from perilune.charts import ArcSequence, Borders, Chart, ChartReintegration, Extremals, Sheet, held_at
+from perilune.charts import (
+    MOST,
+    ArcSequence,
+    Borders,
+    Chart,
+    ChartReintegration,
+    Extremals,
+    Sheet,
+    follow_sheets,
+    held_at,
+    same_unknowns,
+)
 from perilune.conditions import attainable_conditions
 from perilune.core.arrays import Matrix, Vector
 from perilune.core.callbacks import Watch

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perilune.atlas.grid.bound_crossing import continuing_sheets
-from perilune.atlas.store.cells import same_unknowns
 from perilune.atlas.store.schema import seed_type
-from perilune.charts import Borders, Chart, Sheet
+from perilune.charts import Borders, Chart, Sheet, same_unknowns
 from perilune.core.arrays import Matrix, Vector
 from perilune.problem.results.extremal import Nature
 
