@@ -9,17 +9,17 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
-from types import ModuleType
 
 import perilune as pl
+from perilune.core.facade import face_imports
 
 
 def offered() -> Iterator[str]:
     """Dotted names of everything that is public, at the package and where it is defined."""
     for name in pl.__all__:
         yield f"perilune.{name}"
-        home = pl._EXPORTS[name]
-        yield home if isinstance(getattr(pl, name), ModuleType) else f"{home}.{name}"
+        home, own = face_imports("perilune")[name]
+        yield f"{home}.{own}"
 
 
 def main() -> int:

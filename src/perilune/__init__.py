@@ -9,57 +9,43 @@ from types import ModuleType
 TYPE_CHECKING = False  # as checkers know it by its name too: nothing is loaded for it before Ctrl-C can be answered
 __version__ = "0.2.0"
 
-# name: module. Loaded on first use, so that `import perilune` costs nothing.
-_EXPORTS = {
-    "Problem": "perilune.problem.problem",
-    "Phase": "perilune.problem.phase",
-    "Variable": "perilune.problem.variables",
-    "Conditions": "perilune.problem.named_values",
-    "Quantities": "perilune.problem.named_values",
-    "UnitVectorControl": "perilune.problem.controls",
-    "ScalarControl": "perilune.problem.controls",
-    "Parameter": "perilune.problem.variables",
-    "FreeParameter": "perilune.problem.variables",
-    "Scales": "perilune.core.units",
-    "Table": "perilune.core.maths",
-    "Finding": "perilune.problem.presolve",
-    "Solution": "perilune.problem.results.solution",
-    "Trajectory": "perilune.problem.results.trajectory",
-    "Curve": "perilune.problem.results.trajectory",
-    "Result": "perilune.problem.results.solution",
-    "Statistics": "perilune.problem.results.solution",
-    "NamedArc": "perilune.problem.results.arc_sequence",
-    "Extremal": "perilune.problem.results.extremal",
-    "Nature": "perilune.problem.results.extremal",
-    "Family": "perilune.families.family",
-    "FamilyPoint": "perilune.families.family",
-    "Views": "perilune.problem.display.views",
-    "Tolerance": "perilune.problem.tolerance",
-    "Verification": "perilune.problem.verification",
-    "Check": "perilune.problem.verification",
-    "Outcome": "perilune.core.errors",
-    "PeriluneError": "perilune.core.errors",
-    "InfeasibleError": "perilune.core.errors",
-    "NotConvergedError": "perilune.core.errors",
-    "Indirect": "perilune.methods.indirect.indirect",
-    "Pseudospectral": "perilune.methods.direct.pseudospectral",
-    "Hybrid": "perilune.methods.evolutionary.hybrid",
-    "Genetic": "perilune.methods.evolutionary.genetic",
-    "MOON": "perilune.models.physics.bodies",
-    "load": "perilune.io.load",
-    "guess": "perilune.problem.initial_guess",
-    "save": "perilune.io.save",
-    "export": "perilune.io.exports.writing",
-    "opposite": "perilune.problem.negated",
-    "preflight": "perilune.problem.presolve",
-    "solve": "perilune.solve",
-    "sweep": "perilune.families.sweep",
-    "verify": "perilune.verify",
-    "atlas": "perilune.atlas",
-    "models": "perilune.models",
-    "scenario": "perilune.scenario",
-    "views": "perilune.problem.display.views",
-}
+# What is offered. Loaded on first use (`perilune.core.facade`), so that `import perilune` costs nothing.
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from perilune import atlas, models, scenario
+    from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
+    from perilune.core.maths import Table
+    from perilune.core.units import Scales
+    from perilune.families.family import Family, FamilyPoint
+    from perilune.families.sweep import sweep
+    from perilune.io.exports.writing import export
+    from perilune.io.load import load
+    from perilune.io.save import save
+    from perilune.methods.direct.pseudospectral import Pseudospectral
+    from perilune.methods.evolutionary.genetic import Genetic
+    from perilune.methods.evolutionary.hybrid import Hybrid
+    from perilune.methods.indirect.indirect import Indirect
+    from perilune.models.physics.bodies import MOON
+    from perilune.problem.controls import ScalarControl, UnitVectorControl
+    from perilune.problem.display import views
+    from perilune.problem.display.views import Views
+    from perilune.problem.initial_guess import guess
+    from perilune.problem.named_values import Conditions, Quantities
+    from perilune.problem.negated import opposite
+    from perilune.problem.phase import Phase
+    from perilune.problem.presolve import Finding, preflight
+    from perilune.problem.problem import Problem
+    from perilune.problem.results.arc_sequence import NamedArc
+    from perilune.problem.results.extremal import Extremal, Nature
+    from perilune.problem.results.solution import Result, Solution, Statistics
+    from perilune.problem.results.trajectory import Curve, Trajectory
+    from perilune.problem.tolerance import Tolerance
+    from perilune.problem.variables import FreeParameter, Parameter, Variable
+    from perilune.problem.verification import Check, Verification
+    from perilune.solve import solve
+    from perilune.verify import verify
 
 # old name: new name. For one minor version, with a warning.
 _RENAMED = {
@@ -134,46 +120,12 @@ _METHODS = {
     "family_dataset": "perilune.families.export_frames",
 }
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any
-
-    from perilune import atlas, models, scenario
-    from perilune.core.errors import InfeasibleError, NotConvergedError, Outcome, PeriluneError
-    from perilune.core.maths import Table
-    from perilune.core.units import Scales
-    from perilune.families.family import Family, FamilyPoint
-    from perilune.families.sweep import sweep
-    from perilune.io.exports.writing import export
-    from perilune.io.load import load
-    from perilune.io.save import save
-    from perilune.methods import Genetic, Hybrid, Indirect, Pseudospectral
-    from perilune.models.physics.bodies import MOON
-    from perilune.problem.controls import ScalarControl, UnitVectorControl
-    from perilune.problem.display import views
-    from perilune.problem.display.views import Views
-    from perilune.problem.initial_guess import guess
-    from perilune.problem.named_values import Conditions, Quantities
-    from perilune.problem.negated import opposite
-    from perilune.problem.phase import Phase
-    from perilune.problem.presolve import Finding, preflight
-    from perilune.problem.problem import Problem
-    from perilune.problem.results.arc_sequence import NamedArc
-    from perilune.problem.results.extremal import Extremal, Nature
-    from perilune.problem.results.solution import Result, Solution, Statistics
-    from perilune.problem.results.trajectory import Curve, Trajectory
-    from perilune.problem.tolerance import Tolerance
-    from perilune.problem.variables import FreeParameter, Parameter, Variable
-    from perilune.problem.verification import Check, Verification
-    from perilune.solve import solve
-    from perilune.verify import verify
-
 
 class _Package(ModuleType):
     """Module type that keeps a public function in place when its module of the same name is imported."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (isinstance(value, ModuleType) and hasattr(value, name) and name in _EXPORTS):
+        if not (isinstance(value, ModuleType) and hasattr(value, name) and name in __all__):
             super().__setattr__(name, value)
 
 
@@ -186,10 +138,9 @@ def __getattr__(name: str) -> Any:
 
         warn_renamed(f"perilune.{name}", f"perilune.{_RENAMED[name]}")
         name = _RENAMED[name]
-    if name not in _EXPORTS:
-        raise AttributeError(f"module 'perilune' has no attribute {name!r}", name=name, obj=sys.modules[__name__])
-    module = importlib.import_module(_EXPORTS[name])
-    value = getattr(module, name, module)
+    from perilune.core.facade import import_of_face
+
+    value = import_of_face(__name__, name)
     globals()[name] = value
     return value
 

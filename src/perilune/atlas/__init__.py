@@ -5,16 +5,9 @@ atlas = perilune.atlas.open("thrusts")
 solution = atlas.query(vehicle_thrust=440.0)
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
-from perilune.core.facade import deferred, public_names
-
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any
-
     from perilune.atlas.building.audit import covered_share as covered_share, sample_of as sample_of
     from perilune.atlas.building.build import build
     from perilune.atlas.building.export import FORMS as FORMS, export
@@ -27,6 +20,10 @@ if TYPE_CHECKING:
     from perilune.atlas.query.slices import Slice, sliced
     from perilune.atlas.region import Axis as Axis
     from perilune.atlas.store.store import HEADER as HEADER
+else:
+    from perilune.core.facade import lazy_face
+
+    __getattr__, __dir__ = lazy_face(__name__)
 
 # What users are offered; the command line, the explorer and the figures take the rest too.
 __all__ = [
@@ -43,25 +40,3 @@ __all__ = [
     "open",
     "sliced",
 ]
-
-__getattr__: Callable[[str], Any] = deferred(
-    __name__,
-    {
-        "building.audit": "covered_share sample_of",
-        "building.build": "build",
-        "building.export": "FORMS export",
-        "building.extend": "extend",
-        "building.merge": "merge",
-        "building.verify": "verify_atlas",
-        "query.query": "open=open_atlas Atlas",
-        "query.answer": "Mapped Query",
-        "query.batch_answers": "Answers Answered",
-        "query.slices": "Slice sliced",
-        "region": "Axis",
-        "store.store": "HEADER",
-    },
-)
-
-
-def __dir__() -> list[str]:
-    return public_names(__all__)

@@ -1,15 +1,8 @@
 """Pontryagin's conditions of a problem, and the control that minimises H."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
-from perilune.core.facade import deferred
-
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any
-
     from perilune.conditions.active_constraints import Held
     from perilune.conditions.canonical_equations import (
         PhaseExtremal,
@@ -20,26 +13,7 @@ if TYPE_CHECKING:
     )
     from perilune.conditions.mode_events import select_by_mode
     from perilune.conditions.pontryagin import OptimalityConditions, attainable_conditions, derive
+else:
+    from perilune.core.facade import lazy_face
 
-__all__ = [
-    "Held",
-    "OptimalityConditions",
-    "PhaseExtremal",
-    "attainable_conditions",
-    "derive",
-    "extremal_parameters",
-    "hamiltonian_at",
-    "limit_symbols",
-    "minimising_control_at",
-    "select_by_mode",
-]
-
-__getattr__: Callable[[str], Any] = deferred(
-    __name__,
-    {
-        "active_constraints": "Held",
-        "canonical_equations": "PhaseExtremal extremal_parameters hamiltonian_at limit_symbols minimising_control_at",
-        "mode_events": "select_by_mode",
-        "pontryagin": "OptimalityConditions attainable_conditions derive",
-    },
-)
+    __getattr__, __dir__ = lazy_face(__name__)

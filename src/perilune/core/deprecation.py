@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from functools import wraps
 from importlib import import_module
-from types import FrameType
+from types import FrameType, ModuleType
 from typing import Any, TypeVar, cast
 
 from perilune.core.errors import PeriluneError
@@ -58,6 +58,18 @@ def renamed_names(module: str, new: Mapping[str, str]) -> Callable[[str], Any]:
         return getattr(import_module(home), own)
 
     return attribute
+
+
+def moved_module(old: str, new: str) -> ModuleType:
+    """Import a module from its new place and warn that the old one goes with the next minor version.
+
+    Parameters
+    ----------
+    old, new
+        Full names of the module before and now.
+    """
+    warn_renamed(old, new, 2)
+    return import_module(new)
 
 
 def renamed_keywords(**new: str) -> Callable[[Asked], Asked]:

@@ -6,12 +6,12 @@ its room imports nothing that draws, and nothing is loaded before it is used.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import ast
+import sys
+from collections.abc import Callable, Iterable
+from functools import cache
 from importlib import import_module
-from types import ModuleType
 from typing import Any
-
-from perilune.core.deprecation import warn_renamed
 
 
 def public_names(public: Iterable[str]) -> list[str]:
@@ -19,42 +19,45 @@ def public_names(public: Iterable[str]) -> list[str]:
     return sorted({*public, "__all__", "__doc__"})
 
 
-def deferred(package: str, home: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package whose public names are imported on first use: opening it costs nothing.
+@cache
+def face_imports(package: str) -> dict[str, tuple[str, str]]:
+    """Return by name what a package offers of its modules: the module, and the name there.
 
-    Parameters
-    ----------
-    package
-        Its dotted name.
-    home
-        By submodule (``.other.module`` for one beside the package), the names that are defined there, separated by
-        blanks; ``public=own`` where the submodule calls it otherwise.
+    They are read off the block ``if TYPE_CHECKING`` of its own source, which is all that type checkers see, so that
+    each is stated once; Python would import all of it at once.
     """
-    places = dict[str, tuple[str, str]]()
-    for module, names in home.items():
-        for name in names.split():
-            public, _, own = name.partition("=")
-            places[public] = (module, own or public)
+    loader: Any = sys.modules[package].__loader__
+    found = dict[str, tuple[str, str]]()
+    for block in ast.parse(loader.get_source(package)).body:
+        for node in block.body if isinstance(block, ast.If) else ():
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("perilune"):
+                found |= {one.asname or one.name: (node.module, one.name) for one in node.names}
+    return found
+
+
+def import_of_face(package: str, name: str) -> Any:
+    """Import what a package offers by this name."""
+    if name not in (found := face_imports(package)):
+        raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=sys.modules[package])
+    home, own = found[name]
+    if home != package and hasattr(module := import_module(home), own):
+        return getattr(module, own)
+    return import_module(f"{home}.{own}")
+
+
+def lazy_face(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return ``__getattr__`` and ``__dir__`` of a package that imports what it offers on first use.
+
+    Opening it costs nothing. What ``dir`` shows of it is its ``__all__``, or all that it offers if it has none.
+    """
 
     def attribute(name: str) -> Any:
-        if name not in places:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module, own = places[name]
-        return getattr(import_module(f".{module}", package), own)
+        return import_of_face(package, name)
 
-    return attribute
+    def names() -> list[str]:
+        return public_names(vars(sys.modules[package]).get("__all__") or face_imports(package))
 
-
-def moved_module(old: str, new: str) -> ModuleType:
-    """Import a module from its new place and warn that the old one goes with the next minor version.
-
-    Parameters
-    ----------
-    old, new
-        Full names of the module before and now.
-    """
-    warn_renamed(old, new, 2)
-    return import_module(new)
+    return attribute, names
 
 
 def method_function(name: str) -> Callable[..., Any]:

@@ -3,16 +3,9 @@
 The orbit before a return is `ReturnOrbit` here, and `Orbit` the one before a landing.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
-from perilune.core.facade import deferred, public_names
-
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any
-
     from perilune.models.deorbit.opportunities import Opportunity, opportunities
     from perilune.models.deorbit.problem import deorbit_entry
     from perilune.models.deorbit.records import (
@@ -48,6 +41,10 @@ if TYPE_CHECKING:
     from perilune.models.precision.final_descent import FinalDescent
     from perilune.models.precision.path_constraints import Corridor
     from perilune.models.precision.problem import Approach, precision_landing
+else:
+    from perilune.core.facade import lazy_face
+
+    __getattr__, __dir__ = lazy_face(__name__)
 
 __all__ = [
     "BODIES",
@@ -91,26 +88,3 @@ __all__ = [
     "powered_descent",
     "precision_landing",
 ]
-
-__getattr__: Callable[[str], Any] = deferred(
-    __name__,
-    {
-        "physics.bodies": "BODIES CERES EARTH EUROPA MARS MERCURY MOON Body Planet UniformGravity",
-        "physics.vehicle": "Retro Throttle Vehicle",
-        "landing.problem": "Orbit hybrid_landing",
-        "descent.problem": "Ignition Site Steering powered_descent",
-        "precision.problem": "Approach precision_landing",
-        "precision.path_constraints": "Corridor",
-        "kind": "Kind Section",
-        "precision.final_descent": "FinalDescent",
-        "physics.atmosphere": "Air",
-        "deorbit.records": "Atmosphere Heating Interface Landing Limits Manoeuvre Parachute Returner ReturnOrbit "
-        "Separation Transition",
-        "deorbit.problem": "deorbit_entry",
-        "deorbit.opportunities": "Opportunity opportunities",
-    },
-)
-
-
-def __dir__() -> list[str]:
-    return public_names(__all__)
